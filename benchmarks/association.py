@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from comparisons.association import identified
+from comparisons.estimators.filters import identified
 from comparisons.options import RunOptions
 from graphslam import Graph, Log, MotionModel, SensorModel, SlamError, associate, load, sample_log_path, simulate, solve
 from graphslam.association import score

@@ -33,10 +33,10 @@ from graphslam import (
     simulate,
     solve,
 )
-from graphslam.certificate import prove
 from graphslam.edges import AnchorEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.se2 import Array, between, wrap
 from graphslam.simulation.simulator import MotionFaults, SensorFaults
+from graphslam.solvers.certificate import prove
 
 PUBLIC = (
     "input_INTEL_g2o.g2o", "input_M3500_g2o.g2o", "CSAIL.g2o", "city10000.g2o", "dlr.g2o", "simulation-pose-landmark.g2o",

@@ -17,7 +17,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from comparisons.peers import native_gtsam_graph
+from comparisons.studies.backends import native_gtsam_graph
 from graphslam import Graph, load, solve, textbook
 from graphslam.solvers.gtsam_solver import to_values
 
@@ -41,7 +41,7 @@ def g2o_iteration(graph: Graph) -> float | None:
     try:
         import g2opy
 
-        from comparisons.peers import _g2o_optimizer
+        from comparisons.studies.backends import _g2o_optimizer
     except ImportError:
         return None
 

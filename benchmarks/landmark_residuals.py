@@ -23,9 +23,9 @@ import numpy as np
 from real_logs import BY_HAND
 
 from comparisons.comparison import compare
-from comparisons.consistency import models
 from comparisons.datasets import data_folder
 from comparisons.options import RunOptions
+from comparisons.studies.consistency import models
 from graphslam import Graph, Log, MotionModel, SensorModel, load, simulate, solve
 from graphslam.errors import SlamError
 from graphslam.metrics import ate

@@ -1,4 +1,4 @@
-"""Landmarks of a map that have moved, are gone or are new: `graphslam.map_states.map_states` on simulated drives.
+"""Landmarks of a map that have moved, are gone or are new: `graphslam.association.map_states.map_states` on simulated drives.
 
     python benchmarks/map_states.py [--first 1000] [--drives 100] [--changed 3]
 
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from graphslam import Graph, LandmarkMap, Log, simulate, solve
-from graphslam.map_states import map_states
+from graphslam.association.map_states import map_states
 from graphslam.metrics import ate
 
 COUNT = 30

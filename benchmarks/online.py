@@ -20,9 +20,9 @@ import numpy as np
 
 from graphslam import Graph, GraphError, Log, MotionModel, OnlineSolver, SensorModel, load, simulate, solve
 from graphslam.edges import AnchorEdges, CartesianObservationEdges, RelativePoseEdges
+from graphslam.graph.transform import first_poses
 from graphslam.online import replay
 from graphslam.se2 import compose, wrap
-from graphslam.transform import first_poses
 
 #: the noise of benchmarks/real_logs.py for MR.CLAM, set by hand
 BY_HAND = {

@@ -31,9 +31,9 @@ from comparisons.comparison import compare
 from comparisons.datasets import data_folder
 from comparisons.options import RunOptions
 from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, load, solve
-from graphslam.formats.mrclam import robots
-from graphslam.solvers.initial_values import place_landmarks
+from graphslam.io.mrclam import robots
 from graphslam.solvers.initialize import AUTO, starting_state
+from graphslam.solvers.starts import place_landmarks
 
 #: docs/results.md
 BY_HAND = {

@@ -1,4 +1,4 @@
-"""Robots that see each other: `graphslam.robots.join_robots`.
+"""Robots that see each other: `graphslam.sessions.join_robots`.
 
     python benchmarks/robots.py [--data ../shared/data/mrclam6]
 
@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from graphslam import Graph, Log, Solution, solve
-from graphslam.formats import load_robots
 from graphslam.identification.robot import known_robot
+from graphslam.io.formats import load_robots
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
-from graphslam.robots import join_robots
+from graphslam.sessions import join_robots
 
 
 def solved(log: Log) -> tuple[Solution, float]:

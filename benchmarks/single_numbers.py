@@ -2,7 +2,7 @@
 
     python benchmarks/single_numbers.py [--number range] [--count 100] [--lanes 6]
 
-Worlds of `graphslam.simulation.single_numbers`: 300 poses along the lanes of a field of 40 m, 8 landmarks, one sighting at
+Worlds of `graphslam.simulation.worlds`: 300 poses along the lanes of a field of 40 m, 8 landmarks, one sighting at
 every second pose. The optimum is the lower end of the search from odometry and of Levenberg-Marquardt from the ground truth.
 A landmark is misplaced in silence where no note says that it may be elsewhere.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from graphslam import Graph, Solution, solve
 from graphslam.metrics import ate, evaluate
-from graphslam.simulation.single_numbers import NUMBERS, simulate_single_numbers
+from graphslam.simulation.worlds import NUMBERS, simulate_single_numbers
 
 #: costs that differ by less than this part are the same
 SAME = 1e-6

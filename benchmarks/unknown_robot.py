@@ -385,7 +385,7 @@ def main() -> None:
     done: Iterable[Row]
     with ExitStack() as stack:
         if arguments.jobs > 0:
-            # these import this file, which the processes of `comparisons.pool` do not
+            # these import this file, which the processes of `comparisons.estimators.attempt` do not
             pool = stack.enter_context(get_context("spawn").Pool(arguments.jobs, warm_up, ("graph",)))
             done = pool.imap(task, seeds)
         else:

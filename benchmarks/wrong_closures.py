@@ -25,7 +25,7 @@ from graphslam import Graph, solve
 from graphslam.edges import RelationEdges, RelativePoseEdges
 from graphslam.factors import RelativePoseFactor
 from graphslam.se2 import Array
-from graphslam.solvers.gtsam_values import from_values, to_values
+from graphslam.solvers.gtsam_factors import from_values, to_values
 
 GRAPHS = {
     "INTEL": "input_INTEL_g2o.g2o",

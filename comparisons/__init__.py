@@ -24,38 +24,36 @@ from graphslam.lazy import lazy_names
 from . import display
 
 if TYPE_CHECKING:
-    from .backends import compare_backends
     from .comparison import Comparison, run
-    from .consistency import study_consistency
     from .datasets import survey
     from .evaluation import evaluate
-    from .importing import import_log
+    from .importing import import_log, inspect_log
     from .options import RunOptions
-    from .overview import inspect_log
-    from .particles import study_particles
-    from .reading import calibrate
+    from .options.reading import calibrate
     from .show.films import animate
     from .show.report.page import write_report
-    from .solvers import compare_solvers
+    from .studies.backends import compare_backends
+    from .studies.consistency import study_consistency
+    from .studies.particles import study_particles
     from .studies.plan import read_study
+    from .studies.solvers import compare_solvers
     from .studies.summary import summarise
     from .studies.sweep import sweep
 
 #: the public names, by the module that defines them
 _PUBLIC = {
-    "backends": "compare_backends",
+    "studies.backends": "compare_backends",
     "comparison": "Comparison run",
-    "consistency": "study_consistency",
+    "studies.consistency": "study_consistency",
     "datasets": "survey",
     "evaluation": "evaluate",
-    "importing": "import_log",
-    "overview": "inspect_log",
+    "importing": "import_log inspect_log",
     "options": "RunOptions",
-    "particles": "study_particles",
-    "reading": "calibrate",
+    "studies.particles": "study_particles",
+    "options.reading": "calibrate",
     "show.films": "animate",
     "show.report.page": "write_report",
-    "solvers": "compare_solvers",
+    "studies.solvers": "compare_solvers",
     "studies.plan": "read_study",
     "studies.summary": "summarise",
     "studies.sweep": "sweep",

@@ -18,10 +18,16 @@ from graphslam.log_checks import Finding, check_log
 from graphslam.metrics import Metrics, evaluate
 from graphslam.se2 import wrap
 
-from .attempt import Skipped, attempts
-from .config import config_text
 from .display import Displayed
-from .documents import (
+from .estimators import ESTIMATORS, check_estimators, default_estimators
+from .estimators.attempt import Skipped, attempts
+from .estimators.config import config_text
+from .estimators.filters import Announce, announce_memory
+from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions
+from .options.reading import LogOrPath, prepare
+from .options.toml_files import write_noise
+from .results import EstimatorResult, noted, typical_costs
+from .results.documents import (
     EstimatorDocument,
     LandmarkStateDocument,
     RunDocument,
@@ -30,17 +36,9 @@ from .documents import (
     document,
     parameters_document,
 )
-from .estimators import ESTIMATORS, check_estimators, default_estimators
-from .exchange import texts, write_pose_graph
-from .failures import noted
-from .memory import Announce, announce_memory
-from .noise_files import write_noise
-from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions
-from .reading import LogOrPath, prepare
-from .results import EstimatorResult, typical_costs
-from .saving import SavedFiles, fill_results, new_directory, write_json
-from .sessions import documents_of_sessions
-from .sightings import association_document
+from .results.exchange import texts, write_pose_graph
+from .results.saving import SavedFiles, fill_results, new_directory, write_json
+from .results.sightings import association_document, documents_of_sessions
 
 
 @dataclass(frozen=True)

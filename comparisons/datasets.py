@@ -18,10 +18,11 @@ from typing import Any
 from graphslam import Graph, SlamError, load
 from graphslam.edges import AnchorEdges
 from graphslam.files import check_path
-from graphslam.formats import FORMATS, mrclam
+from graphslam.io import mrclam
+from graphslam.io.formats import FORMATS
 
 from .display import Displayed
-from .saving import jsonable
+from .results.saving import jsonable
 
 #: how many levels of folders are searched, and the size from which on files are not opened for recognition [bytes]
 DEPTH, LARGEST = 3, 200_000_000

@@ -1,7 +1,7 @@
 """`evaluate`: trajectories and maps of any program against the ground truth.
 
 A trajectory is a table of times and poses (CSV, TSV, TUM, Parquet), as `run` writes them; its rows may have the covariances
-of the poses in world axes, in the columns `graphslam.map_files.COVARIANCE`. Each pose of an estimate is compared with the
+of the poses in world axes, in the columns `graphslam.io.map_files.COVARIANCE`. Each pose of an estimate is compared with the
 truth at its time: between two true poses, on the arc that leads from one to the other.
 """
 
@@ -18,26 +18,17 @@ from typing import Any
 import numpy as np
 
 from graphslam import LandmarkMap, LogError, OptionError, load
-from graphslam.map_files import COVARIANCE, UPPER
-from graphslam.metrics import (
-    align,
-    gospa,
-    heading_rmse,
-    landmark_rmse,
-    matched_places,
-    pose_nees,
-    position_errors,
-    rpe,
-)
+from graphslam.io.drive import truth_of
+from graphslam.io.map_files import COVARIANCE, UPPER
+from graphslam.io.options import TableOptions
+from graphslam.io.table import plain
+from graphslam.io.text_table import PARQUET, TEXT, table_of
+from graphslam.metrics import align, gospa, heading_rmse, landmark_rmse, matched_places, pose_nees, position_errors, rpe
 from graphslam.se2 import Array, compose, interpolate, rotation, wrap
-from graphslam.tables.columns import plain
-from graphslam.tables.drive import truth_of
-from graphslam.tables.options import TableOptions
-from graphslam.tables.sources import PARQUET, TEXT, table_of
 
 from .display import Displayed
-from .documents import EvaluatedDocument, EvaluateDocument, document
 from .options import EvaluationOptions
+from .results.documents import EvaluatedDocument, EvaluateDocument, document
 
 #: stands for the map of an estimate that has none
 NO_MAP = Path("-")

@@ -1,4 +1,4 @@
-"""Write docs/schema.json and docs/json.md from the models in `comparisons.documents`: ``python docs/make_json.py``."""
+"""Write docs/schema.json and docs/json.md from `comparisons.results.documents`: ``python docs/make_json.py``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from comparisons.documents import DOCUMENTS
+from comparisons.results.documents import DOCUMENTS
 
 DOCS = Path(__file__).parent
 #: arrays that have a name of their own on the page

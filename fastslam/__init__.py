@@ -10,28 +10,25 @@ from typing import TYPE_CHECKING
 from graphslam.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from .fastslam1 import FastSLAM1
-    from .fastslam2 import FastSLAM2
-    from .gibbs.chains import ParticleGibbs
-    from .gibbs.result import GibbsResult
-    from .mcl import MonteCarloLocalization
+    from .filters import FastSLAM1, FastSLAM2, MonteCarloLocalization
+    from .filters.particle_filter import ParticleFilter, VanishedWeightsWarning
+    from .gibbs.chains import GibbsResult, ParticleGibbs
     from .options import FilterOptions, GibbsOptions
-    from .particle_filter import ParticleFilter, VanishedWeightsWarning
-    from .resampling import RESAMPLING_SCHEMES, effective_sample_size
-    from .samples import Samples
-    from .state import FilterResult, LandmarkEstimate, ParticleState
+    from .particles import (
+        RESAMPLING_SCHEMES,
+        FilterResult,
+        LandmarkEstimate,
+        ParticleState,
+        Samples,
+        effective_sample_size,
+    )
 
 #: the public names, by the module that defines them
 _PUBLIC = {
-    "fastslam1": "FastSLAM1",
-    "fastslam2": "FastSLAM2",
-    "gibbs.chains": "ParticleGibbs",
-    "gibbs.result": "GibbsResult",
-    "mcl": "MonteCarloLocalization",
+    "filters": "FastSLAM1 FastSLAM2 MonteCarloLocalization",
+    "gibbs.chains": "ParticleGibbs GibbsResult",
     "options": "FilterOptions GibbsOptions",
-    "particle_filter": "ParticleFilter VanishedWeightsWarning",
-    "resampling": "RESAMPLING_SCHEMES effective_sample_size",
-    "samples": "Samples",
-    "state": "FilterResult LandmarkEstimate ParticleState",
+    "filters.particle_filter": "ParticleFilter VanishedWeightsWarning",
+    "particles": "RESAMPLING_SCHEMES effective_sample_size Samples FilterResult LandmarkEstimate ParticleState",
 }
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

@@ -1,12 +1,35 @@
-"""The limits of a motion, and motions of a sensor that sits at an offset to the robot."""
+"""The limits of a motion, and motions of a sensor that sits at an offset to the robot.
+
+A log as arrays for the engine, its sightings linearised in the axes of the robot.
+
+Backward simulation: trajectories drawn from all that one run of a particle filter has computed.
+
+The histories of the particles at the end of a run have few ancestors in common steps: resampling has removed the others.
+Backward simulation draws the steps one after the other, from the last to the first, among all particles that the filter
+ever had. The motions are relative to the pose before: what is drawn is where the rigid rest of the trajectory is attached,
+by the landmarks that both sides have seen. A density of the motion is never needed, and a precise motion does not tie the
+rest to its own ancestor. The engine draws; equations and sources are in ``engine/include/vmslam/gibbs/backward.hpp``.
+
+Of more than `CANDIDATES` particles, that many are considered at each step: the ancestor in the filter, and draws by weight.
+This is a step of a conditional SMC, which leaves the distribution unchanged.
+"""
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
 import numpy as np
 
+from graphslam.engine import available_threads, engine
 from graphslam.errors import OptionError
-from graphslam.models import SensorModel
-from graphslam.se2 import Array, transform
+from graphslam.log import Log
+from graphslam.models import MotionModel, SensorModel
+from graphslam.se2 import Array, transform, wrap
+
+from .options import GIGABYTE, available_memory, smoothing_memory
+from .particles import Samples
 
 #: a larger turn in one step [rad] is an error in the input, and the engine's sine is not made for it
 LARGEST_TURN = 1e5
@@ -40,3 +63,205 @@ def robot_poses(sensor: SensorModel, poses: Array) -> Array:
         return poses
     ahead, left = sensor.offset
     return np.concatenate([transform(poses, np.array([-ahead, -left])), poses[..., 2:]], axis=-1)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sightings:
+    """Sightings of the sensor with their linearisation.
+
+    Attributes:
+        first: (T + 2,), the sightings of step t are first[t] to first[t + 1]; ``marks``: (K,) their landmarks, 0 to J - 1.
+        z, q: (K, 3) the sightings and their variances; without psi the third column is 0 and 1.
+        y, C: (K, 3), (K, 6): the sightings as relative places q = (R(theta)' (m - p), m_h - theta) with Gaussian noise.
+        ids: (J,) of the landmarks; ``columns``: 2 or 3.
+    """
+
+    first: np.ndarray
+    marks: np.ndarray
+    z: Array
+    q: Array
+    y: Array
+    C: Array
+    ids: np.ndarray
+    columns: int
+
+    @classmethod
+    def taken(
+        cls, poses: int, steps: np.ndarray, landmarks: np.ndarray, sightings: Array, sensor: SensorModel, **more: Array
+    ) -> Self:
+        """Return sightings (K, 2 or 3) of ``landmarks`` (K,) from ``poses`` poses, linearised where they were measured.
+
+        Args:
+            steps: (K,), ascending; ``more``: the fields of a class derived from this one.
+        """
+        ids, marks = np.unique(landmarks, return_inverse=True)
+        n, size = sightings.shape[1], len(steps)
+        z, q = np.zeros((size, 3)), np.ones((size, 3))
+        z[:, :n] = sightings
+        q[:, :n] = np.diagonal(sensor.Q(sightings), axis1=-2, axis2=-1)
+        taken = cls(
+            first=np.searchsorted(steps, np.arange(poses + 1)),
+            marks=marks.astype(np.int64).ravel(),
+            z=z,
+            q=q,
+            y=z,
+            C=np.zeros((size, 6)),
+            ids=ids,
+            columns=n,
+            **more,
+        )
+        return taken._linearised(z[:, 0], z[:, 1], wrap(z[:, 1] - z[:, 2]))
+
+    @property
+    def steps(self) -> np.ndarray:
+        """The step (K,) of each sighting."""
+        return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
+
+    def _linearised(self, r: Array, bearing: Array, heading: Array) -> Self:
+        """Linearise h(q) = (|q|, atan2 q, atan2 q - q_h) at relative places, given by range, bearing and heading.
+
+        y = q + R (z - h(q)) and C = R Q R', with R = dh^-1/dz = [[c, -r s, 0], [s, r c, 0], [0, 1, -1]].
+        """
+        c, s, zero = np.cos(bearing), np.sin(bearing), np.zeros_like(r)
+        third = 1.0 if self.columns == 3 else 0.0
+        R = np.array([[c, -r * s, zero], [s, r * c, zero], [zero, zero + third, zero - (1.0 if third else -1.0)]])
+        R = np.moveaxis(R, -1, 0)
+        residual = self.z - np.stack([r, bearing, third * (bearing - heading)], axis=-1)
+        residual[:, 1:] = wrap(residual[:, 1:])
+        y = np.stack([r * c, r * s, third * heading], axis=-1) + (R @ residual[..., None])[..., 0]
+        y[:, 2] = wrap(y[:, 2])
+        C = R @ (self.q[:, :, None] * np.swapaxes(R, 1, 2))
+        rows, columns = np.triu_indices(3)
+        return replace(self, y=y, C=np.ascontiguousarray(C[:, rows, columns]))
+
+    def in_engine(
+        self, motions: Array, information: Array, weights: Array, *, exact: bool = False, degrees: float = 0.0
+    ) -> Any:
+        """Return the engine's problem with motions (T, 3) of information (T, 6).
+
+        Args:
+            weights: (K, 6) the information of the linearised sightings.
+            exact, degrees: see `GibbsOptions`; 0 degrees of freedom stand for a Gaussian.
+        """
+        indices = (np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.first, self.marks))
+        sightings = (np.ascontiguousarray(part) for part in (self.y, self.C, weights, self.z, self.q))
+        return engine.GibbsProblem(
+            motions,
+            np.ascontiguousarray(information),
+            *indices,
+            *sightings,
+            len(self.ids),
+            self.columns,
+            exact,
+            degrees,
+        )
+
+    def linearised_at(self, trajectories: Array, maps: Array) -> Self:
+        """Return the same problem, linearised at the mean relative places of samples (S, T + 1, 3) and (S, J, 3)."""
+        steps = self.steps
+        total, heading = np.zeros((len(steps), 2)), np.zeros(len(steps))
+        for x, m in zip(trajectories, maps, strict=True):
+            pose, mark = x[steps], m[self.marks]
+            d, c, s = mark[:, :2] - pose[:, :2], np.cos(pose[:, 2]), np.sin(pose[:, 2])
+            total += np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]], axis=-1)
+            heading += wrap(mark[:, 2] - pose[:, 2] - self.y[:, 2])
+        place = total / len(trajectories)
+        bearing = np.arctan2(place[:, 1], place[:, 0])
+        return self._linearised(
+            np.maximum(np.hypot(*place.T), 1e-3), bearing, wrap(self.y[:, 2] + heading / len(trajectories))
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Problem(Sightings):
+    """The sightings of a log with its motions.
+
+    Attributes:
+        motions, information: (T, 3) and the upper triangles (T, 6) of the inverse covariances, of the sensor.
+    """
+
+    motions: Array
+    information: Array
+
+    @classmethod
+    def of(cls, log: Log, motion: MotionModel, sensor: SensorModel) -> Problem:
+        """Return a log's problem, the sightings linearised where they were measured."""
+        motions, covariances = sensor_motions(sensor, *log.motions(motion))
+        rows, columns = np.triu_indices(3)
+        return cls.taken(
+            log.num_poses,
+            log.steps,
+            log.landmarks,
+            log.sightings,
+            sensor,
+            motions=np.ascontiguousarray(motions),
+            information=np.linalg.inv(covariances)[:, rows, columns],
+        )
+
+    def motions_of(self, trajectories: Array) -> Array:
+        """Return the mean motions (T, 3) of sampled trajectories (S, T + 1, 3)."""
+        d = np.diff(trajectories, axis=1)
+        c, s = np.cos(trajectories[:, :-1, 2]), np.sin(trajectories[:, :-1, 2])
+        turn = self.motions[:, 2] + wrap(d[..., 2] - self.motions[:, 2]).mean(axis=0)
+        along, across = c * d[..., 0] + s * d[..., 1], c * d[..., 1] - s * d[..., 0]
+        return np.stack([along.mean(axis=0), across.mean(axis=0), turn], axis=-1)
+
+
+#: the most particles considered at each step
+CANDIDATES = 200
+
+
+class Record:
+    """The sightings of a run whose particles the engine keeps."""
+
+    def __init__(self) -> None:
+        self._steps: list[int] = []
+        self._ids: list[int] = []
+        self._sightings: list[Array] = []
+
+    def observe(self, step: int, ids: np.ndarray, sightings: Array) -> None:
+        """Add the sightings of a step."""
+        self._steps += [step] * len(ids)
+        self._ids += ids.tolist()
+        self._sightings += list(sightings)
+
+    def smooth(
+        self, particles: Any, count: int, rng: np.random.Generator, sensor: SensorModel, trajectory: Array, marks: Array,
+        threads: int | None,
+    ) -> Samples:  # fmt: skip
+        """Return ``count`` trajectories drawn backwards, each with a map drawn given the trajectory.
+
+        Args:
+            particles: the engine's filter, with the particles of all steps.
+            trajectory, marks: (T + 1, 3) poses of the sensor and (J, 2 or 3) landmarks at which sightings are linearised.
+
+        Raises:
+            OptionError: the record needs more memory than there is.
+        """
+        T, N = len(trajectory) - 1, len(particles.poses)
+        steps, ids = np.array(self._steps, dtype=np.int64), np.array(self._ids)
+        seen = Sightings.taken(T + 1, steps, ids, np.array(self._sightings), sensor)
+        J = len(seen.ids)
+        at = np.zeros((J, 3))
+        at[:, : marks.shape[1]] = marks
+        seen = seen.linearised_at(trajectory[None], at[None])
+        # an event is a step at which a landmark was seen
+        events = len(np.unique(seen.steps * J + seen.marks))
+        need, there = smoothing_memory(N, T + 1, J, events, count), available_memory()
+        if there is not None and need > there:
+            raise OptionError(
+                f"smoothing {N:,} particles over {T} steps by {count:,} trajectories needs {need / GIGABYTE:.3g} GB of "
+                f"memory, and {there / GIGABYTE:.2g} GB are available; take fewer particles or trajectories"
+            )
+        poses, log_weights, parents = particles.recorded()
+        problem = seen.in_engine(np.zeros((T, 3)), np.zeros((T, 6)), seen.C)
+        sampler = engine.BackwardSampler(poses, log_weights, parents, problem, CANDIDATES)
+        trajectories, maps = np.empty((count, T + 1, 3)), np.empty((count, J, 3))
+
+        def draw(s: int, seed: int) -> None:
+            # of its own, so that the result does not depend on the threads
+            trajectories[s], maps[s] = sampler.draw(np.random.default_rng(seed).bit_generator)
+
+        with ThreadPoolExecutor(threads or available_threads()) as pool:
+            list(pool.map(draw, range(count), rng.integers(2**63, size=count).tolist()))
+        return Samples(robot_poses(sensor, trajectories)[None], maps[None, ..., : seen.columns], seen.ids)

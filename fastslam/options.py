@@ -2,18 +2,93 @@
 
 Constructors take these options as keywords, and command lines and configuration files derive theirs from the fields.
 This module imports neither the engine nor SciPy.
+
+Conversion of arguments to numbers, with an `OptionError` that says what was expected.
+
+Gaussian random numbers that are a function of a key and an index, so that threads need no common generator.
+
+The filter's generator draws one key per motion. Each of the N particles then has five numbers of its own, which depend
+only on the key and on the particle's index (`vmslam/numbers/random.hpp` in the engine).
+
+Rejected: `Generator.standard_normal`, which takes 7 to 8 ns per number in a single thread (here: 2.3 ns), and one
+generator per block of particles, which is repeatable but as slow.
+
+The memory that a particle filter needs, and the memory that there is.
+
+The numbers per particle are those of the arrays: 32 bytes for each stored pose of the genealogy, 8 bytes for each number of
+a landmark, and about 100 bytes for poses, weights and buffers. How many poses are stored depends on the resampling, so the
+forecast has a lower and an upper end.
 """
 
 from __future__ import annotations
 
+import operator
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from graphslam.checks import check_choice
-from graphslam.errors import OptionError, quoted
+from graphslam.engine import engine
+from graphslam.errors import OptionError, check_choice, quoted, real_array
+from graphslam.log import Log
+from graphslam.se2 import Array, wrap
 
-from .checks import finite, whole
+
+def whole(name: str, value: Any, expected: str = "a whole number") -> int:
+    """Return a Python or NumPy integer as an int; True and False are refused."""
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        return operator.index(value)
+    except TypeError:
+        raise OptionError(f"{name} must be {expected}, not {quoted(value)}") from None
+
+
+def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...]]) -> Array:
+    """Return a new array of finite numbers with one of the shapes."""
+    try:
+        array = real_array(value).copy()
+    except (TypeError, ValueError, OverflowError):
+        array = np.array(np.nan)
+    if array.shape not in shapes or not np.all(np.isfinite(array)):
+        raise OptionError(f"{name} must be {expected}, not {quoted(value)}")
+    return array
+
+
+def index(name: str, value: Any, count: int) -> int:
+    """Return a whole number between 0 and count - 1."""
+    number = whole(name, value)
+    if not 0 <= number < count:
+        raise OptionError(f"there is no {name} {number}: they are numbered 0 to {count - 1}")
+    return number
+
+
+def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
+    """Return ids (k,) and sightings (k, 2 or 3) as arrays, angles wrapped; ids None stands for k unknown ids."""
+    try:
+        z = real_array(sightings).copy()
+        numbers = np.zeros(len(z), dtype=np.int64) if ids is None else np.asarray(ids)
+        if numbers.size == 0 and z.size == 0:
+            return numbers, np.empty((0, 2))
+        if z.ndim != 2 or z.shape[1] not in (2, 3) or numbers.shape != (len(z),):
+            raise ValueError
+    except (TypeError, ValueError, OverflowError):
+        expected = "whole numbers (k,) and sightings (k, 2) or (k, 3)"
+        raise OptionError(f"observe takes {expected}, not {quoted(ids)} and {quoted(sightings)}") from None
+    if numbers.dtype.kind not in "iu":
+        raise OptionError(f"the ids of landmarks must be whole numbers, not {quoted(numbers.tolist())}")
+    if numbers.dtype.kind == "u" and np.any(numbers > np.iinfo(np.int64).max):
+        raise OptionError(f"the ids of landmarks must be below 2^63, not {quoted(int(numbers.max()))}")
+    numbers = numbers.astype(np.int64)
+    if not np.all(np.isfinite(z)) or np.any(z[:, 0] <= 0):
+        raise OptionError("sightings must be finite and their ranges above zero")
+    z[:, 1:] = wrap(z[:, 1:])
+    return numbers, z
+
 
 #: how sightings are assigned to landmarks; auto stands for one of the others, which the log decides
 ASSOCIATIONS = ("auto", "known", "maximum-likelihood")
@@ -21,7 +96,7 @@ ASSOCIATIONS = ("auto", "known", "maximum-likelihood")
 WITHOUT_IDS = "maximum-likelihood"
 #: the stored poses of all particles are numbered with 32 bits
 MOST_PARTICLES = 50_000_000
-#: the names of the resampling schemes, see `fastslam.resampling`
+#: the names of the resampling schemes, see `fastslam.particles`
 RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 
 #: how FastSLAM 2.0 weighs its particles: with the density of its proposal, or as if h and f were linear
@@ -219,3 +294,102 @@ class GibbsOptions:
             if degrees <= 0:
                 raise OptionError(f"degrees_of_freedom must be {expected}, not {quoted(degrees)}")
             object.__setattr__(self, "degrees_of_freedom", degrees)
+
+
+def draw_key(rng: np.random.Generator) -> int:
+    """Draw a new key: one uniform number of the generator with its 53 bits moved to the top."""
+    # rng.bytes and rng.integers take 3 to 8 us, as much as a hundred particles
+    return int(rng.random() * 2.0**53) << 11
+
+
+def standard_normals(rng: np.random.Generator, particles: int) -> Array:
+    """Draw the five standard normal numbers of each particle for one motion, (N, 5), as the filters use them."""
+    normals: Array = engine.standard_normals(draw_key(rng), particles)
+    return normals
+
+
+#: bytes of poses, weights and buffers; of one pose of a history; of the history's index of one landmark
+BUFFERS, POSE, INDEX = 100, 32, 8
+#: numbers of a landmark without and with heading; where the association is unknown a landmark takes several times as much
+NUMBERS, ANONYMOUS = {2: 5, 3: 9}, 4
+#: stored poses per particle where the filter resamples often, and where it does so rarely
+OFTEN, RARELY = 22, 120
+#: the most sightings of a landmark that are integrated together, and so the most poses that are kept of it; the engine has
+#: room for no more
+JOINT = 16
+GIGABYTE = 1e9
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """The memory [bytes] that a run will need, at least and at most in the usual case."""
+
+    least: float
+    most: float
+
+    def __str__(self) -> str:
+        least, most = (f"{value / GIGABYTE:.3g}" for value in (self.least, self.most))
+        return f"{most} GB" if least == most else f"{least} to {most} GB"
+
+
+def forecast(log: Log, options: FilterOptions, *, maps: bool) -> Forecast:
+    """The memory of a filter on a log; ``maps`` says whether each particle has a map of its own."""
+    landmark = 8 * NUMBERS[log.sightings.shape[1]]
+    if options.landmark_update == "joint":
+        landmark += 8 * (3 * JOINT + 1)
+    if not options.uses_ids and log.classes is not None:
+        landmark += 8 * len(np.unique(log.classes))
+    spare = int(np.bincount(log.steps).max(initial=0)) + 1
+    seen = len(log.landmark_ids) * (1 if options.uses_ids else ANONYMOUS) + spare
+    fixed = BUFFERS + (seen * landmark + len(log.landmark_ids) * INDEX if maps else 0)
+    # arrays that grow are copied into others of twice the size
+    often, rarely = (min(count, 2 * log.num_poses) for count in (OFTEN, RARELY))
+    if options.ess_threshold == 0:
+        often, rarely = log.num_poses, 2 * log.num_poses
+    record = 0.0
+    if maps and options.smoothing:
+        events = len(np.unique(np.column_stack([log.steps, log.landmarks]), axis=0))
+        record = smoothing_memory(options.particles, log.num_poses, len(log.landmark_ids), events, options.smoothing)
+    return Forecast(*(record + options.particles * (fixed + POSE * poses) for poses in (often, rarely)))
+
+
+def smoothing_memory(particles: int, poses: int, landmarks: int, events: int, count: int) -> float:
+    """The memory [bytes] of backward simulation of ``count`` trajectories; an event is a step that sees a landmark."""
+    # the record of the poses and its copy for the sampler
+    record = 4.0 * poses * landmarks + 72.0 * events + 84.0 * poses
+    # the covariances need another copy of the samples
+    return particles * record + 48.0 * count * (poses + landmarks)
+
+
+def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:
+    """Raise `OptionError` where a filter on a log needs more memory than there is."""
+    need, there = forecast(log, options, maps=maps), available_memory()
+    if there is not None and need.least > there:
+        most = int(options.particles * there / need.most)
+        raise OptionError(
+            f"{options.particles:,} particles on {log.name} need {need} of memory, and {there / GIGABYTE:.2g} GB are "
+            f"available; take at most {most:,} particles{' or a smaller smoothing' if options.smoothing else ''}"
+        )
+
+
+def available_memory() -> float | None:
+    """The memory [bytes] that a process may take without swapping; None where the system does not report it."""
+    limits = []
+    for line in _lines("/proc/meminfo"):
+        name, _, size = line.partition(":")
+        if name == "MemAvailable":
+            limits.append(1024.0 * int(size.split()[0]))
+    # a container's limit
+    most, used = (_lines(f"/sys/fs/cgroup/memory.{name}")[:1] for name in ("max", "current"))
+    if most and used and most[0].isdigit():
+        limits.append(float(most[0]) - float(used[0]))
+    if not limits and "SC_PHYS_PAGES" in getattr(os, "sysconf_names", ()):
+        limits.append(float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE"))
+    return min(limits, default=None)
+
+
+def _lines(path: str) -> list[str]:
+    try:
+        return Path(path).read_text(encoding="ascii").splitlines()
+    except (OSError, ValueError):
+        return []

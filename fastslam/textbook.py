@@ -17,14 +17,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from graphslam.checks import check_choice
-from graphslam.errors import LogError
+from graphslam.errors import LogError, check_choice
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
-from .noise import standard_normals
-from .options import PROPOSAL_WEIGHTS
+from .options import PROPOSAL_WEIGHTS, standard_normals
 
 
 @dataclass(frozen=True)

@@ -10,63 +10,59 @@ from typing import TYPE_CHECKING
 from .lazy import lazy_names
 
 if TYPE_CHECKING:
-    from . import edges, factors, formats, metrics, se2, textbook
+    pass
     from .association import associate
     from .calibration import calibrate
-    from .certificate import Certificate
-    from .certify import certify
-    from .continuous_time import control_path
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
-    from .formats import load, save
-    from .formats.synchronize import synchronize
     from .graph import Graph
+    from .graph.landmark_map import LandmarkMap, estimate_map
+    from .graph.localization import first_fix
     from .identification.robot import estimate_robot
-    from .landmark_map import LandmarkMap
-    from .localization import first_fix
+    from .io.base import synchronize
+    from .io.formats import load, save
     from .log import Log
-    from .mapping import estimate_map
-    from .measurements import AbsolutePositions, PoseRelations
+    from .log.continuous_time import control_path
+    from .log.measurements import AbsolutePositions, PoseRelations
+    from .log.streams import Stream
     from .models import MotionModel, SensorModel
     from .online import OnlineSolver, solve_online
     from .sessions import join_logs
     from .simulation.drives import Drive
     from .simulation.simulator import simulate
     from .simulation.worlds import World, sample_log_path
-    from .solution import Solution
+    from .solvers.certificate import Certificate
+    from .solvers.gtsam_certificate import certify
     from .solvers.gtsam_solver import solve_with_gtsam
-    from .solvers.many import solve_many
-    from .solvers.solve import solve
-    from .sources.streams import Stream
+    from .solvers.solution import Solution
+    from .solvers.solve import solve, solve_many
 
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
-    "": "edges factors formats metrics se2 textbook",
+    "": "edges factors io.formats metrics se2 textbook",
     "association": "associate",
     "calibration": "calibrate",
-    "certificate": "Certificate",
-    "certify": "certify",
-    "continuous_time": "control_path",
+    "solvers.certificate": "Certificate",
+    "solvers.gtsam_certificate": "certify",
+    "log.continuous_time": "control_path",
     "edges.robust": "Cauchy GemanMcClure Huber",
     "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
-    "formats": "load save",
+    "io.formats": "load save",
     "graph": "Graph",
     "identification.robot": "estimate_robot",
-    "localization": "first_fix",
+    "graph.localization": "first_fix",
     "log": "Log",
-    "landmark_map": "LandmarkMap",
-    "mapping": "estimate_map",
-    "measurements": "AbsolutePositions PoseRelations",
+    "graph.landmark_map": "LandmarkMap estimate_map",
+    "log.measurements": "AbsolutePositions PoseRelations",
     "models": "MotionModel SensorModel",
     "online": "OnlineSolver solve_online",
-    "solution": "Solution",
+    "solvers.solution": "Solution",
     "solvers.gtsam_solver": "solve_with_gtsam",
-    "solvers.many": "solve_many",
-    "solvers.solve": "solve",
+    "solvers.solve": "solve_many solve",
     "simulation.drives": "Drive",
     "simulation.simulator": "simulate",
-    "sources.streams": "Stream",
-    "formats.synchronize": "synchronize",
+    "log.streams": "Stream",
+    "io.base": "synchronize",
     "sessions": "join_logs",
     "simulation.worlds": "World sample_log_path",
 }

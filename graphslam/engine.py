@@ -1,5 +1,11 @@
-"""The compiled engine, or one sentence where it is missing."""
+"""The compiled engine, or one sentence where it is missing.
 
+The threads of this process.
+"""
+
+from __future__ import annotations
+
+import os
 from importlib import import_module
 from typing import Any
 
@@ -11,3 +17,10 @@ except ImportError as error:
     raise SlamError(
         f"the compiled module graphslam._engine cannot be loaded ({error}); build it with: pip install --editable ."
     ) from error
+
+
+def available_threads() -> int:
+    """The number of threads that this process may use: the cores it may run on, at most ``OMP_NUM_THREADS``."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    limit = os.environ.get("OMP_NUM_THREADS", "")
+    return max(1, min(cores, int(limit)) if limit.isdigit() else cores)

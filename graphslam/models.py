@@ -16,8 +16,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import check_positive, check_real, checked_offset, option
-from .errors import OptionError, quoted
+from .errors import OptionError, check_positive, check_real, checked_offset, option, quoted
 from .se2 import Array, mounted, wrap
 
 

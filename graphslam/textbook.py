@@ -16,11 +16,10 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from .checks import check_choice
-from .errors import GraphError, OptionError, quoted
+from .errors import GraphError, OptionError, check_choice, quoted
+from .linear.precision import check_magnitudes
 from .log import Log
 from .models import MotionModel, SensorModel
-from .precision import check_magnitudes
 from .se2 import Array
 
 #: slides 9.1.1 and 9.2: information of the anchor; they take an infinite one, the book's program 1e6 I

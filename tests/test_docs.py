@@ -8,7 +8,7 @@ from unittest import mock
 import pytest
 
 from comparisons.estimators import ESTIMATORS
-from graphslam.formats import FORMATS
+from graphslam.io.formats import FORMATS
 
 DOCS = Path(__file__).parents[1] / "docs"
 BLOCKS = [

@@ -15,9 +15,9 @@ from chromium import Chromium, find_browser
 from engine_outside import assert_same_poses, online, solution
 
 from fastslam import FastSLAM1, FastSLAM2
-from fastslam.noise import draw_key
+from fastslam.options import draw_key
 from graphslam import Graph, Log, MotionModel, SensorModel, simulate, solve, textbook
-from graphslam.edges.anchor import AnchorEdges
+from graphslam.edges.priors import AnchorEdges
 from graphslam.edges.relative import RelativePoseEdges
 from graphslam.edges.robust import Cauchy
 from graphslam.edges.virtual_motion import VirtualMotionEdges

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.random import Generator, default_rng
 from scipy.io import savemat
 
-from comparisons.config import read_config
-from comparisons.noise_files import read_noise
+from comparisons.estimators.config import read_config
+from comparisons.options.toml_files import read_noise
 from comparisons.studies.plan import read_study
 from graphslam import Graph, load, save, simulate, solve
 

@@ -13,9 +13,7 @@ from typing import Annotated
 
 import typer
 
-from .checks import backends, solvers
-from .imports import import_, show
-from .logs import calibrate, datasets, evaluate, simulate
+from .logs import backends, calibrate, datasets, evaluate, import_, show, simulate, solvers
 from .run import animate, report, run
 from .studies import consistency, particles, study, sweep
 from .verb import add_verb, list_verb, name_of

@@ -1,4 +1,9 @@
-"""The verbs about logs and their ground truth: simulate, calibrate, evaluate, datasets."""
+"""The verbs about logs and their ground truth: simulate, calibrate, evaluate, datasets.
+
+The verbs that come before a run: import, show.
+
+The verbs that check and time solvers: solvers, backends.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,19 @@ from .output import DIFFERENT, Output
 from .verb import LogFile, command
 
 if TYPE_CHECKING:
-    from ..options import OUTPUT, CalibrationOptions, EvaluationOptions, FigureOptions, SimulationOptions
+    from ..options import (
+        OUTPUT,
+        BackendOptions,
+        CalibrationOptions,
+        EvaluationOptions,
+        FigureOptions,
+        ImportOptions,
+        ReadingOptions,
+        SimulationOptions,
+        SolverCheckOptions,
+    )
+    from ..studies.backends import BackendRow
+    from ..studies.solvers import SkippedVariant, VariantResult
 
 
 def simulate(
@@ -29,8 +46,8 @@ def simulate(
     """
     import graphslam
 
-    from ..documents import SimulateDocument, describe, document
-    from ..saving import check_can_write
+    from ..results.documents import SimulateDocument, describe, document
+    from ..results.saving import check_can_write
 
     check_can_write(out)
     log = graphslam.simulate(**options.keywords_of_simulate(), name=out.stem)
@@ -61,9 +78,9 @@ def calibrate(
 
     Noise for a log without ground truth is best calibrated from the ground truth of other robots of the same kind.
     """
-    from ..noise_files import write_noise
-    from ..reading import calibrate as estimate
-    from ..saving import check_can_write
+    from ..options.reading import calibrate as estimate
+    from ..options.toml_files import write_noise
+    from ..results.saving import check_can_write
 
     if out is not None:
         check_can_write(out)
@@ -103,7 +120,7 @@ def evaluate(
     tables hold for all of them, or with truth=... and estimates=... for one kind.
     """
     from ..evaluation import evaluate as compare
-    from ..saving import FIGURE_FORMATS, check_can_write
+    from ..results.saving import FIGURE_FORMATS, check_can_write
 
     if drawing.figure is not None:
         check_can_write(drawing.figure, endings=FIGURE_FORMATS)
@@ -143,3 +160,127 @@ def datasets(
     output.json(outcome.to_json())
     if outcome.problems:
         raise typer.Exit(DIFFERENT)
+
+
+def import_(
+    output: Output,
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SOURCE] [OUT.npz]",
+            help="The folder of tables or the bag, and the log to write; without it, only what was found is listed.",
+            show_default=False,
+        ),
+    ] = None,
+    *,
+    options: ImportOptions,
+) -> None:
+    """Make a log of your own tables (CSV, TSV, Parquet) or bag (ROS 1, ROS 2, MCAP): odometry and sightings with times.
+
+    Columns and topics are recognised by their names and types; without OUT the choice is only listed.
+    """
+    from graphslam import LogError, save
+
+    from ..importing import imported
+    from ..results.saving import check_can_write
+
+    source, out = source_and_out(words or [])
+    if out is not None:
+        check_can_write(out)
+    found = imported(source, options)
+    output.show(found)
+    if found.log is None:
+        raise LogError(found.reason)
+    if out is None:
+        target = Path(f"{found.log.name}.npz")
+        output.hint(f"Nothing was written. Next: {command('import', source, target, options=options)}")
+    else:
+        save(found.log, out)
+        output.say(f"Wrote {out}.")
+        output.hint(f"Next: {command('run', out)}")
+    output.json(found.to_json(out))
+
+
+def source_and_out(words: list[str]) -> tuple[Path | None, Path | None]:
+    """The folder or bag, or None, and the log to write, or None, of the words '[SOURCE] [OUT]'.
+
+    Raises:
+        OptionError: there are more words, or none of them is a source.
+    """
+    from graphslam import OptionError
+
+    if len(words) > 2:
+        raise OptionError("give at most a folder or bag, and a log to write: slam-compare import SOURCE OUT.npz")
+    places = [Path(word) for word in words]
+    if len(places) == 2:
+        return places[0], places[1]
+    if not places:
+        return None, None
+    return (None, places[0]) if places[0].suffix == ".npz" else (places[0], None)
+
+
+def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawing: FigureOptions) -> None:
+    """Look at a log before it is solved: times, rates, landmarks, histograms, and what is probably wrong."""
+    from ..importing import inspect_log
+    from ..options import ReadingOptions
+    from ..options.option import options_of
+    from ..results.saving import FIGURE_FORMATS, check_can_write
+    from .output import hint_of_import
+
+    if drawing.figure is not None:
+        check_can_write(drawing.figure, endings=FIGURE_FORMATS)
+    found = inspect_log(log, **reading.keywords())
+    output.show(found)
+    output.draw(found, drawing.figure)
+    if advice := hint_of_import(
+        " ".join([*found.log.notes, *(finding.message for finding in found.findings)]), options_of(ReadingOptions)
+    ):
+        output.hint(f"{advice}.")
+    output.hint(f"Next: {command('run', log, options=reading)}")
+    output.json(found.to_json())
+
+
+def solvers(output: Output, log: LogFile = None, *, options: SolverCheckOptions) -> None:
+    """Check the hand-written solver against GTSAM on every graph that a log allows; exit status 1 if they differ."""
+    from ..studies.solvers import compare_solvers
+
+    with output.bar("variants") as advance:
+
+        def progress(variant: VariantResult | SkippedVariant) -> None:
+            advance(1, variant.name)
+            output.detail(f"{variant.name}: done")
+
+        outcome = compare_solvers(log, progress=progress, **options.keywords())
+    output.show(outcome)
+    if not outcome.problems:
+        output.say(f"The solvers agree in all {len(outcome.variants)} variants.")
+        output.hint("To test whether the covariances are consistent: slam-compare consistency")
+    output.json(outcome.to_json())
+    if outcome.problems:
+        raise typer.Exit(DIFFERENT)
+
+
+def backends(
+    output: Output,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Pose graphs: g2o, TORO or iSAM text.")],
+    *,
+    options: BackendOptions,
+    drawing: FigureOptions,
+) -> None:
+    """Time this solver, GTSAM and g2o on pose graphs; the same function computes the chi2 of every solver's result."""
+    from ..results.saving import FIGURE_FORMATS, check_can_write
+    from ..studies.backends import BACKENDS, compare_backends
+
+    if drawing.figure is not None:
+        check_can_write(drawing.figure, endings=FIGURE_FORMATS)
+    with output.bar("backends", len(files) * len(options.backends or BACKENDS)) as advance:
+
+        def progress(row: BackendRow) -> None:
+            advance(1, f"{Path(row.file).name} {row.backend}")
+            chi2 = f"chi2 {row.chi2:.6g}, {row.seconds:.3g} s, " if row.seconds == row.seconds else ""
+            output.progress(f"{Path(row.file).name} {row.backend}: {chi2}{row.reason}")
+
+        outcome = compare_backends(files, progress=progress, **options.keywords())
+    output.show(outcome)
+    output.json(outcome.to_json())
+    output.draw(outcome, drawing.figure)

@@ -1,4 +1,7 @@
-"""The output of a verb: tables and sentences on standard output, progress on standard error, and JSON."""
+"""The output of a verb: tables and sentences on standard output, progress on standard error, and JSON.
+
+Hints below results: what to do next where a message names options that another verb has.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import shutil
 import sys
 import textwrap
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from json import dumps
 from pathlib import Path
@@ -19,6 +22,9 @@ from typing import Any, Protocol
 import typer
 
 from graphslam.errors import SlamError, printable
+from graphslam.io.options import TableOptions
+
+from ..options.option import options_of
 
 #: exit statuses
 DIFFERENT, WRONG_INPUT, INTERRUPTED = 1, 2, 130
@@ -94,7 +100,7 @@ class Output:
     def __init__(self, json: str | None, *, quiet: bool = False, verbose: bool = False) -> None:
         from rich.console import Console
 
-        from ..saving import check_can_write
+        from ..results.saving import check_can_write
 
         self._to_stdout, self._file = json == "-", None if json in (None, "-") else Path(str(json))
         self.quiet, self.verbose = quiet, verbose
@@ -137,7 +143,7 @@ class Output:
 
     def json(self, payload: Mapping[str, Any]) -> None:
         """Write the JSON where it was asked for, if anywhere."""
-        from ..saving import json_text, write_json
+        from ..results.saving import json_text, write_json
 
         if self._to_stdout:
             text = json_text(payload)
@@ -231,3 +237,21 @@ def program() -> str:
     if called.name != "slam-compare" or shutil.which(called.name) is not None:
         return "slam-compare"
     return shlex.quote(os.path.relpath(called))
+
+
+def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
+    """Where options of ``import`` that a sentence advises stand for a verb that does not have them; None where it names none.
+
+    Args:
+        text: the sentence.
+        known: names of the options of the verb.
+    """
+    names = [f"--{name.replace('_', '-')}" for name in options_of(TableOptions) if name not in known]
+    named = [name for name in names if re.search(rf"{name}\b", text)]
+    if not named:
+        return None
+    are, them = ("are options", "them") if len(named) > 1 else ("is an option", "it")
+    return (
+        f"{', '.join(named)} {are} of slam-compare import; other verbs read {them} from import.toml in the folder of the "
+        "tables, or from the TOML file of the bag's name (docs/own_robot.md)"
+    )

@@ -15,8 +15,8 @@ from .output import Advance, Output
 from .verb import LogFile, command
 
 if TYPE_CHECKING:
-    from ..attempt import Skipped
     from ..comparison import Comparison, Progress
+    from ..estimators.attempt import Skipped
     from ..options import AnimationOptions, EstimatorOptions, OutputOptions, RunOptions
     from ..results import EstimatorResult
 
@@ -34,9 +34,9 @@ def run(
     saving: OutputOptions,
 ) -> None:
     """Run all estimators on one log, or on several logs of one place: a table, a figure and the results as JSON."""
-    from ..exchange import reason_without_graph
-    from ..failures import noted
-    from ..saving import RESULTS, check_can_make
+    from ..results import noted
+    from ..results.exchange import reason_without_graph
+    from ..results.saving import RESULTS, check_can_make
 
     check_can_make(RESULTS if saving.out is None else saving.out)
     if saving.html is not None:
@@ -70,9 +70,9 @@ def run(
     named += ["trajectories (*.tum)", "maps (*-map.csv, *-map.npz)"]
     named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
     named += ["graph.g2o"] * ("graph.g2o" in files)
-    from ..option import options_of
     from ..options import RunOptions
-    from .hints import hint_of_import
+    from ..options.option import options_of
+    from .output import hint_of_import
 
     if advice := hint_of_import(
         " ".join([*outcome.log.notes, *(finding.message for finding in outcome.findings)]), options_of(RunOptions)
@@ -100,8 +100,8 @@ def run(
 
 def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) -> str | None:
     """The command that finds better noise models, where those of the book do not fit a log in which nothing is suspicious."""
-    from ..option import options_of
     from ..options import DOUBTFUL, ReadingOptions
+    from ..options.option import options_of
 
     fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
     # wrong ids raise J, so that it may fit with noise models that are too wide
@@ -156,7 +156,7 @@ def animate(
     options: RunOptions,
 ) -> None:  # fmt: skip
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths."""
-    from ..documents import describe
+    from ..results.documents import describe
     from ..show.films import animate as film_of
     from ..show.films import check_can_film
 
@@ -219,9 +219,9 @@ def _progress(output: Output, advance: Advance) -> Progress:
 
 
 def _draw_live(output: Output, log: Path | list[Path | None] | None, options: RunOptions) -> None:
-    from ..failures import noted
-    from ..reading import prepare
-    from ..show.text_plots import pictures
+    from ..options.reading import prepare
+    from ..results import noted
+    from ..show.log_tables import pictures
 
     prepared, _, filled = prepare(log, options)
     notes: list[str] = []
@@ -238,17 +238,17 @@ def _recordings(saving: OutputOptions) -> dict[str, tuple[Path, Callable[[Compar
         OptionError: a package is missing, or the name of a file ends otherwise.
         FormatError: a file cannot be written.
     """
-    from ..saving import check_can_write
+    from ..results.saving import check_can_write
 
     writers: dict[str, tuple[Path, Callable[[Comparison, Path], None]]] = {}
     if saving.mcap is not None:
-        from ..recordings.mcap_file import check_mcap, write_mcap
+        from ..show.recordings import check_mcap, write_mcap
 
         check_can_write(saving.mcap, endings=(".mcap",))
         check_mcap()
         writers["mcap"] = saving.mcap, write_mcap
     if saving.rerun is not None:
-        from ..recordings.rerun_file import check_rerun, write_rerun
+        from ..show.recordings import check_rerun, write_rerun
 
         check_can_write(saving.rerun, endings=(".rrd",))
         check_rerun()

@@ -13,15 +13,15 @@ from .verb import LogFile, command
 
 if TYPE_CHECKING:
     from ..options import ConsistencyOptions, FigureOptions, ParticleStudyOptions, SummaryOptions, SweepOptions
-    from ..particles import ParticleRun
-    from ..studies.outcome import Outcome
+    from ..studies.execute import Outcome
+    from ..studies.particles import ParticleRun
     from ..studies.plan import Run
     from ..studies.sweep import Progress
 
 
 def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOptions, drawing: FigureOptions) -> None:
     """Error, effective sample size, ancestors and time over the number of particles, for many random seeds."""
-    from ..particles import study_particles
+    from ..studies.particles import study_particles
 
     check_figure(drawing.figure)
     runs = len(options.filters) * len(options.particles) * options.seeds
@@ -39,8 +39,8 @@ def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOpti
 
 def consistency(output: Output, *, options: ConsistencyOptions, drawing: FigureOptions) -> None:
     """Average normalised errors (ANEES) over many simulated logs, for each estimator and weight, with the 95 % band."""
-    from ..consistency import study_consistency
     from ..options import ConsistencyOptions
+    from ..studies.consistency import study_consistency
 
     check_figure(drawing.figure)
     with output.bar("logs", options.logs) as advance:
@@ -101,12 +101,11 @@ def study(
     """
     from graphslam import OptionError
 
-    from ..saving import check_can_write
+    from ..results.saving import check_can_write
     from ..show.tables import write_latex
     from ..studies.database import StudyDatabase
-    from ..studies.export import write_csv, write_json_lines, write_summary_csv
     from ..studies.plan import read_study
-    from ..studies.summary import summarise
+    from ..studies.summary import summarise, write_csv, write_json_lines, write_summary_csv
 
     if len(words) == 2 and words[0].lower() == "show":
         words = words[1:]
@@ -144,14 +143,14 @@ def study(
 
 def check_figure(path: Path | None) -> None:
     """Raise before the study runs if a figure is asked for and cannot be written."""
-    from ..saving import FIGURE_FORMATS, check_can_write
+    from ..results.saving import FIGURE_FORMATS, check_can_write
 
     if path is not None:
         check_can_write(path, endings=FIGURE_FORMATS)
 
 
 def _progress(advance: Advance, output: Output) -> Progress:
-    from ..studies.outcome import DONE
+    from ..studies.execute import DONE
 
     failed = 0
 

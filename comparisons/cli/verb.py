@@ -20,7 +20,7 @@ import typer
 from .output import Output, sentences
 
 if TYPE_CHECKING:
-    from ..option import Option, Options
+    from ..options.option import Option, Options
 
 #: the argument LOG of most verbs
 LogFile = Annotated[
@@ -30,7 +30,7 @@ LogFile = Annotated[
         show_default="the sample log of the package",
     ),
 ]  # fmt: skip
-_META = "comparisons.config"
+_META = "comparisons.estimators.config"
 
 
 def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) -> None:
@@ -41,9 +41,9 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
         function: its docstring is the help.
         examples: command lines for the end of the help.
     """
-    from .. import options as declared
-    from ..option import Options, options_of
-    from .hints import hint_of_import
+    from ..options import options as declared
+    from ..options.option import Options, options_of
+    from .output import hint_of_import
 
     # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
     hints = get_type_hints(function, localns=vars(declared), include_extras=True)
@@ -151,7 +151,7 @@ def _read_config(ctx: typer.Context, path: Path | None) -> Path | None:
     """Make the values of a configuration file the defaults of the options, so that the command line takes precedence."""
     if path is not None and not ctx.resilient_parsing:
         with sentences(verbose=False):
-            from ..config import read_config
+            from ..estimators.config import read_config
 
             values = read_config(path)
         ctx.meta[_META] = values
@@ -180,7 +180,7 @@ def _check_logs(ctx: typer.Context, logs: list[Path | None]) -> None:
     """Raise `OptionError` where the logs of the configuration have changed since it was saved."""
     values = ctx.meta[_META]
     if "log_sha256" in values and logs == [values.get("log"), *values.get("others", ())]:
-        from ..config import check_unchanged
+        from ..estimators.config import check_unchanged
 
         check_unchanged(logs, values["log_sha256"])
 
@@ -194,8 +194,8 @@ def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict
 
     if not ("noise" in options and typed("noise")):
         return values
-    from ..option import options_of
     from ..options import NoiseOptions
+    from ..options.option import options_of
 
     of_noise = {name for name, each in options_of(NoiseOptions).items() if each.only != "python"}
     return {name: value if name not in of_noise or typed(name) else None for name, value in values.items()}

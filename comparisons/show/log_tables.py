@@ -1,21 +1,115 @@
-"""Tables of logs: what an import found, a log before it is solved, and estimates of any program against the truth."""
+"""Tables of logs: what an import found, a log before it is solved, and estimates of any program against the truth.
+
+Plots in plain characters: histograms, a path with landmarks seen from above, and that of the online solver.
+
+The tables of studies, of the data sets at hand, and of a calibration.
+"""
 
 from __future__ import annotations
 
+import os
+import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.table import Table
+from rich.text import Text
 
-from .cells import NOTHING, LeanTable, number
-from .placement import between_poses
-from .text_plots import bars, plan
+from graphslam import Log
+from graphslam.se2 import Array
+
+from ..estimators import online_steps
+from ..options import RunOptions
+from .canvas import between_poses
+from .cells import NOTHING, LeanTable, number, seconds, yes_no
 
 if TYPE_CHECKING:
+    from graphslam.calibration import Calibration
+
+    from ..datasets import Survey
     from ..evaluation import Evaluation
-    from ..importing import Import
-    from ..overview import Overview
+    from ..importing import Import, Overview
+    from ..studies.consistency import Consistency, ConsistencyStudy
+    from ..studies.particles import ParticleStudy
+    from ..studies.summary import Median, Summary
     from .tables import Tables
+
+_EIGHTHS = " ▏▎▍▌▋▊▉█"
+
+
+def bars(edges: Array, counts: np.ndarray, unit: str, width: int = 40) -> list[str]:
+    """A line for each interval, its bar as long as its count."""
+    most = max(int(np.max(counts, initial=0)), 1)
+    low, high = ([f"{edge:.2f}" for edge in ends] for ends in (edges[:-1], edges[1:]))
+    wide = max(map(len, (*low, *high)))
+    lines = []
+    for begin, end, count in zip(low, high, counts.tolist()):
+        eighths = round(8 * width * count / most)
+        bar = "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
+        lines.append(f"{begin:>{wide}} to {end:>{wide}} {unit}  {bar} {count}")
+    return lines
+
+
+def plan(
+    path: Array,
+    points: Array,
+    width: int = 76,
+    height: int = 24,
+    names: tuple[str, str] = ("dead reckoning", "sighting"),
+) -> list[str]:
+    """A path (n, 2) of dots and points (m, 2) of crosses from above, with its size; S is the start.
+
+    ``names`` are those of the dots and crosses.
+    """
+    everything = np.concatenate([path, points]) if len(points) else path
+    low, high = path.min(axis=0), path.max(axis=0)
+    # points far away must not make the path small
+    room = max(float(np.max(high - low)), 4.0) / 2
+    low, high = np.maximum(everything.min(axis=0), low - room), np.minimum(everything.max(axis=0), high + room)
+    # a character is about twice as high as wide
+    scale = max((high[0] - low[0]) / (width - 1), (high[1] - low[1]) / (height - 1) / 2, 1e-6)
+    columns, rows = int((high[0] - low[0]) / scale) + 1, int((high[1] - low[1]) / (2 * scale)) + 1
+    grid = [[" "] * columns for _ in range(rows)]
+    for places, mark in ((points, "+"), (path, "·"), (path[:1], "S")):
+        across = np.rint((places[:, 0] - low[0]) / scale).astype(int)
+        down = rows - 1 - np.rint((places[:, 1] - low[1]) / (2 * scale)).astype(int)
+        inside = (across >= 0) & (across < columns) & (down >= 0) & (down < rows)
+        for x, y in zip(across[inside].tolist(), down[inside].tolist()):
+            grid[y][x] = mark
+    size = f"{high[0] - low[0]:.1f} m wide, {high[1] - low[1]:.1f} m high; S start, · {names[0]}, + {names[1]}"
+    return [*("".join(row).rstrip() for row in grid), size]
+
+
+#: from one picture to the next [s]
+EVERY = 0.2
+
+
+def pictures(
+    log: Log, options: RunOptions, *, width: int = 76, height: int = 24, every: float = EVERY
+) -> Iterator[list[str]]:
+    """Pictures of the estimate, each a list of lines: one every ``every`` seconds, and the last one.
+
+    Raises:
+        GraphError: the log lacks what the graph needs.
+    """
+    steps, drawn, begin = online_steps(log, options), -np.inf, time.perf_counter()
+    spent: list[float] = []
+    for solver in steps:
+        now = time.perf_counter()
+        spent.append(now - begin)
+        if now - drawn >= every or solver.step == log.num_poses - 1:
+            marks = np.array([mark[:2] for mark in solver.landmarks.values()]).reshape(-1, 2)
+            lines = plan(solver.poses[:, :2], marks, width, height, ("estimated path", "landmark"))
+            # the first steps of a process load compiled code
+            pace = 1e3 * float(np.median(spent))
+            yield [
+                *lines,
+                f"step {solver.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace:.2f} ms per step (median)",
+            ]
+            drawn = now
+        begin = time.perf_counter()
 
 
 def import_tables(found: Import) -> Tables:
@@ -120,3 +214,174 @@ def evaluation_tables(evaluation: Evaluation) -> Tables:
             f"map: error of landmarks {how}; missed, false: without a partner within {evaluation.options.cutoff:g} m."
         )
     return [table], [*remarks, *(f"{note}." for note in evaluation.notes)]
+
+
+#: the metrics of a study's tables
+_METRICS = {"ate_m": "ATE [m]", "rpe_m": "RPE [m]", "landmark_rmse_m": "map [m]"}
+#: error messages that are printed below a study
+_MOST_ERRORS = 5
+
+
+def particle_tables(study: ParticleStudy) -> Tables:
+    """Medians over the seeds, a row per filter and number of particles."""
+    metrics = {
+        "ate_m": "ATE\n[m]", "mean_ate_m": "ATE of\nmean [m]", "landmark_rmse_m": "map\n[m]", "ess_share": "ESS / N",
+    }  # fmt: skip
+    headings = ("particles", *metrics.values(), "ancestors", "time")
+    table = LeanTable(f"{study.log}: medians over random seeds", ["filter"], headings)
+    for row in study.rows():
+        values = (number(row[metric]) for metric in metrics)
+        ancestors = number(row["ancestors"], 0)
+        table.add_row(row["name"], str(row["particles"]), *values, ancestors, seconds(row["seconds"]))
+    return [table], [f"{note}." for note in study.notes]
+
+
+def consistency_tables(study: ConsistencyStudy) -> Tables:
+    """A row per estimator: the joint ANEES with its band, and that of its steps."""
+    table = LeanTable(
+        f"{study.logs} simulated logs of {study.steps} motions, {study.dimensions}-D sensor, {study.noise:g} times the "
+        "book's noise: ANEES / degrees of freedom, 1 means consistent",
+        ["estimator"],
+        ["logs", "joint", "95 % band", "inside", "median\nof steps", "worst\nstep", "95 % band\nof a step", "steps\ninside"],
+    )  # fmt: skip
+    for r in study.results:
+        joint = (number(r.anees), NOTHING if r.anees is None else _band(r.joint_band), yes_no(r.consistent))
+        steps = number(float(np.median(r.steps))), number(float(np.max(r.steps)))
+        inside = NOTHING if r.steps_inside is None else f"{r.steps_inside:.0%}"
+        table.add_row(r.name, str(r.logs), *joint, *steps, _band(r.step_band), inside)
+    failed = [r for r in study.results if r.failed]
+    remarks = [f"{r.name} {_failed(r)} on {r.failed} of {study.logs} logs, which are not counted." for r in failed]
+    if any(r.name == "particle-gibbs" for r in failed):
+        remarks.append("Longer chains mix on more logs: --gibbs-warm-up, --gibbs-iterations.")
+    if any(r.name == "pairs" for r in study.results):
+        remarks.append(
+            "pairs counts every sighting about K/2 times, with K sightings per landmark: "
+            f"{study.sightings_per_landmark / 2:.1f} times on these logs."
+        )
+    return [table], remarks
+
+
+def _band(limits: tuple[float, float]) -> str:
+    return NOTHING if np.isnan(limits[0]) else f"{limits[0]:.3f} to {limits[1]:.3f}"
+
+
+def _failed(result: Consistency) -> str:
+    return "did not mix" if result.name == "particle-gibbs" else "failed"
+
+
+def summary_tables(summary: Summary) -> Tables:
+    """Medians with their intervals, then the differences from the baseline, and the errors with their counts."""
+    proofs = any(line.proven is not None for line in summary.methods)
+    table = LeanTable(
+        f"{summary.done} of {summary.planned} runs: medians with 95 % bootstrap intervals", ["log", "method"],
+        ["runs", "failed", "converged", "time", *_METRICS.values(), "J per\ndof", *["proven"] * proofs],
+    )  # fmt: skip
+    for line in summary.methods:
+        failed = line.failed + line.timeouts
+        time, ratio = line.figures["seconds"], line.figures["cost_per_dof"]
+        _add(
+            table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
+            _share(line.converged),
+            seconds(None if time is None else time.median), *_intervals(line.figures),
+            number(None if ratio is None else ratio.median, 2), *[_share(line.proven)] * proofs,
+        )  # fmt: skip
+    tables: list[Table] = [table]
+    if summary.differences:
+        tables.append(LeanTable(
+            f"differences from {summary.baseline} on the same logs and random seeds: lower is better",
+            ["log", "method"], ["pairs", "lower\nATE", *_METRICS.values()],
+        ))  # fmt: skip
+    for gap in summary.differences:
+        pairs = max((median.count for median in gap.figures.values() if median is not None), default=0)
+        ate = gap.figures["ate_m"]
+        lower = NOTHING if ate is None else f"{gap.lower['ate_m']}/{ate.count}"
+        _add(tables[-1], gap.log, gap.method, str(pairs), lower, *_intervals(gap.figures, "+"))
+    errors = list(summary.errors.items())
+    remarks = [f"{count} x {error}" for error, count in errors[:_MOST_ERRORS]]
+    if any(line.figures["cost_per_dof"] is not None for line in summary.methods):
+        remarks.append("J per dof (degree of freedom): about 1 means that the noise models fit.")
+    if len(errors) > _MOST_ERRORS:
+        remarks.append(f"... and {len(errors) - _MOST_ERRORS} other errors; --csv and --json list all of them.")
+    return tables, remarks
+
+
+def _share(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.0%}"
+
+
+def _add(table: Table, log: str, *cells: str | Text) -> None:
+    """Add a row, with the name of its log only where that differs from the row above."""
+    above = next((name for name in reversed(list(table.columns[0].cells)) if name), log)
+    if above != log:
+        table.add_section()
+    table.add_row("" if above == log and table.rows else log, *cells)
+
+
+def _intervals(figures: Mapping[str, Median | None], sign: str = "") -> list[str]:
+    def text(value: float) -> str:
+        return sign * (value > 0) + number(value)
+
+    def interval(m: Median) -> str:
+        return text(m.median) + ("" if m.low is None or m.high is None else f" [{text(m.low)}, {text(m.high)}]")
+
+    return [NOTHING if (m := figures[metric]) is None else interval(m) for metric in _METRICS]
+
+
+def survey_tables(survey: Survey) -> Tables:
+    """A row for each log or pose graph found on this computer; below, what the known data sets are."""
+    from ..datasets import DATA_SETS
+
+    headings = ["robot", "poses", "sightings,\nedges", "landmarks", "controls", "time\n[s]", "truth\ncovers", "reads"]
+    table = LeanTable("Found on this computer", ["data set", "file or folder"], headings)
+    for name, entries in survey.found.items():
+        for entry in entries:
+            counts = [entry.robot, entry.poses, entry.sightings, entry.landmarks, entry.controls]
+            if entry.error is not None:
+                counts[1:] = [None] * 4
+            cells = (NOTHING if count is None else str(count) for count in counts)
+            covered = entry.poses_covered
+            share = NOTHING if covered is None else f"{100 * covered / entry.poses:.0f} %"
+            place = Text(os.path.relpath(entry.path, survey.folder))
+            table.add_row(name, place, *cells, number(entry.seconds, 1), share, yes_no(entry.error is None))
+    remarks = []
+    for known in DATA_SETS:
+        remarks += [
+            f"{known.name}: {known.title}",
+            f"  published: {known.source}",
+            f"  terms:     {known.terms}",
+            f"  layout:    {known.layout}",
+            f"  at hand:   {len(survey.found[known.name]) or 'no'}",
+        ]
+    missing = "" if survey.folder.is_dir() else " There is no such folder: name another with SLAM_DATA or --folder."
+    return [table], [*remarks, f"Searched below {survey.folder}.{missing}", ""]
+
+
+def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
+    """The numbers of the noise models with their standard errors or upper bounds, a row each."""
+    from graphslam.identification.declared import PARAMETERS
+
+    from ..options import NoiseOptions
+    from ..options.option import options_of
+
+    source = "the ground truth" if calibration.source == "truth" else calibration.source
+    table = LeanTable(
+        f"{name}: noise models from {source}" if name else f"noise models from {source}",
+        ["number", "unit"],
+        ["value", "± error, or bound"],
+    )
+    for number_of, value in calibration.numbers.items():
+        error, bound = calibration.errors.get(number_of, np.nan), calibration.bounds.get(number_of, np.nan)
+        known = f"{error:.2g}" if np.isfinite(error) else f"< {bound:.2g}" if np.isfinite(bound) else NOTHING
+        if np.isposinf(bound):
+            known = "not identifiable"
+        unit = (PARAMETERS if number_of in PARAMETERS else options_of(NoiseOptions))[number_of].unit
+        table.add_row(number_of, Text(unit), f"{value:.4g}", known)
+    names = {"motion": "motions", "sensor": "sightings"}
+    counts = " and ".join(f"{count} {names[part]}" for part, count in calibration.counts.items())
+    return [table], [
+        f"From {counts}. Measured range = range_scale * range + range_bias, recorded speed = wheel_scale * speed, recorded "
+        'turn rate = turn_scale * turn rate + turn_rate_bias + curvature_bias * speed. "<": near zero, with the upper '
+        f'95 % bound; "not identifiable": the log gives no bound; "{NOTHING}": not estimated.',
+        *(f"{note}." for note in calibration.notes),
+        *(f"Not recommended: {doubt}." for doubt in calibration.doubts),
+    ]

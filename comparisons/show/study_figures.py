@@ -14,16 +14,14 @@ from matplotlib.ticker import MaxNLocator
 
 from graphslam import OptionError
 
-from .canvas import WIDTH, as_text, paper_figure
-from .style import colour_of, style_of
+from .canvas import WIDTH, as_text, colour_of, paper_figure, style_of
 from .tables import PYTHON_FACTORS
 
 if TYPE_CHECKING:
-    from ..backends import BackendComparison, BackendRow
-    from ..bootstrap import Median
-    from ..consistency import ConsistencyStudy
-    from ..particles import ParticleStudy
-    from ..studies.summary import Summary
+    from ..studies.backends import BackendComparison, BackendRow
+    from ..studies.consistency import ConsistencyStudy
+    from ..studies.particles import ParticleStudy
+    from ..studies.summary import Median, Summary
 
 #: with more logs than this only the group of all logs is drawn
 MOST_LOGS = 6
@@ -42,7 +40,7 @@ def _panels(count: int, **options: Any) -> Iterator[tuple[Figure, np.ndarray]]:
 
 def particles_figure(study: ParticleStudy) -> Figure:
     """One panel per quantity over the number of particles: medians over the seeds, with bands between the quartiles."""
-    from ..particles import FIGURES
+    from ..studies.particles import FIGURES
 
     names = study.names()
     known = [quantity for quantity in FIGURES if any(len(study.bands(name, quantity)[0]) for name in names)]

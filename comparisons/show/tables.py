@@ -20,21 +20,20 @@ from rich.text import Text
 
 from graphslam.errors import printable
 from graphslam.files import write_whole
-from graphslam.log_arrays import Session
+from graphslam.log.measurements import Session
 from graphslam.metrics import exchanged
 
 from ..options import DOUBTFUL
-from ..sessions import errors_of_sessions, shared_landmarks
-from ..sightings import sightings_of
+from ..results.sightings import errors_of_sessions, shared_landmarks, sightings_of
+from .canvas import placement_of_result
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
-from .placement import placement_of_result
 
 if TYPE_CHECKING:
     from graphslam.association import AssociationScore
 
-    from ..backends import BackendComparison
     from ..comparison import Comparison, ResultTable
-    from ..solvers import SolverComparison
+    from ..studies.backends import BackendComparison
+    from ..studies.solvers import SolverComparison
 
 #: tables, and the sentences below them
 Tables = tuple[list[Table], list[str]]
@@ -48,14 +47,14 @@ RESULTS = {
     "Comparison": ("tables.comparison_tables", "figures.comparison_figure"),
     "SolverComparison": ("tables.solver_tables", ""),
     "BackendComparison": ("tables.backend_tables", "study_figures.backends_figure"),
-    "ParticleStudy": ("study_tables.particle_tables", "study_figures.particles_figure"),
-    "ConsistencyStudy": ("study_tables.consistency_tables", "study_figures.consistency_figure"),
-    "Summary": ("study_tables.summary_tables", "study_figures.study_figure"),
-    "Evaluation": ("log_tables.evaluation_tables", "log_figures.evaluation_figure"),
-    "Survey": ("study_tables.survey_tables", ""),
-    "Calibration": ("study_tables.calibration_tables", ""),
+    "ParticleStudy": ("log_tables.particle_tables", "study_figures.particles_figure"),
+    "ConsistencyStudy": ("log_tables.consistency_tables", "study_figures.consistency_figure"),
+    "Summary": ("log_tables.summary_tables", "study_figures.study_figure"),
+    "Evaluation": ("log_tables.evaluation_tables", "figures.evaluation_figure"),
+    "Survey": ("log_tables.survey_tables", ""),
+    "Calibration": ("log_tables.calibration_tables", ""),
     "Import": ("log_tables.import_tables", ""),
-    "Overview": ("log_tables.overview_tables", "log_figures.overview_figure"),
+    "Overview": ("log_tables.overview_tables", "figures.overview_figure"),
 }
 
 

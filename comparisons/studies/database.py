@@ -22,8 +22,8 @@ from graphslam import FormatError
 from graphslam.errors import printable
 from graphslam.files import check_file
 
-from ..config import versions
-from .outcome import DONE, Outcome
+from ..estimators.config import versions
+from .execute import DONE, Outcome
 from .plan import Run, Study
 
 #: "SLAM" in ASCII, in the head of the file: the place where SQLite keeps the application of a database

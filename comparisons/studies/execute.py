@@ -1,27 +1,78 @@
-"""One run, from its description to the figures of its row: the task of every process, wherever it is."""
+"""One run, from its description to the figures of its row: the task of every process, wherever it is.
+
+The outcome of one run: the columns of a study's table.
+
+The executors of a study: this process, local processes, or a Dask cluster (`cluster`).
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
+import platform
 import time
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from graphslam import Log, LogError
-from graphslam.parameters.declared import CORRECTIONS
+from pebble import ProcessExpired, ProcessPool
+
+from graphslam import Log, LogError, OptionError
+from graphslam.identification.declared import CORRECTIONS
 
 from ..comparison import compare
-from ..failures import sentence
-from ..option import options_of
+from ..estimators.attempt import add_estimators, default_jobs, how_it_ended, processes
 from ..options import NoiseOptions, ReadingOptions, RunOptions
-from ..reading import read_log, sha256_of
-from .outcome import ERROR, Outcome
-from .plan import Run
-from .simulated import simulated_log
+from ..options.option import options_of
+from ..options.reading import read_log, sha256_of
+from ..results import sentence
+from .plan import Run, simulated_log
+
+#: a run ended well, raised (or its process died), or took longer than the limit
+DONE, ERROR, TIMEOUT = "done", "error", "timeout"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """The outcome of a run; a figure that does not exist or cannot be known is None.
+
+    Attributes:
+        key: of the run, see `plan.Run.key`.
+        status: `DONE`, `ERROR` or `TIMEOUT`.
+        error: one sentence where the status is not `DONE`.
+        converged, iterations, cost, cost_per_dof: as in `comparisons.comparison.Row`.
+        proven: whether the end is proven to be the global minimum of J; None where no proof applies.
+        ate_m, rpe_m, rpe_rad, landmark_rmse_m: errors against the ground truth, see `graphslam.metrics`.
+        seconds: the estimation alone.
+        total_seconds: the whole run, with reading the log, setting up and computing the errors.
+        poses_sha256: the first 16 digits of the digest of the estimated poses, equal where the poses are exactly equal.
+        process: host and process that did it.
+        ended: the time, UTC.
+    """
+
+    key: str
+    status: str = DONE
+    error: str | None = None
+    converged: bool | None = None
+    iterations: int | None = None
+    cost: float | None = None
+    cost_per_dof: float | None = None
+    proven: bool | None = None
+    ate_m: float | None = None
+    rpe_m: float | None = None
+    rpe_rad: float | None = None
+    landmark_rmse_m: float | None = None
+    seconds: float | None = None
+    total_seconds: float | None = None
+    poses_sha256: str | None = None
+    process: str = field(default_factory=lambda: f"{platform.node()}:{os.getpid()}")
+    ended: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
 
 
 def execute(run: Run) -> Outcome:
@@ -84,3 +135,70 @@ def _execute(run: Run) -> dict[str, Any]:
     if certificate is not None and certificate.applicable:
         figures["proven"] = certificate.proven
     return figures | {"poses_sha256": hashlib.sha256(result.poses.tobytes()).hexdigest()[:16]}
+
+
+@dataclass(frozen=True)
+class Place:
+    """An executor of runs.
+
+    Attributes:
+        room: how many runs may be there at a time, executing or waiting.
+        submit: begins a run with a limit of its time [s].
+        outcome: the outcome of a run whose future is done; raises `SlamError` where the place is lost.
+    """
+
+    room: int
+    submit: Callable[[Run, float], Future[Outcome]]
+    outcome: Callable[[Future[Outcome], Run, float], Outcome]
+
+
+@contextmanager
+def this_process() -> Iterator[Place]:
+    """This process, for a debugger and for tests: each run is executed as it is submitted, without a limit of time."""
+
+    def submit(run: Run, limit: float) -> Future[Outcome]:  # noqa: ARG001
+        future: Future[Outcome] = Future()
+        future.set_result(execute(run))
+        return future
+
+    yield Place(1, submit, pool_outcome)
+
+
+@contextmanager
+def local_processes(jobs: int | None, estimators: Sequence[str]) -> Iterator[Place]:
+    """Processes of this machine, by default one for each core.
+
+    Raises:
+        OptionError: jobs is below 1.
+    """
+    jobs = default_jobs() if jobs is None else jobs
+    if jobs < 1:
+        raise OptionError(f"jobs must be at least 1, not {jobs}")
+    with processes(jobs, estimators) as pool:
+        # a run that waits in the pool keeps its process from waiting for the next one
+        yield Place(jobs + 1, lambda run, limit: in_pool(pool, run, limit), pool_outcome)
+
+
+def in_pool(pool: ProcessPool, run: Run, limit: float, added: bytes = b"") -> Future[Outcome]:
+    """Begin a run in a pool. Starting a process and compiling do not count towards the limit [s], reading the log does.
+
+    ``added`` are estimators of the user that the processes of the pool may not have, see `pool.added_estimators`.
+    """
+    future: Future[Outcome] = pool.schedule(_execute_with, (run, added), timeout=limit)
+    return future
+
+
+def _execute_with(run: Run, added: bytes) -> Outcome:
+    add_estimators(added)
+    return execute(run)
+
+
+def pool_outcome(future: Future[Outcome], run: Run, limit: float) -> Outcome:
+    """The outcome of a run in a pool; a run that took too long, or whose process died, costs nothing but itself."""
+    try:
+        return future.result()
+    except TimeoutError:
+        sentence = f"took longer than the limit of {limit:g} s"
+        return Outcome(key=run.key, status=TIMEOUT, error=sentence, total_seconds=limit)
+    except ProcessExpired as error:
+        return Outcome(key=run.key, status=ERROR, error=how_it_ended(error))

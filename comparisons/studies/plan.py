@@ -1,4 +1,7 @@
-"""A study file and the list of its runs: logs x simulator settings x seeds x estimators x options."""
+"""A study file and the list of its runs: logs x simulator settings x seeds x estimators x options.
+
+The log of a simulated world that a study file describes.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +16,29 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from graphslam import FormatError, OptionError
+from graphslam import FormatError, Log, OptionError, simulate
 from graphslam.errors import printable, quoted, reason_of, shortened
 
 from ..estimators import ESTIMATORS, default_estimators
-from ..noise_files import read_noise
-from ..option import Option, options_of
 from ..options import AUTO, BOOK, MODELS, LogOptions, RunOptions, SimulationOptions
-from ..reading import OF_FILES, sha256_of
-from ..toml_files import TomlFile
-from .simulated import simulated_log
+from ..options.option import Option, options_of
+from ..options.reading import OF_FILES, sha256_of
+from ..options.toml_files import TomlFile, read_noise
+
+
+def simulated_log(settings: Mapping[str, Any], seed: int, name: str = "simulated") -> Log:
+    """The log of a world.
+
+    Args:
+        settings: options of `SimulationOptions`, flat.
+        seed: random seed of the simulator.
+        name: of the log.
+
+    Raises:
+        OptionError: a setting has an impossible value.
+    """
+    return simulate(**SimulationOptions.of(**{**settings, "seed": seed}).keywords_of_simulate(), name=name)
+
 
 #: the most runs of a study, the most combinations of values in one table, and the most seeds: all are made at once
 MOST_RUNS, MOST_COMBINATIONS, MOST_SEEDS = 500_000, 10_000, 1_000_000

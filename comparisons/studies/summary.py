@@ -2,10 +2,16 @@
 
 A method is an estimator with its varied options. A log is a file, or a simulated world with its varied settings, of which
 each seed makes another log.
+
+The rows of a study for other programs, CSV and JSON lines, and its summary as CSV.
+
+The median with its bootstrap interval: how far it would move if other logs had been drawn; and quartiles.
 """
 
 from __future__ import annotations
 
+import csv
+import json
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,14 +20,81 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from graphslam import OptionError
-from graphslam.checks import suggestion
-from graphslam.errors import quoted
+import numpy as np
 
-from ..bootstrap import Median, median_of
+from graphslam import OptionError
+from graphslam.errors import printable, quoted, suggestion
+from graphslam.files import write_whole
+from graphslam.se2 import Array
+
 from ..display import Displayed
-from .database import StudyDatabase
-from .outcome import DONE, TIMEOUT
+from ..results.saving import json_line
+from .database import COLUMNS, StudyDatabase
+from .execute import DONE, TIMEOUT
+
+#: the share of resamples that the interval holds
+LEVEL = 0.95
+RESAMPLES = 2000
+#: numbers drawn at once, so that memory stays small whatever the study's size
+_AT_ONCE = 1_000_000
+
+
+@dataclass(frozen=True)
+class Median:
+    """A median and its interval.
+
+    Attributes:
+        median: of the values.
+        low, high: the interval; None where there is only one unit to draw from.
+        count: the number of values.
+    """
+
+    median: float
+    low: float | None
+    high: float | None
+    count: int
+
+
+def quartiles(values: Sequence[float]) -> Array:
+    """The first quartile, the median and the third quartile, (3,)."""
+    return np.percentile(np.asarray(values, dtype=float), (25, 50, 75))
+
+
+def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int = 0) -> Median | None:
+    """The median of values and its percentile-bootstrap interval (Efron and Tibshirani, 1993, chapter 13).
+
+    Units are drawn with replacement, each with all its values: values of one log share its noise, and are not
+    independent. With fewer than about ten units the interval is too short.
+
+    Args:
+        values: the numbers.
+        units: of each value; equal for values that belong together.
+        seed: random seed of the resampling; the same values give the same interval.
+
+    Returns:
+        None where there are no values.
+    """
+    if len(values) == 0:
+        return None
+    numbers = np.asarray(values, dtype=float)
+    members: dict[Hashable, list[float]] = {}
+    for value, unit in zip(values, units, strict=True):
+        members.setdefault(unit, []).append(value)
+    median, count = float(np.median(numbers)), len(members)
+    if count < 2:
+        return Median(median, None, None, len(numbers))
+    rng = np.random.default_rng(seed)
+    if count == len(numbers):
+        step = max(1, _AT_ONCE // count)
+        sizes = [min(step, RESAMPLES - begin) for begin in range(0, RESAMPLES, step)]
+        medians = np.concatenate([np.median(numbers[rng.integers(count, size=(k, count))], axis=1) for k in sizes])
+    else:
+        groups = [np.array(group, dtype=float) for group in members.values()]
+        draws = (rng.integers(count, size=count) for _ in range(RESAMPLES))
+        medians = np.array([np.median(np.concatenate([groups[k] for k in draw])) for draw in draws])
+    low, high = np.percentile(medians, (50 * (1 - LEVEL), 50 * (1 + LEVEL)))
+    return Median(median, float(low), float(high), len(numbers))
+
 
 #: the figures that are summarised, and their names in tables and on axes
 METRICS = {
@@ -215,3 +288,67 @@ def _unit(row: Row, log: str) -> Hashable:
     Within one file only the seeds are left to draw.
     """
     return row["seed"] if "simulate" in row["source"] or log != ALL else row["log"]
+
+
+def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """One line per run, a head line with the columns' names; source and options as JSON, unknown figures empty.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe.
+
+    Raises:
+        FormatError: the place cannot be written.
+    """
+    with write_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for row in rows:
+            writer.writerow([_cell(row[name]) for name in COLUMNS])
+
+
+def write_json_lines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """One JSON object per run and line, with the columns as keys; unknown figures are null.
+
+    Raises:
+        FormatError: the place cannot be written.
+    """
+    with write_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as stream:
+        for row in rows:
+            stream.write(json_line(row) + "\n")
+
+
+def write_summary_csv(summary: Summary, path: Path) -> None:
+    """One line for each log and method: counts, then for each metric the median, its interval and the number of values.
+
+    ``ate_m_difference`` and the two columns after it are the median difference from the baseline and its interval, on equal
+    logs and seeds; ``ate_m_lower`` is the number of pairs in which the method is lower, ``ate_m_pairs`` that of all pairs.
+    Unknown figures are empty.
+
+    Raises:
+        FormatError: the place cannot be written.
+    """
+    differences = {(line.log, line.method): line for line in summary.differences}
+    counts = ("log", "method", "runs", "failed", "timeouts", "converged", "proven")
+    parts = ("", "_low", "_high", "_count", "_difference", "_difference_low", "_difference_high", "_lower", "_pairs")
+    with write_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([*counts, *(f"{metric}{part}" for metric in METRICS for part in parts)])
+        for line in summary.methods:
+            cells: list[Any] = [getattr(line, name) for name in counts]
+            against = differences.get((line.log, line.method))
+            for metric in METRICS:
+                median, gap = line.figures[metric], None if against is None else against.figures[metric]
+                cells += [None] * 4 if median is None else [median.median, median.low, median.high, median.count]
+                cells += [None] * 3 if gap is None else [gap.median, gap.low, gap.high]
+                cells += [None] * 2 if gap is None or against is None else [against.lower[metric], gap.count]
+            writer.writerow(map(_cell, cells))
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, float):
+        # repr keeps every digit
+        return repr(value)
+    if isinstance(value, str):
+        text = printable(value)
+        # spreadsheets take such texts for formulas, and execute them
+        return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+    return json.dumps(value) if isinstance(value, dict) else value

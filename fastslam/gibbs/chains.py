@@ -1,9 +1,19 @@
-"""Particle Gibbs: samples of whole trajectories and maps, from the posterior itself."""
+"""Particle Gibbs: samples of whole trajectories and maps, from the posterior itself.
+
+`GibbsResult`: samples of particle Gibbs, their moments, and whether the chains have mixed.
+
+Whether chains have mixed: split R-hat and the effective sample size, of all coordinates at once.
+
+Sources: Vehtari, Gelman, Simpson, Carpenter and Bürkner, *Rank-normalization, folding, and localization: an improved
+R-hat*, Bayesian Analysis 2021 (here without ranks: the coordinates are nearly Gaussian); Geyer, *Practical Markov chain
+Monte Carlo*, Statistical Science 1992, for where the sum of autocovariances ends.
+"""
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,15 +23,134 @@ from graphslam.engine import engine
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.log import Log, check_is_log
 from graphslam.models import MotionModel, SensorModel
-from graphslam.se2 import Array
+from graphslam.se2 import Array, wrap
 
-from ..fastslam2 import FastSLAM2
-from ..memory import GIGABYTE, available_memory, forecast
-from ..motions import robot_poses
-from ..options import FilterOptions, GibbsOptions
-from ..sightings import Problem
+from ..filters import FastSLAM2
+from ..motions import Problem, robot_poses
+from ..options import GIGABYTE, FilterOptions, GibbsOptions, available_memory, forecast
+from ..particles import Samples
 from .low_rank import MOVES, LowRank, Target
-from .result import GibbsResult
+
+#: a larger R-hat, or fewer effective samples, and the chains have not mixed
+LARGEST_RHAT, LEAST_ESS = 1.05, 100.0
+#: from this R-hat on, chains are still on their way from where they began, and neither more samples nor more particles help
+APART = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Mixing:
+    """R-hat and effective sample size of chains, by coordinate.
+
+    Attributes:
+        names: of the coordinates.
+        rhat: potential scale reduction of the split chains; 1 means mixed; NaN for a coordinate that never changes.
+        ess: effective number of independent samples for the mean.
+    """
+
+    names: list[str]
+    rhat: Array
+    ess: Array
+
+    @property
+    def mixed(self) -> bool:
+        """Whether every coordinate has mixed."""
+        return bool(np.nanmax(self.rhat, initial=1.0) <= LARGEST_RHAT and np.nanmin(self.ess) >= LEAST_ESS)
+
+    @property
+    def statement(self) -> str:
+        """One sentence: the worst coordinates and, where the chains have not mixed, what to raise."""
+        worst, least = int(np.nanargmax(self.rhat)), int(np.nanargmin(self.ess))
+        figures = (
+            f"R-hat at most {self.rhat[worst]:.3f} ({self.names[worst]}), effective sample size at least "
+            f"{self.ess[least]:.0f} ({self.names[least]})"
+        )
+        if self.mixed:
+            return f"mixed: {figures}"
+        if APART < self.rhat[worst] < np.inf:
+            advice = (
+                "the chains are still far apart: raise warm_up, to thousands where the sensor is far more precise than the "
+                "odometry"
+            )
+        else:
+            raised = "iterations and warm_up" if self.rhat[worst] > LARGEST_RHAT else "iterations"
+            advice = f"raise {raised}, and if that does not help, particles"
+        return (
+            f"not mixed: {figures}, but R-hat should be at most {LARGEST_RHAT} and the effective sample size at least "
+            f"{LEAST_ESS:.0f}; {advice}"
+        )
+
+
+def judge(samples: Array, names: list[str]) -> Mixing:
+    """Return R-hat and effective sample size of samples (chains, sweeps, coordinates), each chain split in two halves.
+
+    Where chains are shorter than four sweeps, or nothing ever changes, R-hat is infinite and the effective sample size 0.
+    """
+    half = samples.shape[1] // 2
+    if half < 2 or np.all(samples == samples[:1, :1]):
+        return Mixing(names, np.full(samples.shape[2], np.inf), np.zeros(samples.shape[2]))
+    halves = np.concatenate([samples[:, :half], samples[:, half : 2 * half]])
+    mean = halves.mean(axis=1, keepdims=True)
+    within = halves.var(axis=1, ddof=1).mean(axis=0)
+    variance = within * (half - 1) / half + mean[:, 0].var(axis=0, ddof=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rhat = np.sqrt(variance / within)
+        # autocovariances by Fourier transform, a bounded number of coordinates at a time
+        rho = np.empty((half, samples.shape[2]))
+        for k in range(0, samples.shape[2], 256):
+            d = halves[..., k : k + 256] - mean[..., k : k + 256]
+            spectrum = np.abs(np.fft.rfft(d, 2 * half, axis=1)) ** 2
+            covariance = np.fft.irfft(spectrum, axis=1)[:, :half].mean(axis=0) / half
+            scale = variance[k : k + 256]
+            rho[:, k : k + 256] = 1 - (within[k : k + 256] - covariance * half / (half - 1)) / scale
+        rho[0] = 1
+        pairs = rho[: half // 2 * 2].reshape(-1, 2, samples.shape[2]).sum(axis=1)
+        # the sum ends where a pair is negative, and never rises again
+        pairs[np.cumsum(pairs < 0, axis=0) > 0] = 0.0
+        tau = np.maximum(2 * np.minimum.accumulate(pairs, axis=0).sum(axis=0) - 1, 1 / np.log10(len(halves) * half))
+        ess = np.where(variance > 0, len(halves) * half / tau, np.nan)
+    return Mixing(names, rhat, ess)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GibbsResult(Samples):
+    """Samples of the posterior of a log with T motions and J landmarks, from C chains of S sweeps.
+
+    Attributes:
+        log: the name of the log; ``options``, ``motion``, ``sensor``: with what it was sampled.
+        trajectories, maps, ids: as in `Samples`.
+        accepted: the share of renewed stretches that the correction by the exact density accepted; 1 without it.
+    """
+
+    log: str
+    options: GibbsOptions
+    motion: MotionModel
+    sensor: SensorModel
+    accepted: float
+
+    @property
+    def deviations(self) -> Array:
+        """All coordinates of all samples about their means, angles wrapped: (C, S, 3 T + J n), named by ``mixing.names``."""
+        poses = self.trajectories[:, :, 1:] - self.poses[1:]
+        maps = self.maps - np.array(list(self.landmarks.values()))
+        for deviations in (poses, maps):
+            if deviations.shape[-1] == 3:
+                deviations[..., 2] = wrap(deviations[..., 2])
+        shape = (*poses.shape[:2], -1)
+        return np.concatenate([poses.reshape(shape), maps.reshape(shape)], axis=2)
+
+    @cached_property
+    def mixing(self) -> Mixing:
+        """R-hat and effective sample size of every coordinate of poses and landmarks, and the verdict on mixing."""
+        names = [f"{c} of step {t}" for t in range(1, len(self.poses)) for c in ("x", "y", "heading")]
+        names += [f"{c} of landmark {j}" for j in self.ids for c in ("x", "y", "heading")[: self.maps.shape[-1]]]
+        return judge(self.deviations, names)
+
+    def __repr__(self) -> str:
+        chains, sweeps, poses = self.trajectories.shape[:3]
+        return (
+            f"GibbsResult({self.log}: {chains} chains of {sweeps} samples, {poses} poses, {len(self.ids)} landmarks; "
+            f"{self.mixing.statement})"
+        )
 
 
 class ParticleGibbs:

@@ -17,8 +17,8 @@ from graphslam.linear.cholesky import FactorizationError
 from graphslam.linear.information import BlockSystem
 from graphslam.se2 import Array, wrap
 
+from ..motions import Problem
 from ..options import GibbsOptions
-from ..sightings import Problem
 
 #: the most directions, and the share of all dimensions
 DIRECTIONS, SHARE = 150, 0.5

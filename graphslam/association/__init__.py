@@ -2,8 +2,7 @@
 
 from .ambiguity import Ambiguity
 from .assignment import ids_by_map
-from .associate import Association, associate
-from .options import AssociationOptions
-from .scores import AssociationScore, score
+from .associate import Association, AssociationScore, associate, score
+from .problem import AssociationOptions
 
 __all__ = ["Association", "AssociationOptions", "AssociationScore", "Ambiguity", "associate", "ids_by_map", "score"]

@@ -1,4 +1,12 @@
-"""The assignment of all sightings of a log to the landmarks of one map, scan by scan, each landmark once in a scan."""
+"""The assignment of all sightings of a log to the landmarks of one map, scan by scan, each landmark once in a scan.
+
+Landmarks that turn out to be one: tested jointly, with their covariance from the solved graph.
+
+Two landmarks with difference delta ~ N(0, S) if they are one are merged where the evidence for it, log N(delta; 0, S) -
+log(density of landmarks), is positive. This is the Bayesian information criterion with its constants: the landmark that
+goes away saves -2 log(density) - log det(2 pi S), and J rises by delta' S^-1 delta. Landmarks that were seen in one scan
+are never one.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +15,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..log import UNIDENTIFIED, Log
 from ..models import SensorModel
 from ..se2 import Array, transform, turn_matrix, wrap
-from .classes import LEAST, Classes
-from .densities import Densities, Field
-from .geometry import Places, differences
-from .hypotheses import gates, log_density
-from .options import AssociationOptions
+from .evidence import Candidates, gates, log_density, log_volume
+from .map_solution import INDEPENDENT, MapSolution, Places, differences
+from .problem import LEAST, AssociationOptions, Classes, Densities, Field
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,3 +124,115 @@ def ids_by_map(
 
     chosen, _ = assign(world, log.steps, np.array(list(means.values())), own, options.gate, weights)
     return np.where(chosen < 0, UNIDENTIFIED, names[chosen])
+
+
+#: two landmarks that share the sightings of one are farther apart than chance would have them: each has those on its side
+SHARED = 1 - 1e-9
+#: one search decides on at most so many landmarks
+MOST_ITEMS = 40
+#: and compares at most so many hypotheses
+MOST = 3_000
+
+
+@dataclass(frozen=True)
+class Merge:
+    """Landmarks that are one, by their places in `MapSolution.landmarks`: ``item`` becomes ``into``.
+
+    ``margin`` is the logarithm of the evidence for it over that for the best other hypothesis, ``evidence`` that for all
+    merges found together over that for none.
+    """
+
+    item: int
+    into: int
+    margin: float
+    evidence: float
+
+
+def merges(
+    solved: MapSolution, items: np.ndarray, seen: list[np.ndarray], shown: Array, densities: Densities, classes: Classes,
+    options: AssociationOptions, views: np.ndarray | None = None,
+) -> list[Merge]:  # fmt: skip
+    """The best joint hypothesis on which of the landmarks ``items`` (places in `MapSolution.landmarks`) are older landmarks.
+
+    Args:
+        seen: the steps (sorted) in which each landmark was seen.
+        shown: (L, n) sums of log P(class shown given true), see `Classes`.
+        views: (L,) in how many scans each landmark was in the field of view, if poses are known well enough for that.
+    """
+    d, probability = solved.landmarks.shape[1], options.gate if views is None else SHARED
+    gate = float(gates(probability, d, 1)[1])
+    item, other, both = _near(solved, items, seen, gate, 0 if views is None else np.inf)
+    if len(item) == 0:
+        return []
+    chosen = np.unique(np.concatenate([item, other]))
+    P = solved.joint_covariance(chosen)
+    a, b = np.searchsorted(chosen, item), np.searchsorted(chosen, other)
+    nu = differences(solved.landmarks[item], solved.landmarks[other])
+    slack = solved.slack_of(item, other)
+    own = P[a, :, a] + P[b, :, b] - P[a, :, b] - P[b, :, a] + slack
+    weights = -densities.new + classes.together(shown[item], shown[other])
+    if views is not None:
+        # two landmarks missed one sighting in every view without both; if they are one, a second sighting is clutter
+        V = np.minimum(views[item], views[other])
+        sighting = (
+            densities.seen - densities.clutter - 0.5 * (log_volume(INDEPENDENT / 2 * solved.slack_of(item, other)) + d)
+        )
+        weights = weights - np.maximum(V - both, 0) * densities.missed - both * np.maximum(sighting, 0)
+    density, squares = log_density(nu, own)
+    kept = (squares <= gate) & (density + weights > 0)
+    item, other, a, b = item[kept], other[kept], a[kept], b[kept]
+    nu, weights = nu[kept], weights[kept]
+    found: list[Merge] = []
+    # landmarks that share no candidate are decided on their own
+    pieces = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(chosen), len(chosen)))
+    label = connected_components(pieces, directed=False)[1][a] if len(a) else np.zeros(0, dtype=int)
+    groups = (
+        [np.arange(len(a))] if len(np.unique(item)) <= MOST_ITEMS else [np.flatnonzero(label == g) for g in set(label)]
+    )
+    for group in groups:
+        found += _decided(solved, item[group], other[group], a[group], b[group], nu[group], weights[group],
+                          P, probability)  # fmt: skip
+    return found
+
+
+def _near(
+    solved: MapSolution, items: np.ndarray, seen: list[np.ndarray], gate: float, most: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of an item and an older landmark within the gate of their marginal covariances, seen together at most so often.
+
+    Returns:
+        Item, older landmark, and the number of scans with both.
+    """
+    m, S, labels = solved.landmarks[:, :2], solved.covariances + solved.slack, solved.labels
+    variances = np.diagonal(S, axis1=1, axis2=2)[:, :2]
+    # the variance of the difference is at most the sum, as errors of landmarks are correlated positively
+    near = (labels[items, None] > labels[None]) & np.all(
+        (m[items, None] - m[None]) ** 2 <= gate * (variances[items, None] + variances[None]), axis=2
+    )
+    pairs = [(items[k], j) for k, j in np.argwhere(near)]
+    steps = {k: set(seen[k].tolist()) for k in {each for pair in pairs for each in pair}}
+    both = [len(steps[k] & steps[j]) for k, j in pairs]
+    found = np.array([(k, j, n) for (k, j), n in zip(pairs, both) if n <= most], dtype=np.int64).reshape(-1, 3)
+    return found[:, 0], found[:, 1], found[:, 2]
+
+
+def _decided(
+    solved: MapSolution, item: np.ndarray, other: np.ndarray, a: np.ndarray, b: np.ndarray, nu: Array, weights: Array,
+    P: Array, gate: float,
+) -> list[Merge]:  # fmt: skip
+    """The merges of one search."""
+    if len(item) == 0:
+        return []
+    d = nu.shape[1]
+    first, second = P[a], P[b]
+    S = first[:, :, a] - first[:, :, b] - second[:, :, a] + second[:, :, b]
+    here = np.arange(len(a))
+    S[here, :, here] += solved.slack_of(item, other)
+    S = S.reshape(len(a) * d, len(a) * d)
+    # at least the noise that the sightings themselves leave, the other landmarks and poses known
+    noise = solved.own_covariances[item] + solved.slack_of(item, other)
+    candidates, order = Candidates.of(np.unique(item, return_inverse=True)[1], other, nu, S, weights, noise)
+    item, other = item[order], other[order]
+    chosen, evidence = candidates.best(gate, most=MOST)
+    margins = candidates.margins(chosen, evidence, gate, most=MOST // 10)
+    return [Merge(int(item[c]), int(other[c]), float(m), float(evidence)) for c, m in zip(chosen, margins) if c >= 0]

@@ -1,4 +1,10 @@
-"""Association along the drive: tracks from a local filter, joined to landmarks by graphs of the drive so far."""
+"""Association along the drive: tracks from a local filter, joined to landmarks by graphs of the drive so far.
+
+A Kalman filter of the robot and the landmarks that it saw last, which joins sightings of neighbouring scans to tracks.
+
+Its state is the pose and the tracks seen within some steps. Older ones are marginalised: whether a track is a landmark that
+was seen before is decided by the graph, not here.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +16,201 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose
+from ..se2 import Array, between, compose, rotation, wrap
 from ..solvers.solve import solve
-from .classes import Classes
-from .densities import Densities
-from .given_ids import id_of_each, may_be_one
-from .local_map import LocalMap
-from .map_solution import Backbone, MapSolution
-from .merging import merges
-from .options import AssociationOptions
+from .assignment import merges
+from .evidence import Candidates, gates, log_density
+from .map_solution import Backbone, MapSolution, Places, differences, seen_from
+from .problem import AssociationOptions, Classes, Densities, id_of_each, may_be_one
+
+#: a scan compares at most so many hypotheses
+MOST_IN_SCAN = 1_000
+#: the logarithm of the evidence that a sighting needs to continue a track rather than begin one or belong to another
+SURE = np.log(5.0)
+
+
+class LocalMap:
+    """The pose (3,), the tracks (n, d) and their joint covariance; the first pose is known."""
+
+    def __init__(
+        self,
+        pose: Array,
+        places: Places,
+        densities: Densities,
+        classes: Classes,
+        memory: int,
+        options: AssociationOptions,
+    ) -> None:
+        self.pose, self.covariance = np.array(pose, dtype=float), np.zeros((3, 3))
+        self.d = places.means.shape[1]
+        self.tracks, self.last = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        self.landmarks, self._shown = np.zeros((0, self.d)), np.zeros((0, classes.count))
+        self._places, self._densities, self._classes = places, densities, classes
+        self._memory, self._options = memory, options
+        self._gate = float(gates(options.gate, self.d, 1)[1])
+
+    def move(self, motion: Array, noise: Array) -> None:
+        """The robot moves by a motion (3,) with covariance (3, 3), both in its own axes."""
+        before = self.pose
+        self.pose = compose(before, motion)
+        P, F, J = self.covariance, np.eye(3), np.eye(3)
+        F[0, 2], F[1, 2] = before[1] - self.pose[1], self.pose[0] - before[0]
+        J[:2, :2] = rotation(before[2])
+        P[:3] = F @ P[:3]
+        P[:, :3] = P[:, :3] @ F.T
+        P[:3, :3] += J @ noise @ J.T
+
+    def scan(self, rows: np.ndarray, step: int, fresh: int) -> np.ndarray:
+        """The tracks (k,) of the sightings in rows (k,), new ones numbered from ``fresh`` on, -1 for doubtful ones."""
+        self._forget(step)
+        item, landmark, nu, S, H = pairs = self._pairs(rows)
+        chosen, doubtful = self._chosen(rows, *pairs[:-1])
+        matched, used = item[chosen], landmark[chosen]
+        tracks = np.full(len(rows), -1)
+        tracks[matched] = self.tracks[used]
+        self.last[used] = step
+        self._shown[used] += self._classes.of_sightings(rows[matched])
+        self._correct(nu[chosen], *(each[_columns(chosen, self.d)] for each in (H, S[:, _columns(chosen, self.d)])))
+        # sightings of one of several tracks are left out for now
+        new = np.setdiff1d(np.flatnonzero(tracks < 0), item[doubtful])
+        tracks[new] = fresh + np.arange(len(new))
+        self._add(rows[new], tracks[new], step)
+        return tracks
+
+    def remove(self, tracks: np.ndarray) -> None:
+        """Marginalise tracks."""
+        self._keep(~np.isin(self.tracks, tracks))
+
+    def _forget(self, step: int) -> None:
+        if len(self.last) and np.any(old := self.last < step - self._memory):
+            self._keep(~old)
+
+    def _keep(self, kept: np.ndarray) -> None:
+        if kept.all():
+            return
+        rows = np.concatenate([np.ones(3, dtype=bool), np.repeat(kept, self.d)])
+        self.covariance = self.covariance[np.ix_(rows, rows)]
+        self.tracks, self.last, self.landmarks = self.tracks[kept], self.last[kept], self.landmarks[kept]
+        self._shown = self._shown[kept]
+
+    def _weights(self, rows: np.ndarray) -> Array:
+        """w (k, n) of each sighting and track."""
+        return self._densities.weight + self._classes.together(
+            self._classes.of_sightings(rows)[:, None], self._shown[None]
+        )
+
+    def _pairs(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array, Array, Array]:
+        """Pairs of a sighting of the scan and a track within the gate.
+
+        Returns:
+            The sighting (C,) and the track (C,) of each, its residual (C, d), their covariance (C d, C d), and the derivative
+            (C d, 3 + n d) of what is predicted.
+        """
+        n, d = len(self.tracks), self.d
+        y, Q = self._places.means[rows], self._places.covariances[rows]
+        h, by_pose, by_landmark = seen_from(self.pose, self.landmarks)
+        H = np.zeros((n, d, 3 + n * d))
+        H[:, :, :3] = by_pose
+        for j in range(n):
+            H[j, :, 3 + j * d : 3 + (j + 1) * d] = by_landmark[j]
+        H = H.reshape(n * d, 3 + n * d)
+        joint = H @ self.covariance @ H.T
+        own = joint.reshape(n, d, n, d)[np.arange(n), :, np.arange(n)]
+        nu = differences(y[:, None], h[None])
+        density, squares = log_density(nu, own[None] + Q[:, None])
+        # a wrong new track is joined later, a wrong match stays: so doubtful sightings begin a track
+        item, landmark = np.nonzero((squares <= self._gate) & (density + self._weights(rows) > SURE))
+        columns = _columns(landmark, d)
+        S = joint[np.ix_(columns, columns)]
+        for c, k in enumerate(item):
+            S[c * d : (c + 1) * d, c * d : (c + 1) * d] += Q[k]
+        return item, landmark, nu[item, landmark], S, H[columns]
+
+    def _chosen(
+        self, rows: np.ndarray, item: np.ndarray, landmark: np.ndarray, nu: Array, S: Array
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the pairs are right, and which are the best but doubtful."""
+        if len(item) == 0:
+            return item, item
+        weights, noise = self._weights(rows)[item, landmark], self._places.covariances[rows[item]]
+        numbers = np.unique(item, return_inverse=True)[1]
+        candidates, order = Candidates.of(numbers, landmark, nu, S, weights, noise)
+        if self._options.method == "nearest":
+            best = nearest(candidates)
+            return order[best[best >= 0]], order[:0]
+        best, evidence = candidates.best(self._options.gate, most=MOST_IN_SCAN)
+        doubtful = np.zeros(len(best), dtype=bool)
+        if len(order) > len(best):
+            # only where some sighting has several candidates
+            others = np.where(np.diff(candidates.starts) > 1, best, -1)
+            margins = candidates.margins(others, evidence, self._options.gate, most=MOST_IN_SCAN // 5)
+            doubtful = margins < SURE
+        return order[best[(best >= 0) & ~doubtful]], order[best[(best >= 0) & doubtful]]
+
+    def _correct(self, nu: Array, H: Array, S: Array) -> None:
+        """The joint Kalman update by residuals (k, d)."""
+        if len(nu) == 0:
+            return
+        d = self.d
+        HP = H @ self.covariance
+        K = np.linalg.solve(S, HP).T
+        delta = K @ nu.ravel()
+        self.covariance -= K @ HP
+        self.covariance = (self.covariance + self.covariance.T) / 2
+        self.pose = self.pose + delta[:3]
+        self.pose[2] = wrap(self.pose[2])
+        self.landmarks = differences(self.landmarks + delta[3:].reshape(-1, d), np.zeros(d))
+
+    def _add(self, rows: np.ndarray, tracks: np.ndarray, step: int) -> None:
+        """New tracks where sightings (k,) put them: m = x + R y, with the derivatives of that."""
+        if len(rows) == 0:
+            return
+        k, d, n = len(rows), self.d, len(self.covariance)
+        y, R = self._places.means[rows], np.eye(d)
+        R[:2, :2] = rotation(self.pose[2])
+        means = y @ R.T
+        by_pose = np.zeros((k, d, 3))
+        by_pose[:, 0, 0] = by_pose[:, 1, 1] = 1.0
+        by_pose[:, 0, 2], by_pose[:, 1, 2] = -means[:, 1], means[:, 0]
+        if d == 3:
+            by_pose[:, 2, 2] = 1.0
+        means = differences(means + self.pose[:d], np.zeros(d))
+        G = by_pose.reshape(k * d, 3)
+        P = np.zeros((n + k * d, n + k * d))
+        P[:n, :n] = self.covariance
+        P[n:, :n] = G @ self.covariance[:3]
+        P[:n, n:] = P[n:, :n].T
+        P[n:, n:] = G @ self.covariance[:3, :3] @ G.T
+        for i, Q in enumerate(R @ self._places.covariances[rows] @ R.T):
+            P[n + i * d : n + (i + 1) * d, n + i * d : n + (i + 1) * d] += Q
+        self.covariance = P
+        self.landmarks = np.concatenate([self.landmarks, means])
+        self.tracks = np.concatenate([self.tracks, tracks])
+        self.last = np.concatenate([self.last, np.full(k, step)])
+        self._shown = np.concatenate([self._shown, self._classes.of_sightings(rows)])
+
+
+def _columns(places: np.ndarray, d: int) -> np.ndarray:
+    return (places[:, None] * d + np.arange(d)).ravel()
+
+
+def nearest(candidates: Candidates) -> np.ndarray:
+    """The most likely candidate (I,) of each item by itself, the most likely pair first; no landmark is used twice."""
+    d = candidates.residuals.shape[1]
+    count = len(candidates.landmarks)
+    chosen = np.full(len(candidates.starts) - 1, -1)
+    if count == 0:
+        return chosen
+    blocks = candidates.covariance.reshape(count, d, count, d)[np.arange(count), :, np.arange(count)]
+    evidence = candidates.weights + log_density(candidates.residuals, blocks)[0]
+    item = np.repeat(np.arange(len(chosen)), np.diff(candidates.starts))
+    used: set[int] = set()
+    for c in np.argsort(-evidence):
+        if chosen[item[c]] < 0 and evidence[c] > 0 and candidates.landmarks[c] not in used:
+            chosen[item[c]] = c
+            used.add(int(candidates.landmarks[c]))
+    return chosen
+
 
 #: the most solutions of the graph along a drive
 MOST_WINDOWS = 150

@@ -1,6 +1,8 @@
 """The graph of sightings with labels, solved: landmarks with their joint covariance from the factor of Omega.
 
 While labels change, the same motions and sightings enter many graphs. A `Backbone` computes them once.
+
+Sightings and landmarks as places in the robot's axes, with derivatives: the Cartesian residual of `edges.observation`.
 """
 
 from __future__ import annotations
@@ -15,12 +17,51 @@ from ..graph import Graph
 from ..linear.cholesky import analyze
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, transform
-from ..solvers.gauss_newton import gauss_newton
-from ..solvers.iteration import Run
-from ..uncertainty import Uncertainty
-from .geometry import Places
-from .given_ids import numbered
+from ..se2 import Array, transform, wrap
+from ..solvers.iteration import Run, gauss_newton
+from ..solvers.uncertainty import Uncertainty
+from .problem import numbered
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """The place (M, d) of each sighting in the robot's axes, (x, y) or (x, y, heading), and its covariance (M, d, d)."""
+
+    means: Array
+    covariances: Array
+
+    @classmethod
+    def of(cls, log: Log, sensor: SensorModel) -> Places:
+        """The places of the sightings of a log."""
+        return cls(*sensor.places(log.sightings))
+
+
+def seen_from(pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:
+    """Landmarks (n, d) in the axes of poses (3,) or (n, 3), and the derivatives by pose (n, d, 3) and landmark (n, d, d)."""
+    n, d = landmarks.shape
+    pose = np.broadcast_to(pose, (n, 3))
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    delta = landmarks[:, :2] - pose[:, :2]
+    h = np.empty((n, d))
+    h[:, 0], h[:, 1] = c * delta[:, 0] + s * delta[:, 1], c * delta[:, 1] - s * delta[:, 0]
+    by_pose, by_landmark = np.zeros((n, d, 3)), np.zeros((n, d, d))
+    by_landmark[:, 0, 0] = by_landmark[:, 1, 1] = c
+    by_landmark[:, 0, 1], by_landmark[:, 1, 0] = s, -s
+    by_pose[:, :2, :2] = -by_landmark[:, :2, :2]
+    by_pose[:, 0, 2], by_pose[:, 1, 2] = h[:, 1], -h[:, 0]
+    if d == 3:
+        h[:, 2] = wrap(landmarks[:, 2] - pose[:, 2])
+        by_pose[:, 2, 2], by_landmark[:, 2, 2] = -1.0, 1.0
+    return h, by_pose, by_landmark
+
+
+def differences(a: Array, b: Array) -> Array:
+    """a - b (..., d), headings wrapped."""
+    difference = a - b
+    if difference.shape[-1] == 3:
+        difference[..., 2] = wrap(difference[..., 2])
+    return difference
+
 
 #: the most steps of Gauss-Newton; the values it starts from are nearly right
 STEPS = 8
@@ -52,7 +93,7 @@ class Backbone:
 
     @cached_property
     def known(self) -> np.ndarray:
-        """The ids (M,) of the sightings, numbered from 0, -1 for none; see `association.given_ids`."""
+        """The ids (M,) of the sightings, numbered from 0, -1 for none; see `association.problem`."""
         return numbered(self.log.landmarks)
 
     def graph(self, labels: np.ndarray, poses: Array) -> tuple[Graph, np.ndarray]:

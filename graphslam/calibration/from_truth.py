@@ -17,10 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ..errors import LogError
-from ..identification.parts import LEAST, motion_parts, ordinary, sensor_parts, stacked
+from ..identification.corrections import without_biases
+from ..identification.odometry import LEAST, motion_parts, ordinary, sensor_parts, stacked
 from ..log import Log
 from ..models import MotionModel, SensorModel, sinc
-from ..parameters.corrections import without_biases
 from ..se2 import Array, between, wrap
 from .variances import VarianceFit, fit_variances
 

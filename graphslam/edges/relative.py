@@ -29,12 +29,11 @@ import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError
+from ..linear.precision import inverses
 from ..models import MotionModel
-from ..precision import inverses
 from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
 from .base import ConstantEdges, EngineEdges, Linearization, PairEdges, Relations, linearization
-from .doubted import SingleEdges
-from .robust import Kernel, code_and_width
+from .robust import Kernel, SingleEdges, code_and_width
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,14 +5,11 @@ They are derived here a second time, so that the two implementations check each 
 e' Omega e, or rho(r) with a robust kernel.
 """
 
+from .base import ResidualFactor
 from .description import FactorDescription, describe, load_factors, save_factors
-from .landmark import LandmarkFactor
-from .observation import InverseObservationFactor, ObservationFactor, RelativePointFactor
-from .position import PositionFactor
-from .prior import AnchorFactor, PriorFactor
-from .relative_edges import RelativeEdgesFactor
-from .relative_pose import MotionFactor, RelativePoseFactor
-from .residual import ResidualFactor
+from .landmark import InverseObservationFactor, LandmarkFactor, ObservationFactor, RelativePointFactor
+from .priors import AnchorFactor, PositionFactor, PriorFactor
+from .relative import MotionFactor, RelativeEdgesFactor, RelativePoseFactor
 from .virtual_motion import VirtualMotionFactor
 
 __all__ = [

@@ -10,10 +10,9 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_choice, check_type
-from ..errors import OptionError, quoted
+from ..errors import OptionError, check_choice, check_type, quoted
+from ..linear.precision import SMALLEST, check_model, check_size, small_inverse
 from ..models import MotionModel, SensorModel
-from ..precision import SMALLEST, check_model, check_size, small_inverse
 from ..se2 import Array
 
 FRAMES = ("world", "body")

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..se2 import Array
-from .edges import Edges
+from .odometry import Edges
 from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, SPREAD, Unknowns
 
 

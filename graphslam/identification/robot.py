@@ -24,15 +24,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..checks import check_count, check_type
-from ..errors import GraphError, LogError
+from ..errors import GraphError, LogError, check_count, check_type
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from ..parameters.corrections import corrected_log
-from ..parameters.declared import ParameterEstimate
-from .left_out import LeftOut, left_out
+from .corrections import corrected_log
+from .declared import ParameterEstimate
 from .restricted_likelihood import improve_variances, log_likelihood
-from .result import BOOK_NOISE, DEAD_RECKONING, ESTIMATE, GIVEN_NOISE, KINDS, MANY_MISREAD, RobotEstimate
+from .result import (
+    BOOK_NOISE,
+    DEAD_RECKONING,
+    ESTIMATE,
+    GIVEN_NOISE,
+    KINDS,
+    MANY_MISREAD,
+    LeftOut,
+    RobotEstimate,
+    left_out,
+)
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 

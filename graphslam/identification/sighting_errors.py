@@ -17,8 +17,7 @@ import numpy as np
 
 from ..log import UNIDENTIFIED, Log
 from ..se2 import Array
-from .edges import Edges
-from .parts import ordinary
+from .odometry import Edges, ordinary
 from .unknowns import Unknowns
 
 #: samples of the covariance of the solution

@@ -8,7 +8,7 @@ residuals are
     sightings:  e = (range_scale r + range_bias, direction - theta + bearing_bias, direction - heading of m) - z,
 
 where r and direction lead from the sensor to the landmark. A sighting that is late by tau was made from x_t moved back by tau
-times the control. The covariances are sums of variances times known parts (`identification.parts`), and every edge has the
+times the control. The covariances are sums of variances times known parts (`identification.odometry`), and every edge has the
 weight u = (nu + d) / (nu + e' W e + tr(W F)) of Student's t, so that slipping wheels and wrong sightings count little. F is
 the covariance of the residual due to that of the solution: the residual of an edge that nothing else determines is near zero,
 but the error that it hides is as large as C says.
@@ -31,12 +31,10 @@ from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..parameters.corrections import corrected_sensor
-from ..parameters.declared import Parameters, ideal_values
 from ..se2 import Array, compose, interpolate, inverse, mounted, perpendicular, rotation, wrap
-from .edges import Edges, add_at
-from .odometry import Odometry, near
-from .parts import sensor_parts, with_variances
+from .corrections import corrected_sensor
+from .declared import Parameters, ideal_values
+from .odometry import Edges, Odometry, add_at, near, sensor_parts, with_variances
 
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
 #: a log tells only its quotient with the scale of the wheels.

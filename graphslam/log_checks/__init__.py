@@ -17,13 +17,10 @@ from itertools import chain
 import numpy as np
 
 from ..log import Log
-from .changed_ids import changed_ids
-from .distances import distances_of
-from .finding import Finding
-from .ids import ids_of, misread, misread_ids
-from .map import against_map
+from .findings import Finding, distances_of
+from .given import against_map, against_truth
+from .ids import changed_ids, ids_of, misread, misread_ids
 from .readings import readings_of, sizes
-from .truth import against_truth
 
 __all__ = ["Finding", "check_log"]
 

@@ -1,4 +1,7 @@
-"""Ids: single ones that are misread, and landmarks that are seen once, or twice at one time."""
+"""Ids: single ones that are misread, and landmarks that are seen once, or twice at one time.
+
+Whether landmarks have other ids from some time on, as after a detector that counts them was started again.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..log import Log
+from ..log.rows import UNIDENTIFIED
 from ..models import SensorModel
-from ..reading import UNIDENTIFIED
-from .distances import ways
-from .finding import Finding
+from ..se2 import Array
+from .findings import Distances, Finding, ways
 
 #: fewer sightings are not checked
 _FEWEST = 20
@@ -117,3 +120,170 @@ def ids_of(log: Log) -> Iterator[Finding]:
             f"landmark {ids[k]} is seen twice at step {steps[k]}, {ranges[k]:.2f} and {ranges[k + 1]:.2f} m away "
             f"({np.sum(apart)} such pairs); several objects may have one id, or different stamps became one",
         )
+
+
+#: a landmark is compared with those seen within this way before, [rad] turned plus [ranges] driven, among so many sightings
+_BACK_WAY, _BACK = 0.6, 40
+#: a landmark stays where it is up to the first number [ranges], or the second times the median error
+_STAYS, _STAYS_TIMES = 0.1, 3.0
+#: landmarks, or values, that change at one time at least, and how many times as many as those that stay
+_FEWEST_CHANGED, _MORE = 3, 2
+#: times that are tried at most
+_MOST_TIMES = 2000
+#: a value changes if its means before and after differ by the first number [ranges] and the second times its spread; the
+#: number of times that are tried
+_CHANGE, _SPREAD, _TRIED = 0.25, 3.0, 100
+#: a value has to be measured so often before and after, because single ids may be misread
+_SEEN = 3
+#: values that are used at most
+_ENOUGH = 20_000
+#: the ids cannot be checked where sightings move by more than this [ranges, median]
+_COARSE = 0.15
+
+
+def changed_ids(log: Log, distances: Distances, *, trusted: bool, wrong: np.ndarray) -> Iterator[Finding]:
+    """The time from which on ids are other ones: where landmarks are, by the true poses if ``trusted``, by distances.
+
+    ``wrong`` (M,) sightings have misread ids, and ``distances`` are those without them.
+    """
+    known = log.with_sightings(~wrong)
+    # a landmark that is seen only once after the change looks misread, so the first one uses all
+    for change in (_in_one_place(log), _by_truth(known) if trusted else None, _by_distances(distances)):
+        if change is not None:
+            step, evidence = change
+            when = f"step {step}"
+            if log.times is not None:
+                when = f"{log.times[step] - log.start_time:.1f} s after the start"
+            yield Finding(
+                "ids change",
+                f"landmarks have other ids from about {when} on ({evidence}); a detector may have counted them anew",
+            )
+            return
+
+
+def _by_truth(log: Log) -> tuple[int, str] | None:
+    if log.robot_truth is None:
+        return None
+    rows = np.flatnonzero((log.landmarks != UNIDENTIFIED) & np.isfinite(log.robot_truth[log.steps]).all(axis=1))
+    steps, sightings = log.steps[rows], log.sightings[rows]
+    places = (log.sensor or SensorModel()).h_inverse(log.robot_truth[steps], sightings)[:, :2]
+    change = _change(log.landmarks[rows, None], steps, places, sightings[:, 0])
+    return change and (change[0], f"seen from the true poses {change[1]} of {change[2]} landmarks are elsewhere")
+
+
+def _by_distances(found: Distances) -> tuple[int, str] | None:
+    change = _change(found.pair, found.step, found.distance[:, None], found.range)
+    return change and (change[0], f"{change[1]} of {change[2]} distances between two landmarks change")
+
+
+def _change(keys: np.ndarray, steps: np.ndarray, values: Array, scale: Array) -> tuple[int, int, int] | None:
+    """The step at which most values change, how many do, and of how many; None where few change.
+
+    Args:
+        keys: (K, n) what has the value, for example the id of a landmark.
+        steps: (K,) at which it is measured.
+        values: (K, c).
+        scale: (K,) the range of the measurement [m].
+    """
+    if len(steps) < _FEWEST_CHANGED:
+        return None
+    every = max(1, len(steps) // _ENOUGH)
+    keys, steps, values, scale = keys[::every], steps[::every], values[::every], scale[::every]
+    order = np.lexsort((steps, *keys.T))
+    keys, steps, values, scale = keys[order], steps[order], values[order], scale[order]
+    first = np.flatnonzero(np.append(True, np.any(np.diff(keys, axis=0) != 0, axis=1)))
+    count = np.diff(np.append(first, len(keys)))
+    # about the mean of each, because squares are subtracted from each other
+    values = values - np.repeat(np.add.reduceat(values, first) / count[:, None], count, axis=0)
+    sums = np.column_stack([np.ones(len(values)), values, values**2])
+    total, size = np.add.reduceat(sums, first), np.add.reduceat(scale, first) / count
+    best = (0, 0, 0)
+    for k in np.unique(np.quantile(steps, np.linspace(0.02, 0.98, _TRIED), method="nearest")).tolist():
+        until = np.add.reduceat(sums * (steps < k)[:, None], first)
+        (n, before, spread), (m, after, spread_after) = _moments(until), _moments(total - until)
+        both = (n >= _SEEN) & (m >= _SEEN)
+        noise = np.sqrt(np.maximum((spread + spread_after) / count, 0))
+        changed = both & (np.linalg.norm(before - after, axis=1) > np.maximum(_CHANGE * size, _SPREAD * noise))
+        if 2 * np.sum(changed) - np.sum(both) > 2 * best[1] - best[2]:
+            best = k, int(np.sum(changed)), int(np.sum(both))
+    return best if best[1] > max(_FEWEST_CHANGED, _MORE * (best[2] - best[1])) else None
+
+
+def _moments(sums: Array) -> tuple[Array, Array, Array]:
+    """Number (n,), mean (n, c) and sum of squares about the mean (n,), from the sums (n, 1 + 2 c) of 1, x and x²."""
+    n, c = sums[:, 0], sums.shape[1] // 2
+    mean, square = (part / np.maximum(n, 1)[:, None] for part in (sums[:, 1 : c + 1], sums[:, c + 1 :]))
+    return n, mean, n * np.sum(square - mean**2, axis=1)
+
+
+def _in_one_place(log: Log) -> tuple[int, str] | None:
+    """Several landmarks at once are where others have just been seen."""
+    known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
+    if log.controls is None or log.dt is None or len(known) < 10 * _FEWEST_CHANGED:
+        return None
+    steps, ids, sightings = log.steps[known], log.landmarks[known], log.sightings[known, :2]
+    way = ways(log, known)[steps]
+    places = (log.sensor or SensorModel()).h_inverse(log.dead_reckoning()[steps], sightings)[:, :2]
+
+    def apart(a: np.ndarray, b: np.ndarray) -> Array:
+        distance = np.linalg.norm(places[a] - places[b], axis=1)
+        return np.where(way[b] - way[a] <= _BACK_WAY, distance / np.maximum(sightings[a, 0], sightings[b, 0]), np.inf)
+
+    own = _previous(ids)
+    error = np.where(own >= 0, apart(np.maximum(own, 0), np.arange(len(ids))), np.inf)
+    if not np.isfinite(error).any() or (usual := float(np.median(error[np.isfinite(error)]))) > _COARSE:
+        return None
+    near = max(_STAYS, _STAYS_TIMES * usual)
+    stays = error <= near
+    moved = np.flatnonzero(~stays)
+    least, other = np.full(len(moved), np.inf), np.full(len(moved), -1)
+    # the places of each id, one id after the other
+    rank = np.unique(ids, return_inverse=True)[1]
+    sequence = np.sort(rank * len(ids) + np.arange(len(ids)))
+    for back in range(1, _BACK + 1):
+        before = np.maximum(moved - back, 0)
+        close = np.flatnonzero((moved >= back) & (way[moved] - way[before] <= _BACK_WAY))
+        if len(close) == 0:
+            break
+        close = close[ids[before[close]] != ids[moved[close]]]
+        # an id that is then seen again at its place is no other one: one of the two is misread, or two landmarks are close
+        place = np.searchsorted(sequence, rank[before[close]] * len(ids) + moved[close], side="right")
+        then = sequence[np.minimum(place, len(ids) - 1)]
+        stays_too = (then // len(ids) == rank[before[close]]) & (then > rank[before[close]] * len(ids) + moved[close])
+        close = close[~(stays_too & (apart(moved[close], then % len(ids)) <= near))]
+        distance = apart(before[close], moved[close])
+        nearer = distance < least[close]
+        least[close[nearer]], other[close[nearer]] = distance[nearer], before[close[nearer]]
+    new = np.zeros(len(ids), dtype=bool)
+    new[moved] = least <= near
+    partner = own.copy()
+    partner[moved] = other
+    # (landmarks with another id, those that keep theirs, the first ones) at each time at which there may be a change
+    times: list[tuple[int, int, np.ndarray]] = []
+    for k in np.flatnonzero(new)[:_MOST_TIMES]:
+        after = np.arange(k, np.searchsorted(way, way[k] + _BACK_WAY / 2, side="right"))
+        after = after[(partner[after] < k) & (partner[after] >= 0)]
+        changed = after[new[after]]
+        if len(changed) > 1:
+            changed = changed[np.unique(ids[changed], return_index=True)[1]]
+            changed = changed[np.unique(ids[partner[changed]], return_index=True)[1]]
+        times.append((len(changed), int(np.sum(stays[after])), np.sort(changed)))
+    if not times:
+        return None
+    count, kept, changed = max(times, key=lambda each: each[0] - each[1])
+    far = [n > m for n, m, first in times if abs(way[first[0]] - way[changed[0]]) > 2 * _BACK_WAY]
+    # two are enough where nothing else in the log looks like it
+    if (count >= _FEWEST_CHANGED and count > _MORE * kept) or (
+        count == _FEWEST_CHANGED - 1 and not kept and not any(far)
+    ):
+        return int(steps[changed[0]]), ", ".join(f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist())
+    return None
+
+
+def _previous(ids: np.ndarray) -> np.ndarray:
+    """For each id (N,) the last place before it with the same id; -1 where there is none."""
+    order = np.argsort(ids, kind="stable")
+    previous = np.full(len(ids), -1)
+    again = ids[order[1:]] == ids[order[:-1]]
+    previous[order[1:][again]] = order[:-1][again]
+    return previous

@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike
 
 from ..errors import decimals
 from ..log import Log
+from ..log.rows import UNIDENTIFIED
 from ..models import MotionModel, SensorModel
-from ..reading import UNIDENTIFIED
 from ..se2 import Array, between
-from .finding import Finding
+from .findings import Finding
 
 #: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s]
 FARTHEST, FASTEST, QUICKEST, SLOWEST = 1000.0, 100.0, 2 * np.pi, 5.0

@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import real_array
-from ..errors import OptionError, quoted
-from ..precision import inverses
+from ..errors import OptionError, quoted, real_array
+from ..linear.precision import inverses
 from ..se2 import Array
 
 #: a measured pose z (3,) of node b in the axes of node a with its information: (a, b, z, Omega)

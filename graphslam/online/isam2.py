@@ -9,9 +9,8 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_choice
 from ..edges.robust import Kernel
-from ..errors import GraphError, OptionError, quoted
+from ..errors import GraphError, OptionError, check_choice, quoted
 from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, PositionFactor, RelativePoseFactor
 from ..factors.landmark import WEIGHTS
 from ..models import RESIDUALS, SensorModel

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from ..checks import check_count, check_positive
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, code_and_width
 from ..engine import engine
-from ..errors import GraphError
-from ..landmark_map import LandmarkMap, as_map
+from ..errors import GraphError, check_count, check_positive
+from ..graph.landmark_map import LandmarkMap, as_map
+from ..linear.precision import inverses
 from ..models import SensorModel
-from ..precision import inverses
 from ..se2 import Array
 from .backend import Backend, Relation, information_of
 

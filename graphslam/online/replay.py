@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ..defaults import suitable_for_isam2
 from ..edges import CartesianObservationEdges, EdgeFamily, PartialEdges, PositionEdges, RelationEdges
 from ..errors import GraphError, OptionError, quoted
 from ..graph import Graph
+from ..graph.defaults import suitable_for_isam2
 from ..log import Log
 from ..models import MotionModel
-from ..parameters.corrected import motion_edges
-from ..solution import Solution, make_solution
+from ..solvers.corrected import motion_edges
+from ..solvers.solution import Solution, make_solution
 from .solver import OnlineSolver, backend_options
 
 #: the variances [m², m², rad²] of a first pose that only a map or absolute positions hold

@@ -12,13 +12,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..checks import check_choice, check_count, check_positive, check_type, suggestion
 from ..edges.robust import Kernel, kernel_of
-from ..errors import GraphError, OptionError, quoted
+from ..errors import GraphError, OptionError, check_choice, check_count, check_positive, check_type, quoted, suggestion
+from ..linear.precision import check_model, inverses
+from ..log.rows import NO_ID, UNIDENTIFIED
 from ..marginals import ids_of, split
 from ..models import MotionModel, SensorModel
-from ..precision import check_model, inverses
-from ..reading import NO_ID, UNIDENTIFIED
 from ..se2 import Array, wrap
 from .backend import Backend, array_or_none, information_of, numbers
 

@@ -14,17 +14,15 @@ from math import pi
 
 import numpy as np
 
-from ..checks import check_choice, check_count, check_not_negative, check_positive, option
-from ..errors import OptionError
-from ..formats.synchronize import synchronize
+from ..errors import OptionError, check_choice, check_count, check_not_negative, check_positive, option
+from ..identification.declared import PARAMETERS
+from ..io.base import synchronize
 from ..log import Log
+from ..log.rows import UNIDENTIFIED
+from ..log.streams import Stream
 from ..models import MotionModel, SensorModel
-from ..parameters.declared import PARAMETERS
-from ..reading import UNIDENTIFIED
 from ..se2 import Array
-from ..sources.streams import Stream
-from .places import PLACES, Place
-from .routes import Path, follow
+from .places import PLACES, Path, Place, follow
 
 #: motions are exact but for their noise; the models need a variance above zero [m², rad²]
 EPSILON = 1e-9

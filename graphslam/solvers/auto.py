@@ -16,17 +16,14 @@ from functools import cached_property
 
 import numpy as np
 
-from ..certificate import GLOBAL, Certificate, prove
 from ..edges import SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
-from .gauss_newton import gauss_newton
+from .certificate import GLOBAL, Certificate, prove
 from .initialize import AUTO, GROWING, starting_state
-from .iteration import Run, factorized
-from .levenberg_marquardt import levenberg_marquardt
-from .restarts import descents, lower_by_turns
-from .sequential_start import most_steps
+from .iteration import Run, factorized, gauss_newton, levenberg_marquardt
+from .starts import descents, lower_by_turns, most_steps
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds

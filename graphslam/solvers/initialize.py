@@ -1,24 +1,176 @@
-"""The option ``initialize``: the choice of the state that a solver starts from."""
+"""The option ``initialize``: the choice of the state that a solver starts from.
+
+Where landmarks are that were seen by range or bearing alone, along a trajectory that grows.
+
+Ranges from a straight way leave two places for a landmark, mirror images, and other single numbers may leave several. So the
+graph grows along the odometry, and a landmark enters when its sightings from the trajectory so far leave one place: J at the
+second best is higher by `trilateration.CLEAR`. What is left open enters at the end where J is lowest. Then, for every
+landmark with another place that is not much worse, the whole graph is solved from there, and the lower J counts.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 
-from ..checks import check_choice
-from ..edges import ObservationEdges
-from ..errors import GraphError
+import numpy as np
+
+from ..edges import ObservationEdges, PartialEdges, RelativePoseEdges, SightingEdges
+from ..errors import GraphError, check_choice
 from ..graph import Graph
-from ..localization import registered
-from ..placing import into_world
-from ..se2 import Array
-from ..transform import coarse, filled, with_cartesian_sightings, without_landmarks, without_positions
-from .gauss_newton import gauss_newton
-from .initial_values import dead_reckoning, place_landmarks, rotation_first
-from .iteration import Run
-from .mirror_images import grown_from_single_numbers
-from .sequential_start import sequential_start
+from ..graph.defaults import into_world
+from ..graph.localization import registered
+from ..graph.transform import (
+    coarse,
+    filled,
+    first_poses,
+    of_nodes,
+    with_cartesian_sightings,
+    without_landmarks,
+    without_positions,
+)
+from ..graph.trilateration import Places, places_of
+from ..se2 import Array, compose
+from .iteration import Run, gauss_newton, levenberg_marquardt
+from .starts import dead_reckoning, place_landmarks, rotation_first, sequential_start
+
+#: other places of a landmark are tried at the end when J there, on the same trajectory, is higher by at most this much
+TRIED = 200.0
+#: places whose J differs by less than this from the lowest are named: the odds are below 1000
+DOUBTED = 2 * np.log(1000.0)
+#: other places of all landmarks are tried at most so many times
+SWEEPS = 5
+#: a landmark that ends nearer to its place than this part of the way to the other one has come back
+BACK = 0.1
+#: the poses of the first graph, and how much larger the next one is
+FIRST, GROWTH = 10, 1.25
+
+
+def partial_edges(graph: Graph) -> list[PartialEdges]:
+    """The edges of ranges and bearings alone."""
+    return [family for family in graph.families if isinstance(family, PartialEdges)]
+
+
+def grown_from_single_numbers(graph: Graph) -> Array:
+    """The state (n, 3) at which the growing graph ends; see the module.
+
+    Raises:
+        GraphError: the graph has no ranges or bearings alone, or no motion edges from pose to pose.
+    """
+    if not partial_edges(graph):
+        raise GraphError("there are no ranges or bearings alone")
+    motions = next(
+        (f for f in graph.families if type(f) is RelativePoseEdges and f.count == len(graph.steps) - 1), None
+    )
+    if motions is None:
+        raise GraphError("ranges and bearings alone need motion edges from every pose to the next")
+    poses, state = len(graph.steps), graph.initial.copy()
+    placed = set(_seen_whole(graph))
+    count = min(FIRST, poses)
+    while True:
+        for node, found in _all_places(graph, state, count, placed):
+            if found.clear or (count == poses and len(found.places)):
+                state[node, :2] = found.places[0]
+                placed.add(node)
+        piece, nodes = first_poses(graph, count)
+        used = (nodes < poses) | np.isin(nodes, list(placed))
+        piece, kept = of_nodes(piece, used)
+        state[nodes[kept]] = _solved(piece, state[nodes[kept]])
+        if count == poses:
+            break
+        larger = min(max(count + 3, int(count * GROWTH)), poses)
+        for t in range(count, larger):
+            # the motion edges lead on from the last pose
+            state[t] = compose(state[t - 1], motions.measured[t - 1])
+        count = larger
+    return _with_lowest_images(graph, state)
+
+
+def _with_lowest_images(graph: Graph, state: Array) -> Array:
+    """The lowest state that is reached from other places of landmarks, until none is lower, or `SWEEPS` times."""
+    lowest = graph.cost(state)
+    for _ in range(SWEEPS):
+        before = lowest
+        for places in _other_images(graph, state):
+            with suppress(GraphError):
+                # an earlier landmark may have changed the state
+                other = _solved(graph, _with_places(state, places))
+                if (cost := graph.cost(other)) < lowest - 1e-9 * abs(lowest):
+                    state, lowest = other, cost
+        if lowest == before:
+            break
+    return state
+
+
+def doubtful_images(graph: Graph, state: Array) -> dict[int, float]:
+    """{id: odds} of the landmarks for which another place, with the whole graph solved anew, is nearly as likely.
+
+    The odds exp((J' - J) / 2) of the present place, at most 1000; Gaussian noise is assumed.
+    """
+    lowest, doubtful = graph.cost(state), dict[int, float]()
+    for places in _other_images(graph, state):
+        with suppress(GraphError):
+            other = _solved(graph, _with_places(state, places))
+            higher = max(graph.cost(other) - lowest, 0.0)
+            for node, place in places.items() if higher < DOUBTED else ():
+                tried, moved = (np.hypot(*(each - state[node, :2])) for each in (place, other[node, :2]))
+                if moved > BACK * tried:
+                    j = int(graph.landmark_ids[node - len(graph.steps)])
+                    doubtful[j] = min(doubtful.get(j, np.inf), float(np.exp(higher / 2)))
+    return doubtful
+
+
+def image_notes(graph: Graph, state: Array) -> tuple[str, ...]:
+    """A sentence for each landmark that may as well be elsewhere; see `doubtful_images`."""
+    return tuple(
+        f"landmark {j} may be elsewhere, such as in its mirror image: the odds for this place are {odds:.3g} to 1"
+        for j, odds in doubtful_images(graph, state).items()
+    )
+
+
+def _other_images(graph: Graph, state: Array) -> Iterator[dict[int, Array]]:
+    """Other places {node: (2,)} that are not much worse on the same trajectory: of one landmark each, then of all at once.
+
+    A straight way has a mirror image as a whole, in which single landmarks would contradict the others.
+    """
+    together: dict[int, Array] = {}
+    for node, found in _all_places(graph, state, len(graph.steps), set(_seen_whole(graph))):
+        here = int(np.argmin(np.hypot(*(found.places - state[node, :2]).T))) if len(found.places) else 0
+        for k, cost in enumerate(found.costs):
+            if k != here and cost - found.costs[0] < TRIED:
+                together.setdefault(node, found.places[k])
+                yield {node: found.places[k]}
+    if len(together) > 1:
+        yield together
+
+
+def _with_places(state: Array, places: dict[int, Array]) -> Array:
+    changed = state.copy()
+    for node, place in places.items():
+        changed[node, :2] = place
+    return changed
+
+
+def _seen_whole(graph: Graph) -> list[int]:
+    """The landmark nodes that have whole sightings, or are given by a map."""
+    seen = [f.second for f in graph.families if isinstance(f, SightingEdges) and hasattr(f, "second")]
+    return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *seen, graph.mapped])).tolist()
+
+
+def _solved(graph: Graph, start: Array) -> Array:
+    run = Run(start.copy(), tolerance=1e-4 * len(graph.steps) ** 0.5, max_iterations=40)
+    levenberg_marquardt(graph, run)
+    return run.state
+
+
+def _all_places(graph: Graph, state: Array, count: int, but: set[int]) -> Iterator[tuple[int, Places]]:
+    """The places of the landmarks from their single numbers seen by the first poses, except for some landmarks."""
+    families = partial_edges(graph)
+    for node in sorted(set(np.concatenate([family.second for family in families]).tolist()) - but):
+        rows = [(family, np.flatnonzero((family.second == node) & (family.first < count))) for family in families]
+        yield node, places_of([(f, r) for f, r in rows if len(r)], state)
+
 
 #: the choices of the option ``initialize``
 INITIALIZE = ("given", "dead-reckoning", "rotation-first", "grow", "auto")

@@ -1,20 +1,92 @@
-"""An iteration Omega Delta = xi, x <- x + Delta: its rules and its end. The engine iterates (``engine/**/solve``)."""
+"""An iteration Omega Delta = xi, x <- x + Delta: its rules and its end. The engine iterates (``engine/**/solve``).
+
+Graphs in the form in which the iterations of the engine take them.
+
+Gauss-Newton: solve Omega Delta = xi, move by Delta, repeat.
+
+Levenberg-Marquardt: damped Gauss-Newton steps, of which only those that lower J are taken.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from ..diagnosis import undetermined
+from ..edges import EdgeFamily
+from ..edges.base import EngineEdges
 from ..engine import engine
 from ..graph import Graph
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..se2 import Array
-from .objective import objective_of
+from .corrected import undetermined
+
+
+def objective_of(graph: Any) -> Any:
+    """The objective of a `Graph`, or of another object that has ``linearize``, ``cost`` and a ``system`` as a graph does."""
+    objective = _of_graph(graph) if isinstance(graph, Graph) else engine.PythonObjective(_InPython(graph))
+    objective.state_dependent, objective.reweighted = graph.state_dependent_information, graph.reweighted
+    return objective
+
+
+def _of_graph(graph: Graph) -> Any:
+    system, fixed = graph.system, np.ascontiguousarray(graph.fixed, dtype=np.int64)
+    families = tuple(_in_engine(family, graph) for family in graph.families)
+    pairs = tuple(family.blocks(system) if _is_of_engine(family) else _NONE for family in graph.families)
+    held = (system.blocks_of(fixed) if len(fixed) else _NONE, fixed, graph.without_heading)
+    return engine.GraphObjective((families, pairs, system.arrays, held, system.factor_in_engine), graph.prior_cost)
+
+
+_NONE = np.zeros(0, dtype=np.int64)
+
+
+def _is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
+    """Whether the engine computes the sums of a family: it is of the engine, and no derived class has sums of its own."""
+    return isinstance(family, EngineEdges) and type(family).accumulate is EngineEdges.accumulate
+
+
+def _in_engine(family: EdgeFamily, graph: Graph) -> Any:
+    if _is_of_engine(family):
+        return family.in_engine
+    return engine.PythonFamily(_accumulate(family, graph.system), graph.initial.size)
+
+
+def _accumulate(family: EdgeFamily, system: BlockSystem) -> Callable[[Array, Array, bool], float]:
+    """`EdgeFamily.accumulate` of a family that is written in NumPy."""
+    return lambda state, reference, add: family.accumulate(state, reference, system if add else None)
+
+
+class _InPython:
+    """The interface of the engine to an objective that is written in Python."""
+
+    def __init__(self, graph: Any) -> None:
+        self._graph = graph
+        self._system: Any = None
+        self._factor: Any = None
+
+    def linearize(self, state: Array, reference: Array) -> float:
+        self._system, cost = self._graph.linearize(state, reference)
+        return cost
+
+    def cost(self, state: Array, reference: Array) -> float:
+        return self._graph.cost(state, reference)
+
+    def factorize(self, damping: float) -> None:
+        self._factor = self._system.factorize(damping)
+
+    def solve(self) -> Array:
+        return self._factor.solve(self._system.xi)
+
+    @property
+    def xi(self) -> Array:
+        return self._system.xi
+
+    def diagonal(self) -> Array:
+        return self._system.diagonal()
+
 
 #: a step shorter than the tolerance ends an iteration only where it promises to lower J by less than this part of it,
 #: or less than the tolerance itself where that is greater: a rough tolerance asks for a rough end
@@ -117,3 +189,46 @@ def factorized(graph: Graph, state: Array, damping: float = 0.0) -> Factor:
         return graph.system.factorize(damping)
     except FactorizationError as error:
         raise undetermined(graph, state, error) from None
+
+
+#: After a plain step that lowers J by at most this part of it, Omega hardly changes: the next step uses the same factor,
+#: unless the gain that it predicts, or the square of its length, is more than a tenth of that of the step before it
+KEPT = 0.01
+
+
+def gauss_newton(graph: Graph, run: Run) -> None:
+    """Iterate x <- x + Omega^-1 xi with Omega = sum B' Omega_e B and xi = - sum B' Omega_e e, until ``run`` stops.
+
+    Plain steps converge slowly where information, or a kernel's weights, are re-evaluated at every step; there the
+    iterates are mixed (Anderson acceleration). They also converge slowly, or oscillate, where residuals are large, because
+    Omega leaves out the second derivatives of the residuals; the iterates are therefore mixed after eight plain steps in any
+    case. Where neither the lowest J nor the shortest step improves for ten steps, damped steps lead on from the best state
+    (`levenberg_marquardt`). They converge slowly, too, so that after twenty of them undamped ones follow.
+
+    Raises:
+        GraphError: the edges do not determine the nodes.
+
+    Source: the lectures, section 9.1; Nocedal and Wright, *Numerical Optimization*, section 10.3.
+    """
+    iterate(graph, run, engine.gauss_newton, KEPT)
+
+
+def levenberg_marquardt(graph: Graph, run: Run) -> None:
+    """Iterate (Omega + lambda diag(Omega)) Delta = xi, with lambda chosen so that J falls, until ``run`` stops.
+
+    The end counts as converged only where an undamped step confirms it: beside very large entries of Omega (a pose on a
+    landmark) even the smallest damping hides the other directions.
+
+    lambda is Marquardt's damping by the diagonal, updated by Nielsen's rule from the gain, the actual decrease of J
+    divided by the predicted one.
+
+    Raises:
+        GraphError: the edges do not determine the nodes.
+
+    Source: Madsen, Nielsen and Tingleff, *Methods for non-linear least squares problems* (2004), section 3.2.
+    """
+
+    def search(objective: Any, inside: Any) -> None:
+        engine.levenberg_marquardt(objective, inside, run.max_iterations)
+
+    iterate(graph, run, search, 0.0)

@@ -1,22 +1,119 @@
-"""Least squares from the best start: choose a start, iterate by Gauss-Newton or Levenberg-Marquardt, return a `Solution`."""
+"""Least squares from the best start: choose a start, iterate by Gauss-Newton or Levenberg-Marquardt, return a `Solution`.
+
+Graphs with parameters of vehicle and sensor: first the nodes at the given parameters, then both together.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
 from math import isfinite
 from typing import Any
 
+import numpy as np
+
+from ..errors import GraphError, SlamError
 from ..graph import Graph
-from ..se2 import Array
-from ..solution import Solution, make_solution
+from ..se2 import Array, wrap
 from .auto import best_end
-from .gauss_newton import gauss_newton
-from .initialize import starting_state
-from .iteration import Iteration, Run
-from .levenberg_marquardt import levenberg_marquardt
-from .mirror_images import image_notes, partial_edges
-from .with_parameters import FIRST, best_of_starts, solve_jointly
+from .corrected import corrected, finished
+from .initialize import image_notes, partial_edges, starting_state
+from .iteration import Iteration, Run, gauss_newton, levenberg_marquardt
+from .joint import JointGraph, check_observable
+from .solution import Solution, make_solution
+
+#: the nodes are first solved to this tolerance, at the given parameters
+FIRST = 1e-4
+#: the parameters that are angles, and what is added to them for other starts: a sensor may be mounted backwards or sideways
+ANGLES, TURNS = ("bearing_bias",), (np.pi, np.pi / 2, -np.pi / 2)
+#: the further ones where J is beyond so many times the expected one with all of these
+OBLIQUE, DOUBTFUL = (np.pi / 4, -np.pi / 4, 3 * np.pi / 4, -3 * np.pi / 4), 3.0
+
+
+def without_parameters(graph: Graph) -> Graph:
+    """The same graph with its parameters held at their values."""
+    return replace(graph, parameters=None)
+
+
+def best_of_starts(
+    graph: Graph, solved: Callable[[Graph], Array], jointly: Callable[[Graph, Array], tuple[Graph, Run]]
+) -> tuple[Graph, Run]:
+    """The graph at the estimated parameters and its run, the lowest one among some starts of the parameters.
+
+    The cost has other minima about a part of a turn of an angle away. So the nodes are also solved at other values of the
+    angles, and where their J is below that at the given values, nodes and parameters are solved from there, too.
+
+    Args:
+        graph: with parameters.
+        solved: the nodes (n, 3) of a graph without parameters, solved roughly.
+        jointly: nodes and parameters, solved from a graph at the start of its parameters and its nodes (n, 3).
+
+    Raises:
+        GraphError: the log does not determine the nodes or the parameters.
+    """
+    assert graph.parameters is not None
+    names, values = graph.parameters.names, graph.parameters.values
+    first = solved(without_parameters(graph))
+    starts = [(graph, first)]
+    lowest = graph.cost(first)
+    for name, turn in product(ANGLES, (*TURNS, *OBLIQUE)):
+        if name not in names or (turn in OBLIQUE and lowest <= DOUBTFUL * graph.expected_cost):
+            continue
+        changed = values.copy()
+        changed[names.index(name)] = wrap(changed[names.index(name)] + turn)
+        there = corrected(graph, changed, first)
+        try:
+            nodes = solved(without_parameters(there))
+        except GraphError:
+            continue
+        if (cost := there.cost(nodes)) < lowest:
+            starts[1:], lowest = [(there, nodes)], cost
+    ends: list[tuple[Graph, Run]] = []
+    error: SlamError | None = None
+    for start, nodes in starts:
+        try:
+            ends.append(jointly(start, nodes))
+        except SlamError as failure:
+            # a wrong start may take a range below zero, or leave a parameter undetermined
+            error = error or failure
+    if not ends:
+        assert error is not None
+        raise error
+    return min(ends, key=lambda end: (not end[1].converged, end[0].cost(end[1].state)))
+
+
+def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run], None], run: Run) -> Graph:
+    """Nodes and parameters together, from nodes (n, 3); the end of ``run`` becomes that of the nodes.
+
+    Args:
+        graph: with parameters.
+        start: (n, 3) the nodes solved at the given parameters.
+        search: an iteration of `graphslam.solvers`.
+        run: its rules; the state is replaced.
+
+    Returns:
+        The graph at the estimated parameters.
+
+    Raises:
+        GraphError: the log does not determine the parameters.
+        LogError: an estimated parameter takes a range below zero.
+    """
+    joint = JointGraph(graph.with_initial(start))
+    check_observable(joint, start, joint.parameters.values)
+    run.state = joint.joined(start, joint.parameters.values)
+    report = run.callback
+    if report is not None:
+        callback = report
+        run.callback = lambda step: callback(replace(step, state=joint.parted(step.state)[0]))
+    search(joint, run)
+    nodes, values = joint.parted(run.state)
+    if np.isfinite(run.state).all():
+        check_observable(joint, nodes, values)
+    run.state = nodes.copy()
+    return finished(graph, values, nodes)
+
 
 METHODS: dict[str, Callable[[Any, Run], Any]] = {
     "gauss-newton": gauss_newton,

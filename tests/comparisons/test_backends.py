@@ -2,9 +2,15 @@ import math
 
 import pytest
 
-from comparisons.backends import BACKENDS, BackendComparison, BackendRow, compare_backends
-from comparisons.peers import information_of_g2o, native_gtsam_graph
 from comparisons.show.tables import as_text
+from comparisons.studies.backends import (
+    BACKENDS,
+    BackendComparison,
+    BackendRow,
+    compare_backends,
+    information_of_g2o,
+    native_gtsam_graph,
+)
 from graphslam import Graph, GraphError, OptionError, solve
 
 TRIANGLE = """VERTEX_SE2 0 0 0 0

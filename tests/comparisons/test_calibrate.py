@@ -15,10 +15,10 @@ from typer.testing import Result
 
 from comparisons import run
 from comparisons.cli.run import _noise_advice
-from comparisons.config import read_config
-from comparisons.noise_files import read_noise, write_noise
+from comparisons.estimators.config import read_config
 from comparisons.options import NoiseOptions, RunOptions
-from comparisons.reading import prepare
+from comparisons.options.reading import prepare
+from comparisons.options.toml_files import read_noise, write_noise
 from graphslam import (
     Drive,
     FormatError,
@@ -34,8 +34,8 @@ from graphslam import (
     simulate,
 )
 from graphslam.calibration import Calibration, calibrate
+from graphslam.identification.declared import CORRECTIONS
 from graphslam.log import UNIDENTIFIED
-from graphslam.parameters.declared import CORRECTIONS
 
 Invoke = Callable[..., Result]
 

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import Result
 
 import graphslam.log
-from comparisons import solvers
 from comparisons.cli import app
+from comparisons.studies import solvers
 from graphslam import Log, save, simulate
 
 QUICK = ["--estimators", "dead-reckoning,graph"]

@@ -13,8 +13,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from comparisons.cli import app
-from comparisons.studies.cluster import check_answers
 from comparisons.studies.database import StudyDatabase
+from comparisons.studies.sweep import check_answers
 from graphslam import OptionError
 
 STUDY = """\

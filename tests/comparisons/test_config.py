@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from typer.testing import Result
 
-from comparisons.config import config_text, read_config
+from comparisons.estimators.config import config_text, read_config
 from comparisons.options import RunOptions
 from graphslam import FormatError, MotionModel, SensorModel, save, simulate
 

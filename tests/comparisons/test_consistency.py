@@ -7,7 +7,7 @@ import pytest
 from error_rates import bound, chi_square_bounds
 from scipy.stats import chi2
 
-from comparisons.consistency import Consistency, band, models, study_consistency
+from comparisons.studies.consistency import Consistency, band, models, study_consistency
 from graphslam import Graph, MotionModel, OptionError, SensorModel, simulate, solve
 from graphslam.metrics import pose_nees
 from graphslam.se2 import wrap

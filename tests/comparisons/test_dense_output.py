@@ -9,14 +9,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from comparisons.comparison import Comparison, run
-from comparisons.overview import inspect_log
+from comparisons.importing import inspect_log
+from comparisons.show.canvas import colour_of, placement_of_result
 from comparisons.show.figures import comparison_figure
 from comparisons.show.films import animate
-from comparisons.show.placement import placement_of_result
+from comparisons.show.log_tables import plan
 from comparisons.show.report import paths
 from comparisons.show.report.view import view_of
-from comparisons.show.style import colour_of
-from comparisons.show.text_plots import plan
 from graphslam import Log, MotionModel, control_path, save, simulate
 from graphslam.se2 import compose
 

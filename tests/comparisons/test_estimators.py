@@ -6,28 +6,13 @@ import numpy as np
 import pytest
 
 from comparisons.comparison import compare
-from comparisons.documents import parameters_document
-from comparisons.estimators import (
-    ESTIMATORS,
-    Estimator,
-    default_estimators,
-    make_graph,
-    pair_count,
-)
+from comparisons.estimators import ESTIMATORS, Estimator, default_estimators, make_graph, pair_count
 from comparisons.options import RunOptions
+from comparisons.results.documents import parameters_document
 from comparisons.show.tables import as_text
-from graphslam import (
-    Log,
-    MotionModel,
-    OptionError,
-    SensorModel,
-    SlamError,
-    simulate,
-    solve,
-    textbook,
-)
-from graphslam.defaults import suitable_edges
+from graphslam import Log, MotionModel, OptionError, SensorModel, SlamError, simulate, solve, textbook
 from graphslam.graph import EDGES
+from graphslam.graph.defaults import suitable_edges
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 import comparisons
 from comparisons.cli import make_app
-from comparisons.exchange import tum_text
+from comparisons.results.exchange import tum_text
 from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics, sample_log_path, save, simulate
-from graphslam.map_files import COVARIANCE, UPPER
+from graphslam.io.map_files import COVARIANCE, UPPER
 from graphslam.se2 import compose
 
 TIMES = 100.0 + 0.1 * np.arange(200)

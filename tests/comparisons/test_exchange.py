@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import comparisons
-from comparisons.exchange import tum_text
+from comparisons.results.exchange import tum_text
 from graphslam import Graph, OptionError, simulate, solve
-from graphslam.map_files import map_text
+from graphslam.io.map_files import map_text
 
 
 @pytest.fixture(scope="module")

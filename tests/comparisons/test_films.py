@@ -18,25 +18,14 @@ from typer.testing import CliRunner
 
 from comparisons.cli import app
 from comparisons.estimators import make_graph
-from comparisons.filters import particle_filter
-from comparisons.option import options_of
+from comparisons.estimators.filters import particle_filter
 from comparisons.options import AnimationOptions, RunOptions
-from comparisons.show.ellipses import ellipses
+from comparisons.options.option import options_of
+from comparisons.show.figures import ellipses
 from comparisons.show.films import Film, animate
-from comparisons.show.films.film import kept
-from comparisons.show.films.residuals import Residuals
+from comparisons.show.films.scene import Residuals, kept
 from fastslam import ParticleGibbs
-from graphslam import (
-    GraphError,
-    Log,
-    LogError,
-    OptionError,
-    SlamError,
-    save,
-    simulate,
-    solve,
-    solve_online,
-)
+from graphslam import GraphError, Log, LogError, OptionError, SlamError, save, simulate, solve, solve_online
 from graphslam.se2 import wrap
 
 FEW = {"particles": 30, "seed": 4, "gibbs_iterations": 12, "gibbs_warm_up": 4, "gibbs_particles": 5, "gibbs_chains": 2}
@@ -92,7 +81,7 @@ def test_distances_add_up_to_the_cost(log: Log, options: dict[str, str]) -> None
 def test_thinned_edges_keep_their_distances(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     graph = make_graph(log, RunOptions(weight="tempered"))
     _, every = Residuals(graph)(graph.initial)
-    monkeypatch.setattr("comparisons.show.films.residuals.MOST_EDGES", 20)
+    monkeypatch.setattr("comparisons.show.films.scene.MOST_EDGES", 20)
     thinned = Residuals(graph)
     _, some = thinned(graph.initial)
     assert thinned.drawn == len(some) < thinned.count == len(every)

@@ -11,7 +11,7 @@ import comparisons
 from comparisons.cli import app
 from comparisons.cli.output import Output
 from comparisons.options import RunOptions
-from comparisons.show.text_plots import bars, pictures, plan
+from comparisons.show.log_tables import bars, pictures, plan
 from graphslam import OptionError, load, sample_log_path, simulate
 
 

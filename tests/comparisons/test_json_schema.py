@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from comparisons.cli import app
-from comparisons.documents import DOCUMENTS, SimulateDocument, document
+from comparisons.results.documents import DOCUMENTS, SimulateDocument, document
 from graphslam import load
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-import fastslam.memory
-from comparisons.memory import announce_memory
+import fastslam.options
+from comparisons.estimators.filters import announce_memory
 from comparisons.options import RunOptions
-from comparisons.particles import study_particles
+from comparisons.studies.particles import study_particles
 from comparisons.studies.sweep import sweep
 from fastslam import FastSLAM1, FilterOptions, MonteCarloLocalization
-from fastslam.memory import available_memory, forecast
+from fastslam.options import available_memory, forecast
 from graphslam import Log, OptionError, simulate
 
 
@@ -29,7 +29,7 @@ def test_the_forecast_holds() -> None:
         import re
         from pathlib import Path
         from fastslam import FastSLAM1, FilterOptions
-        from fastslam.memory import forecast
+        from fastslam.options import forecast
         from graphslam import simulate
         def peak():
             return 1024 * int(re.search(r"VmHWM:\\s*(\\d+) kB", Path("/proc/self/status").read_text())[1])
@@ -63,7 +63,7 @@ def test_what_cannot_fit_is_refused_before_it_starts(log: Log, monkeypatch: pyte
     assert there is None or there > 1e6
     with pytest.raises(OptionError, match="particles must be at most"):
         FastSLAM1(log, particles=10**11)
-    monkeypatch.setattr(fastslam.memory, "available_memory", lambda: 1e9)
+    monkeypatch.setattr(fastslam.options, "available_memory", lambda: 1e9)
     with pytest.raises(
         OptionError, match=r"2,000,000 particles on simulated need .* GB of memory, and 1 GB are available; take"
     ):
@@ -76,7 +76,7 @@ def test_what_cannot_fit_is_refused_before_it_starts(log: Log, monkeypatch: pyte
 
 def test_much_memory_is_announced(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr("comparisons.memory.available_memory", lambda: 10e9)
+    monkeypatch.setattr("comparisons.estimators.filters.available_memory", lambda: 10e9)
     large = RunOptions.of(particles=1_000_000)
     announce_memory([("graph", log, large), ("fastslam1", log, RunOptions.of())], said.append)
     assert said == []
@@ -95,9 +95,9 @@ def test_a_sweep_says_what_its_largest_run_needs(tmp_path, monkeypatch: pytest.M
         'estimators = ["fastslam1"]\nseeds = 2\n[simulate]\nsteps = 3\nlandmarks = 2\n[options]\nparticles = 3000000\n'
     )
     said: list[str] = []
-    monkeypatch.setattr("fastslam.memory.available_memory", lambda: 1e9)
+    monkeypatch.setattr("fastslam.options.available_memory", lambda: 1e9)
     assert sweep(study, jobs=0, announce=said.append).failed == 2
     assert said[0].startswith("fastslam1 with 3,000,000 particles on book needs")
-    monkeypatch.setattr("comparisons.memory.available_memory", lambda: 2.5e9)
+    monkeypatch.setattr("comparisons.estimators.filters.available_memory", lambda: 2.5e9)
     with pytest.raises(OptionError, match="2 runs at a time .* use --jobs 1"):
         sweep(study, jobs=2, retry=True)

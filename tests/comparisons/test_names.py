@@ -12,16 +12,16 @@ import pytest
 from click.testing import Result
 
 import comparisons
-from comparisons.config import read_config
-from comparisons.saving import json_text
+from comparisons.estimators.config import read_config
+from comparisons.options.toml_files import to_toml
+from comparisons.results.saving import json_text
 from comparisons.show.canvas import as_text, paper_figure
 from comparisons.show.tables import as_html
 from comparisons.show.tables import as_text as table_text
-from comparisons.studies.export import write_csv, write_json_lines
-from comparisons.toml_files import to_toml
+from comparisons.studies.summary import write_csv, write_json_lines
 from graphslam import Graph, Log, LogError, OptionError, SlamError, load, save, simulate
 from graphslam.errors import printable
-from graphslam.relative import relative_graph
+from graphslam.graph.transform import relative_graph
 
 NAMES = ["$$", "a$x^{$b", r"\$", "$\\frac{", "=1+1", "@SUM(1)", "[red]x[/blue]", "<script>alert(1)</script>", "a\x1b[31mb",
          "x\ny", "\udcff\udcfe", "%s{0}", "_hidden", "\u202eleft", "ü日本"]  # fmt: skip

@@ -13,19 +13,27 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from comparisons import run
-from comparisons.backends import BackendComparison, BackendRow
 from comparisons.comparison import Comparison
-from comparisons.consistency import Consistency, ConsistencyStudy
 from comparisons.display import Displayed
-from comparisons.particles import ParticleRun, ParticleStudy
 from comparisons.results import EstimatorResult
-from comparisons.show.canvas import save_figure
-from comparisons.show.ellipses import CORNERS, ellipses
-from comparisons.show.figures import comparison_figure
-from comparisons.show.placement import place_map, placement_of, reference_of, true_landmarks
+from comparisons.show.canvas import (
+    BACKENDS,
+    CONSISTENCY,
+    ESTIMATORS,
+    colour_of,
+    place_map,
+    placement_of,
+    reference_of,
+    save_figure,
+    style_of,
+    true_landmarks,
+)
+from comparisons.show.figures import CORNERS, comparison_figure, ellipses
 from comparisons.show.study_figures import study_figure
-from comparisons.show.style import BACKENDS, CONSISTENCY, ESTIMATORS, colour_of, style_of
 from comparisons.show.tables import RESULTS
+from comparisons.studies.backends import BackendComparison, BackendRow
+from comparisons.studies.consistency import Consistency, ConsistencyStudy
+from comparisons.studies.particles import ParticleRun, ParticleStudy
 from comparisons.studies.summary import Summary
 from graphslam import FormatError, Log, OptionError, simulate
 from graphslam.se2 import compose
@@ -216,16 +224,9 @@ def test_an_unknown_estimator_gets_a_style_of_its_own() -> None:
 
 
 def test_every_class_of_results_has_a_renderer() -> None:
-    from comparisons import (  # noqa: F401
-        backends,
-        consistency,
-        datasets,
-        evaluation,
-        importing,
-        overview,
-        particles,
-        solvers,
-    )  # fmt: skip
+    from comparisons.studies import (
+        backends,  # noqa: F401
+    )
 
     kinds = {kind.__name__ for kind in Displayed.__subclasses__()}
     assert kinds | {"Calibration"} == set(RESULTS)

@@ -6,8 +6,7 @@ from typer.testing import CliRunner
 
 import comparisons
 from comparisons.cli import app
-from comparisons.recordings.mcap_file import write_mcap
-from comparisons.recordings.rerun_file import write_rerun
+from comparisons.show.recordings import write_mcap, write_rerun
 from graphslam import load, sample_log_path
 
 
@@ -82,7 +81,7 @@ def test_paths_truth_and_frames_of_mcap(comparison, messages):
 
 
 def test_our_own_reader_opens_it(comparison, tmp_path):
-    from graphslam.bags.read import topics_of
+    from graphslam.io.bag_drive import topics_of
 
     write_mcap(comparison, tmp_path / "out.mcap")
     counts = {each.topic.name: each.topic.count for each in topics_of(tmp_path / "out.mcap")}

@@ -17,12 +17,11 @@ from comparisons.cli import app
 from comparisons.comparison import Comparison
 from comparisons.estimators import make_graph
 from comparisons.results import EstimatorResult, dead_reckoning_covariances
-from comparisons.show.report import matrix, page, paths
-from comparisons.show.report.convergence import iterations, plain_steps
-from comparisons.show.report.curves import convergence_figure, costs_figure, errors_figure
+from comparisons.show.report import matches as matrix
+from comparisons.show.report import page, paths
+from comparisons.show.report.curves import convergence_figure, costs_figure, errors_figure, iterations, plain_steps
 from comparisons.show.report.page import page_of, write_report
-from comparisons.show.report.traces import dash_of
-from comparisons.show.report.view import view_of
+from comparisons.show.report.view import dash_of, view_of
 from graphslam import Graph, Log, MotionModel, OptionError, SlamError, save, simulate, solve, textbook
 from graphslam.linear.cholesky import analyze
 from graphslam.log import UNIDENTIFIED
@@ -349,7 +348,7 @@ def test_long_logs_are_thinned_and_the_page_mentions_it() -> None:
 
 
 def test_too_many_pairs_are_left_out_with_a_reason(log: Log, comparison: Comparison, monkeypatch: Any) -> None:
-    monkeypatch.setattr("comparisons.show.report.convergence.MOST_PAIRS", 3)
+    monkeypatch.setattr("comparisons.show.report.curves.MOST_PAIRS", 3)
     with pytest.raises(SlamError, match="pairs of sightings"):
         iterations(log, comparison.options)
     assert "pairs of sightings, more than" in Elements(page_of(comparison)).text

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons import estimators
-from comparisons.attempt import Skipped
 from comparisons.comparison import Comparison, run
-from comparisons.config import read_config
-from comparisons.estimators import Estimator
+from comparisons.estimators import Estimator, estimators
+from comparisons.estimators.attempt import Skipped
+from comparisons.estimators.config import read_config
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
 from comparisons.show.report.page import page_of
@@ -250,7 +249,7 @@ def test_covariances_that_fail_are_a_note(log: Log, monkeypatch: pytest.MonkeyPa
     def singular(*_: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("graphslam.solution.Uncertainty", singular)
+    monkeypatch.setattr("graphslam.solvers.solution.Uncertainty", singular)
     outcome = run(log, estimators=["dead-reckoning", "graph"], edges="landmark+motion")
     assert outcome.metrics["graph"].ate_m is not None
     assert outcome["graph"].landmark_covariances == {}
@@ -330,8 +329,8 @@ def test_an_export_that_fails_is_a_note(
     def fails(*_: object, **__: object) -> str:
         raise ValueError("too large")
 
-    monkeypatch.setattr("comparisons.exchange.relative_graph", fails)
-    monkeypatch.setattr("comparisons.exchange.map_text", fails)
+    monkeypatch.setattr("comparisons.results.exchange.relative_graph", fails)
+    monkeypatch.setattr("comparisons.results.exchange.map_text", fails)
     files = comparison.save(tmp_path / "out", figures=())
     assert "graph.tum" in files
     assert "there is no graph.g2o: ValueError: too large" in files.notes

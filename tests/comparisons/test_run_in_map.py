@@ -13,7 +13,7 @@ from typer.testing import Result
 import comparisons
 from graphslam import Drive, Graph, LandmarkMap, Log, MotionModel, SensorModel, save, simulate, solve
 from graphslam.se2 import between, wrap
-from graphslam.uncertainty import Uncertainty
+from graphslam.solvers.uncertainty import Uncertainty
 
 Invoke = Callable[..., Result]
 IN_MAP = ["graph", "gtsam", "mcl", "fastslam1", "fastslam2", "dead-reckoning"]

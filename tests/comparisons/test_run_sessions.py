@@ -12,7 +12,7 @@ from typer.testing import Result
 
 import comparisons
 from graphslam import Graph, Log, MotionModel, SensorModel, join_logs, load, save, simulate, solve
-from graphslam.keyframes import with_poses_every
+from graphslam.log.continuous_time import with_poses_every
 from graphslam.metrics import ate
 from graphslam.se2 import between
 from graphslam.sessions import with_common_noise

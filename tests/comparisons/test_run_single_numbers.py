@@ -11,7 +11,7 @@ import pytest
 from typer.testing import Result
 
 from graphslam import Graph, load, solve
-from graphslam.simulation.single_numbers import simulate_single_numbers
+from graphslam.simulation.worlds import simulate_single_numbers
 
 Invoke = Callable[..., Result]
 NOISE = ("--range-std", 0.1, "--range-rate", 0, "--bearing-std", 0.02, "--nn", 0.03, "--on", 0.01, "--oo", 0.03)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.saving import (
+from comparisons.results.saving import (
     check_can_make,
     check_can_write,
     fill_whole,

@@ -7,8 +7,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from comparisons import solvers
-from comparisons.solvers import SkippedVariant, compare_solutions, compare_solvers, variants
+from comparisons.studies import solvers
+from comparisons.studies.solvers import SkippedVariant, compare_solutions, compare_solvers, variants
 from graphslam import Graph, GraphError, Log, OptionError, Solution, sample_log_path, simulate, solve
 
 PROMISED = {"name", "pose_difference", "cost_difference", "iterations", "gtsam_iterations", "seconds", "gtsam_seconds"}

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from comparisons.studies.cluster import check_answers
 from comparisons.studies.database import StudyDatabase
 from comparisons.studies.plan import read_study
-from comparisons.studies.sweep import sweep
+from comparisons.studies.sweep import check_answers, sweep
 from graphslam import OptionError
 
 pytestmark = [pytest.mark.cluster, pytest.mark.slow]

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import comparisons
-from comparisons.option import options_of
 from comparisons.options import MODELS, RunOptions
-from comparisons.studies.plan import Run, read_study
-from comparisons.studies.simulated import simulated_log
+from comparisons.options.option import options_of
+from comparisons.studies.plan import Run, read_study, simulated_log
 from graphslam import FormatError, MotionModel, save, simulate
 
 ROOT = Path(__file__).parents[2]

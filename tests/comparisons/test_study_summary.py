@@ -11,12 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.bootstrap import median_of, quartiles
 from comparisons.show.study_figures import study_figure
 from comparisons.show.tables import write_latex
 from comparisons.studies.database import COLUMNS
-from comparisons.studies.export import write_csv, write_json_lines, write_summary_csv
-from comparisons.studies.summary import ALL, summarise
+from comparisons.studies.summary import (
+    ALL,
+    median_of,
+    quartiles,
+    summarise,
+    write_csv,
+    write_json_lines,
+    write_summary_csv,
+)
 from graphslam import OptionError
 
 

@@ -20,12 +20,11 @@ from pebble import ProcessExpired
 
 from comparisons.comparison import run as run_by_hand
 from comparisons.estimators import ESTIMATORS, Estimator
+from comparisons.estimators.attempt import how_it_ended, processes, results
 from comparisons.options import RunOptions
-from comparisons.pool import how_it_ended, processes, results
 from comparisons.results import EstimatorResult
 from comparisons.studies.database import COLUMNS, StudyDatabase
-from comparisons.studies.outcome import DONE, ERROR, TIMEOUT, Outcome
-from comparisons.studies.places import in_pool, pool_outcome
+from comparisons.studies.execute import DONE, ERROR, TIMEOUT, Outcome, in_pool, pool_outcome
 from comparisons.studies.plan import Study, read_study
 from comparisons.studies.sweep import SweepOutcome, sweep
 from graphslam import FormatError, Log, OptionError, SlamError, save, simulate
@@ -193,7 +192,7 @@ def test_results_come_in_order_and_a_death_is_an_error() -> None:
 def test_a_script_without_a_guard_can_use_the_pool(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(
         # more processes than tasks: some are still starting when the work is done, and must be silent then
-        "from comparisons.pool import results\nprint('once')\nprint(list(results(abs, [-1, -2], jobs=3)))\n"
+        "from comparisons.estimators.attempt import results\nprint('once')\nprint(list(results(abs, [-1, -2], jobs=3)))\n"
     )
     done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, env=ENVIRONMENT)
     assert (done.stdout, done.stderr) == ("once\n[1, 2]\n", "")

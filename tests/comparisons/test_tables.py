@@ -11,18 +11,17 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
-from comparisons.attempt import Skipped
-from comparisons.backends import BackendComparison, BackendRow
-from comparisons.bootstrap import Median
 from comparisons.comparison import Comparison, ResultTable, Row
-from comparisons.consistency import Consistency, ConsistencyStudy
 from comparisons.datasets import DATA_SETS, Found, Survey
-from comparisons.particles import ParticleRun, ParticleStudy
+from comparisons.estimators.attempt import Skipped
 from comparisons.results import EstimatorResult
 from comparisons.show.cells import LeanTable, number, seconds
 from comparisons.show.tables import as_html, as_text, tables_of
-from comparisons.solvers import SkippedVariant, SolverComparison, VariantResult
-from comparisons.studies.summary import METRICS, MethodSummary, PairedDifference, Summary
+from comparisons.studies.backends import BackendComparison, BackendRow
+from comparisons.studies.consistency import Consistency, ConsistencyStudy
+from comparisons.studies.particles import ParticleRun, ParticleStudy
+from comparisons.studies.solvers import SkippedVariant, SolverComparison, VariantResult
+from comparisons.studies.summary import METRICS, Median, MethodSummary, PairedDifference, Summary
 from graphslam import Log, MotionModel, SensorModel, simulate
 from graphslam.calibration import Calibration
 

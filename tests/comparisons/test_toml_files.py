@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from comparisons.toml_files import TomlFile, to_toml
+from comparisons.options.toml_files import TomlFile, to_toml
 from graphslam import FormatError
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]))

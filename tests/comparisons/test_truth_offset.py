@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import comparisons
-from comparisons.show.placement import placed, placement_of
+from comparisons.show.canvas import placed, placement_of
 from graphslam import Log, OptionError, calibrate, load, save, simulate
-from graphslam.formats.synchronize import Stream, synchronize
+from graphslam.io.base import Stream, synchronize
 from graphslam.metrics import ate, evaluate
 from graphslam.se2 import compose, mounted
 

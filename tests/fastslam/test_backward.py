@@ -130,7 +130,7 @@ def test_bad_options(options: dict, message: str) -> None:
 def test_it_needs_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     log = simulate(seed=1, steps=5)
     slam = FastSLAM1(log, particles=100, smoothing=10)
-    monkeypatch.setattr("fastslam.backward.available_memory", lambda: 1e4)
+    monkeypatch.setattr("fastslam.motions.available_memory", lambda: 1e4)
     with pytest.raises(
         OptionError, match=r"smoothing 100 particles over 5 steps by 10 trajectories needs .* take fewer"
     ):

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2
-from fastslam.memory import forecast
-from fastslam.options import FilterOptions
+from fastslam.options import FilterOptions, forecast
 from graphslam import Log, LogError, MotionModel, OptionError, SensorModel
 from graphslam.association import score
-from graphslam.association.classes import Classes
+from graphslam.association.problem import Classes
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import Array
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
-from fastslam.particle_filter import ParticleFilter
+from fastslam.filters.particle_filter import ParticleFilter
 from graphslam import simulate
 from graphslam.engine import engine
 

@@ -9,9 +9,9 @@ from importance_sampling import Moments, importance
 
 import comparisons
 from fastslam import GibbsOptions, GibbsResult, ParticleGibbs
+from fastslam.gibbs.chains import judge
 from fastslam.gibbs.low_rank import Target, mode
-from fastslam.gibbs.r_hat import judge
-from fastslam.sightings import Problem
+from fastslam.motions import Problem
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, simulate, solve
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap

@@ -53,5 +53,5 @@ def test_public_names_are_imported_at_first_use() -> None:
     assert set(fastslam.__all__) <= set(dir(fastslam))
     with pytest.raises(AttributeError, match="no attribute 'FastSLAM3'"):
         fastslam.FastSLAM3  # noqa: B018
-    code = "import sys, fastslam; sys.exit('fastslam.particle_filter' in sys.modules)"
+    code = "import sys, fastslam; sys.exit('fastslam.filters.particle_filter' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.particles import study_particles
+from comparisons.studies.particles import study_particles
 from graphslam import LogError, OptionError, simulate
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from fastslam import GibbsOptions
 from fastslam.gibbs.low_rank import LowRank, Target
-from fastslam.sightings import Problem
+from fastslam.motions import Problem
 from graphslam import Log, MotionModel, SensorModel, simulate
 from graphslam.engine import engine
 

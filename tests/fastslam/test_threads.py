@@ -8,7 +8,7 @@ import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
 from graphslam import OptionError, simulate
-from graphslam.threads import available_threads
+from graphslam.engine import available_threads
 
 
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2, MonteCarloLocalization])

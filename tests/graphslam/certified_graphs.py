@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from graphslam import (
-    Graph,
-)
+from graphslam import Graph
 from graphslam.edges import RelativePoseEdges
 from graphslam.se2 import between, wrap
 

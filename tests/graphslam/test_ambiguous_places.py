@@ -9,9 +9,9 @@ import pytest
 
 from graphslam import Log, MotionModel, SensorModel, associate
 from graphslam.association import score
-from graphslam.association.given_ids import agree, held, may_be_one
-from graphslam.association.hypotheses import log_density
-from graphslam.association.k_best import CandidatePairs
+from graphslam.association.ambiguity import CandidatePairs
+from graphslam.association.evidence import log_density
+from graphslam.association.problem import agree, held, may_be_one
 from graphslam.log import UNIDENTIFIED
 
 #: the landmarks of a corridor along the x axis, 8 m long

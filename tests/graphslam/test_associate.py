@@ -26,11 +26,9 @@ from graphslam import (
 )
 from graphslam.association import score
 from graphslam.association.ambiguity import readable
-from graphslam.association.densities import Densities, Field
-from graphslam.association.evidence import evidence
-from graphslam.association.geometry import differences, seen_from
-from graphslam.association.hypotheses import Candidates, log_density
-from graphslam.association.map_solution import Backbone, MapSolution
+from graphslam.association.evidence import Candidates, evidence, log_density
+from graphslam.association.map_solution import Backbone, MapSolution, differences, seen_from
+from graphslam.association.problem import Densities, Field
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
 from graphslam.log import UNIDENTIFIED

@@ -13,12 +13,12 @@ pytest.importorskip("rosbags")
 from bags import Maker, point, pose, quaternion, transform, twist
 
 from graphslam import FormatError, Graph, Log, LogError, load, solve
-from graphslam.bags.frames import Frames, rotation_of
-from graphslam.bags.paths import getter, leaves
-from graphslam.bags.read import drive_of_bag, topics_of
-from graphslam.reading import ReadOptions
-from graphslam.tables.options import TableOptions
-from graphslam.tables.recipe import Recipe
+from graphslam.io.bag_drive import drive_of_bag, topics_of
+from graphslam.io.bag_messages import Frames, rotation_of
+from graphslam.io.bag_topics import getter, leaves
+from graphslam.io.options import TableOptions
+from graphslam.io.tables import Recipe
+from graphslam.log.rows import ReadOptions
 
 _READING = ReadOptions()
 START = 1_716_000_000_123_456_789

@@ -28,11 +28,11 @@ from graphslam import (
 from graphslam.association import score
 from graphslam.calibration import Calibration
 from graphslam.calibration.variances import fit_variances, standard_errors
-from graphslam.identification.parts import motion_parts, sensor_parts
+from graphslam.identification.corrections import without_biases
+from graphslam.identification.declared import CORRECTIONS
+from graphslam.identification.odometry import motion_parts, sensor_parts
 from graphslam.identification.robot import RobotEstimate
 from graphslam.log import UNIDENTIFIED
-from graphslam.parameters.corrections import without_biases
-from graphslam.parameters.declared import CORRECTIONS
 from graphslam.simulation.drives import DriveTruth
 
 MOTION = MotionModel(nn=0.08, no=0.03, on=0.05, oo=0.1, epsilon=1e-6)

@@ -10,11 +10,10 @@ from certified_graphs import pose_graph, ring
 
 from comparisons.datasets import data_folder
 from graphslam import Graph, GraphError, MotionModel, OptionError, certify, load, sample_log_path, simulate, solve
-from graphslam.certificate import prove, prove_edges
-from graphslam.certificate.proof import _Problem
 from graphslam.edges import AnchorEdges, ConstantEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.se2 import between, compose, wrap
 from graphslam.simulation.simulator import SensorFaults
+from graphslam.solvers.certificate import _Problem, prove, prove_edges
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graphslam import (
-    MotionModel,
-    OptionError,
-    certify,
-)
+from graphslam import MotionModel, OptionError, certify
 from graphslam.se2 import between
 
 

@@ -11,14 +11,10 @@ import numpy as np
 import pytest
 from certified_graphs import pose_graph, ring
 
-from graphslam import (
-    Graph,
-    certify,
-    solve,
-)
+from graphslam import Graph, certify, solve
 from graphslam.edges import AnchorEdges, RelativePoseEdges
 from graphslam.engine import engine
-from graphslam.linear.hermitian import analyze_hermitian, factorize
+from graphslam.linear.cholesky import analyze_hermitian, factorize
 from graphslam.linear.information import BlockSystem
 
 

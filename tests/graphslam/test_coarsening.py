@@ -5,9 +5,9 @@ import pytest
 
 from graphslam import Graph, MotionModel, SensorModel, simulate, solve
 from graphslam.edges import ObservationEdges, RelativePoseEdges
+from graphslam.graph.transform import coarse, filled
 from graphslam.se2 import between, compose, wrap
 from graphslam.solvers import initialize as solver
-from graphslam.transform import coarse, filled
 
 
 @pytest.fixture(scope="module")

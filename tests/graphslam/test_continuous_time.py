@@ -7,8 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from graphslam import Log, LogError, MotionModel, load, save, simulate
-from graphslam.continuous_time import control_path
-from graphslam.keyframes import with_poses_every
+from graphslam.log.continuous_time import control_path, with_poses_every
 from graphslam.se2 import between, compose, wrap
 
 MODEL = MotionModel(epsilon=1e-6)

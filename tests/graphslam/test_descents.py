@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 from certified_graphs import ring
 
-from graphslam import (
-    Graph,
-    certify,
-    simulate,
-    solve,
-)
+from graphslam import Graph, certify, simulate, solve
 from graphslam.solvers import auto
-from graphslam.solvers.restarts import descents
+from graphslam.solvers.starts import descents
 
 
 @pytest.mark.parametrize("seed", [3, 6, 7])

@@ -11,13 +11,12 @@ from error_rates import ERROR_RATE, bound, chi_square_bounds
 from scipy import stats
 
 from graphslam import Drive, Graph, Log, MotionModel, OptionError, solve
-from graphslam.parameters import PARAMETERS
-from graphslam.reading import UNIDENTIFIED
+from graphslam.identification.declared import PARAMETERS
+from graphslam.log.rows import UNIDENTIFIED
+from graphslam.log.streams import Stream, truth_at
 from graphslam.se2 import between, wrap
 from graphslam.simulation.drives import SENSORS, SPREADS, correlated_errors
-from graphslam.simulation.places import PLACES, Place
-from graphslam.simulation.routes import follow
-from graphslam.sources.streams import Stream, truth_at
+from graphslam.simulation.places import PLACES, Place, follow
 
 BIASES = {
     "wheel_scale": 0.97, "turn_scale": 1.01, "turn_rate_bias": -0.006, "curvature_bias": 0.004, "range_scale": 1.01,

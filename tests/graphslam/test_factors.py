@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from graphslam import MotionModel, OptionError, SensorModel, textbook
 from graphslam.factors import AnchorFactor, MotionFactor, PriorFactor, RelativePoseFactor, VirtualMotionFactor
 from graphslam.factors.arguments import sighted_covariance
-from graphslam.factors.relative_pose import _from_origin
-from graphslam.precision import small_inverse
+from graphslam.factors.relative import _from_origin
+from graphslam.linear.precision import small_inverse
 from graphslam.se2 import wrap
 
 sensor, motion = SensorModel(), MotionModel(slip=0.05)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, GraphError, OptionError, simulate, solve
+from graphslam.graph.transform import with_landmark_nodes
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers.gnc import truncated_trust
-from graphslam.transform import with_landmark_nodes
 
 SEEDS = range(10)
 

@@ -20,7 +20,7 @@ from graphslam import (
     solve_online,
     solve_with_gtsam,
 )
-from graphslam.relative import relative_graph
+from graphslam.graph.transform import relative_graph
 from graphslam.se2 import compose, wrap
 
 BOOK = {"motion": MotionModel(), "sensor": SensorModel()}

@@ -32,9 +32,9 @@ from graphslam import (
     solve,
 )
 from graphslam.errors import named, quoted
-from graphslam.relative import relative_graph
-from graphslam.tables import TableOptions
-from graphslam.toml_file import TomlFile
+from graphslam.graph.transform import relative_graph
+from graphslam.io.options import TableOptions
+from graphslam.io.toml_file import TomlFile
 
 ODOMETRY = "t,v,w\n" + "".join(f"{k * 0.5},0.5,0.1\n" for k in range(20))
 

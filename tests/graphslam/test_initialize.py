@@ -16,15 +16,21 @@ from graphslam import (
     solve,
     solve_with_gtsam,
 )
+from graphslam.graph.transform import first_poses
 from graphslam.se2 import wrap
 from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers import auto
-from graphslam.solvers.initial_values import _followed, _held, _solve_headings, dead_reckoning, rotation_first
 from graphslam.solvers.initialize import starting_state
-from graphslam.solvers.restarts import lower_by_turns
-from graphslam.solvers.sequential_start import sequential_start
-from graphslam.transform import first_poses
+from graphslam.solvers.starts import (
+    _followed,
+    _held,
+    _solve_headings,
+    dead_reckoning,
+    lower_by_turns,
+    rotation_first,
+    sequential_start,
+)
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "hard_logs.py"
 

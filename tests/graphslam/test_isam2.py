@@ -4,17 +4,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from graphslam import (
-    Graph,
-    GraphError,
-    OnlineSolver,
-    OptionError,
-    load,
-    sample_log_path,
-    solve,
-    solve_online,
-)
-from graphslam.reading import UNIDENTIFIED
+from graphslam import Graph, GraphError, OnlineSolver, OptionError, load, sample_log_path, solve, solve_online
+from graphslam.log.rows import UNIDENTIFIED
 from graphslam.se2 import wrap
 
 VARIANTS = [

@@ -11,8 +11,15 @@ from scipy import stats
 from graphslam import Drive, Graph, Log, MotionModel, estimate_robot, solve
 from graphslam.calibration import Calibration
 from graphslam.identification import robot
-from graphslam.identification.left_out import LeftOut, student_t
-from graphslam.identification.result import BOOK_NOISE, DEAD_RECKONING, ESTIMATE, GIVEN_NOISE, RobotEstimate
+from graphslam.identification.result import (
+    BOOK_NOISE,
+    DEAD_RECKONING,
+    ESTIMATE,
+    GIVEN_NOISE,
+    LeftOut,
+    RobotEstimate,
+    student_t,
+)
 from graphslam.identification.unknowns import PRIORS
 from graphslam.metrics import ate
 from graphslam.simulation.drives import DriveTruth

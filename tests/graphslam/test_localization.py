@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from graphslam import GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, simulate
-from graphslam.registration import Points, register
+from graphslam.graph.registration import Points, register
 from graphslam.se2 import between, compose, wrap
 
 ANGLES, PLACES = st.floats(-np.pi, np.pi), st.floats(-50, 50)

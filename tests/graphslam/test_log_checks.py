@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from graphslam import MotionModel, Stream, load, sample_log_path, simulate, synchronize
+from graphslam.log.rows import UNIDENTIFIED
 from graphslam.log_checks import check_log
 from graphslam.log_checks.readings import pairs_of
-from graphslam.reading import UNIDENTIFIED
 from graphslam.se2 import wrap
 
 

@@ -1,10 +1,10 @@
-"""Which landmarks of a map agree with a log, have moved, are gone or are new: `graphslam.map_states`."""
+"""Which landmarks of a map agree with a log, have moved, are gone or are new: `graphslam.association.map_states`."""
 
 import numpy as np
 import pytest
 
 from graphslam import Graph, LandmarkMap, OptionError, SensorModel, join_logs, simulate, solve
-from graphslam.map_states import EXACT, MOVE, TURN, map_states, session_states
+from graphslam.association.map_states import EXACT, MOVE, TURN, map_states, session_states
 
 FIRST = simulate(seed=1, clean=True, landmarks=20, steps=80, arena=6.0)
 MAP = solve(Graph.from_log(FIRST, edges="landmark+motion")).map

@@ -7,8 +7,8 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from graphslam import FormatError, MotionModel, load
-from graphslam.formats.mat_file import variables
-from graphslam.formats.victoria_park import ackermann
+from graphslam.io.mat import variables
+from graphslam.io.victoria_park import ackermann
 from graphslam.log import UNIDENTIFIED
 
 PARAMETERS = """sigv = 0.02;   --- variance on speed noise

@@ -31,9 +31,9 @@ from graphslam.edges import AnchorEdges, PositionEdges, RelationEdges
 from graphslam.edges.robust import Cauchy
 from graphslam.factors import PositionFactor, RelativePoseFactor, describe
 from graphslam.factors.description import FactorDescription
-from graphslam.keyframes import with_poses_every
+from graphslam.graph.transform import relative_graph
 from graphslam.linear.information import BlockSystem
-from graphslam.relative import relative_graph
+from graphslam.log.continuous_time import with_poses_every
 from graphslam.se2 import between, compose, mounted, wrap
 
 LEVER = (0.3, -0.1)

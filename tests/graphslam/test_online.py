@@ -24,10 +24,10 @@ from graphslam import (
     solve_online,
 )
 from graphslam.edges import AnchorEdges, RelativePoseEdges
+from graphslam.graph.transform import first_poses
+from graphslam.log.rows import UNIDENTIFIED
 from graphslam.online import replay
-from graphslam.reading import UNIDENTIFIED
 from graphslam.se2 import between, compose, wrap
-from graphslam.transform import first_poses
 
 
 def step(solver, *control, ids=(), sightings=(), **motion):

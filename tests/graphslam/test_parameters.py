@@ -20,8 +20,7 @@ from graphslam import (
     solve_online,
     solve_with_gtsam,
 )
-from graphslam.parameters import PARAMETERS
-from graphslam.parameters.corrections import (
+from graphslam.identification.corrections import (
     corrected_controls,
     corrected_sensor,
     corrected_sightings,
@@ -29,9 +28,9 @@ from graphslam.parameters.corrections import (
     moves,
     without_biases,
 )
-from graphslam.parameters.declared import parsed
-from graphslam.parameters.joint import JointGraph
+from graphslam.identification.declared import PARAMETERS, parsed
 from graphslam.se2 import compose
+from graphslam.solvers.joint import JointGraph
 
 MOTION = MotionModel(nn=0.02, no=0.001, on=0.02, oo=0.02, epsilon=1e-6)
 SENSOR = SensorModel(range_rate=0.02, bearing_std=0.01, orientation_std=0.01)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from graphslam import FormatError, Graph, GraphError, OptionError, solve
-from graphslam.formats.pose_graph import read_pose_graph
+from graphslam.io.pose_graph import read_pose_graph
 from graphslam.se2 import between, compose, turn_matrix, wrap
 
 SQUARE = """VERTEX_SE2 0 0 0 0

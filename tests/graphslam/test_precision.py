@@ -5,7 +5,7 @@ import pytest
 
 from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, estimate_map, solve, textbook
 from graphslam.linear.cholesky import NotFinite, analyze
-from graphslam.precision import inverses
+from graphslam.linear.precision import inverses
 
 
 def log_of(scale: float, psi: bool = True) -> Log:

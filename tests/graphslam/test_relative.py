@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, GraphError, SensorModel, load, sample_log_path, simulate, solve
-from graphslam.relative import relative_graph
+from graphslam.graph.transform import relative_graph
 from graphslam.se2 import wrap
 
 AHEAD = SensorModel(offset=(0.3, -0.1))

@@ -22,12 +22,12 @@ from graphslam import (
     solve,
     solve_with_gtsam,
 )
-from graphslam.formats import load_robots, robots_in
-from graphslam.keyframes import with_poses_at
+from graphslam.io.formats import load_robots, robots_in
 from graphslam.log import UNIDENTIFIED
+from graphslam.log.continuous_time import with_poses_at
 from graphslam.metrics import ate
-from graphslam.robots import join_robots, relations_of
 from graphslam.se2 import between
+from graphslam.sessions import join_robots, relations_of
 
 QUIET = MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05, epsilon=1e-9)
 SENSOR = SensorModel(range_rate=0.03, bearing_std=0.02)

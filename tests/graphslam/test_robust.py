@@ -8,7 +8,7 @@ import pytest
 from scipy.special import gammaln
 from scipy.stats import chi2
 
-from comparisons.consistency import band, models
+from comparisons.studies.consistency import band, models
 from graphslam import (
     Graph,
     Log,
@@ -25,7 +25,7 @@ from graphslam import (
 from graphslam.edges import SightingEdges, VirtualMotionEdges
 from graphslam.edges.robust import EFFICIENCY, KERNELS, Cauchy, GemanMcClure, Huber
 from graphslam.factors import ResidualFactor
-from graphslam.solvers.initial_values import place_landmarks
+from graphslam.solvers.starts import place_landmarks
 
 cases = pytest.mark.parametrize(("kernel", "d"), list(product(KERNELS.values(), (2, 3))), ids=str)
 

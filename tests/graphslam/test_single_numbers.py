@@ -23,13 +23,13 @@ from graphslam import (
     solve_with_gtsam,
 )
 from graphslam.edges import BearingEdges, PartialEdges, RangeEdges
-from graphslam.keyframes import with_poses_every
-from graphslam.measurements import PartialSightings
-from graphslam.relative import relative_graph
+from graphslam.graph.transform import relative_graph
+from graphslam.log.continuous_time import with_poses_every
+from graphslam.log.measurements import PartialSightings
 from graphslam.se2 import transform, wrap
-from graphslam.simulation.single_numbers import SENSOR, simulate_single_numbers
+from graphslam.simulation.worlds import SENSOR, simulate_single_numbers
 from graphslam.solvers.gtsam_factors import to_gtsam
-from graphslam.solvers.mirror_images import doubtful_images
+from graphslam.solvers.initialize import doubtful_images
 
 
 def from_truth(log: Log, graph: Graph) -> np.ndarray:

@@ -21,10 +21,10 @@ from graphslam import (
     solve,
     solve_many,
     solve_with_gtsam,
-)  # fmt: skip
+)
 from graphslam.edges import AnchorEdges
-from graphslam.linear.structure import Structures, sharing
-from graphslam.solvers import many
+from graphslam.linear.information import Structures, sharing
+from graphslam.solvers import solve as many
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from graphslam import Graph, OptionError, simulate, solve, solve_with_gtsam, tex
 from graphslam.edges import AnchorEdges
 from graphslam.se2 import wrap
 from graphslam.simulation.worlds import WORLDS
-from graphslam.solvers import gauss_newton
+from graphslam.solvers import iteration as gauss_newton
 from graphslam.solvers.iteration import Run
 
 

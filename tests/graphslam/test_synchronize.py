@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, load, save, simulate, solve
-from graphslam.formats import ReadOptions
-from graphslam.formats.synchronize import synchronize
+from graphslam.io.base import synchronize
+from graphslam.io.formats import ReadOptions
+from graphslam.log.streams import Stream, divide, truth_at
 from graphslam.metrics import ate
-from graphslam.sources.streams import Stream, divide, truth_at
 
 DRIVE = Stream(np.arange(0.0, 10.01, 0.5), np.column_stack([np.linspace(0.5, 1.5, 21), np.linspace(-1, 1, 21)]))
 

@@ -9,8 +9,8 @@ import pytest
 from own_tables import NU, ODOMETRY, OMEGA, SEEN, T, as_deg, text, write_tables
 
 from graphslam import FormatError, Log, LogError, MotionModel, OptionError, load, save
+from graphslam.io.tables import read_recipe
 from graphslam.log_checks import check_log
-from graphslam.tables.recipe import read_recipe
 
 
 @pytest.fixture

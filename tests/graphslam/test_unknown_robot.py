@@ -31,8 +31,8 @@ from graphslam import (
 from graphslam.calibration import Calibration
 from graphslam.identification import restricted_likelihood, robot, sighting_errors
 from graphslam.identification import unknowns as unknowns_module
-from graphslam.identification.odometry import Odometry
-from graphslam.identification.parts import motion_parts
+from graphslam.identification.corrections import corrected_controls, motion_slopes, without_biases
+from graphslam.identification.odometry import Odometry, motion_parts
 from graphslam.identification.restricted_likelihood import improve_variances, log_likelihood
 from graphslam.identification.robot import RobotEstimate
 from graphslam.identification.sighting_errors import LAGS, _unlikely, inflation, smoothed
@@ -46,10 +46,9 @@ from graphslam.identification.unknowns import (
 )
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
-from graphslam.parameters.corrections import corrected_controls, motion_slopes, without_biases
 from graphslam.se2 import between, wrap
 from graphslam.simulation.drives import SENSORS, DriveTruth
-from graphslam.uncertainty import Uncertainty
+from graphslam.solvers.uncertainty import Uncertainty
 
 
 @cache

@@ -20,7 +20,7 @@ import pytest
 from chromium import Chromium, find_browser
 
 from fastslam import FastSLAM1, FastSLAM2
-from fastslam.noise import draw_key
+from fastslam.options import draw_key
 from graphslam import Graph, Log, MotionModel, SensorModel, load, solve, textbook
 from graphslam.se2 import wrap
 

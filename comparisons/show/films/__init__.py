@@ -10,14 +10,14 @@ from typing import Any
 from graphslam import GraphError, Log
 
 from ...options import AnimationOptions, RunOptions
-from ...reading import prepare
+from ...options.reading import prepare
 from .association import association_film
 from .files import check_can_film
-from .film import Film
 from .graph import graph_film
 from .isam2 import isam2_film
 from .particles import particle_film
 from .samples import sample_film
+from .scene import Film
 
 __all__ = ["Film", "animate", "check_can_film"]
 

@@ -17,11 +17,9 @@ from graphslam.se2 import Array
 
 from ...estimators import ESTIMATORS
 from ...options import AnimationOptions, RunOptions
-from ...sightings import CLUTTER, CONFIRMED, UNCONFIRMED, status_of
-from ..placement import placement_of_result
-from ..style import SIGHTINGS
-from .film import Film, Frame, Show, kept
-from .scene import Scene
+from ...results.sightings import CLUTTER, CONFIRMED, UNCONFIRMED, status_of
+from ..canvas import SIGHTINGS, placement_of_result
+from .scene import Film, Frame, Scene, Show, kept
 
 #: steps per second
 FPS = 10.0

@@ -22,10 +22,10 @@ from graphslam import OptionError
 from graphslam.errors import printable
 from graphslam.files import write_whole
 
-from ...saving import check_can_write
+from ...results.saving import check_can_write
 
 if TYPE_CHECKING:
-    from .film import Film
+    from .scene import Film
 
 #: how long the last picture stays before the film begins again [s]
 HOLD = 2.0

@@ -19,10 +19,8 @@ from graphslam.solvers.minimize import METHODS
 
 from ...estimators import make_graph
 from ...options import AnimationOptions, RunOptions
-from ..placement import placement_of
-from .film import Film, Frame, Show, kept
-from .residuals import COLORS, Residuals
-from .scene import Scene
+from ..canvas import placement_of
+from .scene import COLORS, Film, Frame, Residuals, Scene, Show, kept
 
 #: iterations per second
 FPS = 2.0

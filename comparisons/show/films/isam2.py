@@ -15,10 +15,8 @@ from graphslam.se2 import Array
 
 from ...estimators import isam2_options, online_keywords
 from ...options import AnimationOptions, RunOptions
-from ..placement import placement_of
-from .film import Film, Frame, Show, kept
-from .residuals import COLORS
-from .scene import Scene
+from ..canvas import placement_of
+from .scene import COLORS, Film, Frame, Scene, Show, kept
 
 #: steps per second
 FPS = 10.0

@@ -12,17 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fastslam import ParticleFilter
-from fastslam.particle_filter import VanishedWeightsWarning
-from fastslam.state import ParticleState
+from fastslam.filters.particle_filter import VanishedWeightsWarning
+from fastslam.particles import ParticleState
 from graphslam import Log
 from graphslam.se2 import Array
 
-from ...filters import particle_filter
+from ...estimators.filters import particle_filter
 from ...options import AnimationOptions, RunOptions
-from ..placement import placement_of
-from ..style import FLASH, PARTICLE
-from .film import Film, Frame, Show, kept
-from .scene import Scene
+from ..canvas import FLASH, PARTICLE, placement_of
+from .scene import Film, Frame, Scene, Show, kept
 
 #: steps per second
 FPS = 10.0

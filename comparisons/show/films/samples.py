@@ -15,10 +15,8 @@ from graphslam import Log
 from graphslam.se2 import Array
 
 from ...options import AnimationOptions, RunOptions
-from ..placement import placement_of
-from ..style import PARTICLE
-from .film import Film, Frame, Show, kept
-from .scene import Scene
+from ..canvas import PARTICLE, placement_of
+from .scene import Film, Frame, Scene, Show, kept
 
 #: sweeps per second
 FPS = 10.0

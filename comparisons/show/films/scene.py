@@ -2,31 +2,194 @@
 
 The upper panel is the plane, with ground truth and dead reckoning, in limits that never change. The lower one is a curve
 over iterations or steps with a marker at the current frame.
+
+A film: the frames of an estimator at work, to be saved or shown in a notebook.
+
+The residuals of a graph's edges as Mahalanobis distances sqrt(e' Omega e), and where to draw them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from html import escape
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import Colormap, Normalize
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from matplotlib.ticker import MaxNLocator
 
-from graphslam import Log, MotionModel
+from graphslam import Graph, Log, MotionModel
+from graphslam.edges import AnchorEdges, EdgeFamily, MarginalEdges, VirtualMotionEdges
 from graphslam.se2 import Array, transform
 
-from ..canvas import as_text, set_limits
-from ..ellipses import ellipses
-from ..placement import aligned_to, between_poses, place_map, placed, true_landmarks, true_line
-from ..style import FLASH, SIGHTING, TRUE_LANDMARK, TRUTH, colour_of, ellipse_style, style_of
-from .film import Frame, Show
+from ..canvas import (
+    FLASH,
+    RESIDUALS,
+    SIGHTING,
+    TRUE_LANDMARK,
+    TRUTH,
+    aligned_to,
+    as_text,
+    between_poses,
+    colour_of,
+    ellipse_style,
+    paper_figure,
+    place_map,
+    placed,
+    set_limits,
+    style_of,
+    true_landmarks,
+    true_line,
+)
+from ..figures import ellipses
+from .files import check_can_film, player, write_film
+
+#: size of a picture [inches] and dots per inch; both sides have an even number of pixels, which video formats need
+SIZE, DPI = (7.2, 6.4), 110
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame:
+    """The estimate at one iteration or step, in the axes of the estimator.
+
+    Attributes:
+        number: of the iteration or step.
+        caption: the text above the picture.
+        poses: (k, 3) the path, of a film that goes step by step up to this step.
+        estimated: (k,) bool, False for poses that are not drawn; None draws all.
+        landmarks, landmark_covariances: {id: (2,) or (3,)} and {id: (n, n)}, where they are known.
+        sightings: (n, 2) the places that are seen from the last pose.
+        flash: a word that lights up in the picture; empty for none.
+    """
+
+    number: int
+    caption: str
+    poses: Array
+    estimated: np.ndarray | None = None
+    landmarks: Mapping[int, Array] = field(default_factory=dict)
+    landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
+    sightings: Array = field(default_factory=lambda: np.empty((0, 2)))
+    flash: str = ""
+
+
+#: brings the artists of a scene up to a frame, and returns those to draw, in this order
+Show = Callable[[Frame], Sequence[Artist]]
+
+
+def kept(count: int, most: int) -> np.ndarray:
+    """The iterations or steps that become frames: evenly spread, the first and the last among them.
+
+    Returns:
+        (min(count, most),) increasing numbers from 0 to count - 1.
+    """
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+
+
+class Pictures(Sequence[np.ndarray]):
+    """The pictures (height, width, 3) of a film, uint8, drawn when they are asked for, in any order.
+
+    What does not move is drawn once; each picture is a copy of it with a few artists on top.
+    """
+
+    def __init__(self, frames: Sequence[Frame], set_up: Callable[[Figure], Show]) -> None:
+        self._frames = frames
+        with paper_figure(SIZE) as figure:
+            figure.set_dpi(DPI)
+            # a layout that is computed at each frame would move the panels
+            figure.set_layout_engine("none")
+            self._show = set_up(figure)
+            canvas = figure.canvas
+            assert isinstance(canvas, FigureCanvasAgg)
+            # within the style: ticks are made when they are first drawn
+            canvas.draw()
+            self._canvas, self._background = canvas, canvas.copy_from_bbox(figure.bbox)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, number: int) -> np.ndarray:  # type: ignore[override]
+        return self._drawn(self._show(self._frames[number]))
+
+    @property
+    def still(self) -> np.ndarray:
+        """The pixels (height, width, 3) that are the same in all frames."""
+        return self._drawn([])
+
+    def _drawn(self, artists: Sequence[Artist]) -> np.ndarray:
+        self._canvas.restore_region(self._background)
+        renderer = self._canvas.get_renderer()
+        for artist in artists:
+            artist.draw(renderer)
+        return np.asarray(self._canvas.buffer_rgba())[:, :, :3].copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """The frames of an estimator at work on a log; made by `animate`.
+
+    Attributes:
+        title: of the film.
+        frames: the data of every picture, first to last.
+        steps: the number of iterations or steps, the start included; more than frames where the film leaves some out.
+        fps: frames per second.
+        notes: what the viewer should know, one sentence each.
+        set_up: draws everything that does not move onto an empty figure.
+        log: what the estimator worked on.
+        source: the file or folder of the log, where there is one.
+    """
+
+    title: str
+    frames: tuple[Frame, ...] = field(repr=False)
+    steps: int
+    fps: float
+    notes: tuple[str, ...]
+    set_up: Callable[[Figure], Show] = field(repr=False)
+    log: Log = field(repr=False)
+    source: Path | None = None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @cached_property
+    def pictures(self) -> Pictures:
+        """The pictures, each drawn when it is asked for: ``film.pictures[-1]``."""
+        return Pictures(self.frames, self.set_up)
+
+    def save(self, path: str | PathLike[str], *, progress: Callable[[], None] | None = None) -> Path:
+        """Write the film, whole or not at all; its last picture stays for two seconds.
+
+        Args:
+            path: what to write. The suffix names the format: .gif, .mp4 (needs ffmpeg) or .html (a page with a player).
+            progress: called after each picture.
+
+        Raises:
+            OptionError: the suffix is none of these, or ffmpeg is not installed or fails.
+            FormatError: the place cannot be written.
+        """
+        check_can_film(Path(path))
+        write_film(self, Path(path), progress or (lambda: None))
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        """The player, in an iframe so that several films in one notebook do not interfere."""
+        height, width = self.pictures[0].shape[:2]
+        document = escape(player(self, lambda: None), quote=True)
+        return (
+            f'<iframe srcdoc="{document}" title="{escape(self.title, quote=True)}" width="{width + 40}" '
+            f'height="{height + 90}" style="border:0;max-width:100%"></iframe>'
+        )
 
 
 class Scene:
@@ -221,3 +384,61 @@ class Scene:
             return [past, now]
 
         self.add(move)
+
+
+#: of a family with more edges some are drawn, evenly spread: more lines would only fill the picture
+MOST_EDGES = 4000
+COLORS = LinearSegmentedColormap.from_list("residuals", RESIDUALS)
+
+
+class Residuals:
+    """The edges of a graph as lines, those with the largest residuals last.
+
+    The number of virtual-motion edges is quadratic in the sightings, so each landmark's sightings are thinned before the
+    edges are listed. Of the other families every N-th edge is drawn.
+
+    Attributes:
+        drawn, count: how many edges are drawn, and how many there are.
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._families = [_thinned(f) for f in graph.families if not isinstance(f, AnchorEdges)]
+        self.count = graph.num_edges
+        self.drawn = len(self(graph.initial)[1])
+
+    def __call__(self, state: Array) -> tuple[Array, Array]:
+        """At a state (n, 3): the lines (E, 2, 2) [m] and their Mahalanobis distances (E,), increasing.
+
+        A line ends at the point of the robot to which the log's ground truth belongs, as paths do.
+        """
+        places, poses = state.copy(), len(self._graph.steps)
+        if self._graph.log is not None:
+            places[:poses] = self._graph.log.at_truth(state[:poses])
+        lines, distances = [np.empty((0, 2, 2))], [np.empty(0)]
+        for family, factor, every in self._families:
+            edges = family.linearize(state, state)
+            begin = places[edges.nodes[0], :2]
+            if isinstance(family, MarginalEdges):
+                end = family.landmarks(state, state)[family.group, :2]
+            else:
+                end = places[edges.nodes[1], :2]
+            lines.append(np.stack([begin, end], axis=1)[::every])
+            distances.append(np.sqrt(np.maximum(factor * edges.mahalanobis, 0))[::every])
+        line, distance = np.concatenate(lines), np.concatenate(distances)
+        order = np.argsort(distance, kind="stable")
+        return line[order], distance[order]
+
+
+def _thinned(family: EdgeFamily) -> tuple[EdgeFamily, Array, int]:
+    """A family that is quick to list, the factor (E,) or (1,) on its e' Omega e, and N where every N-th edge is drawn."""
+    if family.count <= MOST_EDGES or not isinstance(family, VirtualMotionEdges):
+        return family, np.ones(1), max(1, math.ceil(family.count / MOST_EDGES))
+    apart = math.ceil(math.sqrt(family.count / MOST_EDGES))
+    rank = np.arange(len(family.nodes)) - family.starts[family.group]
+    left = rank % apart == 0
+    starts = np.concatenate([[0], np.cumsum(np.bincount(family.group[left], minlength=len(family.starts) - 1))])
+    trust = None if family.trust is None else family.trust[left]
+    fewer = replace(family, starts=starts, nodes=family.nodes[left], sightings=family.sightings[left], trust=trust)
+    # the weight of a tempered pair is 2/K, with K of all sightings
+    return fewer, (family.group_weights / fewer.group_weights)[fewer.pairs()[2]], 1

@@ -17,19 +17,15 @@ from graphslam import Log, OptionError
 from graphslam.files import write_whole
 
 from ...comparison import Comparison, run
-from ...config import versions
-from ...failures import sentence
-from ...saving import check_can_write, jsonable
-from ..placement import reference_of
-from ..style import MATRIX, colour_of
+from ...estimators.config import versions
+from ...results import sentence
+from ...results.saving import check_can_write, jsonable
+from ..canvas import MATRIX, colour_of, reference_of
 from ..tables import landmark_table, table_as_html, tables_of
-from .convergence import iterations, remarks
-from .curves import convergence_figure, costs_figure, errors_figure
-from .matches import association_table, matches_of
-from .matrix import ENTRY, FILL, description, matrix_figure, pictures
+from .curves import convergence_figure, costs_figure, errors_figure, iterations, remarks
+from .matches import ENTRY, FILL, association_table, description, matches_of, matrix_figure, pictures
 from .paths import COLUMNS, paths_figure
-from .traces import Figure, line_of
-from .view import View, view_of
+from .view import Figure, View, line_of, view_of
 
 #: layers of the map: name, label, whether it is shown at first
 LAYERS = (

@@ -15,11 +15,9 @@ import numpy as np
 
 from graphslam.se2 import Array
 
-from ..ellipses import ellipses
-from ..placement import true_landmarks
-from ..style import INK, MATCHED, colour_of
-from .traces import Figure, axis, layout, line_of, place, short
-from .view import Estimate, View
+from ..canvas import INK, MATCHED, colour_of, true_landmarks
+from ..figures import ellipses
+from .view import Estimate, Figure, View, axis, layout, line_of, place, short
 
 #: [-, s, rad, m, m, m, -, rad]; None where unknown
 COLUMNS = ("step", "time", "theta", "error", "sigma_x", "sigma_y", "rho_xy", "sigma_theta")

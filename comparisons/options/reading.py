@@ -1,0 +1,350 @@
+"""The log that the estimators work on, made from the reading and noise options; `calibrate` estimates the noise of logs.
+
+Several logs of one place become one (`graphslam.join_logs`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeGuard, TypeVar
+
+import numpy as np
+
+import graphslam
+from graphslam import (
+    FormatError,
+    GraphError,
+    Log,
+    LogError,
+    MotionModel,
+    OptionError,
+    SensorModel,
+    join_logs,
+    load,
+    sample_log_path,
+)
+from graphslam.association.map_states import map_states, session_states
+from graphslam.calibration import Calibration
+from graphslam.calibration.estimate import robot_of
+from graphslam.errors import quoted
+from graphslam.files import check_file
+from graphslam.graph.landmark_map import as_map
+from graphslam.graph.localization import in_frame_of
+from graphslam.identification.corrections import without_biases
+from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
+from graphslam.identification.result import ESTIMATE
+from graphslam.identification.robot import enough_ids, estimate_robot, known_robot, unknown_noise, with_checked_ids
+from graphslam.io.formats import load_robots, robots_in
+from graphslam.log.continuous_time import with_poses_every
+from graphslam.sessions import join_robots, with_common_noise
+
+from ..results import noted
+from .option import options_of
+from .options import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
+from .toml_files import read_noise
+
+Given = TypeVar("Given", bound=LogOptions)
+
+#: a log, or the file or folder of one; None is the sample log
+LogOrPath = Log | str | PathLike[str] | None
+
+#: a noise file does not fit a log that shows biases of so many standard errors after its corrections, or motions with so many
+#: times its noise, or an n-th of it
+DIFFERENT, TIMES = 6.0, 4.0
+#: where noise options are given for a log whose noise is not known
+NOT_ESTIMATED = (
+    "noise or biases are given by options, so that nothing is estimated from this log; --noise auto estimates the rest"
+)
+#: options that only a file or folder has; a `Log` has been read already
+OF_FILES = ("format", "robot", "strict")
+
+
+def prepare(
+    log: LogOrPath | Sequence[LogOrPath], options: Given, *, together: bool = False
+) -> tuple[Log, Path | tuple[Path | None, ...] | None, Given]:
+    """The log with the changes that the options ask for, its file or folder, and the options with the noise models filled in.
+
+    Args:
+        log: a log, a file or folder, or None for the sample log of the package; or several logs of one place, which are
+            joined.
+        options: their reading and noise options are applied.
+        together: of a data set of several robots, of which none is named, all are joined (`graphslam.sessions`).
+
+    Returns:
+        The log; where it came from, None for a `Log`, or that of each of several; the options, whose noise models are those
+        of the options, else those of the noise file, else those of the log, else those estimated from it, else the book's.
+        Its ``noise`` is `AUTO` where they were estimated, with what was found as its ``calibration`` where there is one log,
+        or the noise file; its ``numbers`` are those of the filters. With a map the log is in its frame, the map without
+        the landmarks that have moved its ``landmark_map``, and the state of all its ``landmark_states``.
+
+    Raises:
+        FormatError: a file cannot be read.
+        LogError: the log lacks what is asked for, or a corrected range would not be above zero.
+        OptionError: an option does not apply to this log.
+        GraphError: the log does not fit the map, or logs share no landmarks.
+    """
+    found: Calibration | None = None
+    source: Path | tuple[Path | None, ...] | None
+    if several(log):
+        data, source, values, estimated = _joined(log, options)
+    elif together and (robots := _robots(log, options)):
+        assert isinstance(log, (str, PathLike))
+        source = Path(log).absolute()
+        data, values, estimated = _joined_robots(robots, options)
+    else:
+        data, source = read_log(log, options)
+        data, values, found = _with_noise(data, options)
+        estimated = found is not None
+    values |= {name: value for name in values if (value := getattr(options, name)) is not None}
+    corrected: dict[str, Any] = {n: None if value == CORRECTIONS[n] else value for n, value in values.items()}
+    # the place of the sensor that was given is where the estimate began
+    numbers = {n: v for n, v in options.numbers.items() if not (estimated and n in SensorModel.GEOMETRY)}
+    motion, sensor = replace(options, numbers=numbers).models(data.motion, data.sensor)
+    data = without_biases(data, motion=motion, sensor=sensor, **values)
+    of_file = options.noise not in (None, AUTO, BOOK)
+    if check_ids := (of_file if options.check_ids is None else options.check_ids) and not estimated:
+        data = _with_checked_ids(data, motion, sensor)
+    if options.check_ids is False and estimated:
+        raise OptionError(
+            "the estimate from the log always checks ids; without it, name the noise (--noise FILE, --noise book)"
+        )
+    if of_file and data.controls is not None:
+        data = _compared_with_estimate(data, motion, sensor)
+    if options.max_range is not None:
+        # what is farther away has been left out, so that the sensor does not see it
+        sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
+    in_map: dict[str, Any] = {}
+    if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
+        landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)
+        data, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
+        data = data.replace(notes=(*data.notes, *notes))
+        in_map = {"landmark_map": landmark_map}
+        remarks: list[str] = []
+        with noted(remarks, "whether landmarks of the map have moved is not known"):
+            states = map_states(data, landmark_map, motion=motion, sensor=sensor)
+            remarks.append(states.sentence)
+            in_map |= {"landmark_map": states.map, "landmark_states": states.landmarks}
+        data = data.replace(notes=(*data.notes, *remarks))
+    filled: dict[str, Any] = {
+        "numbers": {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)},
+        "noise": AUTO if estimated else options.noise if of_file else None,
+        "motion": motion,
+        "sensor": sensor,
+        "calibration": found,
+        "check_ids": check_ids or None,
+    }
+    return data, source, replace(options, **filled, **corrected, **in_map)
+
+
+def several(log: LogOrPath | Sequence[LogOrPath]) -> TypeGuard[Sequence[LogOrPath]]:
+    """Whether this is a list of logs."""
+    return isinstance(log, (list, tuple))
+
+
+def _joined(
+    logs: Sequence[LogOrPath], options: LogOptions
+) -> tuple[Log, tuple[Path | None, ...], dict[str, float], bool]:
+    """Several logs as one with the same noise models for all, their files, biases, and whether noise was estimated."""
+    read = [read_log(each, options) for each in logs]
+    known = [_with_noise(data, options) for data, _ in read]
+    joined = join_logs(with_common_noise([data for data, _, _ in known])).log
+    remarks: list[str] = []
+    with noted(remarks, "whether landmarks have moved between the logs is not known"):
+        changes = session_states(joined) if len(known) > 1 else []
+        remarks += [f"{each.name}: {found.sentence}" for each, found in zip(joined.sessions[1:], changes)]
+    joined = joined.replace(notes=(*joined.notes, *remarks))
+    # biases of options and of a noise file are the same for all
+    return joined, tuple(source for _, source in read), known[0][1], any(found is not None for _, _, found in known)
+
+
+def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[int, Log]:
+    """The logs of a data set of several robots of which none is named; empty for other logs."""
+    if options.robot is not None or not isinstance(log, (str, PathLike)):
+        return {}
+    if len(robots_in(log, format=options.format)) < 2:
+        return {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return load_robots(log, format=options.format, keep_every=options.keep_every, strict=options.strict)
+
+
+def _joined_robots(robots: dict[int, Log], options: LogOptions) -> tuple[Log, dict[str, float], bool]:
+    """All robots as one log with the same noise models, biases, and whether noise was estimated."""
+    read = replace(options, format=None, keep_every=None, strict=False)
+    known = {number: _with_noise(read_log(each, read)[0], options) for number, each in robots.items()}
+    joined = join_robots({number: data for number, (data, _, _) in known.items()}).log
+    return joined, next(iter(known.values()))[1], any(found is not None for _, _, found in known.values())
+
+
+def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], Calibration | None]:
+    """The log with the noise models that the option ``noise`` asks for as its own, its biases, and what was estimated.
+
+    A log from which noise was estimated has no biases left.
+    """
+    values = dict(CORRECTIONS)
+    if options.noise not in (None, AUTO, BOOK):
+        assert options.noise is not None
+        numbers, of_file = read_noise(options.noise)
+        motion, sensor = NoiseOptions.of(**numbers).models(log.motion, log.sensor)
+        if log.controls is None:
+            # a noise file of other logs of the robot may correct odometry that this one has not
+            of_file = of_sensor_alone(of_file)
+        return log.replace(motion=motion, sensor=sensor), values | of_file, None
+    if options.noise is None and _gives_noise(options):
+        return (log.replace(notes=(*log.notes, NOT_ESTIMATED)) if unknown_noise(log) else log), values, None
+    try:
+        if options.noise == AUTO and not enough_ids(log):
+            # the models of the options have the place of the sensor
+            found, notes = robot_of(log, *options.models(log.motion, log.sensor))
+            known = Calibration.of(found).apply(log)
+            known = known.replace(uncertain=found.log.uncertain, notes=(*known.notes, *found.sentences, *notes))
+            return known, values, Calibration.of(found)
+        place = {name: value for name, value in options.of_component("sensor").items() if name in SensorModel.GEOMETRY}
+        if place:
+            log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
+        known, estimate = known_robot(log, None if options.noise is None else str(options.noise))
+        return known, values, None if estimate is None else Calibration.of(estimate)
+    except (GraphError, LogError) as error:
+        return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values, None
+
+
+def _with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
+    """The log of a robot that is known from a noise file, with misread ids corrected."""
+    try:
+        return with_checked_ids(log, motion, sensor)
+    except (GraphError, LogError) as error:
+        return log.replace(notes=(*log.notes, f"the ids were not checked, because {str(error).rstrip('.')}"))
+
+
+def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
+    """The log, corrected by a noise file, with a note of how well this predicts, and a doubt where it shows biases."""
+    try:
+        found = estimate_robot(log, sensor=sensor, given=(motion, sensor))
+    except (GraphError, LogError):
+        # a short log does not tell its noise
+        return log
+    if found.left_out.sentence is not None:
+        log = log.replace(notes=(*log.notes, found.left_out.sentence))
+    p = found.parameters
+    away = zip(p.names, p.values.tolist())
+    shown = []
+    if left := [name for name, value in away if abs(value - p.priors[name][0]) > DIFFERENT * p.deviations[name]]:
+        shown.append(f"{p.sentence_of(left)} after its corrections")
+    # standard deviations of the usual motion, (x, y, heading), and which of them differ
+    found_by, of_file = (np.diagonal(log.motions(each)[1], axis1=1, axis2=2) for each in (found.motion, motion))
+    ratios = np.sqrt(np.median(found_by / of_file, axis=0))
+    if found.left_out.best == ESTIMATE and not found.nearly_exact:
+        differ = [
+            f"{ratio:.2g} times that of the file in the {name}"
+            for name, ratio in zip(("distance", "heading"), ratios[[0, 2]].tolist())
+            if max(ratio, 1 / ratio) > TIMES
+        ]
+        shown += [f"noise of the motion that is {' and '.join(differ)}"] if differ else []
+    if not shown:
+        return log
+    doubt = (
+        f"the noise file does not fit this log, which shows {' and '.join(shown)}. Is the file of another robot, or has the "
+        "robot changed? Compare with --noise auto"
+    )
+    return log.replace(doubts=(*log.doubts, ("another robot's noise", doubt)))
+
+
+def _gives_noise(options: LogOptions) -> bool:
+    """Whether options give noise models, numbers of them, or corrections."""
+    numbers = options.of_component("motion") | options.of_component("sensor")
+    given = options.motion or options.sensor or any(getattr(options, name) is not None for name in CORRECTIONS)
+    return bool(given or numbers.keys() - set(SensorModel.GEOMETRY))
+
+
+def _kept(log: Log) -> str:
+    return "the noise models of the log" if log.motion or log.sensor else "the book's noise models"
+
+
+def read_log(log: LogOrPath | Sequence[LogOrPath], options: ReadingOptions) -> tuple[Log, Path | None]:
+    """The log that the reading options ask for, and its file or folder; None for a `Log`."""
+    source = None
+    if isinstance(log, Log):
+        data = log
+        for name in OF_FILES:
+            if (value := getattr(options, name)) is not None and value is not False:
+                raise OptionError(
+                    f"{name} applies when a file is read, and {quoted(log.name)} is a Log that has been read"
+                )
+        if options.keep_every is not None:
+            data = with_poses_every(data, options.keep_every)
+    elif log is not None and not isinstance(log, (str, PathLike)):
+        raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {quoted(log)}")
+    else:
+        path = sample_log_path() if log is None else Path(log)
+        keywords = {name: getattr(options, name) for name in (*OF_FILES, "keep_every")}
+        with warnings.catch_warnings():
+            # the warnings of a reader are also notes of the log, which are shown
+            warnings.simplefilter("ignore", UserWarning)
+            data = load(path, **keywords)
+        # absolute, so that a repeated run from another folder writes the same
+        source = path.absolute()
+    if options.dimensions == 3 and not data.has_orientation:
+        raise LogError(
+            f"{data.name if isinstance(log, Log) else path}: the sightings have no orientation psi, but dimensions 3 "
+            "requires it; use dimensions 2"
+        )
+    if options.truth_offset is not None:
+        data = data.replace(truth_offset=options.truth_offset)
+    if options.stride > 1:
+        data = data.at_steps(np.arange(0, data.num_poses, options.stride))
+    if options.max_range is not None:
+        data = data.nearer_than(options.max_range)
+    return (data.without_orientation() if options.dimensions == 2 else data), source
+
+
+def sha256_of(path: Path, *others: Path) -> str:
+    """The SHA-256 of a file's content, in hexadecimal digits; of a folder, of the names and contents of its files.
+
+    That of several is the SHA-256 of theirs, one a line.
+
+    Raises:
+        FormatError: a file cannot be read.
+    """
+    if others:
+        return hashlib.sha256("".join(f"{sha256_of(each)}\n" for each in (path, *others)).encode()).hexdigest()
+    try:
+        if path.is_dir():
+            whole = hashlib.sha256()
+            for inner in sorted(each for each in path.iterdir() if each.is_file()):
+                whole.update(f"{inner.name}\n{sha256_of(inner)}\n".encode())
+            return whole.hexdigest()
+        check_file(path)
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise FormatError(path, None, f"cannot be read: {error.strerror}") from None
+
+
+def calibrate(
+    log: Log | str | PathLike[str] | None = None, *others: Log | str | PathLike[str], **options: Any
+) -> Calibration:
+    """Estimate the noise of motion and sensor, and what is wrong with all sightings and controls.
+
+    Args:
+        log, others: logs, or files or folders of such; all of one kind of robot. None stands for the sample log.
+        options: the fields of `options.CalibrationOptions`: source, gaussian, robots, sensor_offset, and
+            those that read a log.
+
+    Raises:
+        FormatError: a file cannot be read.
+        LogError: the logs do not determine the noise.
+        OptionError: an option is unknown or impossible.
+    """
+    given = CalibrationOptions.of(**options)
+    if given.robots is not None and given.robot is not None:
+        raise OptionError("robot and robots exclude each other: name all of them in robots")
+    readings = [given] if given.robots is None else [replace(given, robot=robot) for robot in given.robots]
+    logs = [read_log(each, reading)[0] for each in (log, *others) for reading in readings]
+    sensor = (logs[0].sensor or SensorModel()).changed(**given.of_component("sensor"))
+    degrees = float("inf") if given.gaussian else None
+    return graphslam.calibrate(*logs, source=given.source, sensor=sensor, degrees=degrees)

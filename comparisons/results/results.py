@@ -1,0 +1,272 @@
+"""The result of one estimator on one log. It keeps the object from which it was computed.
+
+Errors of single parts of a result, as sentences; the other parts are still made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from fastslam.gibbs.chains import GibbsResult
+from fastslam.particles import FilterResult, Samples
+from graphslam import Certificate, FormatError, Graph, Log, MotionModel, SlamError, Solution, certify
+from graphslam.association import Association
+from graphslam.errors import printable
+from graphslam.graph.localization import drifted
+from graphslam.identification.declared import ParameterEstimate
+from graphslam.se2 import Array, compose, inverse, rotation, wrap
+from graphslam.solvers.corrected import motion_edges, sighted_edges
+from graphslam.solvers.uncertainty import Uncertainty
+from graphslam.textbook import TextbookSolution
+
+
+def sentence(error: BaseException) -> str:
+    """An exception in one line: those meant for the user as they are, all others with their type."""
+    text = printable(" ".join(str(error).split()))
+    return text if isinstance(error, SlamError) else f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+@contextmanager
+def noted(notes: list[str], failed: str) -> Iterator[None]:
+    """Catch an error of the block, and add "FAILED: the error in one sentence" to the notes.
+
+    A file or folder that cannot be written is no failure of a part: it ends the work.
+
+    Raises:
+        FormatError, OSError: the place of the results cannot be written.
+    """
+    try:
+        yield
+    except (FormatError, OSError):
+        raise
+    except Exception as error:
+        notes.append(f"{failed}: {sentence(error)}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EstimatorResult:
+    """The result of one estimator on one log.
+
+    Attributes:
+        name: of the estimator.
+        poses: (T+1, 3) [m, m, rad], headings in [-pi, pi).
+        estimated: (T+1,) bool; False where a pose is only the initial guess. Such poses count in no metric.
+        seconds: the estimation alone, without reading, setting up or compiling.
+        converged: whether the stop rule was met, or the chains of particle Gibbs have mixed; None where nothing is iterated.
+        iterations: their number, of particle Gibbs that of the samples of each chain; 0 where nothing is iterated.
+        step_norms: (iterations,) the norm of each correction.
+        cost: J at the end; None where nothing is minimised.
+        costs: J before the first step and after each, as far as the solver reports it.
+        landmarks, landmark_covariances: {id: (2,) or (3,)} and {id: (n, n)}; empty where no map is estimated.
+        named: whether the ids of the landmarks are those of the log; False where the estimator numbered them itself,
+            so that their true counterparts are known by position only.
+        association: (M,) the landmark that the estimator gave each sighting of the log, `graphslam.log.UNIDENTIFIED` for
+            none; None where it used the ids of the log.
+        found: how these ids were found, where `graphslam.associate` found them.
+        weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
+        parameters: of robot and sensor, where they were estimated.
+        seed_errors: the ATE [m] of each random seed of which this is the run with the median one; None for a single run.
+        knows: input that only this estimator has, such as "true map".
+        options: the options that it used, for the record.
+        reason: why it ended, one sentence.
+        notes: what the user should know.
+        origin: what all this was computed from: a `Solution`, a `FilterResult`, a `GibbsResult`, a
+            `TextbookSolution`, or None.
+        graph, state: the graph that was solved and the values (n, 3) of its nodes at the end; None without a graph.
+        log, motion: what dead reckoning was computed from; None for the other estimators.
+    """
+
+    name: str
+    poses: Array
+    estimated: np.ndarray
+    seconds: float
+    converged: bool | None = None
+    iterations: int = 0
+    step_norms: Array = field(default_factory=lambda: np.empty(0))
+    cost: float | None = None
+    costs: Array = field(default_factory=lambda: np.empty(0))
+    landmarks: Mapping[int, Array] = field(default_factory=dict)
+    landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
+    named: bool = True
+    association: np.ndarray | None = field(default=None, repr=False)
+    found: Association | None = field(default=None, repr=False)
+    weighed_down: int | None = None
+    parameters: ParameterEstimate | None = None
+    seed_errors: Mapping[int, float] | None = None
+    knows: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    reason: str = ""
+    notes: tuple[str, ...] = ()
+    origin: Solution | FilterResult | GibbsResult | TextbookSolution | None = field(default=None, repr=False)
+    graph: Graph | None = field(default=None, repr=False)
+    state: Array | None = field(default=None, repr=False)
+    log: Log | None = field(default=None, repr=False)
+    motion: MotionModel | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        cost = "" if self.cost is None else f", J = {self.cost:.6g}"
+        return f"EstimatorResult({self.name}: {len(self.poses)} poses, {len(self.landmarks)} landmarks{cost})"
+
+    @property
+    def cost_per_dof(self) -> float | None:
+        """J per degree of freedom, with J of pairs divided by the times that they count a sighting; see `of_expected`."""
+        return None if self.graph is None or self.cost is None else of_expected(self.cost, self.graph)
+
+    @property
+    def unconfirmed(self) -> np.ndarray | None:
+        """Whether the landmark of each sighting (M,) is uncertain; None where the ids of the log were used.
+
+        After `graphslam.associate` another landmark, or clutter, is nearly as likely; to a filter the landmark itself is not
+        confirmed.
+        """
+        if self.found is not None:
+            return self.found.doubtful
+        return self.origin.unconfirmed if isinstance(self.origin, FilterResult) else None
+
+    @cached_property
+    def certificate(self) -> Certificate | None:
+        """Whether the end is proven to be the global minimum of the graph's J; None without a graph."""
+        if self.graph is None or self.state is None:
+            return None
+        if isinstance(self.origin, Solution) and self.origin.graph is not None:
+            return self.origin.certificate
+        return certify(self.graph, self.state).of_run(bool(self.converged), self.reason)
+
+    @cached_property
+    def pose_covariances(self) -> Array | None:
+        """The covariances (T+1, 3, 3) of the poses in world axes, NaN where a pose is not estimated.
+
+        Of a solved graph they are the diagonal blocks of Omega^-1 at the end, of dead reckoning the accumulated motion
+        noise, of particle Gibbs and of a smoothed filter the covariances of the samples. None where they are not known: a
+        filter without smoothing keeps paths and no covariance of past poses, and the edges of a graph may not determine
+        its poses.
+        """
+        samples = self.origin.smoothed if isinstance(self.origin, FilterResult) else self.origin
+        if isinstance(samples, Samples):
+            covariances: Array = samples.covariance()
+            return covariances
+        if self.log is not None and self.log.controls is not None:
+            return dead_reckoning_covariances(self.log, self.motion)
+        if self.graph is None or self.state is None:
+            return None
+        return None if isinstance(self._of_graph, str) else self._of_graph
+
+    @cached_property
+    def expected_ate_m(self) -> float | None:
+        """The ATE [m] that the covariances of a graph let expect; None where they are not known."""
+        if self.graph is None or self.state is None or isinstance(self._of_graph, str):
+            return None
+        if isinstance(self.origin, Solution):
+            return self.origin.expected_ate
+        return Uncertainty(self.graph, self.state).expected_ate(len(self.graph.steps))
+
+    def _relative_covariances(self, covariances: Array) -> Array | None:
+        """The covariances (T+1, 3, 3) of the poses of a graph against its first pose, whose errors move all others along.
+
+        With errors d of the poses in world axes, pose k is off by d_k - J d_0, J = [1, 0, -dy; 0, 1, dx; 0, 0, 1], (dx, dy)
+        the way from the first pose. So P = P_kk - J P_0k - P_k0 J' + J P_00 J'.
+        """
+        if self.graph is None or self.state is None:
+            return None
+        J = np.broadcast_to(np.eye(3), covariances.shape).copy()
+        J[:, 0, 2], J[:, 1, 2] = self.poses[0, 1] - self.poses[:, 1], self.poses[:, 0] - self.poses[0, 0]
+        crossed = np.full(covariances.shape, np.nan)
+        steps = self.graph.steps
+        crossed[steps] = Uncertainty(self.graph, self.state).with_node(0)[: len(steps)]
+        mixed = J @ np.swapaxes(crossed, 1, 2)
+        return covariances - mixed - np.swapaxes(mixed, 1, 2) + J @ covariances[0] @ np.swapaxes(J, 1, 2)
+
+    @property
+    def covariance_failure(self) -> str | None:
+        """The reason why the covariances of the graph's poses cannot be computed; None where they can."""
+        if self.graph is None or self.state is None:
+            return None
+        return self._of_graph if isinstance(self._of_graph, str) else None
+
+    @cached_property
+    def _of_graph(self) -> Array | str:
+        """The covariances (T+1, 3, 3) of the poses of the graph, or why they cannot be computed."""
+        assert self.graph is not None and self.state is not None
+        covariances = np.full((len(self.poses), 3, 3), np.nan)
+        try:
+            if isinstance(self.origin, Solution):
+                found: Array = self.origin.covariance()
+                return found
+            covariances[self.graph.steps] = Uncertainty(self.graph, self.state).diagonal[: len(self.graph.steps)]
+        except Exception as error:
+            return f"the covariances are not known: {sentence(error)}"
+        return covariances
+
+    def nees(self, truth: Array | None) -> float | None:
+        """The mean over the poses of e' P^-1 e / 3; 1 means consistent, above 1 overconfident.
+
+        e is the error of a pose relative to the first pose, so that no alignment is needed, and P its covariance: that of
+        the pose where the first one is held, and `_relative_covariances` in a map.
+
+        Args:
+            truth: (T+1, 3) true poses, NaN where unknown; or None.
+
+        Returns:
+            None where the truth of the first pose, or the covariances, are not known.
+        """
+        covariances = self.pose_covariances
+        if truth is None or not np.isfinite(truth[0]).all() or covariances is None:
+            return None
+        # those of samples are relative to the first pose, which is the same in all of them, up to rounding
+        if self.graph is not None and np.any(covariances[0]):
+            covariances = self._relative_covariances(covariances)
+        if covariances is None:
+            return None
+        frame = compose(truth[0], inverse(self.poses[0]))
+        error = compose(frame, self.poses) - truth
+        error[:, 2] = wrap(error[:, 2])
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(frame[2])
+        known = np.isfinite(error).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
+        known[0] = False
+        if not known.any():
+            return None
+        covariances = turn @ covariances[known] @ turn.T
+        try:
+            weighted = np.linalg.solve(covariances, error[known][..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            return None
+        return float(np.mean(np.einsum("ti,ti->t", error[known], weighted)) / 3)
+
+
+def of_expected(cost: float, graph: Graph) -> float | None:
+    """J at the end over what it would be if the noise models were right, `Graph.expected_cost`.
+
+    It is about 1 where they are, above 1 where the noise is larger or sightings are wrong, and below 1 where the noise is
+    smaller. None where the graph has no more measurements than unknowns.
+    """
+    return cost / graph.expected_cost if graph.degrees_of_freedom > 0 else None
+
+
+def dead_reckoning_covariances(log: Log, motion: MotionModel | None = None) -> Array:
+    """The accumulated motion noise (T+1, 3, 3) along a drive from a start that is known exactly; see `drifted`."""
+    return drifted(log.initial_poses[0], *log.motions(motion))[1]
+
+
+def typical_costs(result: EstimatorResult) -> dict[str, float]:
+    """The medians of the squared Mahalanobis norms of "sightings" and "motions", over those of chi-square.
+
+    A median does not see single wrong sightings. With the right noise it is about 1 or less, because the solution follows
+    the noise, most of all that of the motions. Results without a graph have none.
+    """
+    if result.graph is None or result.state is None:
+        return {}
+    kinds = {"sightings": sighted_edges(result.graph), "motions": motion_edges(result.graph)}
+    found = {}
+    for name, family in kinds.items():
+        if family is not None and family.count:
+            edges = family.linearize(result.state, result.state)
+            found[name] = float(np.median(edges.mahalanobis) / chdtri(edges.residuals.shape[1], 0.5))
+    return found

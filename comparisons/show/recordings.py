@@ -1,0 +1,394 @@
+"""The contents of a recording of a comparison: each estimate's poses over time with covariances, and its map.
+
+Results as MCAP with messages of ROS 2, for Foxglove, RViz and every other reader of bags.
+
+Topics of each estimate, NAME with underscores (and of the ground truth, truth)::
+
+    /NAME/pose        geometry_msgs/PoseWithCovarianceStamped   at the time of each pose
+    /NAME/path        nav_msgs/Path                             the whole drive, at its beginning
+    /NAME/landmarks   vision_msgs/Detection3DArray              ids, places and covariances of the map, at its beginning
+    /NAME/markers     visualization_msgs/MarkerArray            the same with ellipses of three standard deviations
+    /tf               tf2_msgs/TFMessage                        map -> base_link of the first estimate
+
+Stamps are by the clock of the log, so that the file can be opened beside the bag that the log came from.
+
+Results as a recording of Rerun (.rrd).
+
+Entities of each estimate NAME, and of the ground truth, truth; the timeline "time" counts seconds since the first pose::
+
+    NAME/pose        the robot as a point and an arrow; x, y, heading and their covariance as numbers in full precision
+    NAME/path        the whole drive
+    NAME/landmarks   the map with ellipses of three standard deviations; ids, x, y and covariances as numbers
+    error/NAME       position error [m], where the truth is known
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from graphslam import OptionError, control_path
+from graphslam.files import write_whole
+from graphslam.metrics import position_errors
+from graphslam.se2 import Array
+
+from ..comparison import Comparison
+from ..results.exchange import elapsed_of
+from .canvas import colour_of
+from .figures import ellipses
+
+#: controls that turn farther [rad] are drawn as arcs
+_ARC = 0.2
+
+
+@dataclass(frozen=True)
+class Track:
+    """The estimate of one estimator, or the ground truth.
+
+    Attributes:
+        name: of the estimator, or "truth".
+        seconds: the time of each pose since the first pose of the log (n,).
+        nanoseconds: the same by the clock of the log, (n,) whole numbers.
+        poses: (n, 3), covariances: (n, 3, 3) or None.
+        path: (k, 3) along the whole drive.
+        landmarks, landmark_covariances: the map.
+    """
+
+    name: str
+    seconds: Array
+    nanoseconds: np.ndarray
+    poses: Array
+    covariances: Array | None
+    path: Array
+    landmarks: Mapping[int, Array] = field(default_factory=dict)
+    landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
+
+
+def tracks(comparison: Comparison) -> Iterator[Track]:
+    """The ground truth where it is known, and every estimate. In a log without times a step counts as a second."""
+    log = comparison.log
+    seconds = elapsed_of(log)
+    # added as whole numbers: seconds since 1970 are not exact to a nanosecond
+    whole, part = divmod(log.start_time, 1)
+    clock = int(whole) * 1_000_000_000 + round(part * 1e9) + np.rint(seconds * 1e9).astype(np.int64)
+    if log.true_poses is not None:
+        known = np.asarray(np.isfinite(log.true_poses).all(axis=1))
+        poses = log.true_poses[known]
+        path = poses if log.true_path is None else log.true_path[np.isfinite(log.true_path).all(axis=1)]
+        yield Track("truth", seconds[known], clock[known], poses, None, path, log.true_landmarks or {})
+    between = control_path(log, comparison.options.motion, most_turn=_ARC)
+    for result in comparison.results:
+        used = result.estimated
+        covariances = result.pose_covariances
+        along = between.through(np.where(used[:, None], result.poses, np.nan))
+        yield Track(
+            result.name,
+            seconds[used],
+            clock[used],
+            result.poses[used],
+            None if covariances is None else covariances[used],
+            along[np.isfinite(along[:, 0])],
+            result.landmarks,
+            result.landmark_covariances,
+        )
+
+
+INSTALL_MCAP = "MCAP files are written by the packages mcap and rosbags: pip install -e '.[ros]' in the clone"
+FRAME = "map"
+#: places of x, y and heading in the 6 x 6 covariances of ROS
+_PLANE = np.array([0, 1, 5])
+#: vision_msgs is not among the types that come with rosbags
+_DETECTIONS = """std_msgs/Header header
+vision_msgs/Detection3D[] detections
+================================================================================
+MSG: vision_msgs/Detection3D
+std_msgs/Header header
+vision_msgs/ObjectHypothesisWithPose[] results
+vision_msgs/BoundingBox3D bbox
+string id
+================================================================================
+MSG: vision_msgs/ObjectHypothesisWithPose
+vision_msgs/ObjectHypothesis hypothesis
+geometry_msgs/PoseWithCovariance pose
+================================================================================
+MSG: vision_msgs/ObjectHypothesis
+string class_id
+float64 score
+================================================================================
+MSG: vision_msgs/BoundingBox3D
+geometry_msgs/Pose center
+geometry_msgs/Vector3 size
+"""
+
+
+def check_mcap() -> None:
+    """Raise `OptionError` with what to install where the optional packages are missing."""
+    try:
+        import mcap.writer  # noqa: F401
+        import rosbags.typesys  # noqa: F401
+    except ImportError:
+        raise OptionError(INSTALL_MCAP) from None
+
+
+def write_mcap(comparison: Comparison, path: Path) -> None:
+    """Write the results of a comparison as MCAP, whole or not at all.
+
+    Raises:
+        OptionError: a package is missing.
+        FormatError: the file cannot be written.
+    """
+    check_mcap()
+    from mcap.writer import Writer
+
+    ros = _Ros()
+    messages = sorted(_messages(comparison, ros), key=lambda each: each[0])
+    with write_whole(path) as temporary, temporary.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="virtual-motion-slam")
+        channels: dict[str, int] = {}
+        schemas: dict[str, int] = {}
+        for time, topic, type, message in messages:
+            if type not in schemas:
+                schemas[type] = writer.register_schema(type, "ros2msg", ros.definition(type).encode())
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "cdr", schemas[type])
+            # MCAP knows no times before 1970
+            log_time = max(0, time)
+            writer.add_message(channels[topic], log_time, ros.bytes_of(message, type), log_time)
+        writer.finish()
+
+
+class _Ros:
+    """Messages of ROS 2."""
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self._store = get_typestore(Stores.ROS2_HUMBLE)
+        self._store.register(get_types_from_msg(_DETECTIONS, "vision_msgs/msg/Detection3DArray"))
+
+    def definition(self, type: str) -> str:
+        return str(self._store.generate_msgdef(type, ros_version=2)[0])
+
+    def bytes_of(self, message: Any, type: str) -> bytes:
+        return bytes(self._store.serialize_cdr(message, type))
+
+    def make(self, type: str, /, **fields: Any) -> Any:
+        """A message; numbers that are not given are 0, texts and lists empty."""
+        package, _, name = type.partition("/")
+        full = f"{package}/msg/{name}"
+        values = {}
+        for key, (node, kind) in self._store.fielddefs[full][1]:
+            if key in fields:
+                values[key] = fields.pop(key)
+            elif node == 2:
+                values[key] = self.make(kind.replace("/msg/", "/"))
+            elif node == 1:
+                values[key] = "" if kind[0] == "string" else False if kind[0] == "bool" else 0
+            elif kind[0][0] == 2:
+                values[key] = []
+            else:
+                values[key] = np.zeros(kind[1] if node == 3 else 0, dtype=kind[0][1][0].replace("octet", "uint8"))
+        return self._store.types[full](**values)
+
+    def header(self, ns: int) -> Any:
+        stamp = self.make("builtin_interfaces/Time", sec=int(ns // 10**9), nanosec=int(ns % 10**9))
+        return self.make("std_msgs/Header", stamp=stamp, frame_id=FRAME)
+
+    def pose(self, pose: Array) -> Any:
+        x, y, theta = (*map(float, pose), 0.0)[:3]
+        turn = self.make("geometry_msgs/Quaternion", z=float(np.sin(theta / 2)), w=float(np.cos(theta / 2)))
+        return self.make("geometry_msgs/Pose", position=self.make("geometry_msgs/Point", x=x, y=y), orientation=turn)
+
+    def pose_with_covariance(self, pose: Array, covariance: Array | None) -> Any:
+        whole = np.zeros((6, 6))
+        if covariance is not None and np.isfinite(covariance).all():
+            rows = _PLANE[: len(covariance)]
+            whole[np.ix_(rows, rows)] = covariance
+        return self.make("geometry_msgs/PoseWithCovariance", pose=self.pose(pose), covariance=whole.ravel())
+
+
+def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, str, Any]]:
+    """(time [ns], topic, type, message)."""
+    moving: str | None = None
+    for track in tracks(comparison):
+        if len(track.poses) == 0:
+            continue
+        prefix = "/" + track.name.replace("-", "_")
+        begin = int(track.nanoseconds[0])
+        for k, ns in enumerate(track.nanoseconds.tolist()):
+            pose = ros.pose_with_covariance(track.poses[k], None if track.covariances is None else track.covariances[k])
+            stamped = ros.make("geometry_msgs/PoseWithCovarianceStamped", header=ros.header(ns), pose=pose)
+            yield ns, f"{prefix}/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", stamped
+        along = [
+            ros.make("geometry_msgs/PoseStamped", header=ros.header(begin), pose=ros.pose(at)) for at in track.path
+        ]
+        path = ros.make("nav_msgs/Path", header=ros.header(begin), poses=along)
+        yield begin, f"{prefix}/path", "nav_msgs/msg/Path", path
+        if track.landmarks:
+            yield begin, f"{prefix}/landmarks", "vision_msgs/msg/Detection3DArray", _detections(ros, track, begin)
+            yield begin, f"{prefix}/markers", "visualization_msgs/msg/MarkerArray", _markers(ros, track, begin)
+        if moving is None and track.name != "truth":
+            moving = track.name
+            for pose, ns in zip(track.poses, track.nanoseconds.tolist()):
+                yield ns, "/tf", "tf2_msgs/msg/TFMessage", _transform(ros, pose, ns)
+
+
+def _transform(ros: _Ros, pose: Array, ns: int) -> Any:
+    at = ros.pose(pose)
+    place = ros.make("geometry_msgs/Vector3", x=at.position.x, y=at.position.y)
+    transform = ros.make("geometry_msgs/Transform", translation=place, rotation=at.orientation)
+    stamped = ros.make(
+        "geometry_msgs/TransformStamped", header=ros.header(ns), child_frame_id="base_link", transform=transform
+    )
+    return ros.make("tf2_msgs/TFMessage", transforms=[stamped])
+
+
+def _detections(ros: _Ros, track: Track, ns: int) -> Any:
+    detections = []
+    for id, place in sorted(track.landmarks.items()):
+        pose = ros.pose_with_covariance(place, track.landmark_covariances.get(id))
+        hypothesis = ros.make("vision_msgs/ObjectHypothesis", class_id=str(id), score=1.0)
+        result = ros.make("vision_msgs/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=pose)
+        box = ros.make("vision_msgs/BoundingBox3D", center=ros.pose(place))
+        detections.append(
+            ros.make("vision_msgs/Detection3D", header=ros.header(ns), results=[result], bbox=box, id=str(id))
+        )
+    return ros.make("vision_msgs/Detection3DArray", header=ros.header(ns), detections=detections)
+
+
+def _markers(ros: _Ros, track: Track, ns: int) -> Any:
+    from matplotlib.colors import to_rgb
+
+    red, green, blue = to_rgb("black" if track.name == "truth" else colour_of(track.name))
+    markers = []
+    for number, (id, place) in enumerate(sorted(track.landmarks.items())):
+        axes, turn = _ellipse(track.landmark_covariances, id)
+        size = ros.make("geometry_msgs/Vector3", x=axes[0], y=axes[1], z=0.02)
+        for kind, text in ((3, ""), (9, str(id))):
+            pose = ros.pose(np.array([*place[:2], turn if kind == 3 else 0.0]))
+            pose.position.z = 0.0 if kind == 3 else 0.2
+            markers.append(
+                ros.make(
+                    "visualization_msgs/Marker", header=ros.header(ns), ns=track.name if kind == 3 else f"{track.name} ids",
+                    id=number, type=kind, pose=pose, text=text,
+                    scale=size if kind == 3 else ros.make("geometry_msgs/Vector3", z=0.2),
+                    color=ros.make("std_msgs/ColorRGBA", r=red, g=green, b=blue, a=0.5 if kind == 3 else 1.0),
+                )
+            )  # fmt: skip
+    return ros.make("visualization_msgs/MarkerArray", markers=markers)
+
+
+def _ellipse(covariances: Mapping[int, Array], id: int) -> tuple[tuple[float, float], float]:
+    """The diameters of the ellipse of three standard deviations [m], and the direction of the first one [rad]."""
+    covariance = covariances.get(id)
+    if covariance is None or not np.isfinite(covariance).all():
+        return (0.1, 0.1), 0.0
+    values, vectors = np.linalg.eigh(np.asarray(covariance)[:2, :2])
+    sizes = 6 * np.sqrt(np.maximum(values, 1e-6))
+    return (float(sizes[0]), float(sizes[1])), float(np.arctan2(vectors[1, 0], vectors[0, 0]))
+
+
+INSTALL_RERUN = "Rerun recordings are written by the package rerun-sdk: pip install -e '.[rerun]' in the clone"
+TIMELINE = "time"
+
+
+def check_rerun() -> None:
+    """Raise `OptionError` with what to install where the optional package is missing."""
+    try:
+        import rerun  # noqa: F401
+    except ImportError:
+        raise OptionError(INSTALL_RERUN) from None
+
+
+def write_rerun(comparison: Comparison, path: Path) -> None:
+    """Write the results of a comparison as a Rerun recording, whole or not at all.
+
+    Raises:
+        OptionError: the package is missing.
+        FormatError: the file cannot be written.
+    """
+    check_rerun()
+    import rerun as rr
+
+    with write_whole(path) as temporary:
+        recording = rr.RecordingStream("virtual-motion-slam", recording_id=comparison.log.name)
+        recording.save(temporary)
+        for track in tracks(comparison):
+            if len(track.poses):
+                _write_track(rr, recording, track)
+        for name, seconds, errors in _errors(comparison):
+            times = rr.TimeColumn(TIMELINE, duration=seconds)
+            rr.send_columns(f"error/{name}", [times], rr.Scalars.columns(scalars=errors), recording=recording)
+        recording.flush()
+        recording.disconnect()
+
+
+def _write_track(rr: Any, recording: Any, track: Track) -> None:
+    color = _rgb("#000000" if track.name == "truth" else colour_of(track.name))
+    x, y, heading = track.poses.T
+    times = rr.TimeColumn(TIMELINE, duration=track.seconds)
+    numbers = {"x": x, "y": y, "heading": heading}
+    if track.covariances is not None:
+        numbers |= _named(track.covariances)
+    arrows = np.column_stack([np.cos(heading), np.sin(heading)]) * 0.3
+    rr.send_columns(
+        f"{track.name}/pose",
+        [times],
+        [
+            *rr.Arrows2D.columns(origins=track.poses[:, :2], vectors=arrows, colors=[color] * len(x)),
+            *rr.AnyValues.columns(**numbers),
+        ],
+        recording=recording,
+    )
+    recording.log(f"{track.name}/path", rr.LineStrips2D([track.path[:, :2]], colors=[color]), static=True)
+    if not track.landmarks:
+        return
+    ids = sorted(track.landmarks)
+    places = np.array([np.append(track.landmarks[id], np.nan)[:3] for id in ids])
+    known = {id: C for id in ids if (C := track.landmark_covariances.get(id)) is not None and np.isfinite(C).all()}
+    values = {"id": np.array(ids), "x": places[:, 0], "y": places[:, 1], "heading": places[:, 2]}
+    values |= _named(np.array([_padded(known.get(id)) for id in ids]))
+    recording.log(
+        f"{track.name}/landmarks",
+        rr.Points2D(places[:, :2], colors=[color], labels=[str(id) for id in ids], radii=0.04),
+        rr.AnyValues(**values),
+        static=True,
+    )
+    if known:
+        curves = ellipses(track.landmarks, known)
+        recording.log(f"{track.name}/landmarks/ellipses", rr.LineStrips2D(list(curves), colors=[color]), static=True)
+
+
+def _named(covariances: Array) -> dict[str, Array]:
+    """The numbers of covariances (n, 3, 3), by the names of `graphslam.io.map_files.COVARIANCE`."""
+    places = {"var_x": (0, 0), "cov_xy": (0, 1), "var_y": (1, 1), "cov_x_heading": (0, 2), "cov_y_heading": (1, 2)}
+    return {name: covariances[:, i, j] for name, (i, j) in (*places.items(), ("var_heading", (2, 2)))}
+
+
+def _padded(covariance: Array | None) -> Array:
+    """A covariance as (3, 3), NaN where it is not known."""
+    whole = np.full((3, 3), np.nan)
+    if covariance is not None:
+        whole[: len(covariance), : len(covariance)] = covariance
+    return whole
+
+
+def _errors(comparison: Comparison) -> Any:
+    log = comparison.log
+    if log.true_poses is None:
+        return
+    seconds = elapsed_of(log)
+    for result in comparison.results:
+        if np.count_nonzero(result.estimated & log.covered) >= 2:
+            errors = position_errors(log.true_poses, log.at_truth(result.poses), mask=result.estimated)
+            known = np.isfinite(errors)
+            yield result.name, seconds[known], errors[known]
+
+
+def _rgb(color: str) -> tuple[int, int, int]:
+    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)

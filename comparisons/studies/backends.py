@@ -1,0 +1,461 @@
+"""Pose graphs solved by this solver, GTSAM and g2o: cost by one evaluator, time, and whether each converged.
+
+Pose graphs through other optimisers: GTSAM with its native factors, and g2o.
+
+Each peer gets the nodes, edges and initial values of a `Graph` and returns the state at the end. The between factors are
+GTSAM's own (C++). Their residual is the logarithm of g2o's error, which is the same close to the optimum but not far from
+it, so a peer may end at a slightly different point. The cost of every state is computed by `Graph.cost`.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field
+from functools import cache, partial
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import gtsam
+import numpy as np
+from pebble import ProcessExpired, ProcessPool
+
+from graphslam import Certificate, Graph, GraphError, OptionError, certify, solve
+from graphslam.edges import RelativePointEdges, RelativePoseEdges
+from graphslam.factors import RelativePointFactor
+from graphslam.processes import how_it_ended, processes
+from graphslam.se2 import Array, rotation
+from graphslam.solvers.gtsam_solver import from_values, to_values
+from graphslam.solvers.initialize import starting_state
+
+from ..display import Displayed
+from ..estimators.attempt import too_long
+from ..options import BackendOptions
+from ..results import of_expected
+from ..results.documents import certificate_document
+from ..results.saving import jsonable
+
+
+@dataclass(frozen=True)
+class PeerRun:
+    """One optimisation: the state (n, 3) at the end, iterations, seconds, how it ended, chi2 before and after steps.
+
+    ``native`` is False where factors are evaluated in Python.
+    """
+
+    state: Array
+    iterations: int
+    seconds: float
+    converged: bool
+    reason: str
+    costs: tuple[float, ...] = ()
+    native: bool = True
+
+
+#: a peer prepares a graph, before the time is measured, and returns a function that optimises it from the start at each call
+Peer = Callable[[Graph, float, int], Callable[[], PeerRun]]
+
+
+def information_of_g2o(edges: RelativePoseEdges) -> Array:
+    """The information (E, 3, 3) for the residual z^-1 (x_i^-1 x_j), which is our residual rotated by R(theta_z)'."""
+    turn = np.broadcast_to(np.eye(3), (edges.count, 3, 3)).copy()
+    turn[:, :2, :2] = rotation(-edges.measured[:, 2])
+    return turn @ edges.information @ np.swapaxes(turn, 1, 2)
+
+
+def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
+    """The graph in GTSAM's own factors: BetweenFactorPose2, a stiff prior per fixed node, our factor for points.
+
+    Raises:
+        OptionError: the graph has edges that are not those of a pose graph.
+    """
+    factors = gtsam.NonlinearFactorGraph()
+    for family in graph.families:
+        if isinstance(family, RelativePoseEdges) and not family.state_dependent_information:
+            for i, j, z, omega in zip(
+                family.first.tolist(), family.second.tolist(), family.measured, information_of_g2o(family)
+            ):
+                noise = gtsam.noiseModel.Gaussian.Information(omega)
+                factors.add(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*z), noise))
+        elif isinstance(family, RelativePointEdges):
+            for i, j, z, omega in zip(
+                family.first.tolist(), family.second.tolist(), family.measured, family.information
+            ):
+                factors.add(RelativePointFactor(i, j, z, omega))
+        else:
+            raise OptionError(f"{type(family).__name__} do not belong to a pose graph")
+    stiff = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
+    for node in graph.fixed.tolist():
+        factors.add(gtsam.PriorFactorPose2(node, gtsam.Pose2(*graph.initial[node]), stiff))
+    return factors
+
+
+def gtsam_peer(damped: bool) -> Peer:
+    """GTSAM's Levenberg-Marquardt (damped) or Gauss-Newton."""
+
+    def prepare(graph: Graph, cost_tolerance: float, max_iterations: int) -> Callable[[], PeerRun]:
+        factors, values = native_gtsam_graph(graph), to_values(graph, graph.initial)
+        parameters: Any = gtsam.LevenbergMarquardtParams() if damped else gtsam.GaussNewtonParams()
+        if damped:
+            parameters.setVerbosityLM("SILENT")
+        parameters.setMaxIterations(max_iterations)
+        parameters.setRelativeErrorTol(cost_tolerance)
+        parameters.setAbsoluteErrorTol(0.0)
+        kind: Any = gtsam.LevenbergMarquardtOptimizer if damped else gtsam.GaussNewtonOptimizer
+        # GTSAM has no factor of its own for a point in Cartesian coordinates
+        native = not any(isinstance(family, RelativePointEdges) for family in graph.families)
+        costs = _gtsam_costs(kind(factors, values, parameters), graph, cost_tolerance, max_iterations)
+
+        def run() -> PeerRun:
+            begin = time.perf_counter()
+            optimizer = kind(factors, values, parameters)
+            try:
+                end = optimizer.optimize()
+            except RuntimeError as error:
+                seconds = time.perf_counter() - begin
+                reason = f"gave up: {str(error).strip().splitlines()[0]}"
+                return PeerRun(graph.initial * np.nan, 0, seconds, False, reason, native=native)
+            seconds = time.perf_counter() - begin
+            state, iterations = from_values(graph, end), int(optimizer.iterations())
+            if iterations >= max_iterations:
+                reason = f"max_iterations = {max_iterations} reached"
+                return PeerRun(state, iterations, seconds, False, reason, costs, native)
+            moved = float(np.abs(state - graph.initial).max())
+            if moved < 1e-12:
+                return PeerRun(state, iterations, seconds, False, "returned the initial values", native=native)
+            reason = f"the cost changed by less than {cost_tolerance:g} of it"
+            return PeerRun(state, iterations, seconds, True, reason, costs, native)
+
+        return run
+
+    return prepare
+
+
+def _gtsam_costs(optimizer: Any, graph: Graph, cost_tolerance: float, max_iterations: int) -> tuple[float, ...]:
+    """The chi2 before and after each iteration, from a run of its own, for the figure."""
+    costs, before = [graph.cost(graph.initial)], optimizer.error()
+    try:
+        while len(costs) <= max_iterations:
+            optimizer.iterate()
+            costs.append(graph.cost(from_values(graph, optimizer.values())))
+            if abs(before - optimizer.error()) <= cost_tolerance * before:
+                break
+            before = optimizer.error()
+    except RuntimeError:
+        return tuple(costs)
+    return tuple(costs)
+
+
+def g2o_peer(damped: bool) -> Peer:
+    """g2o's Levenberg-Marquardt (damped) or Gauss-Newton, with its sparse Cholesky on Eigen, from the package g2opy.
+
+    It has no stop rule here: it executes the smallest number of iterations that reaches its final cost.
+    """
+
+    def prepare(graph: Graph, cost_tolerance: float, max_iterations: int) -> Callable[[], PeerRun]:
+        g2o = _import_g2o()
+        costs, reaches = _smallest_number(g2o, graph, damped, cost_tolerance, max_iterations)
+
+        def run() -> PeerRun:
+            optimizer = _g2o_optimizer(g2o, graph, damped)
+            begin = time.perf_counter()
+            optimizer.initialize_optimization()
+            optimizer.optimize(reaches)
+            seconds = time.perf_counter() - begin
+            state = _g2o_state(optimizer, graph)
+            if not np.isfinite(costs[-1]):
+                return PeerRun(state, reaches, seconds, False, "diverged", costs)
+            if reaches >= max_iterations:
+                return PeerRun(state, reaches, seconds, False, f"still moving after {max_iterations} iterations", costs)
+            return PeerRun(state, reaches, seconds, True, f"{reaches} iterations reach its final cost", costs)
+
+        return run
+
+    return prepare
+
+
+def _import_g2o() -> Any:
+    try:
+        return import_module("g2opy")
+    except ImportError:
+        raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
+
+
+def _smallest_number(
+    g2o: Any, graph: Graph, damped: bool, cost_tolerance: float, max_iterations: int
+) -> tuple[tuple[float, ...], int]:
+    """The chi2 before and after each iteration, and the number of iterations after which the stop rule is met."""
+    optimizer = _g2o_optimizer(g2o, graph, damped)
+    optimizer.set_compute_batch_statistics(True)
+    optimizer.initialize_optimization()
+    optimizer.optimize(max_iterations)
+    costs = [graph.cost(graph.initial), *(float(step.chi2) for step in optimizer.batch_statistics())]
+    for count in range(1, len(costs)):
+        if not np.isfinite(costs[count]):
+            return tuple(costs[: count + 1]), count
+        if abs(costs[count - 1] - costs[count]) <= cost_tolerance * costs[count - 1]:
+            # the step before the one that changed nothing had already reached it
+            return tuple(costs[:count]), max(count - 1, 1)
+    return tuple(costs), max_iterations
+
+
+def _g2o_optimizer(g2o: Any, graph: Graph, damped: bool) -> Any:
+    optimizer = g2o.SparseOptimizer()
+    solver = g2o.BlockSolverX(g2o.LinearSolverEigenX())
+    algorithm = g2o.OptimizationAlgorithmLevenberg if damped else g2o.OptimizationAlgorithmGaussNewton
+    optimizer.set_algorithm(algorithm(solver))
+    optimizer.set_verbose(False)
+    fixed = set(graph.fixed.tolist())
+    poses = len(graph.steps)
+    for node, (x, y, theta) in enumerate(graph.initial.tolist()):
+        if node < poses:
+            vertex = g2o.VertexSE2()
+            vertex.set_estimate(g2o.SE2(x, y, theta))
+        else:
+            vertex = g2o.VertexPointXY()
+            vertex.set_estimate(np.array([x, y]))
+        vertex.set_id(node)
+        vertex.set_fixed(node in fixed)
+        optimizer.add_vertex(vertex)
+    for family in graph.families:
+        if isinstance(family, RelativePoseEdges):
+            kind, measured, omegas = g2o.EdgeSE2, [g2o.SE2(*z) for z in family.measured], information_of_g2o(family)
+        elif isinstance(family, RelativePointEdges):
+            kind, measured, omegas = g2o.EdgeSE2PointXY, list(family.measured), family.information
+        else:
+            raise OptionError(f"{type(family).__name__} do not belong to a pose graph")
+        for i, j, z, omega in zip(family.first.tolist(), family.second.tolist(), measured, omegas):
+            edge = kind()
+            edge.set_vertex(0, optimizer.vertex(i))
+            edge.set_vertex(1, optimizer.vertex(j))
+            edge.set_measurement(z)
+            edge.set_information(omega)
+            optimizer.add_edge(edge)
+    return optimizer
+
+
+def _g2o_state(optimizer: Any, graph: Graph) -> Array:
+    state = np.zeros((graph.num_nodes, 3))
+    poses = len(graph.steps)
+    for node in range(graph.num_nodes):
+        estimate = optimizer.vertex(node).estimate()
+        state[node] = estimate.to_vector() if node < poses else [*estimate, 0.0]
+    return state
+
+
+PEERS: dict[str, Peer] = {
+    "gtsam-lm": gtsam_peer(damped=True),
+    "gtsam-gn": gtsam_peer(damped=False),
+    "g2o-gn": g2o_peer(damped=False),
+    "g2o-lm": g2o_peer(damped=True),
+}
+
+
+#: the names of the backends, ours first
+BACKENDS = ("graphslam", *PEERS)
+
+#: every backend stops when a step changes the cost by less than this part of it
+COST_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class BackendRow:
+    """One backend on one graph.
+
+    Attributes:
+        file, backend: which.
+        chi2: the cost of the state it ended in, by `Graph.cost`; NaN if it gave up.
+        iterations: their number.
+        seconds: of the optimisation alone, from initial values to the stop; median of the repetitions; NaN if it was stopped.
+        converged: whether its stop rule was met (for a local minimum, too: compare the chi2).
+        reason: how it ended.
+        trace: (seconds, chi2) after each iteration, for the figure; empty where a backend does not report them.
+        chi2_per_dof: chi2 per degree of freedom, about 1 where the information in the file fits the errors.
+        native: whether all factors are evaluated by the backend itself. False where GTSAM calls factors in Python, so that
+            the time is mostly that of the callbacks.
+        certificate: whether the state is proven to be the global minimum of chi2; None if the backend gave up.
+    """
+
+    file: str
+    backend: str
+    chi2: float
+    iterations: int
+    seconds: float
+    converged: bool
+    reason: str
+    trace: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    chi2_per_dof: float | None = None
+    native: bool = True
+    certificate: Certificate | None = field(default=None, repr=False)
+
+
+@dataclass(frozen=True)
+class BackendComparison(Displayed):
+    """The outcome of `compare_backends`."""
+
+    rows: tuple[BackendRow, ...]
+
+    def best(self, file: str) -> float:
+        """The lowest chi2 that any backend reached on a file."""
+        return min((r.chi2 for r in self.rows if r.file == file and not math.isnan(r.chi2)), default=math.nan)
+
+    def reached(self, row: BackendRow, relative: float = 1e-3) -> bool:
+        """Whether a row ended at the lowest chi2 of its file, to a thousandth (the residuals of GTSAM differ a little)."""
+        return row.converged and row.chi2 <= self.best(row.file) * (1 + relative) + 1e-12
+
+    def ratio(self, row: BackendRow) -> float | None:
+        """Seconds of graphslam over those of a row on the same file; None where either did not reach the best chi2."""
+        ours = next((r for r in self.rows if r.file == row.file and r.backend == "graphslam"), None)
+        if ours is None or not self.reached(ours) or not self.reached(row):
+            return None
+        return ours.seconds / row.seconds
+
+    def geometric_mean(self, backend: str) -> float | None:
+        """The geometric mean of `ratio` over the files on which both reached the best chi2; native rows only."""
+        rows = (r for r in self.rows if r.backend == backend and r.native)
+        ratios = [ratio for r in rows if (ratio := self.ratio(r)) is not None]
+        return math.exp(statistics.fmean(map(math.log, ratios))) if ratios else None
+
+    def to_json(self) -> dict[str, Any]:
+        """The comparison as plain data: {"rows": [fields of `BackendRow` and "ratio"], "geometric_means"}."""
+        rows = [
+            {k: v for k, v in asdict(row).items() if k != "trace"}
+            | {"ratio": self.ratio(row), "certificate": certificate_document(row.certificate)}
+            for row in self.rows
+        ]
+        names = dict.fromkeys(row.backend for row in self.rows if row.backend != "graphslam")
+        return jsonable({"rows": rows, "geometric_means": {name: self.geometric_mean(name) for name in names}})
+
+
+def compare_backends(
+    files: Sequence[str | PathLike[str]] | str | PathLike[str],
+    *,
+    progress: Callable[[BackendRow], None] | None = None,
+    **options: Any,
+) -> BackendComparison:
+    """Optimise pose graphs with several backends: first pose fixed, the file's initial values, the same stop rule.
+
+    Each backend runs ``repeat`` times, after a run on a tiny graph that loads or compiles its code; its time is the
+    median. GTSAM and g2o prepare their graph before the time is measured; our pattern, ordering and start count.
+
+    Args:
+        files: pose graphs, see `Graph.from_g2o`; one, or several.
+        progress: called after each row.
+        options: the fields of `options.BackendOptions`: backends, initialize, same_start, repeat, max_iterations, format,
+            time_limit [s], which holds for all runs of one backend on one file, its certificate included.
+
+    Raises:
+        OptionError: an option has an impossible value, or a backend asked for is not installed.
+        FormatError, GraphError: a file is not a graph that can be solved.
+    """
+    given = BackendOptions.of(**options)
+    rows: list[BackendRow] = []
+    names = given.backends or BACKENDS
+    with _measurer(names, given) as measure:
+        for path in [files] if isinstance(files, (str, PathLike)) else files:
+            graph, initialize = Graph.from_g2o(path, format=given.format), given.initialize
+            if given.same_start:
+                graph, initialize = graph.with_initial(starting_state(graph, "auto")), "given"
+            for name in names:
+                try:
+                    rows.append(measure(str(path), name, graph, initialize))
+                except OptionError:
+                    if given.backends is None:
+                        continue  # not installed, and not asked for by name
+                    raise
+                if progress is not None:
+                    progress(rows[-1])
+    return BackendComparison(tuple(rows))
+
+
+#: makes the row of a backend, given the file, its name, the graph of the file and where graphslam starts
+Measure = Callable[[str, str, Graph, str], BackendRow]
+
+
+@contextmanager
+def _measurer(names: Sequence[str], options: BackendOptions) -> Iterator[Measure]:
+    """`_measured`, or the same in a process that is stopped at the time limit."""
+    if options.time_limit is None:
+        yield partial(_measured, options)
+        return
+    with processes(1, partial(_warm_up_all, tuple(names))) as pool:
+        yield partial(_within, pool, options)
+
+
+def _within(
+    pool: ProcessPool, options: BackendOptions, file: str, name: str, graph: Graph, initialize: str
+) -> BackendRow:
+    try:
+        row: BackendRow = pool.schedule(
+            _measured, (options, file, name, graph, initialize), timeout=options.time_limit
+        ).result()
+    except TimeoutError:
+        return BackendRow(file, name, math.nan, 0, math.nan, False, too_long(options.time_limit))
+    except ProcessExpired as error:
+        return BackendRow(file, name, math.nan, 0, math.nan, False, how_it_ended(error))
+    return row
+
+
+def _measured(options: BackendOptions, file: str, name: str, graph: Graph, initialize: str) -> BackendRow:
+    """The row of a backend; raises `OptionError` where it is not installed."""
+    run = _backend(name, graph, initialize, options.max_iterations)
+    _warm_up(name)
+    return _row(file, name, graph, [run() for _ in range(options.repeat)])
+
+
+def _warm_up_all(names: Sequence[str]) -> None:
+    for name in names:
+        with suppress(Exception):  # it shows again, with its message, in the run
+            _warm_up(name)
+
+
+def _backend(name: str, graph: Graph, initialize: str, max_iterations: int) -> Callable[[], PeerRun]:
+    """A function that optimises the graph from the start at every call."""
+    if name != "graphslam":
+        return PEERS[name](graph, COST_TOLERANCE, max_iterations)
+
+    def run() -> PeerRun:
+        # a fresh graph, so that pattern and ordering count in the time
+        fresh = graph.with_initial(graph.initial)
+        try:
+            solution = solve(fresh, initialize=initialize, cost_tolerance=COST_TOLERANCE, max_iterations=max_iterations)
+        except GraphError as error:
+            return PeerRun(graph.initial * math.nan, 0, math.nan, False, str(error))
+        return PeerRun(
+            solution.state, solution.iterations, solution.seconds, solution.converged, solution.reason,
+            tuple(solution.costs.tolist()),
+        )  # fmt: skip
+
+    return run
+
+
+@cache
+def _warm_up(name: str) -> None:
+    """Solve a square with a landmark, so that a backend compiles or loads its code before the measurement."""
+    lines = [f"VERTEX_SE2 {k} {k % 2} {k // 2} 0\nEDGE_SE2 {k} {(k + 1) % 4} 1 0 1.57 1 0 0 1 0 1" for k in range(4)]
+    lines += ["VERTEX_XY 4 2 2", "EDGE_SE2_XY 0 4 2 2 1 0 1", "EDGE_SE2_XY 1 4 2 -1 1 0 1"]
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "square.g2o"
+        path.write_text("\n".join(lines), encoding="utf-8")
+        _backend(name, Graph.from_g2o(path), "auto", 5)()
+
+
+def _row(file: str, name: str, graph: Graph, runs: Sequence[PeerRun]) -> BackendRow:
+    seconds = statistics.median(run.seconds for run in runs)
+    last = runs[-1]
+    steps = max(len(last.costs) - 1, 1)
+    trace = tuple((seconds * k / steps, cost) for k, cost in enumerate(last.costs))
+    chi2 = graph.cost(last.state)
+    certificate = None
+    if math.isfinite(chi2):
+        certificate = certify(graph, last.state).of_run(last.converged, last.reason)
+    return BackendRow(
+        file, name, chi2, last.iterations, seconds, last.converged, last.reason, trace, of_expected(chi2, graph),
+        last.native, certificate,
+    )  # fmt: skip

@@ -1,0 +1,187 @@
+"""Error, effective sample size, ancestors and time as functions of the number of particles, for many random seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from fastslam.particles import FilterResult
+from graphslam import Log, SlamError
+from graphslam.metrics import ate, evaluate
+from graphslam.se2 import Array
+
+from ..display import Displayed
+from ..estimators import ESTIMATORS
+from ..estimators.attempt import default_jobs, results
+from ..estimators.filters import Announce, announce_memory
+from ..options import ParticleStudyOptions, RunOptions
+from ..options.reading import prepare
+from .summary import quartiles
+
+#: the figures of a run: field of `ParticleRun` -> label of its axis
+FIGURES = {
+    "ate_m": "ATE, best particle [m]",
+    "mean_ate_m": "ATE, mean of histories [m]",
+    "landmark_rmse_m": "map RMSE, best particle [m]",
+    "ess_share": "ESS / N",
+    "ancestors": "ancestors half-way",
+    "seconds": "time [s]",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParticleRun:
+    """One filter on the log with one seed.
+
+    Attributes:
+        name: of the filter: mcl, fastslam1 or fastslam2.
+        particles, seed: N, and the random seed.
+        ate_m, landmark_rmse_m: error of the best particle's history and map [m]; None where the log has no ground truth.
+            One particle is one sample of the posterior, and with more particles it is still one sample.
+        mean_ate_m: error of the weighted mean of the surviving histories [m], which decreases with more particles; with
+            ``smoothing`` that of the mean of the trajectories drawn backwards.
+        ess_share: mean of ESS / N over the steps with sightings, before resampling.
+        ancestors: how many distinct particles of the step half-way have descendants at the end.
+        seconds: the whole run, without compiling.
+    """
+
+    name: str
+    particles: int
+    seed: int
+    ate_m: float | None
+    mean_ate_m: float | None
+    landmark_rmse_m: float | None
+    ess_share: float
+    ancestors: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleStudy(Displayed):
+    """All runs of a study, the name of the log, and a note on each run that was stopped."""
+
+    log: str
+    runs: tuple[ParticleRun, ...]
+    notes: tuple[str, ...] = ()
+
+    def names(self) -> list[str]:
+        """The filters in the order in which they ran."""
+        return list(dict.fromkeys(run.name for run in self.runs))
+
+    def bands(self, name: str, figure: str) -> tuple[np.ndarray, Array]:
+        """Of one filter and one of `FIGURES`: the numbers of particles (k,), and the quartiles over seeds (3, k).
+
+        Empty where the figure is not known.
+        """
+        values: dict[int, list[float]] = {}
+        for run in self.runs:
+            if run.name == name and getattr(run, figure) is not None:
+                values.setdefault(run.particles, []).append(getattr(run, figure))
+        numbers = sorted(values)
+        return np.array(numbers, dtype=int), np.array([quartiles(values[n]) for n in numbers]).reshape(-1, 3).T
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per filter and number of particles: the medians over seeds, None where unknown."""
+        return [
+            {key: value if key in ("name", "particles") or value is None else value[1] for key, value in row.items()}
+            for row in self._quartiles()
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """The study as JSON holds it: every run, and the quartiles over seeds."""
+        runs = [asdict(run) for run in self.runs]
+        return {"log": self.log, "runs": runs, "bands": self._quartiles(), "notes": list(self.notes)}
+
+    def _quartiles(self) -> list[dict[str, Any]]:
+        """One row per filter and number of particles: three quartiles of each figure, None where unknown."""
+        rows: list[dict[str, Any]] = []
+        for name in self.names():
+            bands = {figure: self.bands(name, figure) for figure in FIGURES}
+            columns = {figure: dict(zip(n.tolist(), q.T.tolist(), strict=True)) for figure, (n, q) in bands.items()}
+            rows += [
+                {"name": name, "particles": n, **{figure: column.get(n) for figure, column in columns.items()}}
+                for n in columns["seconds"]
+            ]
+        return rows
+
+
+def study_particles(
+    log: Log | str | PathLike[str] | None = None,
+    *,
+    progress: Callable[[ParticleRun], None] | None = None,
+    announce: Announce | None = None,
+    **options: Any,
+) -> ParticleStudy:
+    """Run filters with growing numbers of particles and several random seeds on one log.
+
+    Args:
+        log: a log, the file or folder of one, or None for the sample log; with the ground truth the errors are known.
+        progress: called after every run.
+        announce: called before the first run with a sentence, where the runs need much memory.
+        options: the fields of `options.ParticleStudyOptions`: filters, particles, seeds, resampling, association, jobs,
+            time_limit, and those that read the log. In local processes a filter has one thread; with ``jobs=0`` it has all.
+
+    Raises:
+        FormatError: a file cannot be read.
+        OptionError: an option has an impossible value.
+        LogError: the log has no controls.
+        SlamError: no run has ended within the time limit.
+    """
+    data, _, given = prepare(log, ParticleStudyOptions.of(**options))
+    of_run = RunOptions.of(motion=given.motion, sensor=given.sensor, **given.of_component("filter"))
+    tasks = [
+        (name, particles, seed)
+        for name in given.filters
+        for particles in sorted(set(given.particles))
+        for seed in range(given.seeds)
+    ]
+    jobs = default_jobs() if given.jobs is None else max(given.jobs, 1)
+    of_tasks = ((name, data, of_run.with_numbers(particles=particles)) for name, particles, _ in tasks)
+    announce_memory(of_tasks, announce, jobs=jobs)
+    runs: list[ParticleRun] = []
+    notes: list[str] = []
+    work = partial(_run, log=data, options=of_run)
+    for run in results(
+        work, tasks, jobs=given.jobs, estimators=given.filters, limit=given.time_limit, instead=_stopped
+    ):  # fmt: skip
+        if isinstance(run, str):
+            notes.append(run)
+            continue
+        runs.append(run)
+        if progress is not None:
+            progress(run)
+    if not runs:
+        raise SlamError(f"no run has a result: {notes[0]}")
+    return ParticleStudy(data.name, tuple(runs), tuple(notes))
+
+
+def _stopped(task: tuple[str, int, int], reason: str) -> str:
+    name, particles, seed = task
+    return f"{name} with {particles} particles and seed {seed} has no result: {reason}"
+
+
+def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleRun | str:
+    name, particles, seed = task
+    estimate = ESTIMATORS[name].run(log, options.with_numbers(particles=particles, seed=seed))
+    result = estimate.origin
+    assert isinstance(result, FilterResult)
+    truth, path = log.true_poses, log.at_truth(result.poses)
+    mean = result.mean_poses if result.smoothed is None else result.smoothed.poses
+    metrics = evaluate(truth, log.true_landmarks, path, estimate.landmarks, named=estimate.named)
+    sighted = np.unique(log.steps)
+    return ParticleRun(
+        name=name,
+        particles=particles,
+        seed=seed,
+        ate_m=metrics.ate_m,
+        mean_ate_m=None if metrics.ate_m is None or truth is None else ate(truth, log.at_truth(mean)),
+        landmark_rmse_m=metrics.landmark_rmse_m,
+        ess_share=float(np.mean(result.ess[sighted]) / particles) if len(sighted) else 1.0,
+        ancestors=int(result.ancestors[len(result.ancestors) // 2]),
+        seconds=estimate.seconds,
+    )

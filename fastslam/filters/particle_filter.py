@@ -1,0 +1,431 @@
+"""`ParticleFilter`, the base of Monte Carlo localisation and FastSLAM: particles move, are weighed and are resampled.
+
+Sources: Ueda, *LNPR*, chapters 5 and 8; Thrun, Burgard and Fox, *Probabilistic Robotics*, sections 4.3 and 8.3.
+"""
+
+from __future__ import annotations
+
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import fields, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from graphslam.engine import available_threads, engine
+from graphslam.errors import LogError, OptionError, check_type, quoted, suggestion
+from graphslam.graph.localization import Fix
+from graphslam.identification.robot import known_robot
+from graphslam.log import Log
+from graphslam.models import MotionModel, SensorModel
+from graphslam.se2 import Array, wrap
+
+from ..motions import Record, check_motion, robot_poses, sensor_motions
+from ..options import FilterOptions, check_memory, draw_key, finite, index, measurements
+from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, ParticleState, Samples
+
+#: the standard deviations of particles around a first fix, over those of the fix
+SPREAD = 2.0
+
+
+class VanishedWeightsWarning(RuntimeWarning):
+    """The sightings of a step are impossible for every particle; the weights from before the step were kept."""
+
+
+class ParticleFilter(ABC):
+    """N weighted particles that process a log, or measurements handed in with `move` and `observe`.
+
+    Iterating processes the rest of the log and yields a `ParticleState` per step; `run` processes it and returns the
+    estimate.
+
+    Motion: each particle draws a control u' ~ N(u, M) and moves to f(x, u') + e, e ~ N(0, epsilon I). The lectures have
+    no e, but the graph's motion edges have covariance A M A' + epsilon I, and with e both estimate the same posterior.
+
+    A motion of several controls, and every motion of a robot that slips or whose sensor sits at an offset, is drawn at
+    once: x_{t-1} moves, in its own axes, by a draw of the Gaussian of the whole motion, `MotionModel.accumulate`. Drawing
+    each control would cost one draw per control, for a difference of second order in the noise between two sightings, and
+    FastSLAM 2.0 and the graph use the Gaussian in any case. With an offset the particles are poses of the sensor; all
+    poses that are returned are poses of the robot.
+
+    Weights: logarithms, with the determinant of the likelihood's covariance; Q is taken at the measured range, as in
+    the graph's edges. A particle for which the sightings are impossible (likelihood 0) gets weight zero. If they are
+    impossible for all particles, a `VanishedWeightsWarning` is issued, the weights from before the step are kept, nothing
+    is resampled, and the filter continues. In log space this needs more than a bad initial pose: every particle exactly
+    on the landmark, or numbers outside the range of floating point.
+
+    Random numbers come from one generator in this order: for each motion `noise.standard_normals`, five per particle
+    (nu, omega, x, y, theta; the first three for a Gaussian drawn at once), for each resampling what the scheme draws.
+    The same seed gives exactly the same result for any number of threads.
+
+    Args:
+        log: controls and sightings; None for a filter that is used with `move` and `observe`.
+        options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
+        motion, sensor: the models; default: those of the log, else the book's.
+        start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose. A
+            `Fix` in a map: poses are drawn with `SPREAD` times its standard deviations, because the sightings from
+            which it comes weigh the particles again.
+
+    Raises:
+        OptionError: an option has an impossible value, the log has sightings without ids and the filter needs them, or the
+            particles need more memory than there is.
+        LogError: the log has no controls.
+    """
+
+    #: whether each particle has a map of its own
+    HAS_MAPS = True
+    #: what to do where a log has no ids and the filter needs them
+    _HOW_WITHOUT_IDS = "and the association is known: leave it out, or take maximum-likelihood"
+
+    def __init__(
+        self,
+        log: Log | None = None,
+        *,
+        options: FilterOptions | None = None,
+        motion: MotionModel | None = None,
+        sensor: SensorModel | None = None,
+        start: ArrayLike | Fix | None = None,
+        **keywords: Any,
+    ) -> None:
+        for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
+            check_type(kind, **{name: value})
+        known = [field.name for field in fields(FilterOptions)]
+        for name in keywords:
+            if name not in known:
+                raise OptionError(f"there is no option {quoted(name)} of a particle filter{suggestion(name, known)}")
+        self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
+        self._check_options()
+        self.particles = self.options.particles
+        if log is not None and log.controls is None:
+            raise LogError(
+                f"{log.name} has no controls, by which a particle filter moves its particles: use graph SLAM"
+            )
+        if log is not None and self._needs_ids and not log.identified:
+            raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
+        if log is not None:
+            log.warn_of_unused("a particle filter")
+            check_memory(log, self.options, maps=self.HAS_MAPS)
+        if log is not None and motion is None and sensor is None:
+            # the same choice as that of `Graph.from_log`
+            log, _ = known_robot(log)
+        self.log = log
+        self.motion = motion or getattr(log, "motion", None) or MotionModel()
+        self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()
+        self._rng = np.random.default_rng(self.options.seed)
+
+        if start is None:
+            start = np.zeros(3) if log is None else log.initial_poses[0]
+        elif isinstance(start, Fix):
+            start = self._rng.multivariate_normal(start.pose, SPREAD**2 * start.covariance, self.particles)
+        expected = f"a finite pose (3,) or one per particle ({self.particles}, 3)"
+        poses = np.empty((self.particles, 3))
+        poses[:] = self.sensor.mount(finite("start", start, expected, [(3,), (self.particles, 3)]))
+        poses[:, 2] = wrap(poses[:, 2])
+
+        self._step, self._version, self._next = 0, 0, 0
+        # of all steps, for backward simulation
+        self._record = Record() if self.options.smoothing and self.HAS_MAPS else None
+        threads = available_threads() if self.options.threads is None else self.options.threads
+        #: the particles and their maps
+        self._engine = engine.ParticleFilter(poses, threads, self._record is not None)
+        self._resampled, self._log_evidence = False, 0.0
+        # whether this step has been observed, even if nothing was seen
+        self._observed = False
+        self._ess_history, self._resampled_history = [float(self.particles)], [False]
+
+    def __copy__(self) -> Self:
+        """A filter of its own, as `copy.deepcopy` makes one; both continue with the same random numbers."""
+        return deepcopy(self)
+
+    # -- step by step ------------------------------------------------------------------------------------------------
+
+    def move(
+        self,
+        control: ArrayLike | None = None,
+        dt: float | None = None,
+        *,
+        motion: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """Go to the next step: every particle draws its own motion.
+
+        Args:
+            control, dt: (nu, omega) [m/s, rad/s] for dt [s]. dt = 0 is a step in which nothing moves: no noise is added,
+                although the random numbers are drawn.
+            motion, covariance: instead of a control, the new pose (3,) of the robot measured from the one before, with
+                (3, 3).
+
+        Raises:
+            OptionError: the numbers are not finite, dt is negative, the covariance is not positive semidefinite, or the
+                robot would, by its motion or a standard deviation of its noise, go farther than 1e9 m or turn by more
+                than 1e5 rad.
+        """
+        if (control is None) == (motion is None):
+            raise OptionError("move takes a control and dt, or a motion and its covariance")
+        if motion is not None:
+            z = finite("motion", motion, "a finite pose (3,)", [(3,)])
+            P = finite("covariance", covariance, "a finite matrix (3, 3)", [(3, 3)])
+            if not np.allclose(P, P.T) or np.linalg.eigvalsh(P)[0] < -1e-12 * np.abs(P).max():
+                raise OptionError(f"covariance must be symmetric positive semidefinite, not {quoted(covariance)}")
+            self._move_by_gaussian(*sensor_motions(self.sensor, z[None], P[None]))
+            return
+        u = finite("control", control, "two finite numbers (nu, omega)", [(2,)])
+        dt = float(finite("dt", dt, "a finite number of seconds", [()]))
+        if dt < 0:
+            raise OptionError(f"dt must be 0 s or longer, not {quoted(dt)}")
+        with np.errstate(over="ignore"):
+            std = np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2)
+        if dt > 0 and self._gaussian_motions:
+            self._check_control(u, std, dt)
+            motions, covariances = self.motion.accumulate(u[None], [dt], np.array([0, 1]))
+            self._move_by_gaussian(*sensor_motions(self.sensor, motions, covariances))
+        else:
+            self._move_by_control(u, std, dt)
+
+    def observe(self, ids: Sequence[int] | np.ndarray | None, sightings: ArrayLike) -> None:
+        """Weigh the particles by the sightings of this step, (k,) ids and (k, 2 or 3) sightings, and resample if due.
+
+        The sightings are processed one after the other. There may be any number of them, and none changes nothing,
+        except that with unknown association provisional landmarks in view then count as missed. Several calls between
+        two moves are one observation. Only where the association is unknown may ids be None.
+
+        Raises:
+            OptionError: a sighting is not finite or its range not above zero, the shapes do not fit, an id is not on
+                the known map, or, for FastSLAM, a range is above 1e50 m or a standard deviation of its noise not between
+                1e-50 and 1e50: covariances would leave the range of floating point.
+        """
+        if ids is None and self._needs_ids:
+            raise OptionError(
+                "ids may be None only if they are ignored (association maximum-likelihood); give the id of each sighting"
+            )
+        ids, z = measurements(ids, sightings)
+        if len(z) == 0:
+            self._observed = True
+            return
+        self._check_sightings(ids, z.shape[1])
+        self._observe(ids, z)
+
+    @property
+    def state(self) -> ParticleState:
+        """The present particles."""
+        particles, ess = self._engine, self._ess_history[-1]
+        poses = robot_poses(self.sensor, particles.poses)
+        return ParticleState(
+            self._step, poses, particles.log_weights, ess, self._resampled, particles.best, self, self._version
+        )
+
+    @property
+    def pose(self) -> Array:
+        """The weighted mean of the particles' poses, (3,)."""
+        return self.state.mean_pose
+
+    @property
+    def landmarks(self) -> dict[int, Array]:
+        """{id: (x, y) or (x, y, heading)}: the means of the mixture of all maps, by increasing id."""
+        return {j: estimate.mean for j, estimate in sorted(self.state.mixture_map().items())}
+
+    def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:
+        """Covariances of the present pose and of landmarks; see `ParticleState.covariance`."""
+        return self.state.covariance(poses, landmarks, joint=joint)
+
+    def trajectory(self, particle: int | None = None) -> Array:
+        """Return the history of one particle, by default the best, (steps so far + 1, 3).
+
+        Raises:
+            OptionError: there is no such particle.
+        """
+        chosen = self._engine.best if particle is None else index("particle", particle, self.particles)
+        return robot_poses(self.sensor, self._engine.trajectory(chosen))
+
+    # -- over a log --------------------------------------------------------------------------------------------------
+
+    def __iter__(self) -> Iterator[ParticleState]:
+        """Process the rest of the log step by step; a second loop continues where the first stopped.
+
+        Raises:
+            OptionError: the filter has no log, or a motion is out of range, as in `move`.
+        """
+        log = self.log
+        if log is None:
+            raise OptionError("this filter has no log: give it one, or use move and observe")
+        assert log.controls is not None and log.dt is not None  # checked by __init__
+        whole_motions = log.composite or self._gaussian_motions
+        # a step that overflows is refused when it is reached
+        with np.errstate(over="ignore", invalid="ignore"):
+            if whole_motions:
+                motions, covariances = sensor_motions(self.sensor, *log.motions(self.motion))
+            else:
+                control_std = np.sqrt(np.diagonal(self.motion.M(log.controls, log.dt), axis1=-2, axis2=-1))
+        first = np.searchsorted(log.steps, np.arange(log.num_poses + 1))
+        for t in range(self._next, log.num_poses):
+            if t > 0 and whole_motions:
+                self._move_by_gaussian(motions[t - 1 : t], covariances[t - 1 : t])
+            elif t > 0:
+                self._move_by_control(log.controls[t - 1], control_std[t - 1], log.dt[t - 1])
+            if first[t + 1] > first[t]:
+                rows = slice(first[t], first[t + 1])
+                self._observe(log.landmarks[rows], log.sightings[rows], rows)
+            self._next = t + 1
+            yield self.state
+
+    def run(self) -> FilterResult:
+        """Process the rest of the log and return the estimate.
+
+        Raises:
+            OptionError: the filter has no log.
+        """
+        for _ in self:
+            pass
+        return self.result()
+
+    def result(self) -> FilterResult:
+        """Return the estimate so far."""
+        mean_poses, ancestors = self._engine.summary()
+        best_map = self._map(self._engine.best, provisional=False)
+        poses = self.trajectory()
+        return FilterResult(
+            estimator=type(self).__name__,
+            log="" if self.log is None else self.log.name,
+            options=self.options,
+            motion=self.motion,
+            sensor=self.sensor,
+            poses=poses,
+            mean_poses=robot_poses(self.sensor, mean_poses),
+            landmarks={j: estimate.mean for j, estimate in best_map.items()},
+            landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
+            log_weights=self._engine.log_weights,
+            log_evidence=self._log_evidence,
+            ess=np.array(self._ess_history),
+            resampled=np.array(self._resampled_history),
+            ancestors=ancestors,
+            smoothed=self._smoothed(mean_poses),
+            **self._association(poses),
+        )
+
+    def _smoothed(self, mean_poses: Array) -> Samples | None:
+        """Trajectories drawn by backward simulation, linearised at the mean history of the sensor, if there are any."""
+        if self._record is None:
+            return None
+        mixture = self._mixture(np.exp(self._engine.log_weights), provisional=False)
+        if not mixture:
+            return None
+        marks = np.array([mixture[j].mean for j in sorted(mixture)])
+        # a copy: what the filter draws later does not depend on whether it was asked for a result
+        return self._record.smooth(
+            self._engine,
+            self.options.smoothing,
+            deepcopy(self._rng),
+            self.sensor,
+            mean_poses,
+            marks,
+            self.options.threads,
+        )
+
+    def _association(self, poses: Array) -> dict[str, np.ndarray]:  # noqa: ARG002
+        """The fields ``association`` and ``unconfirmed`` of the result, where they are defined."""
+        return {}
+
+    # -- the filter --------------------------------------------------------------------------------------------------
+
+    def _check_options(self) -> None:  # noqa: B027
+        """Raise `OptionError` where the filter cannot use its options."""
+
+    @property
+    def _needs_ids(self) -> bool:
+        """Whether every sighting must have the id of its landmark."""
+        return True
+
+    @abstractmethod
+    def _check_sightings(self, ids: np.ndarray, columns: int) -> None:
+        """Raise `OptionError` where sightings of these ids with this number of columns cannot be used."""
+
+    @abstractmethod
+    def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> bool:
+        """Compute the log likelihoods of sightings (k, n) with variances q (k, n); False if none was weighed.
+
+        ``rows``: which sightings of the log these are; None for those that are handed in.
+        """
+
+    @abstractmethod
+    def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:
+        """Return the map of a particle, as `ParticleState.map`."""
+
+    @abstractmethod
+    def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
+        """Return the mixture of all maps under weights (N,), as `ParticleState.mixture_map`."""
+
+    @abstractmethod
+    def _gaussians_of(self, id: int) -> tuple[Array, Array, np.ndarray]:
+        """Return means (N, n), covariances (N, n, n) of a landmark in all particles, and whether they have it (N,)."""
+
+    @property
+    def _gaussian_motions(self) -> bool:
+        """Whether motions are drawn from their Gaussian even where they have one control only."""
+        return not self.sensor.centred or self.motion.slip > 0
+
+    def _check_control(self, control: Array, std: Array, dt: float) -> None:
+        # as Python's numbers, which overflow to infinity without a warning
+        way, turn = ((abs(float(u)) + float(s)) * float(dt) for u, s in zip(control, std, strict=True))
+        check_motion(self._step + 1, way, turn)
+
+    def _move_by_control(self, control: Array, std: Array, dt: float) -> None:
+        """Move every particle by its own draw of the control; nothing moves where dt = 0."""
+        self._check_control(control, std, dt)
+        epsilon = self.motion.epsilon if dt > 0 else 0.0
+        key = self._begin_move()
+        self._engine.move_by_control(key, (*control, *std, dt, epsilon), bool(dt > 0))
+        self._end_move()
+
+    def _move_by_gaussian(self, motions: Array, covariances: Array) -> None:
+        """Move every particle by a draw of the Gaussian (1, 3), (1, 3, 3) of a whole motion of the sensor."""
+        reach = np.abs(motions[0]) + np.sqrt(np.diagonal(covariances[0]))
+        check_motion(self._step + 1, reach[:2].max(), reach[2])
+        self._engine.move_by_gaussian(self._begin_move(), motions[0], covariances[0], True)
+        self._end_move()
+
+    def _begin_move(self) -> int:
+        """Finish the previous step, and return the key of the random numbers of this motion."""
+        if self._observed:
+            self._engine.end_step()
+            self._observed = False
+        return draw_key(self._rng)
+
+    def _end_move(self) -> None:
+        self._step, self._version = self._step + 1, self._version + 1
+        self._resampled = False
+        self._ess_history.append(self._ess_history[-1])
+        self._resampled_history.append(False)
+
+    def _observe(self, ids: np.ndarray, sightings: Array, rows: slice | None = None) -> None:
+        with np.errstate(over="ignore"):
+            q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
+        weighed = self._weigh(ids, sightings, q, rows)
+        self._version, self._observed = self._version + 1, True
+        if not weighed or self.options.stage == "motion":
+            self._remember(ids, sightings)
+            return
+        possible, log_evidence, ess = self._engine.reweigh()
+        self._remember(ids, sightings)
+        if not possible:
+            warnings.warn(
+                f"step {self._step}: its sightings are impossible for all {self.particles} particles; "
+                "the weights from before the step are kept",
+                VanishedWeightsWarning,
+                stacklevel=3,
+            )
+            return
+        self._log_evidence += log_evidence
+        self._ess_history[-1] = ess
+        if self.options.stage == "resampling" and ess <= self.options.ess_threshold * self.particles:
+            self._resample()
+
+    def _remember(self, ids: np.ndarray, sightings: Array) -> None:
+        if self._record is not None:
+            self._engine.remember()
+            self._record.observe(self._step, ids, sightings)
+
+    def _resample(self) -> None:
+        self._engine.branch(RESAMPLING_SCHEMES[self.options.resampling](self._engine.weights(), self._rng))
+        self._resampled = self._resampled_history[-1] = True

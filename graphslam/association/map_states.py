@@ -1,0 +1,329 @@
+"""What a log says about each landmark of a map: it is where the map has it, has moved, or is gone; and which are new.
+
+**Moved.** With a shift d_j of landmark j, what its sightings see is m_j + d_j. At the solution m of the graph with the map's
+prior (mean mu, information L) and the covariance P of the landmarks, the least squares estimate of the shift and its
+information are, in the linear model and without solving again,
+
+    S = L - L P L,    d_j = S_jj^-1 (L (m - mu))_j,
+
+so that d_j is the difference of the position from this log and the rest of the map, and that in the map. A landmark that has
+moved becomes another one in this log, and the graph is solved again, until all others agree: it does not pull the trajectory.
+Its shift is then the difference of both nodes. The odds of moved are
+
+    prior odds * N(d_j; 0, S_jj^-1 + diag(`MOVE`, `MOVE`, `TURN`)²) / N(d_j; 0, S_jj^-1).
+
+**Gone.** Of the n scans in which a landmark should have been well within the field of view, it was seen in k. Landmarks are
+occluded to different degrees: k is beta-binomial with parameters a, b, estimated from the landmarks that were seen. One that
+was never seen is there with the likelihood B(a, b + n) / B(a, b), and gone with 1.
+
+Sources: Belsley, Kuh and Welsch, *Regression Diagnostics*, 1980, chapter 2 (deletion of observations); Skellam, *A
+probability distribution derived from the binomial distribution*, JRSS B 1948.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from scipy.special import betaln
+
+from ..errors import OptionError, listed, quoted
+from ..graph import Graph
+from ..graph.landmark_map import LandmarkMap, as_map
+from ..log import Log
+from ..se2 import Array, wrap
+from ..solvers.solution import Solution
+from ..solvers.solve import solve
+from .problem import INSIDE, Field
+
+#: standard deviations of the shift [m] and the turn [rad] of a landmark that has moved
+MOVE, TURN = 1.0, 1.0
+#: exact landmarks of a map are taken as known to this standard deviation [m, rad]
+EXACT = 1e-3
+#: the most graphs that are solved
+ROUNDS = 20
+#: the states
+AGREES, MOVED, VANISHED, NOT_IN_VIEW, NEW = "agrees", "moved", "vanished", "not in view", "new"
+#: means and sizes a + b of the beta distributions of detection that are compared
+_MEANS, _SIZES = np.linspace(0.02, 0.98, 49), np.geomspace(0.5, 100.0, 16)
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkState:
+    """What a log says about one landmark; None where there is nothing to say.
+
+    Attributes:
+        id: of the landmark.
+        state: "agrees", "moved", "vanished", "not in view" or "new".
+        probability: of this state; of "not in view" that it is still there.
+        moved, vanished: the probabilities that it has moved, and that it is gone.
+        shift: (2,) [m] from its place in the map to that in this log.
+        chi_square: of the shift, with as many degrees of freedom as the landmark has coordinates.
+        views, seen: the number of scans in which it should have been seen, and of sightings.
+    """
+
+    id: int
+    state: str
+    probability: float
+    moved: float | None = None
+    vanished: float | None = None
+    shift: Array | None = None
+    chi_square: float | None = None
+    views: int | None = None
+    seen: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class MapStates:
+    """The states of all landmarks of a map, and the new ones.
+
+    Attributes:
+        landmarks: by increasing id.
+        map: the map without the landmarks that have moved, which the log then places anew: a map for `Graph.from_log`.
+        solution: of the log in the map; landmarks that have moved have ids of their own.
+    """
+
+    landmarks: tuple[LandmarkState, ...]
+    map: LandmarkMap
+    solution: Solution
+
+    def of(self, state: str) -> list[int]:
+        """The ids of the landmarks in a state.
+
+        Raises:
+            OptionError: there is no such state.
+        """
+        if state not in (AGREES, MOVED, VANISHED, NOT_IN_VIEW, NEW):
+            raise OptionError(f"there is no state {quoted(state)} of landmarks")
+        return [each.id for each in self.landmarks if each.state == state]
+
+    @property
+    def sentence(self) -> str:
+        """One sentence: how many landmarks agree, and which have moved, are gone or new."""
+        parts = [f"{len(self.of(AGREES))} landmarks of the map agree"]
+        parts += [
+            f"{each} {name}"
+            for name in (MOVED, VANISHED, NOT_IN_VIEW, NEW)
+            if (each := listed("landmark", self.of(name), most=8) if self.of(name) else "")
+        ]
+        return "; ".join(parts).replace("not in view", "not in view of the sensor")
+
+
+def map_states(
+    log: Log,
+    landmarks: LandmarkMap | Mapping[int, Array] | str | PathLike[str] | Solution,
+    *,
+    prior: float = 0.05,
+    **options: Any,
+) -> MapStates:
+    """The state of each landmark of a map after a log, with probabilities; see the module for the equations.
+
+    Ids are taken to be right: a new id that was read once may be a misread one.
+
+    Args:
+        log: with ids of the map's landmarks, and controls.
+        landmarks: the map, in any form that `Graph.from_log` takes.
+        prior: the probability that a landmark has moved, and that it is gone, before the log.
+        options: of `Graph.from_log`, such as the noise models.
+
+    Raises:
+        GraphError: the log does not fit the map. OptionError: an option has an impossible value.
+    """
+    if not 0 < prior < 0.5:
+        raise OptionError(f"prior must be a probability above 0 and below 0.5, not {quoted(prior)}")
+    known = as_map(landmarks)
+    seen = set(log.landmark_ids.tolist()) & set(known)
+    used = _uncertain(known.among(seen))
+    if any(len(place) == 2 for place in used.values()):
+        # the node of such a landmark, without sightings, would have no heading
+        log = log.without_orientation()
+    away: set[int] = set()
+    best: tuple[Solution, dict[int, tuple[Array, float, float]]] | None = None
+    tried: list[set[int]] = []
+    for _ in range(ROUNDS):
+        fresh = _fresh_ids(log, known, away)
+        renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
+        solution = solve(Graph.from_log(renamed, map=used, **options))
+        found = _shifts(solution, used, fresh, prior)
+        best = solution, found
+        tried.append(away)
+        away = _next(solution, found, away, first=len(tried) == 1)
+        if away in tried:
+            break
+    assert best is not None
+    solution, found = best
+    moved = {j for j, (_, _, p) in found.items() if p > 0.5}
+    places = {**known, **{j: solution.landmarks[j] for j in seen if j not in moved and j in solution.landmarks}}
+    views = _views(solution, places, log)
+    gone = _gone(views, [j for j in sorted(seen) if j not in moved], prior)
+    counts = dict(zip(*(part.tolist() for part in np.unique(log.landmarks, return_counts=True))))
+    states = [LandmarkState(j, NEW, 1.0, seen=counts[j]) for j in log.landmark_ids.tolist() if j not in known]
+    for j in known:
+        if j in found:
+            shift, square, p = found[j]
+            name = MOVED if p > 0.5 else AGREES
+            states.append(LandmarkState(j, name, max(p, 1 - p), p, 0.0, shift[:2], square, views[j][0], seen=counts[j]))
+        else:
+            p = gone(views[j][0])
+            name = VANISHED if p > 0.5 else NOT_IN_VIEW
+            states.append(LandmarkState(j, name, max(p, 1 - p), vanished=p, views=views[j][0]))
+    kept = known.among(set(known) - moved)
+    return MapStates(tuple(sorted(states, key=lambda each: each.id)), kept, solution)
+
+
+def session_states(log: Log, **options: Any) -> list[MapStates]:
+    """The states of the landmarks of a joined log: those of each drive but the first in the map of the drives before it.
+
+    Args:
+        log: of `graphslam.join_logs`.
+        options: of `Graph.from_log`.
+
+    Raises:
+        OptionError: the log is that of one drive. GraphError: a drive does not fit the map of those before.
+    """
+    if len(log.sessions) < 2:
+        raise OptionError(f"{log.name} is one drive; session_states takes the log of graphslam.join_logs")
+    found = []
+    for drive in log.drives[1:]:
+        before = log.at_steps(np.arange(drive.start)).replace(sessions=())
+        known = solve(Graph.from_log(before, **(options | {"edges": "landmark+motion"}))).map
+        found.append(
+            map_states(log.at_steps(np.arange(drive.start, drive.stop)).replace(sessions=()), known, **options)
+        )
+    return found
+
+
+def _uncertain(known: LandmarkMap) -> LandmarkMap:
+    """The map with exact landmarks as nearly exact ones, so that they have nodes with errors."""
+    if known.joint is not None and len(known.covariances) == len(known):
+        return known
+    own = {j: known.covariances.get(j, EXACT**2 * np.eye(len(place))) for j, place in known.items()}
+    if known.joint is None:
+        return LandmarkMap(known, own, classes=known.classes)
+    ids = sorted(known)
+    ends = np.cumsum([0, *(len(known[j]) for j in ids)])
+    joint = np.zeros((ends[-1], ends[-1]))
+    for j, a, b in zip(ids, ends, ends[1:]):
+        joint[a:b, a:b] = own[j]
+    rows = np.concatenate([np.arange(a, b) for j, a, b in zip(ids, ends, ends[1:]) if j in known.covariances])
+    joint[np.ix_(rows, rows)] = known.joint
+    return LandmarkMap(known, classes=known.classes, joint=joint, joint_ids=ids)
+
+
+def _fresh_ids(log: Log, known: LandmarkMap, away: set[int]) -> dict[int, int]:
+    """Ids that no landmark has for those that have moved."""
+    free = max(0, *log.landmark_ids.tolist(), *known) + 1
+    return {j: free + k for k, j in enumerate(sorted(away))}
+
+
+def _shifts(
+    solution: Solution, used: LandmarkMap, fresh: dict[int, int], prior: float
+) -> dict[int, tuple[Array, float, float]]:
+    """{id: (shift (d,), its chi-square, probability of moved)} of the landmarks of the map that were seen."""
+    graph = solution.graph
+    assert graph is not None
+    d, ids = graph.landmark_dimension, [j for j in used if j in solution.landmarks]
+    P = solution.covariance(landmarks=[*ids, *(fresh[j] for j in fresh)], joint=True)
+    size = d * len(ids)
+    if used.joint is not None:
+        kept = np.tile(np.arange(3) < d, len(ids))
+        L = used.joint_information(ids, d)[np.ix_(kept, kept)]
+    else:
+        L = np.zeros((size, size))
+        for k, j in enumerate(ids):
+            L[k * d : (k + 1) * d, k * d : (k + 1) * d] = used.own_information(j, d)[:d, :d]
+    means = np.zeros((len(ids), d))
+    for k, j in enumerate(ids):
+        means[k, : len(used[j])] = used[j][:d]
+    off = np.array([solution.landmarks[j] for j in ids]) - means
+    off[:, 2:] = wrap(off[:, 2:])
+    score = L @ off.ravel()
+    S = L - L @ P[:size, :size] @ L
+    found = {}
+    for k, j in enumerate(ids):
+        n = min(d, len(used[j]))
+        rows = slice(k * d, k * d + n)
+        if j in fresh:
+            at = size + d * list(fresh).index(j)
+            other = slice(at, at + n)
+            shift = solution.landmarks[fresh[j]][:n] - solution.landmarks[j][:n]
+            V = P[rows, rows] + P[other, other] - P[rows, other] - P[other, rows]
+        else:
+            V = np.linalg.inv((S[rows, rows] + S[rows, rows].T) / 2)
+            shift = V @ score[rows]
+        shift[2:] = wrap(shift[2:])
+        wide = V + np.diag([MOVE, MOVE, TURN][: len(shift)]) ** 2
+        square = float(shift @ np.linalg.solve(V, shift))
+        gain = square - float(shift @ np.linalg.solve(wide, shift))
+        gain += np.linalg.slogdet(V)[1] - np.linalg.slogdet(wide)[1]
+        odds = np.log(prior / (1 - prior)) + gain / 2
+        found[j] = shift, square, float(1 / (1 + np.exp(-np.clip(odds, -700, 700))))
+    return found
+
+
+def _next(solution: Solution, found: dict[int, tuple[Array, float, float]], away: set[int], *, first: bool) -> set[int]:
+    """The landmarks that are to be others than those of the map in the next round."""
+    back = {j for j in away if found[j][2] <= 0.5}
+    if back:
+        return away - back
+    rest = {j: square for j, (_, square, p) in found.items() if j not in away and p > 0.5}
+    if first:
+        # a robust kernel hides the shift of landmarks whose sightings it leaves out
+        away = away | _weighed_down(solution, set(found))
+    if not rest:
+        return away
+    # the largest first: it may have pulled the others
+    return away | {j for j, square in rest.items() if square > max(rest.values()) / 2}
+
+
+def _weighed_down(solution: Solution, known: set[int]) -> set[int]:
+    """The landmarks of the map most of whose sightings a robust kernel gives less than half of their weight."""
+    graph = solution.graph
+    assert graph is not None and graph.log is not None
+    weights = graph.sighting_weights(solution.state)
+    if weights is None:
+        return set()
+    ids = graph.log.landmarks[graph.sighting_rows]
+    return {j for j in known if np.median(weights[ids == j]) < 0.5}
+
+
+def _views(solution: Solution, places: Mapping[int, Array], log: Log) -> dict[int, tuple[int, int]]:
+    """{id: (scans in which it is well within the field of view, those of them in which it was seen)}."""
+    graph = solution.graph
+    assert graph is not None and graph.sensor is not None
+    field = Field.of(log, graph.sensor)
+    scans = np.unique(log.steps)
+    poses = solution.poses[scans]
+    ahead, left = graph.sensor.offset
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = poses[:, 0] + c * ahead - s * left, poses[:, 1] + s * ahead + c * left
+    found = {}
+    for j, place in places.items():
+        ranges = np.hypot(place[0] - x, place[1] - y)
+        bearings = wrap(np.arctan2(place[1] - y, place[0] - x) - poses[:, 2])
+        inside = (ranges > field.nearest / INSIDE) & (ranges < INSIDE * field.farthest)
+        inside &= np.abs(bearings) < INSIDE * field.bearing
+        seen = np.isin(scans[inside], log.steps[log.landmarks == j])
+        found[j] = int(inside.sum()), int(seen.sum())
+    return found
+
+
+def _gone(views: dict[int, tuple[int, int]], there: list[int], prior: float) -> Any:
+    """The probability that a landmark is gone, as a function of the number n of its views, all without a sighting.
+
+    The likelihoods of the beta distributions of `_MEANS` and `_SIZES` are averaged.
+    """
+    n, k = np.array([views[j] for j in there], dtype=float).reshape(-1, 2).T
+    a, b = (_MEANS[:, None] * _SIZES).ravel(), ((1 - _MEANS[:, None]) * _SIZES).ravel()
+    log_likelihood = np.sum(betaln(a[:, None] + k, b[:, None] + n - k) - betaln(a, b)[:, None], axis=1)
+    weight = np.exp(log_likelihood - log_likelihood.max())
+    weight /= weight.sum()
+
+    def probability(count: int) -> float:
+        unseen = float(weight @ np.exp(betaln(a, b + count) - betaln(a, b)))
+        return prior / (prior + (1 - prior) * unseen)
+
+    return probability

@@ -1,0 +1,151 @@
+"""Gaussian priors: of a pose that is held at a value, and of several nodes together, such as the landmarks of a map.
+
+The place of a point of the robot in the world: GPS, motion capture, a total station.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, sin
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import OptionError, quoted
+from .arguments import PoseLike, numbers, positive_definite
+from .arguments import pose as checked
+from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
+
+
+class PriorFactor(Factor):
+    """The values at keys, with a joint prior: e = x - x̂ of all of them in world axes, headings wrapped.
+
+    Args:
+        keys: of the nodes, each a `gtsam.Pose2` or a `gtsam.Point2`.
+        values: x̂ (K, 3); the heading of a point is not used.
+        information: (N, N), for the coordinates of all keys in their order.
+        coordinates: (K,) 3 or 2, how many coordinates of each key the prior is about; default: all that it has.
+        points: the number of points; they are the last keys.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
+
+    Raises:
+        OptionError: an argument has an impossible value.
+    """
+
+    keys_in_list = True
+
+    def __init__(
+        self,
+        keys: Sequence[int],
+        values: ArrayLike,
+        information: ArrayLike,
+        *,
+        coordinates: Sequence[int] | np.ndarray | None = None,
+        points: int = 0,
+        kernel: KernelLike = None,
+    ) -> None:
+        keys = listed_keys("PriorFactor", keys)
+        poses, held = len(keys) - points, numbers("values", values, (3,), rows=len(keys))
+        kinds = [POSE] * poses + [POINT] * points
+        most = [3] * poses + [2] * points
+        used = most if coordinates is None else list(coordinates)
+        if len(used) != len(keys) or any(n not in (2, 3) or n > m for n, m in zip(used, most)):
+            raise OptionError(f"coordinates must be 2 or 3 for each key, and 2 for points, not {quoted(coordinates)}")
+        omega = positive_definite(information, sum(used))
+        starts = np.cumsum([0, *used]).tolist()
+        jacobians = []
+        for start, n, m in zip(starts, used, most):
+            jacobian = np.zeros((sum(used), m))
+            jacobian[start : start + n, :n] = np.eye(n)
+            jacobians.append(jacobian)
+        rows = held.tolist()
+
+        def residual(*nodes: Coordinates) -> Linearized:
+            e: list[float] = []
+            for at, (x, y, theta), n in zip(nodes, rows, used):
+                e += [at[0] - x, at[1] - y] + ([wrapped(at[2] - theta)] if n == 3 else [])
+            return e, jacobians
+
+        arguments = {
+            "values": held, "information": omega, "coordinates": np.array(used), "points": points, "kernel": kernel,
+        }  # fmt: skip
+        super().__init__(keys, kinds, residual, arguments, information=omega)
+
+
+class AnchorFactor(Factor):
+    """The pose at a key, held at a value: e = x - x̂ in world axes, the heading wrapped.
+
+    (`gtsam.PriorFactorPose2` measures its error in the axes of x̂ and through the logarithm.)
+
+    Args:
+        key: of a `gtsam.Pose2`.
+        pose: x̂ (3,), or a `gtsam.Pose2`.
+        information: Omega_0 (3, 3); default: the lectures' 1e6 I.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
+
+    Raises:
+        OptionError: an argument has an impossible value.
+    """
+
+    def __init__(
+        self, key: int, pose: PoseLike, information: ArrayLike | None = None, *, kernel: KernelLike = None
+    ) -> None:
+        held = checked("pose", pose)
+        omega = 1e6 * np.eye(3) if information is None else positive_definite(information)
+        x, y, theta = held.tolist()
+
+        def residual(a: Coordinates) -> Linearized:
+            e = [a[0] - x, a[1] - y, wrapped(a[2] - theta)]
+            return e, ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],)
+
+        arguments = {"pose": held, "information": omega, "kernel": kernel}
+        super().__init__([key], [POSE], residual, arguments, information=omega)
+
+
+class PositionFactor(Factor):
+    """A point of the robot measured in the world: e = p + R(theta) a - (x, y), with a heading also theta - theta_z.
+
+    Args:
+        key: of a `gtsam.Pose2`.
+        measured: (x, y) [m], or (x, y, theta) with the heading of the robot [rad].
+        information: (2, 2) or (3, 3), in world axes.
+        lever: a, the point of the robot that is measured, (ahead, left) [m] of its pose.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
+
+    Raises:
+        OptionError: an argument has an impossible value.
+    """
+
+    def __init__(
+        self,
+        key: int,
+        measured: ArrayLike,
+        information: ArrayLike,
+        *,
+        lever: ArrayLike = (0.0, 0.0),
+        kernel: KernelLike = None,
+    ) -> None:
+        z, arm = numbers("measured", measured, (2, 3)), numbers("lever", lever, (2,))
+        omega = positive_definite(information, len(z))
+        (x, y), (ahead, left), heading = z[:2].tolist(), arm.tolist(), z[2:].tolist()
+
+        def residual(pose: Coordinates) -> Linearized:
+            # derivatives by GTSAM's perturbations, in the pose's own axes: R(theta) [I, (-a_y, a_x)]
+            c, s = cos(pose[2]), sin(pose[2])
+            right, forward = c * ahead - s * left, s * ahead + c * left
+            e, J = [pose[0] + right - x, pose[1] + forward - y], [[c, -s, -forward], [s, c, right]]
+            if heading:
+                return [*e, wrapped(pose[2] - heading[0])], ([*J, [0.0, 0.0, 1.0]],)
+            return e, (J,)
+
+        arguments = {"measured": z, "information": omega, "lever": arm, "kernel": kernel}
+        super().__init__([key], [POSE], residual, arguments, information=omega, in_own_axes=True)
+
+    def fastest(self) -> gtsam.NonlinearFactor:
+        """GTSAM's own `PoseTranslationPrior2D` where the cost is exactly the same, without lever and heading; else itself."""
+        a = self.description.arguments
+        if np.any(a["lever"]) or len(a["measured"]) == 3:
+            return self
+        noise = noise_model(a, information=a["information"])
+        return gtsam.PoseTranslationPrior2D(self.keys()[0], gtsam.Point2(*a["measured"]), noise)

@@ -1,0 +1,289 @@
+"""One pose measured from another: relative poses, and the motions that controls lead to.
+
+Many relative poses and points in one factor: one callback for all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, sin
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..edges.robust import code_and_width, kernel_of
+from ..engine import engine
+from ..errors import GraphError, OptionError, check_positive
+from ..linear.precision import check_size, small_inverse
+from ..models import MotionModel, sinc_slope_near_zero
+from ..se2 import Array, rotation
+from .arguments import (
+    QUICKEST,
+    PoseLike,
+    check_heading,
+    frozen_at,
+    in_world_frame,
+    motion_of,
+    numbers,
+    pose,
+    positive_definite,
+)
+from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
+
+
+class RelativePoseFactor(Factor):
+    """The pose at one key measured from another's: e = (R(theta_1)' (p_2 - p_1) - t, theta_2 - theta_1 - theta_z).
+
+    The information belongs to the axes of pose 1. ``frame="world"`` leaves e in the world's axes, R(theta_1) e, and
+    freezes the information at the heading of ``at``. (GTSAM's own ``BetweenFactorPose2`` has the same residual turned by
+    theta_z, but measures its error through the logarithm.)
+
+    Args:
+        key_1, key_2: of two `gtsam.Pose2`.
+        measured: z = (x, y, theta) [m, m, rad], or a `gtsam.Pose2`: pose 2 in the frame of pose 1.
+        information: Omega (3, 3).
+        frame: "body" or "world".
+        at: the pose x_1, (3,) or a `gtsam.Pose2`, at which the world frame freezes the information.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
+
+    Raises:
+        OptionError: an argument has an impossible value, or ``at`` is missing in the world frame.
+    """
+
+    def __init__(
+        self,
+        key_1: int,
+        key_2: int,
+        measured: PoseLike,
+        information: ArrayLike,
+        *,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        kernel: KernelLike = None,
+    ) -> None:
+        z, omega = pose("measured", measured), positive_definite(information)
+        arguments = {"measured": z, "information": omega, "frame": frame, "at": at, "kernel": kernel}
+        self._make([key_1, key_2], z, omega, arguments)
+
+    def _make(self, keys: list[int], z: Array, omega: Array, arguments: dict[str, Any]) -> None:
+        """Make the factor of a relative pose (3,) and its information (3, 3), unscaled."""
+        self._between = z, omega
+        (dx, dy, turned), world = z.tolist(), in_world_frame(arguments["frame"])
+        frozen = frozen_at(arguments["at"], needed=world)
+        omega = omega if frozen is None else _turned_information(omega, frozen[2])
+
+        def residual(a: Coordinates, b: Coordinates) -> Linearized:
+            # derivatives by GTSAM's perturbations, each pose's in its own axes
+            c, s = cos(a[2]), sin(a[2])
+            x, y, turn = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+            et = wrapped(turn - turned)
+            if world:
+                rx, ry, cb, sb = c * dx - s * dy, s * dx + c * dy, cos(b[2]), sin(b[2])
+                e, by_a = [x - rx, y - ry, et], [[-c, s, ry], [-s, -c, -rx], [0.0, 0.0, -1.0]]
+            else:
+                sx, sy, cb, sb = c * x + s * y, -s * x + c * y, cos(turn), sin(turn)
+                e, by_a = [sx - dx, sy - dy, et], [[-1.0, 0.0, sy], [0.0, -1.0, -sx], [0.0, 0.0, -1.0]]
+            return e, (by_a, [[cb, -sb, 0.0], [sb, cb, 0.0], [0.0, 0.0, 1.0]])
+
+        arguments |= {"at": frozen}
+        Factor.__init__(self, keys, [POSE, POSE], residual, arguments, information=omega, in_own_axes=True)
+
+    def to_between(self) -> gtsam.BetweenFactorPose2:
+        """GTSAM's own factor of the same relative pose, which has the speed of C++ and can be serialised.
+
+        Its residual is this one turned by theta_z, so its information is turned, too; GTSAM measures the error through
+        the logarithm of SE(2), which agrees where e = 0 and differs in the second order.
+
+        Raises:
+            OptionError: in the world frame the information is frozen, and that of GTSAM's factor turns with the pose.
+        """
+        arguments = self.description.arguments
+        if arguments["frame"] == "world":
+            raise OptionError("to_between needs frame='body': GTSAM's factor turns its information with the pose")
+        z, omega = self._between
+        noise = noise_model(arguments, information=_turned_information(omega, -z[2]))
+        key_1, key_2 = self.keys()
+        return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*z), noise)
+
+
+class MotionFactor(RelativePoseFactor):
+    """A control that takes the pose at one key to the pose at another: e = x_2 - f(x_1, u), Omega^-1 = A M A' + eps I.
+
+    With ``frame="body"`` the residual is turned into the axes of x_1, where the information does not depend on the
+    state; with ``frame="world"`` the information is frozen at the heading of ``at``.
+
+    Args:
+        key_1, key_2: of two `gtsam.Pose2`.
+        control: (nu, omega) [m/s, rad/s], held for ``dt`` seconds.
+        dt: [s].
+        motion: gives f, A, M, S and epsilon; default: the book's.
+        frame: "body" or "world".
+        at: the pose x_1, (3,) or a `gtsam.Pose2`, at which the world frame freezes the information.
+        scale: lambda, the factor on the information.
+        kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
+
+    Raises:
+        OptionError: an argument has an impossible value, or ``at`` is missing in the world frame.
+
+    Source: the lectures, slides 9.3.
+    """
+
+    def __init__(
+        self,
+        key_1: int,
+        key_2: int,
+        control: ArrayLike,
+        dt: float,
+        motion: MotionModel | None = None,
+        *,
+        frame: str = "body",
+        at: PoseLike | None = None,
+        scale: float = 1.0,
+        kernel: KernelLike = None,
+    ) -> None:
+        check_positive(dt=dt)
+        motion, u = motion_of(motion), numbers("control", control, (2,))
+        nu, omega = u.tolist()
+        for name, number in (
+            ("dt", float(dt)),
+            ("the distance of control", nu * dt),
+            ("the turn of control", omega * dt),
+        ):
+            check_size(name, number)
+        if abs(omega) > QUICKEST:
+            raise OptionError(
+                f"the turn rate of control is {omega:g} rad/s, more than a whole turn per second: is it in degrees per "
+                "second? Give radians, np.deg2rad(...); if the robot turns so fast, use RelativePoseFactor with the "
+                "relative pose and information of MotionModel.f and MotionModel.covariance"
+            )
+        options = {"frame": frame, "at": at, "scale": scale, "kernel": kernel}
+        arguments = {"control": u, "dt": dt, "motion": motion} | options
+        # f and its covariance turn with the pose that they start from
+        moved, covariance = _from_origin(motion, nu, omega, float(dt))
+        information = small_inverse(covariance)
+        if information is None:
+            raise GraphError("the uncertainty of the motion is singular to double precision; raise epsilon")
+        self._make([key_1, key_2], moved, information, arguments)
+
+
+def _from_origin(motion: MotionModel, nu: float, omega: float, dt: float) -> tuple[Array, list[list[float]]]:
+    """f(0, u) (3,) and its covariance A M A' + S + epsilon I (3, 3): `MotionModel`, written out for one control.
+
+    For one control the arrays of the model take ten times as long.
+    """
+    a = omega * dt / 2
+    c, s, chord = cos(a), sin(a), sin(a) / a if a else 1.0
+    slope = sinc_slope_near_zero(a) if abs(a) < 0.3 else (c - chord) / a
+    half = nu * dt * dt / 2
+    # the columns (ax, ay, 0) and (bx, by, dt) of A; the normal of the chord is (-s, c, 0)
+    ax, ay = dt * chord * c, dt * chord * s
+    bx, by = half * (slope * c - chord * s), half * (slope * s + chord * c)
+    far, turned, epsilon = abs(nu) / dt, abs(omega) / dt, motion.epsilon
+    v = motion.nn * motion.nn * far + motion.no * motion.no * turned + motion.sigma_v * motion.sigma_v
+    w = motion.on * motion.on * far + motion.oo * motion.oo * turned + motion.sigma_omega * motion.sigma_omega
+    aside = motion.slip * motion.slip * abs(nu) * dt
+    xy, xt, yt = v * ax * ay + w * bx * by - aside * c * s, w * bx * dt, w * by * dt
+    covariance = [
+        [v * ax * ax + w * bx * bx + aside * s * s + epsilon, xy, xt],
+        [xy, v * ay * ay + w * by * by + aside * c * c + epsilon, yt],
+        [xt, yt, w * dt * dt + epsilon],
+    ]
+    driven = nu * dt * chord
+    return np.array([driven * c, driven * s, 2 * a]), covariance
+
+
+def _turned_information(information: Array, theta: float) -> Array:
+    """The information (3, 3) of a pose in axes turned by -theta."""
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(theta)
+    return turn @ information @ turn.T
+
+
+class RelativeEdgesFactor(Factor):
+    """Nodes measured in the frames of poses: the sum of a `RelativePoseFactor` or `RelativePointFactor` for each edge.
+
+    A graph of many such edges is evaluated faster with some of them in one factor, above all because GTSAM's optimisers
+    copy all values of the graph for every call of a Python factor. Put edges together that share nodes: the factor connects
+    all its keys. e is whitened already, L' (R(theta_i)' (p_j - p_i) - t, theta_j - theta_i - theta_z) with
+    Omega = L L', and a kernel acts on each edge: the cost, its gradient and the Gauss-Newton matrix are those of the single
+    factors.
+
+    Args:
+        keys: the nodes, each a `gtsam.Pose2` or a `gtsam.Point2`.
+        first, second: (E,) the places of each edge's ends among the keys; the first is a pose.
+        measured: (E, 3) z = (x, y, theta); theta is not used where the second end is a point.
+        information: (E, 3, 3) in the axes of the first end; for a point only the leading 2 x 2 part counts.
+        points: the number of points; they are the last keys.
+        frame: "body" or "world", as in `RelativePoseFactor`.
+        at: (E,) the heading of each first end at which the world frame freezes the information.
+        edge_kernel: a robust kernel on each edge of which ``robust`` is true; see `graphslam.edges.robust`.
+        robust: (E,) bool; default: all edges.
+        kernel: a robust kernel around all edges as a whole.
+
+    Raises:
+        OptionError: an argument has an impossible value.
+    """
+
+    keys_in_list = True
+
+    def __init__(
+        self,
+        keys: Sequence[int],
+        first: ArrayLike,
+        second: ArrayLike,
+        measured: ArrayLike,
+        information: ArrayLike,
+        *,
+        points: int = 0,
+        frame: str = "body",
+        at: ArrayLike | None = None,
+        edge_kernel: KernelLike = None,
+        robust: ArrayLike | None = None,
+        kernel: KernelLike = None,
+    ) -> None:
+        keys = listed_keys("RelativeEdgesFactor", keys)
+        poses, world = len(keys) - points, in_world_frame(frame)
+        i, j = (np.array(ends, dtype=np.int64) for ends in (first, second))
+        if len(i) == 0 or i.shape != j.shape or min(i.min(), j.min()) < 0 or i.max() >= poses or j.max() >= len(keys):
+            raise OptionError("first and second must be places of keys, one of a pose and one of any node per edge")
+        z = numbers("measured", measured, (3,), rows=len(i))
+        check_heading("measured", float(np.abs(z[j < poses, 2]).max(initial=0.0)))
+        omega = np.array(information, dtype=float)
+        rows = np.where(j < poses, 3, 2)
+        if omega.shape != (len(i), 3, 3):
+            raise OptionError(f"information must be {len(i)} matrices of 3 x 3, not {omega.shape}")
+        root = np.zeros_like(omega)
+        for edge, d in enumerate(rows.tolist()):
+            root[edge, :d, :d] = np.linalg.cholesky(positive_definite(omega[edge, :d, :d], d)).T
+        frozen = numbers("at", at, (len(i),)) if world else np.zeros(len(i))
+        edge_kernel = kernel_of(edge_kernel)
+        # a kernel without a width takes that of the dimension
+        of_rows = {d: code_and_width(edge_kernel and edge_kernel.of_dimension(d)) for d in (2, 3)}
+        code, widths = of_rows[3][0], np.array([of_rows[d][1] for d in rows.tolist()])
+        robust = np.ones(len(i), dtype=bool) if robust is None else np.array(robust, dtype=bool)
+        codes = np.where(robust, code, 0)
+        edges = engine.WhitenedEdges(i, j, rows, z, root, frozen, codes, widths, poses, world)
+
+        def stacked(nodes: tuple[Coordinates, ...]) -> Array:
+            at = np.zeros((len(nodes), 3))
+            at[:poses] = nodes[:poses]
+            if points:
+                at[poses:, :2] = nodes[poses:]
+            return at
+
+        def error(*nodes: Coordinates) -> Array:
+            return edges.residuals(stacked(nodes))
+
+        def residual(*nodes: Coordinates) -> Linearized:
+            e, jacobians = edges.linearized(stacked(nodes))
+            return e, [jacobian[: 3 if k < poses else 2].T for k, jacobian in enumerate(jacobians)]
+
+        options = {"points": points, "frame": frame, "at": frozen if world else None, "kernel": kernel}
+        arguments = {"first": i, "second": j, "measured": z, "information": omega} | options
+        super().__init__(
+            keys, [POSE] * poses + [POINT] * points, residual,
+            arguments | {"edge_kernel": edge_kernel, "robust": robust},
+            covariance=np.eye(int(rows.sum())), in_own_axes=True, error=error,
+        )  # fmt: skip

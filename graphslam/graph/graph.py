@@ -1,0 +1,493 @@
+"""A graph: nodes with initial values, and the families of edges that connect them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from ..edges import (
+    AnchorEdges,
+    DoubtedEdges,
+    EdgeFamily,
+    LandmarkPriors,
+    LandmarkSightings,
+    MarginalEdges,
+    PositionEdges,
+    PriorEdges,
+    SightingEdges,
+)
+from ..edges.robust import Kernel, expected_cost, kernel_of
+from ..errors import GraphError, OptionError, array_of, check_choice, check_positive, check_type, make_read_only
+from ..files import path_of
+from ..identification.declared import Parameters, declared
+from ..identification.robot import AUTO, BOOK, known_robot
+from ..io.pose_graph import read_pose_graph, write_g2o
+from ..linear.information import BlockSystem
+from ..log import Log, check_is_log
+from ..models import RESIDUALS, MotionModel, SensorModel
+from ..se2 import Array
+from .build import file_of_parts, node_names, parts_of_file, parts_of_log, with_closures, with_dimensions
+from .defaults import edges_for_map, in_frame_of_positions, pairs_overweight, suitable_edges, suitable_kernel
+from .landmark_map import LandmarkMap, as_map, estimate_map
+from .localization import in_frame_of
+
+EDGES = ("virtual", "virtual+motion", "landmark+motion")
+FRAMES = ("world", "body")
+WEIGHTS = ("pairs", "tempered", "marginal")
+
+
+def _none() -> np.ndarray:
+    return np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Graph:
+    """Nodes 0 to n-1 with initial values, and edges. Build one with `from_log` or `from_g2o`.
+
+    The first P nodes are poses, the other L landmarks. The arrays are read-only; `with_initial` makes another graph.
+
+    Attributes:
+        initial: (n, 3) initial values of the nodes; a landmark without heading uses the first two columns.
+        families: the edges, family by family.
+        steps: (P,) the row of the trajectory that each pose node belongs to, increasing.
+        trajectory: (T+1, 3) the initial guess of all poses, including those that are no nodes.
+        pose_ids: (P,) the ids of the poses: the steps of a log, or the ids of a file.
+        landmark_ids: (L,) the ids of the landmarks.
+        landmark_dimension: 2, or 3 where landmarks have a heading.
+        fixed: (F,) nodes that do not move.
+        log, sensor: what the graph was made from, where it was made from a log.
+        notes: what the user should know, one sentence each.
+        sighting_rows: (M,) the row of the log's sightings that each sighting of the edges comes from.
+        parameters: unknown parameters of vehicle and sensor, or None; the edges are those at its values.
+        held: parameters that were estimated before and are not solved for; covariances contain their uncertainty.
+        map: the map whose landmarks are fixed or have priors, in the place of an anchor; None where there is none.
+    """
+
+    initial: Array
+    _: KW_ONLY
+    families: tuple[EdgeFamily, ...]
+    steps: np.ndarray
+    trajectory: Array
+    pose_ids: np.ndarray
+    landmark_ids: np.ndarray = field(default_factory=_none)
+    landmark_dimension: int = 2
+    fixed: np.ndarray = field(default_factory=_none)
+    log: Log | None = None
+    sensor: SensorModel | None = None
+    notes: tuple[str, ...] = ()
+    sighting_rows: np.ndarray = field(default_factory=_none)
+    parameters: Parameters | None = None
+    held: Parameters | None = None
+    map: LandmarkMap | None = None
+
+    def __post_init__(self) -> None:
+        make_read_only(self, "initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed", "sighting_rows")
+
+    def __repr__(self) -> str:
+        nodes = f"{len(self.steps)} poses, {len(self.landmark_ids)} landmarks"
+        return f"Graph({nodes}; {', '.join(f'{family.count} {type(family).__name__}' for family in self.families)})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        # the system is made again where it is needed: it finds edges by the addresses of their arrays, which another
+        # process gives to other arrays, and its factor is many times larger than the graph
+        return {name: value for name, value in vars(self).items() if name != "system"}
+
+    @classmethod
+    def from_log(
+        cls,
+        log: Log,
+        *,
+        motion: MotionModel | None = None,
+        sensor: SensorModel | None = None,
+        edges: str | None = None,
+        frame: str = "body",
+        weight: str = "pairs",
+        motion_weight: float = 1.0,
+        kernel: Kernel | str | None = None,
+        dimensions: int | None = None,
+        residual: str = "cartesian",
+        estimate: str | Iterable[str] | Mapping[str, float | None] | None = None,
+        noise: str | None = None,
+        map: LandmarkMap | Mapping[int, Array] | str | PathLike[str] | None = None,
+    ) -> Graph:
+        """The graph of a log: an anchor at the first node, edges from what was measured, and motion edges where asked for.
+
+        With a map the graph is in its frame, and has no anchor. The first fix needs no start pose (`first_fix`). Absolute
+        positions of the log determine the frame, too: then the anchor holds at most the heading of the first pose, where
+        they leave the direction open (`graphslam.graph.defaults`).
+
+        Args:
+            log: the controls and sightings of the robot.
+            motion, sensor: the noise models; default: as ``noise`` says.
+            edges: "virtual" (poses that saw nothing are left out), "virtual+motion", or "landmark+motion", in which
+                landmarks are nodes and every sighting is one edge. Default: what suits the log, which is "virtual" without
+                controls, "virtual+motion" with psi and the noise of the lectures, and "landmark+motion" otherwise.
+            frame: "world" (the lectures: information re-evaluated at every step) or "body" (constant information).
+            weight: of virtual edges: "pairs" (the book: each of K sightings enters K-1 edges, so a landmark weighs up
+                to K/2 times what it should), "tempered" (each pair times 2/K: exact where sightings are alike) or
+                "marginal" (the landmark eliminated: each sighting counts once, exactly).
+            motion_weight: lambda, the factor on the motion edges.
+            kernel: against wrong sightings, relations and positions: `Huber`, `Cauchy`, `GemanMcClure` or their names, or
+                "none". Default: what suits the log, "none" where `simulate` made it and "cauchy" otherwise. It acts on every
+                pair of "pairs" and "tempered", and on every measurement otherwise. The default width has 95 % of the
+                efficiency of least squares. See also `solve` with the method "gnc".
+            dimensions: 3: require orientation psi; 2: ignore it; default: use psi where the log has it.
+            residual: of landmark nodes: "cartesian" (the sighting as a position in the robot's axes, the landmark's heading
+                with it) or "polar" (range and bearing, h(x, m) - z, whose cost has false minima).
+            estimate: parameters of vehicle and sensor to estimate with the poses, names of `graphslam.parameters.PARAMETERS`:
+                ["wheel_scale", "range_bias"]. "wheel_scale:0.1" gives a prior with this standard deviation about the
+                ideal value; {"wheel_scale": 0.1, "range_bias": None} is the same for both. Default: none is estimated.
+
+            noise: "auto": estimate noise and biases of the robot and misread ids from the log, and take them out of it
+                (`graphslam.estimate_robot`); "book": the values of the lectures. Default: the models of the log, the book's
+                for logs of `simulate`, and else "auto" where the log determines them. Not used where models are given.
+            map: a `LandmarkMap`, {id: (x, y)}, the path of its file, or a solution of another log. Its landmarks are nodes:
+                without a covariance they are fixed, otherwise they have priors, together where the map has a joint
+                covariance. Landmarks that it does not have are added. psi is not used where a fixed landmark that is seen
+                has no heading.
+
+        Raises:
+            GraphError: the log lacks what the options need, or the edges cannot determine the poses; the message names
+                the poses and a remedy.
+            OptionError: an option has an impossible value.
+        """
+        check_is_log(log)
+        check_type(MotionModel, motion=motion)
+        check_type(SensorModel, sensor=sensor)
+        if edges is not None:
+            check_choice("edges", edges, EDGES)
+        check_choice("frame", frame, FRAMES)
+        check_choice("weight", weight, WEIGHTS)
+        check_choice("residual", residual, RESIDUALS)
+        check_positive(motion_weight=motion_weight)
+        if noise is not None:
+            check_choice("noise", noise, (AUTO, BOOK))
+        log = with_dimensions(log, dimensions)
+        if motion is None and sensor is None:
+            log, _ = known_robot(log, noise)
+        motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+        known_map: LandmarkMap | None = None
+        found: tuple[str, ...] = ()
+        if map is not None:
+            known_map = as_map(map)
+            edges = edges_for_map(log, edges)
+            log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
+        else:
+            log = in_frame_of_positions(log)
+        recorded = log
+        edges = suitable_edges(log) if edges is None else edges
+        kernel = suitable_kernel(log) if kernel is None else kernel
+        parts = parts_of_log(
+            log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
+            kernel=kernel_of(kernel), residual=residual, landmark_map=known_map,
+        )  # fmt: skip
+        if found:
+            parts["notes"] = (*parts.get("notes", ()), *found)
+        parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
+        held, once = None, edges == "landmark+motion" or (edges == "virtual+motion" and weight == "marginal")
+        if parameters is None and once and residual == RESIDUALS[0]:
+            held = declared(log.uncertain, log, motion, sensor, edges, residual, motion_weight)
+        known = parameters or held
+        if missing := [name for name in log.uncertain or () if known is None or name not in known.names]:
+            parts["notes"] = (
+                *parts.get("notes", ()),
+                f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}",
+            )
+        note = None
+        if edges.startswith("landmark"):
+            if weight != WEIGHTS[0]:
+                note = f"weight={weight!r} has no effect: with landmark nodes each sighting counts once"
+        elif weight == "pairs":
+            note = pairs_overweight(log)
+        if note:
+            parts["notes"] = (*parts.get("notes", ()), note)
+        return cls(**parts, parameters=parameters, held=held)
+
+    @classmethod
+    def from_g2o(
+        cls,
+        path: str | PathLike[str],
+        *,
+        format: str | None = None,
+        unknown: str = "error",
+        kernel: Kernel | str | None = None,
+    ) -> Graph:
+        """The pose graph of a g2o, TORO or iSAM text file; see `io.pose_graph` for the dialects.
+
+        Nodes named in FIX lines are held; without any, and without priors, the pose with the lowest id is. The cost is g2o's
+        chi2.
+
+        Args:
+            path: the file.
+            format: "g2o", "toro" or "isam"; default: by the file's tags.
+            unknown: "error" refuses unknown tags, "skip" leaves them out with a warning that counts them.
+            kernel: a robust kernel on the loop closures, as `with_closures` has them; default: none.
+
+        Raises:
+            FormatError: the file breaks its format's rules.
+            GraphError: the graph falls into several pieces.
+        """
+        path = path_of(path)
+        graph = cls(**parts_of_file(read_pose_graph(path, dialect=format, unknown=unknown), path))
+        kernel = kernel_of(kernel)
+        return graph if kernel is None else graph.with_closures(kernel)
+
+    def with_closures(self, kernel: Kernel | str | None = None) -> Graph:
+        """The same pose graph with its loop closures as `edges.RelationEdges`, which may be wrong.
+
+        Loop closures are the relative poses that do not lead from a pose to the next one. Their order stays.
+
+        Args:
+            kernel: a robust kernel on them, or its name; default: none, so that the cost stays the same.
+        """
+        return replace(self, families=with_closures(self.families, kernel_of(kernel)))
+
+    def save_g2o(self, path: str | PathLike[str], *, state: Array | None = None) -> None:
+        """Write the graph as a g2o file, with its initial values or those of a state (n, 3).
+
+        A write that fails leaves no file behind. An anchor becomes a FIX line. Positions without a lever become priors,
+        EDGE_PRIOR_SE2 or EDGE_PRIOR_SE2_XY; g2o has no line for those with one. Motion edges in the body frame are
+        relative-pose edges and can be written; for other graphs of logs see `graphslam.graph.transform`. In g2o files poses
+        and landmarks share one set of ids: where the two overlap, the landmarks get new ids above those of the poses.
+
+        Raises:
+            GraphError: the graph has edges that g2o has no line for.
+            OptionError: the state has another shape or is not finite.
+            FormatError: the file cannot be written.
+        """
+        state = self.initial if state is None else array_of("state", state)
+        if state.shape != self.initial.shape or not np.isfinite(state).all():
+            raise OptionError(f"state must be finite numbers of shape {self.initial.shape}, not {state.shape}")
+        data = file_of_parts(
+            state, families=self.families, pose_ids=self.pose_ids, landmark_ids=self.landmark_ids, fixed=self.fixed
+        )
+        write_g2o(data, path_of(path))
+
+    def with_initial(self, initial: Array) -> Graph:
+        """The same graph with other initial values (n, 3)."""
+        values = array_of("initial", initial)
+        if values.shape != self.initial.shape:
+            raise OptionError(f"initial must have shape {self.initial.shape}, not {values.shape}")
+        if not np.isfinite(values).all():
+            raise OptionError("initial must be finite numbers")
+        return replace(self, initial=values.copy())
+
+    def with_trust(self, trust: Array) -> Graph:
+        """The same graph with another trust in the sightings of its edges (M,), or in all its `measurements`.
+
+        Both write Omega and xi into one `system`.
+        """
+        families, start = list[EdgeFamily](), 0
+        for f in self.families:
+            if isinstance(f, DoubtedEdges) and start < len(trust):
+                end = start + f.measurements
+                families.append(f.with_trust(trust[start:end]))
+                start = end
+            else:
+                families.append(f)
+        return self._with_families(families)
+
+    @property
+    def measurements(self) -> int:
+        """The number of measurements that may be wrong: sightings first, then relations, then positions."""
+        return sum(family.measurements for family in self.families if isinstance(family, DoubtedEdges))
+
+    def with_wider_kernel(self, factor: float) -> Graph:
+        """The same graph with ``factor`` times the width of its kernels. Both write Omega and xi into one `system`."""
+        return self._with_families(
+            replace(f, kernel=f.kernel.scaled(factor**2)) if isinstance(f, DoubtedEdges) and f.kernel else f  # type: ignore[type-var]
+            for f in self.families
+        )
+
+    def _with_families(self, families: Iterable[EdgeFamily]) -> Graph:
+        changed = replace(self, families=tuple(families))
+        vars(changed)["system"] = self.system
+        return changed
+
+    def check_no_parameters(self, solver: str) -> None:
+        """Raise `GraphError` where the graph has parameters, which this solver cannot estimate."""
+        if self.parameters is not None:
+            raise GraphError(
+                f"{solver} cannot estimate parameters ({', '.join(self.parameters.names)}): use solve or solve_with_gtsam"
+            )
+
+    @property
+    def num_nodes(self) -> int:
+        """The number n of nodes."""
+        return len(self.initial)
+
+    @property
+    def num_edges(self) -> int:
+        """The number of edges, anchors not counted."""
+        return sum(family.count for family in self.families if not isinstance(family, AnchorEdges))
+
+    @property
+    def state_dependent_information(self) -> bool:
+        """Whether some information depends on the state, so that it has to be re-evaluated between linear solves."""
+        return any(family.state_dependent_information for family in self.families)
+
+    @property
+    def reweighted(self) -> bool:
+        """Whether some edges have a robust kernel, which re-weights them at every step."""
+        return any(getattr(family, "kernel", None) is not None for family in self.families)
+
+    @cached_property
+    def system(self) -> BlockSystem:
+        """Omega and xi: the pattern is made at the first use, the numbers by `linearize`."""
+        return BlockSystem.from_cliques(self.num_nodes, [family.cliques() for family in self.families])
+
+    def cost(self, state: Array, reference: Array | None = None) -> float:
+        """J = the sum of e' Omega e at a state (n, 3), with state-dependent information taken at ``reference``.
+
+        The priors of the parameters are part of it.
+        """
+        reference = state if reference is None else reference
+        return sum(family.cost(state, reference) for family in self.families) + self.prior_cost
+
+    @property
+    def prior_cost(self) -> float:
+        """The part of J from the priors of the parameters at their values; 0 without parameters."""
+        return 0.0 if self.parameters is None else self.parameters.prior_cost
+
+    @property
+    def without_kernel(self) -> Graph:
+        """The same graph with plain squares in place of robust kernels. Both write Omega and xi into one `system`."""
+        if not self.reweighted:
+            return self
+        return self._with_families(
+            replace(f, kernel=None) if isinstance(f, DoubtedEdges) else f  # type: ignore[type-var]
+            for f in self.families
+        )
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """The independent numbers that the edges measure, minus the unknowns: not above zero where nothing is checked."""
+        rows = sum(family.numbers[0] for family in self.families) + self._priors
+        of_nodes = 3 * len(self.steps) + self.landmark_dimension * len(self.landmark_ids)
+        of_nodes -= self.landmark_dimension * int(np.sum(self.fixed >= len(self.steps)))
+        return rows - of_nodes + self._gauge - len(self.parameters or ())
+
+    @property
+    def _gauge(self) -> int:
+        """The coordinates that are held without a measurement: those of one pose, unless a map or positions are there."""
+        if self.map is not None:
+            return 0
+        if not any(isinstance(family, PositionEdges) for family in self.families):
+            return 3
+        held = [family.information for family in self.families if type(family) is AnchorEdges]
+        return min(3, 3 * len(self.fixed) + sum(int(np.linalg.matrix_rank(each).sum()) for each in held))
+
+    @property
+    def mapped(self) -> np.ndarray:
+        """The landmark nodes that a map gives: those that are fixed, or have priors."""
+        of_map = [family.nodes for family in self.families if isinstance(family, (LandmarkPriors, PriorEdges))]
+        return np.concatenate([self.fixed[self.fixed >= len(self.steps)], *of_map]).astype(np.int64)
+
+    @property
+    def _priors(self) -> int:
+        """The number of priors of parameters, each of which measures one number."""
+        return 0 if self.parameters is None else int(np.isfinite(self.parameters.deviations).sum())
+
+    @property
+    def expected_cost(self) -> float:
+        """About what J is at the optimum if the noise models are right: its degrees of freedom.
+
+        Pairs count every sighting of a landmark up to K/2 times, and their J grows likewise.
+        """
+        rows = sum(family.numbers[0] for family in self.families) + self._priors
+        expected = sum(expected_cost(family) for family in self.families) + self._priors
+        return expected * max(self.degrees_of_freedom / max(rows, 1), 1e-3)
+
+    def linearize(self, state: Array, reference: Array | None = None) -> tuple[BlockSystem, float]:
+        """Omega and xi at a state (n, 3), written into `system`, and the cost J."""
+        reference = state if reference is None else reference
+        self.system.clear()
+        total = 0.0
+        for family in self.families:
+            total += family.accumulate(state, reference, self.system)
+        self._hold()
+        return self.system, total + self.prior_cost
+
+    def information(self, state: Array) -> BlockSystem:
+        """The matrix whose inverse is the covariance of the estimate at a state (n, 3), written into `system`.
+
+        Without robust kernels it is Omega. The weight of a kernel is no information: each of its edges enters with
+        w Omega_e times `EdgeFamily.information_per_weight`. The covariance is then that of the kernel's estimate
+        (the sandwich), up to the difference between an estimate that weighs edges with and without a kernel as the graph does
+        and one that weighs them by their efficiencies.
+        """
+        information = np.zeros_like(self.system.values)
+        for family in self.families:
+            self.system.clear()
+            family.accumulate(state, state, self.system)
+            information += family.information_per_weight * self.system.values
+        self.system.values[:] = information
+        self._hold()
+        return self.system
+
+    def _hold(self) -> None:
+        """Take out of the system what does not move: fixed nodes, and the third coordinate of landmarks without one."""
+        if len(self.without_heading):
+            self.system.rest(self.without_heading, 2)
+        if len(self.fixed):
+            self.system.hold(self.fixed)
+
+    @property
+    def without_heading(self) -> np.ndarray:
+        """The landmarks whose third coordinate is not used."""
+        flat = len(self.landmark_ids) and self.landmark_dimension == 2
+        return np.arange(len(self.steps), self.num_nodes) if flat else _none()
+
+    def names(self, nodes: np.ndarray) -> str:
+        """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
+        return node_names(nodes, self.pose_ids, self.landmark_ids)
+
+    def sighting_weights(self, state: Array) -> Array:
+        """The weights (M,) that the robust kernel gives the sightings of the edges at a state (n, 3); 1 without a kernel.
+
+        With pairs these are not the weights of the edges: each sighting is compared with the place of its landmark.
+        """
+        family = next(family for family in self.families if isinstance(family, SightingEdges))
+        if family.kernel is None:
+            return np.ones(len(family.sightings))
+        if isinstance(family, LandmarkSightings):
+            by_landmark = family.starts, family.nodes, family.sightings, family.sensor
+            noise = {"kernel": family.kernel, "trust": family.trust, "noise_at": family.noise_at}
+            squares = MarginalEdges(*by_landmark, **noise).squares(state, state)  # type: ignore[arg-type]
+        else:
+            squares = family.linearize(state, state).mahalanobis
+        return family.kernel.weight(squares)
+
+    @property
+    def verdict(self) -> tuple[Kernel | None, Array]:
+        """The robust kernel on the edges from sightings, and the trust (M,) in each sighting of the log, 1 by default."""
+        assert self.log is not None
+        family = next(family for family in self.families if isinstance(family, SightingEdges))
+        trust = np.ones(len(self.log.steps))
+        trust[self.sighting_rows] = family.trusted
+        return family.kernel, trust
+
+    def map_from(self, poses: Array) -> LandmarkMap:
+        """The map of the log from a trajectory (T+1, 3), with the graph's sensor, kernel and trust."""
+        assert self.log is not None
+        kernel, trust = self.verdict
+        return estimate_map(self.log, poses, sensor=self.sensor, kernel=kernel, trust=trust)
+
+    def trajectory_of(self, state: Array) -> tuple[Array, np.ndarray]:
+        """All poses (T+1, 3) of a state, with the initial guess where a pose is no node, and which ones are (T+1,)."""
+        poses, estimated = self.trajectory.copy(), np.zeros(len(self.trajectory), dtype=bool)
+        poses[self.steps] = state[: len(self.steps)]
+        estimated[self.steps] = True
+        return poses, estimated
+
+
+def check_graph(graph: object, name: str = "graph") -> None:
+    """Raise `OptionError` unless the argument ``name`` is a graph; a log, for example, is none."""
+    if not isinstance(graph, Graph):
+        given = type(graph).__name__
+        raise OptionError(f"{name} must be a Graph, not a {given}; Graph.from_log and Graph.from_g2o make graphs")

@@ -1,0 +1,319 @@
+"""`LandmarkMap`: where landmarks are, and how well that is known.
+
+The map from a trajectory: each landmark alone, from all its sightings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..edges import MarginalEdges
+from ..edges.robust import Kernel, kernel_of
+from ..errors import FormatError, OptionError, array_of, check_choice, quoted
+from ..files import path_of
+from ..io.map_files import read_map, write_map
+from ..linear.precision import check_magnitudes
+from ..log import UNIDENTIFIED, Log
+from ..log.rows import NO_ID
+from ..models import SensorModel
+from ..se2 import Array, wrap
+
+#: how a map is used: as its covariances say, without their correlations between landmarks, or as exact
+USES = ("joint", "own", "fixed")
+#: covariances may be unsymmetric, and have negative eigenvalues, by this part of their size
+ROUNDED = 1e-9
+
+
+class LandmarkMap(dict[int, Array]):
+    """{id: (x, y) or (x, y, heading)} [m, m, rad], with what is known about the errors of these places.
+
+    A landmark without a covariance is exact: `Graph.from_log` with this map holds it where it is. One with a covariance has
+    it as a prior. With ``joint`` the priors are those of all these landmarks together, with their correlations.
+
+    Args:
+        means: the places; headings are wrapped to [-pi, pi).
+        covariances: {id: (2, 2) or (3, 3)} of some or all landmarks; not given where ``joint`` is.
+        classes: {id: word or number}, what landmarks look like, where that is known.
+        joint: (N, N), the covariance of the coordinates of landmarks together, in increasing order of the ids ``joint_ids``.
+        joint_ids: the ids of these landmarks; default: all.
+
+    Raises:
+        OptionError: an id, a place or a covariance is impossible.
+    """
+
+    def __init__(
+        self,
+        means: Mapping[int, ArrayLike],
+        covariances: Mapping[int, ArrayLike] | None = None,
+        *,
+        classes: Mapping[int, str | int] | None = None,
+        joint: ArrayLike | None = None,
+        joint_ids: Iterable[int] | None = None,
+    ) -> None:
+        if not isinstance(means, Mapping):
+            raise OptionError(f"a map is a mapping {{id: (x, y) or (x, y, heading)}}, not {quoted(means)}")
+        super().__init__({_id(j): _place(j, place) for j, place in sorted(means.items())})
+        self.classes: dict[int, str | int] = {j: kind for j, kind in (classes or {}).items() if j in self}
+        self.joint: Array | None = None
+        if joint is None:
+            given = covariances or {}
+            if unknown := [j for j in given if j not in self]:
+                raise OptionError(f"there is a covariance of landmark {unknown[0]}, which is not in the map")
+            self.covariances = {j: _covariance(j, given[j], len(self[j])) for j in self if j in given}
+            return
+        if covariances:
+            raise OptionError("give covariances of single landmarks or a joint covariance, not both")
+        chosen = sorted(self if joint_ids is None else set(joint_ids))
+        if unknown := [j for j in chosen if j not in self]:
+            raise OptionError(f"there is a covariance of landmark {unknown[0]}, which is not in the map")
+        ends = np.cumsum([0, *(len(self[j]) for j in chosen)])
+        matrix = array_of("joint", joint)
+        if matrix.shape != (ends[-1], ends[-1]):
+            raise OptionError(
+                f"the joint covariance must have shape ({ends[-1]}, {ends[-1]}), a row for each coordinate of its "
+                f"landmarks, not {matrix.shape}"
+            )
+        self.joint = _checked("the joint covariance of the map", matrix)
+        self.covariances = {j: self.joint[a:b, a:b] for j, a, b in zip(chosen, ends, ends[1:])}
+
+    @classmethod
+    def of_estimate(cls, means: Mapping[int, Array], covariances: Mapping[int, Array]) -> LandmarkMap:
+        """The map of numbers that a solver has made, which need no check; by increasing id."""
+        made = cls.__new__(cls)
+        dict.__init__(made, means)
+        made.covariances, made.classes, made.joint = dict(covariances), {}, None
+        return made
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> LandmarkMap:
+        """The map of a file: .npz, a table (.csv, .tsv, .txt, .parquet), YAML of tags, or GeoJSON; see `io.map_files`.
+
+        Raises:
+            FormatError: the file cannot be read, or holds no map or impossible covariances; with the line where one is
+                the cause.
+        """
+        path = path_of(path)
+        parts = read_map(path)
+        try:
+            return cls(**parts)
+        except OptionError as error:
+            raise FormatError(path, None, str(error)) from None
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the map in the format of the name's ending: .npz keeps everything, the others no joint covariance.
+
+        Raises:
+            OptionError: there is no format with this ending.
+            FormatError: the file cannot be written.
+        """
+        write_map(path_of(path), self, self.covariances, self.classes, self.joint)
+
+    def __repr__(self) -> str:
+        """One line: sizes, and what is known of the errors."""
+        exact = len(self) - len(self.covariances)
+        parts = [f"{len(self.covariances)} with {'a joint covariance' if self.joint is not None else 'covariances'}"]
+        parts = parts * bool(self.covariances) + [f"{exact} exact"] * bool(exact)
+        return f"<LandmarkMap of {len(self)} landmarks: {', '.join(parts)}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (dict(self), self.covariances, self.classes, self.joint)
+
+    @property
+    def oriented(self) -> bool:
+        """Whether the heading of every landmark is known."""
+        return all(len(place) == 3 for place in self.values())
+
+    def used_as(self, use: str) -> LandmarkMap:
+        """The map with less said about its errors.
+
+        Args:
+            use: "joint", the joint covariance; "own", that of each landmark without correlations; "fixed", all exact.
+
+        Raises:
+            OptionError: there is no such use.
+        """
+        check_choice("map_use", use, USES)
+        if use == "joint":
+            return self
+        return LandmarkMap(self, self.covariances if use == "own" else None, classes=self.classes)
+
+    def among(self, ids: Iterable[int]) -> LandmarkMap:
+        """The map of those of the ids that it has."""
+        kept = sorted(set(ids) & set(self))
+        means, known = {j: self[j] for j in kept}, [j for j in kept if j in self.covariances]
+        if self.joint is None:
+            return LandmarkMap(means, {j: self.covariances[j] for j in known}, classes=self.classes)
+        rows = np.repeat(np.isin(list(self.covariances), known), [len(C) for C in self.covariances.values()])
+        return LandmarkMap(means, classes=self.classes, joint=self.joint[np.ix_(rows, rows)], joint_ids=known)
+
+    def joint_information(self, ids: Iterable[int], coordinates: int) -> Array:
+        """The information (3K, 3K) of landmarks with covariances, ``coordinates`` of each, whatever the others are.
+
+        Rows of coordinates about which the map says nothing are zero. Of a joint covariance it is the inverse of the block
+        of these landmarks, that is, the Schur complement of the others.
+
+        Raises:
+            OptionError: the covariance is singular.
+        """
+        places: list[int] = []
+        rows: list[int] = []
+        at = 0
+        wanted = {j: k for k, j in enumerate(ids)}
+        for j, covariance in self.covariances.items():
+            known = min(len(covariance), coordinates)
+            if j in wanted:
+                places += range(at, at + known)
+                rows += range(3 * wanted[j], 3 * wanted[j] + known)
+            at += len(covariance)
+        assert self.joint is not None
+        information = np.zeros((3 * len(wanted), 3 * len(wanted)))
+        information[np.ix_(rows, rows)] = _inverse(
+            "the joint covariance of the map", self.joint[np.ix_(places, places)]
+        )
+        return information
+
+    def own_information(self, id: int, coordinates: int) -> Array:
+        """The information (3, 3) of one landmark, zero for coordinates about which the map says nothing.
+
+        Raises:
+            OptionError: the covariance is singular.
+        """
+        known = min(len(self.covariances[id]), coordinates)
+        information = np.zeros((3, 3))
+        information[:known, :known] = _inverse(f"the covariance of landmark {id}", self.covariances[id][:known, :known])
+        return information
+
+
+def as_map(value: object) -> LandmarkMap:
+    """A map given as such, as {id: place}, as the path of a file, or by what has estimated it and has it as ``map``.
+
+    Raises:
+        OptionError: it is something else. FormatError: the file holds no map.
+    """
+    value = getattr(value, "map", value)
+    if isinstance(value, LandmarkMap):
+        return value
+    if isinstance(value, Mapping):
+        return LandmarkMap(value)
+    if isinstance(value, (str, PathLike)):
+        return LandmarkMap.load(value)
+    raise OptionError(f"map must be a LandmarkMap, {{id: (x, y)}} or the path of a file, not {quoted(value)}")
+
+
+def _again(means: Any, covariances: Any, classes: Any, joint: Any) -> LandmarkMap:
+    """A map from its parts, for pickle and copy."""
+    if joint is None:
+        return LandmarkMap(means, covariances, classes=classes)
+    return LandmarkMap(means, classes=classes, joint=joint, joint_ids=covariances)
+
+
+def _id(value: object) -> int:
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not -(2**63) <= value < 2**63:
+        raise OptionError(f"the ids of a map are whole numbers of at most 64 bits, not {quoted(value)}")
+    if value in (NO_ID, UNIDENTIFIED):
+        raise OptionError(f"the id {value} stands for no id: give this landmark of the map another one")
+    return int(value)
+
+
+def _place(id: int, value: ArrayLike) -> Array:
+    place = array_of(f"landmark {id} of the map", value)
+    if place.shape not in ((2,), (3,)) or not np.isfinite(place).all():
+        raise OptionError(f"landmark {id} of the map must be finite, (x, y) or (x, y, heading), not {quoted(value)}")
+    return np.append(place[:2], wrap(place[2:]))
+
+
+def _covariance(id: int, value: ArrayLike, coordinates: int) -> Array:
+    name = f"the covariance of landmark {id}"
+    matrix = array_of(name, value)
+    if matrix.shape != (coordinates, coordinates):
+        raise OptionError(f"{name} must have shape ({coordinates}, {coordinates}), not {matrix.shape}")
+    return _checked(name, matrix)
+
+
+def _checked(name: str, matrix: Array) -> Array:
+    """A covariance, symmetric; landmarks that a solver gave may be exact in some direction."""
+    size = np.abs(matrix).max(initial=0.0)
+    if not np.isfinite(matrix).all() or np.abs(matrix - matrix.T).max(initial=0.0) > ROUNDED * size:
+        raise OptionError(f"{name} must be a symmetric matrix of finite numbers")
+    matrix = (matrix + matrix.T) / 2
+    if len(matrix) and np.linalg.eigvalsh(matrix)[0] < -ROUNDED * size:
+        raise OptionError(
+            f"{name} has the negative eigenvalue {np.linalg.eigvalsh(matrix)[0]:.3g}, but must be positive definite"
+        )
+    return matrix
+
+
+def _inverse(name: str, matrix: Array) -> Array:
+    """The inverse of a covariance, scaled to a diagonal of ones first."""
+    deviations = np.sqrt(np.diagonal(matrix))
+    try:
+        if not (deviations > 0).all():
+            raise np.linalg.LinAlgError
+        root = np.linalg.inv(np.linalg.cholesky(matrix / np.outer(deviations, deviations))) / deviations
+    except np.linalg.LinAlgError:
+        raise OptionError(
+            f"{name} is singular, so that it has no inverse; leave covariances out (map_use fixed) if landmarks are exact"
+        ) from None
+    return root.T @ root
+
+
+def estimate_map(
+    log: Log,
+    poses: ArrayLike,
+    *,
+    sensor: SensorModel | None = None,
+    kernel: Kernel | str | None = None,
+    trust: ArrayLike | None = None,
+) -> LandmarkMap:
+    """m_j = argmin over m of the sum of w (m - y)' Omega (m - y), y = h^-1(x_t, z), Omega^-1 = R Q R', for each landmark.
+
+    The weight w of a sighting is its trust times the weight of the kernel, 1 where there is neither.
+
+    Headings are compared with that of the landmark itself, so the result does not depend on the order of the sightings.
+
+    Args:
+        log: whose sightings are used; those without a landmark id are left out.
+        poses: the trajectory (T+1, 3), or anything with such an attribute ``poses``. A `Solution` of this log also gives
+            the defaults of sensor, kernel and trust: those of its graph.
+        sensor: the noise model; default: that of the solution's graph, else the log's, else the book's.
+        kernel: a robust kernel on each sighting, as in `Graph.from_log`; the map is then the robust mean.
+        trust: (M,) a factor from 0 to 1 on the information of each sighting, such as `Solution.trust`; NaN counts as 1.
+
+    Returns:
+        The map, with the covariance of each landmark given the trajectory: (sum of w Omega)^-1, and with a kernel that of
+        the robust mean (`Kernel.information_per_weight`).
+
+    Raises:
+        OptionError: the poses or the trust do not fit the log, or there is no such kernel.
+        GraphError: numbers of the log or the sensor are outside of what double precision can hold.
+
+    Source: the lectures, section 9.1.2.
+    """
+    graph = getattr(poses, "graph", None)
+    if graph is not None and graph.log is not None:
+        own_kernel, own_trust = graph.verdict
+        sensor, kernel, trust = sensor or graph.sensor, kernel or own_kernel, own_trust if trust is None else trust
+    sensor = sensor or log.sensor or SensorModel()
+    trajectory = array_of("poses", getattr(poses, "poses", poses))
+    if trajectory.shape != (log.num_poses, 3):
+        raise OptionError(f"poses must have shape ({log.num_poses}, 3) for this log, not {trajectory.shape}")
+    trusted = np.ones(len(log.steps)) if trust is None else np.nan_to_num(array_of("trust", trust), nan=1.0)
+    if trusted.shape != log.steps.shape or np.any((trusted < 0) | (trusted > 1)):
+        raise OptionError(f"trust must be {len(log.steps)} numbers from 0 to 1, one for each sighting of this log")
+    known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
+    if len(known) == 0:
+        return LandmarkMap({}, {})
+    check_magnitudes(log, None, sensor)
+    rows = known[np.argsort(log.landmarks[known], kind="stable")]
+    ids, starts = np.unique(log.landmarks[rows], return_index=True)
+    edges = MarginalEdges(
+        np.append(starts, len(rows)), log.steps[rows], log.sightings[rows], sensor,
+        kernel=kernel_of(kernel), trust=trusted[rows],
+    )  # fmt: skip
+    means, covariances = edges.map(trajectory)
+    return LandmarkMap.of_estimate(dict(zip(ids.tolist(), means)), dict(zip(ids.tolist(), covariances)))

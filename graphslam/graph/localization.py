@@ -1,0 +1,377 @@
+"""A log in the frame of a map: which sightings are of its landmarks, and where the robot was at the first pose.
+
+The first fix needs no start pose: the first sightings of landmarks of the map, carried back to the first pose by the
+odometry, are registered in the map (`graph.registration`). More of them are taken until the odds of the fix, against any
+other place and against none, are above `SURE`, and until three landmarks agree, because two fit a mirrored map as well, and
+few contradict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+
+from ..errors import GraphError, check_type, listed
+from ..log import Log, check_is_log
+from ..models import MotionModel, SensorModel
+from ..se2 import Array, between, compose, rotation, turn_matrix, wrap
+from .landmark_map import LandmarkMap, as_map
+from .registration import STEPS, Match, Points, linear, register
+
+#: odds from which a fix is taken at once, and below which there is none even after all sightings
+SURE, LEAST = 1e3, 1.0
+#: a fix whose heading has a larger standard deviation [rad] leaves it open
+OPEN = 0.5
+#: the most sightings by which a whole trajectory is put into a map
+ENOUGH = 300
+#: how many more sightings are taken at a time
+GROWTH = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Fix:
+    """The first pose of a log in the frame of a map.
+
+    Attributes:
+        pose: (3,) of step 0 [m, m, rad].
+        covariance: (3, 3) of it, with the uncertainty of the map.
+        step: the last step whose sightings were used.
+        agree, disagree: the rows of the log's sightings that were used, and of those that contradict the fix: their ids were
+            misread, or their landmarks have moved.
+        odds: of the fix against all other places and against none.
+    """
+
+    pose: Array
+    covariance: Array
+    step: int
+    agree: np.ndarray
+    disagree: np.ndarray
+    odds: float
+
+    def __repr__(self) -> str:
+        """One line: the pose and its standard deviations, and what it comes from."""
+        x, y, theta = self.pose
+        std = np.sqrt(np.diagonal(self.covariance))
+        return (
+            f"<Fix ({x:.3f}, {y:.3f}) m, {np.degrees(theta):.1f} deg, standard deviations {std[0]:.3f} m, {std[1]:.3f} m, "
+            f"{np.degrees(std[2]):.1f} deg; {self.sentence}>"
+        )
+
+    @property
+    def sentence(self) -> str:
+        """The source of the fix, in words."""
+        wrong = f", {len(self.disagree)} contradict it" if len(self.disagree) else ""
+        sightings = "sighting agrees" if len(self.agree) == 1 else "sightings agree"
+        return f"{len(self.agree)} {sightings} up to step {self.step}{wrong}"
+
+
+def first_fix(
+    log: Log,
+    landmarks: LandmarkMap | Mapping[int, Array] | str | PathLike[str],
+    *,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+) -> Fix:
+    """The first pose of a log in the frame of a map, from sightings of its landmarks; the log's own first pose is not used.
+
+    Args:
+        log: with ids of the map's landmarks; sightings of other landmarks are not used.
+        landmarks: the map, in any form that `Graph.from_log` takes.
+        motion, sensor: the noise models; default: those of the log, else the book's.
+
+    Raises:
+        GraphError: the log has no ids, sees no landmark of the map or too few, or no place in the map fits what it sees; the
+            message names the likely cause.
+    """
+    check_is_log(log)
+    check_type(MotionModel, motion=motion)
+    check_type(SensorModel, sensor=sensor)
+    landmarks = as_map(landmarks)
+    rows = _rows(log, landmarks)
+    sensor = sensor or log.sensor or SensorModel()
+    count, drift = 1, _Drift(log, motion)
+    while True:
+        count = min(max(count + 1, int(count * GROWTH)), len(rows))
+        step = int(log.steps[rows[count - 1]])
+        # all sightings of a moment count
+        count = int(np.searchsorted(log.steps[rows], step, side="right"))
+        used = rows[:count]
+        drift.go_to(step)
+        points = _points(log, landmarks, sensor, used, drift)
+        matches = register(points)
+        odds = _odds(matches)
+        whole = count == len(rows)
+        if odds > (LEAST if whole else SURE):
+            best = matches[0]
+            fits, contradict = _landmarks(points, best)
+            enough = fits > contradict if whole else fits > max(3 * contradict, 2 * _flat(points, best))
+            if best.covariance[2, 2] < OPEN**2 and enough:
+                agree = used[best.agree]
+                pose, covariance = _refined(
+                    points.among(np.flatnonzero(best.agree)), best.pose, _noise(log, landmarks, sensor, agree, drift)
+                )
+                return Fix(pose, covariance, step, agree, used[~best.agree], odds)
+        if count == len(rows):
+            raise _no_fix(log, points, matches)
+
+
+def in_frame_of(
+    log: Log, landmarks: LandmarkMap, *, motion: MotionModel | None = None, sensor: SensorModel | None = None
+) -> tuple[Log, tuple[str, ...]]:
+    """The log with its initial poses in the frame of a map, and notes, one sentence each; see `first_fix`.
+
+    It has no psi where a landmark that is seen and exact in the map has no heading there.
+    """
+    fix, notes = first_fix(log, landmarks, motion=motion, sensor=sensor), []
+    placed = compose(fix.pose, between(log.initial_poses[0], log.initial_poses))
+    # headings keep their full turns
+    placed[:, 2] = fix.pose[2] + log.initial_poses[:, 2] - log.initial_poses[0, 2]
+    notes.append(f"the first pose was found in the map: {fix.sentence}")
+    seen = [j for j in log.landmark_ids.tolist() if j in landmarks]
+    if log.has_orientation and (bare := [j for j in seen if j not in landmarks.covariances and len(landmarks[j]) == 2]):
+        notes.append(f"psi is not used, because the map has no heading of {listed('landmark', bare)}, exact in it")
+        log = log.without_orientation()
+    return log.replace(initial_poses=placed), tuple(notes)
+
+
+def registered(
+    poses: Array, nodes: np.ndarray, sightings: Array, ids: np.ndarray, landmarks: LandmarkMap, sensor: SensorModel
+) -> Array:
+    """Poses (P, 3), moved as a whole to where the sightings (M, 2 or 3) from them fit a map best; unmoved where none fits."""
+    known = np.flatnonzero(np.isin(ids, list(landmarks)))
+    known = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), ENOUGH)).round().astype(int))]
+    y = _seen(poses[nodes[known]], sightings[known], sensor)
+    matches = register(_of(y, np.zeros((len(y[0]), 3, 3)), ids[known], landmarks))
+    if not matches:
+        return poses
+    moved = compose(matches[0].pose, poses)
+    moved[:, 2] = poses[:, 2] + matches[0].pose[2]
+    return moved
+
+
+def drifted(start: Array, motions: Array, noise: Array, covariance: Array | None = None) -> tuple[Array, Array]:
+    """The poses (T+1, 3) after motions (T, 3), and their covariances (T+1, 3, 3), in world axes.
+
+    Sigma_{t+1} = F Sigma F' + J Q J', where m is the motion in the axes of pose t, Q (T, 3, 3) its covariance,
+    F = d compose(x, m) / dx and J = d compose(x, m) / dm.
+    """
+    poses, covariances = [start], [np.zeros((3, 3)) if covariance is None else covariance]
+    for m, Q in zip(motions, noise):
+        before, after = poses[-1], compose(poses[-1], m)
+        F = np.array([[1, 0, before[1] - after[1]], [0, 1, after[0] - before[0]], [0, 0, 1]])
+        J = np.eye(3)
+        J[:2, :2] = rotation(before[2])
+        poses.append(after)
+        covariances.append(F @ covariances[-1] @ F.T + J @ Q @ J.T)
+    return np.array(poses), np.array(covariances)
+
+
+class _Drift:
+    """Poses (T+1, 3) seen from the first one, and their covariances (T+1, 3, 3), as far as they are asked for."""
+
+    def __init__(self, log: Log, motion: MotionModel | None) -> None:
+        self.poses, self.covariances = np.zeros((1, 3)), np.zeros((1, 3, 3))
+        self._motions = None
+        if log.controls is not None:
+            self._motions = log.motions(motion)
+        else:
+            # without odometry the initial poses are all there is
+            self.poses = between(log.initial_poses[0], log.initial_poses)
+            self.covariances = np.zeros((log.num_poses, 3, 3))
+
+    def go_to(self, step: int) -> None:
+        """Compute them up to a step, or farther."""
+        done = len(self.poses) - 1
+        if self._motions is None or step <= done:
+            return
+        motions, noise = (part[done : max(step, 2 * done)] for part in self._motions)
+        more = drifted(self.poses[-1], motions, noise, self.covariances[-1])
+        self.poses = np.concatenate([self.poses, more[0][1:]])
+        self.covariances = np.concatenate([self.covariances, more[1][1:]])
+
+    def between(self, steps: np.ndarray) -> Array:
+        """The covariances (K, K, 3, 3) between the poses at steps (K,), not decreasing.
+
+        The errors of an earlier pose s move a later pose t by [[1, 0, y_s - y_t], [0, 1, x_t - x_s], [0, 0, 1]].
+        """
+        x, own = self.poses[steps], self.covariances[steps]
+        moved = np.tile(np.eye(3), (len(x), len(x), 1, 1))
+        moved[:, :, 0, 2] = x[:, None, 1] - x[None, :, 1]
+        moved[:, :, 1, 2] = x[None, :, 0] - x[:, None, 0]
+        # rows are the earlier poses
+        upper = own[:, None] @ np.swapaxes(moved, 2, 3)
+        later = np.arange(len(x))[:, None] > np.arange(len(x))
+        return np.where(later[:, :, None, None], np.transpose(upper, (1, 0, 3, 2)), upper)
+
+
+def _rows(log: Log, landmarks: LandmarkMap) -> np.ndarray:
+    """The rows of the sightings of landmarks of the map."""
+    if not log.identified:
+        raise GraphError(
+            f"{log.name} has sightings without ids, and a map is used by the ids of its landmarks; leave the map out, or "
+            "give the sightings its ids"
+        )
+    for missing, name in (
+        (not landmarks, "the map has no landmarks"),
+        (not len(log.steps), f"{log.name} has no sightings"),
+    ):
+        if missing:
+            raise GraphError(f"{name}, so that the robot cannot be found in the map")
+    rows = np.flatnonzero(np.isin(log.landmarks, list(landmarks)))
+    if len(rows) == 0:
+        seen, known = (listed("landmark", sorted(ids), most=4) for ids in (log.landmark_ids.tolist(), landmarks))
+        raise GraphError(
+            f"{log.name} sees no landmark of the map: it sees {seen}, and the map has {known}; is it the map of another "
+            "place, or are the ids numbered otherwise?"
+        )
+    return rows
+
+
+def _points(log: Log, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, drift: _Drift) -> Points:
+    at = log.steps[rows]
+    seen = _seen(drift.poses[at], log.sightings[rows], sensor)
+    return _of(seen, drift.covariances[at], log.landmarks[rows], landmarks)
+
+
+def _noise(
+    log: Log, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, drift: _Drift
+) -> tuple[Array, Array]:
+    """The covariances (K, K, 3, 3) of sightings from one another: of the drive and the sensor, and of the map.
+
+    Sightings share the errors of the odometry before them, and those of one landmark its error in the map.
+    """
+    at, ids = log.steps[rows], log.landmarks[rows]
+    _, C, lever = _seen(drift.poses[at], log.sightings[rows], sensor)
+    J = _by_pose(lever)
+    measured = J[:, None] @ drift.between(at) @ np.swapaxes(J, 1, 2)[None]
+    each = np.arange(len(rows))
+    measured[each, each] += C
+    of_map = np.zeros((len(rows), len(rows), 3, 3))
+    for j in np.unique(ids).tolist():
+        if j in landmarks.covariances:
+            same, d = np.flatnonzero(ids == j), len(landmarks[j])
+            of_map[same[:, None], same, :d, :d] = landmarks.covariances[j]
+    return measured, of_map
+
+
+def _refined(points: Points, pose: Array, noise: tuple[Array, Array]) -> tuple[Array, Array]:
+    """The pose (3,) of generalised least squares over measurements with covariances between them, and its covariance."""
+    count = len(points.ids)
+    some = np.unique(np.linspace(0, count - 1, min(count, ENOUGH)).round().astype(int))
+    points, (measured, of_map) = points.among(some), (part[some[:, None], some] for part in noise)
+    rows = np.column_stack([np.ones((len(some), 2), dtype=bool), points.oriented]).ravel()
+    for _ in range(STEPS):
+        e, _, J = linear(points, pose)
+        turn = turn_matrix(pose[2])
+        V = (turn @ measured @ turn.T + of_map).transpose(0, 2, 1, 3).reshape(len(rows), -1)[np.ix_(rows, rows)]
+        weighed = np.linalg.solve(V, np.column_stack([J.reshape(-1, 3)[rows], e.ravel()[rows]]))
+        covariance = np.linalg.inv(J.reshape(-1, 3)[rows].T @ weighed[:, :3])
+        pose = pose - covariance @ (J.reshape(-1, 3)[rows].T @ weighed[:, 3])
+    pose[2] = wrap(pose[2])
+    return pose, (covariance + covariance.T) / 2
+
+
+def _by_pose(lever: Array) -> Array:
+    """The derivatives (M, 3, 3) of places by the poses from which they are seen."""
+    J = np.tile(np.eye(3), (len(lever), 1, 1))
+    J[:, :2, 2] = lever
+    return J
+
+
+def _seen(poses: Array, sightings: Array, sensor: SensorModel) -> tuple[Array, Array, Array]:
+    """The landmarks (M, 3) of sightings with covariances (M, 3, 3), and their levers (M, 2) about the poses."""
+    d = sightings.shape[1]
+    y, C = np.full((len(poses), 3), np.nan), np.zeros((len(poses), 3, 3))
+    y[:, :d], C[:, :d, :d] = sensor.places(sightings, poses)
+    lever = y[:, :2] - poses[:, :2]
+    return y, C, np.column_stack([-lever[:, 1], lever[:, 0]])
+
+
+def _of(seen: tuple[Array, Array, Array], drift: Array, ids: np.ndarray, landmarks: LandmarkMap) -> Points:
+    """The points of sightings from poses with covariances ``drift`` (M, 3, 3), and their counterparts in a map."""
+    y, C, lever = seen
+    J = _by_pose(lever)
+    unique, which = np.unique(ids, return_inverse=True)
+    m, S = np.full((len(unique), 3), np.nan), np.zeros((len(unique), 3, 3))
+    for k, j in enumerate(unique.tolist()):
+        m[k, : len(landmarks[j])] = landmarks[j]
+        if j in landmarks.covariances:
+            d = len(landmarks[j])
+            S[k, :d, :d] = landmarks.covariances[j]
+    whole = np.array([place[:2] for place in landmarks.values()])
+    reach = 2 * float(np.median(np.hypot(*lever.T)))
+    area = float(np.prod(np.ptp(whole, axis=0) + reach))
+    return Points(y, C + J @ drift @ np.swapaxes(J, 1, 2), m[which], S[which], ids, area)
+
+
+def _flat(points: Points, match: Match) -> bool:
+    """Whether no heading distinguishes the map from a mirrored one."""
+    return not points.oriented[match.agree].any()
+
+
+def _landmarks(points: Points, match: Match) -> tuple[int, int]:
+    """The numbers of landmarks most of whose sightings agree, and of the others."""
+    _, which = np.unique(points.ids, return_inverse=True)
+    share = np.bincount(which, match.agree) / np.bincount(which)
+    return int(np.sum(share > 0.5)), int(np.sum(share <= 0.5))
+
+
+def _odds(matches: list[Match]) -> float:
+    """The odds of the best hypothesis against the others and none; 0 where there is none."""
+    if not matches:
+        return 0.0
+    others = np.logaddexp.reduce([0.0, *(match.evidence for match in matches[1:])])
+    return float(np.exp(np.minimum(matches[0].evidence - others, 700.0)))
+
+
+def _no_fix(log: Log, points: Points, matches: list[Match]) -> GraphError:
+    """The reason why no place in the map fits, with the likely cause."""
+    count = len(np.unique(points.ids))
+    if count == 1 and not points.oriented.any():
+        which = listed("landmark", [int(points.ids[0])])
+        return GraphError(
+            f"{log.name} sees only {which} of the map, and one landmark without a heading does not say where the robot is: "
+            "two are needed"
+        )
+    what = f"{len(points.ids)} sightings of {listed('landmark', np.unique(points.ids).tolist(), most=4)} of the map"
+    if matches and matches[0].covariance[2, 2] >= OPEN**2 and _odds(matches) > LEAST:
+        wide = np.degrees(matches[0].covariance[2, 2] ** 0.5)
+        return GraphError(
+            f"{what} leave open where {log.name} heads at its first pose (standard deviation {wide:.0f} degrees); more "
+            "sightings of other landmarks are needed"
+        )
+    cause = _cause(points)
+    if not cause and len(matches) > 1 and _odds(matches[:1]) > SURE > _odds(matches):
+        places = " and ".join(f"({m.pose[0]:.2f}, {m.pose[1]:.2f}) m" for m in matches[:2])
+        return GraphError(
+            f"{what} fit several first poses of {log.name} alike, such as {places}; more sightings are needed"
+        )
+    best = int(np.sum(matches[0].agree)) if matches else 0
+    cause = cause or "; is it the map of another place, are ids misread, or has the noise of the sensor another size?"
+    return GraphError(f"{what} fit no first pose of {log.name}: at the best place {best} of them agree{cause}")
+
+
+def _cause(points: Points) -> str:
+    """The change with which many more measurements agree: a mirrored map or another unit; "" where there is none."""
+
+    def fits(changed: Points) -> bool:
+        matches = register(changed)
+        agree, contradict = _landmarks(changed, matches[0]) if matches else (0, 1)
+        return _odds(matches) > SURE and agree > 3 * contradict
+
+    without = points.measured.copy()
+    without[:, 2] = np.nan
+    mirrored = points.places * (1, -1, 1)
+    if fits(Points(without, points.covariances, mirrored, points.place_covariances, points.ids, points.area)):
+        return "; they would with the map mirrored: is its y axis to the left of x?"
+    for scale, unit in ((0.01, "centimetres"), (0.001, "millimetres"), (1000.0, "kilometres"), (0.3048, "feet")):
+        places = points.places * (scale, scale, 1)
+        scaled = Points(
+            without, points.covariances, places, points.place_covariances * scale**2, points.ids, points.area * scale**2
+        )
+        if fits(scaled):
+            return f"; they would with the map in {unit}: give it in metres"
+    return ""

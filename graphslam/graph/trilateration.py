@@ -1,0 +1,185 @@
+"""Where a landmark can be that was seen by range or bearing alone, and the edges of such sightings.
+
+From given poses the cost of a landmark's single numbers, two unknowns, is minimised by Levenberg-Marquardt from many places.
+Each minimum is a place that they leave: two mirror images for ranges from a straight way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..edges import BearingEdges, PartialEdges, RangeEdges
+from ..edges.robust import Kernel
+from ..errors import GraphError, listed
+from ..log import Log
+from ..log.measurements import PartialSightings
+from ..models import SensorModel
+from ..se2 import Array, mounted
+
+#: a place is clear when J at the second best one is higher by this much
+CLEAR = 30.0
+#: directions, and distances as parts of the greatest one, from which places are searched
+DIRECTIONS, DISTANCES = 24, (0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
+#: steps of the search, and how far away a landmark may be for bearings, in lengths of the way
+STEPS, FAR = 60, 5.0
+#: ends that are nearer to each other than this part of the distance are one place
+SAME = 1e-3
+#: a place is known where its standard deviation is below this part of the distance
+KNOWN = 0.5
+#: the information of a landmark is singular where its smaller eigenvalue is below this part of the larger one
+SINGULAR = 1e-8
+
+
+@dataclass(frozen=True)
+class Places:
+    """The places (K, 2) that single numbers leave for a landmark, by rising cost (K,).
+
+    Attributes:
+        determined: whether the numbers determine the first of them at all.
+        known: whether its standard deviation is small beside its distance.
+    """
+
+    places: Array
+    costs: Array
+    determined: bool = False
+    known: bool = False
+
+    @property
+    def clear(self) -> bool:
+        """Whether one place is far more likely than all others."""
+        return self.known and (len(self.costs) == 1 or self.costs[1] - self.costs[0] > CLEAR)
+
+
+def edges_of_single_numbers(
+    partial: PartialSightings, nodes: np.ndarray, sensor: SensorModel, kernel: Kernel | None
+) -> list[PartialEdges]:
+    """The edges of ranges and of bearings alone, whose landmarks have the nodes (K,)."""
+    ranged, found = partial.ranged, list[PartialEdges]()
+    variance = (sensor.range_rate * partial.ranges[ranged]) ** 2 + sensor.range_std**2
+    for kind, rows, measured, spread in (
+        (RangeEdges, ranged, partial.ranges, variance),
+        (BearingEdges, ~ranged, partial.bearings, np.full(np.sum(~ranged), sensor.bearing_std**2)),
+    ):
+        if rows.any():
+            parts = partial.steps[rows], nodes[rows], measured[rows, None], 1 / spread[:, None, None]
+            found.append(kind(*parts, np.array(sensor.offset), kernel=kernel))
+    return found
+
+
+def placed_single_numbers(
+    log: Log, sensor: SensorModel, kernel: Kernel | None, known: Mapping[int, Array]
+) -> tuple[PartialSightings, dict[int, Array], tuple[str, ...]]:
+    """The partial sightings that a graph can use, the places of landmarks that have no others, and notes.
+
+    Args:
+        known: landmarks of a map, which have a place.
+
+    Raises:
+        GraphError: landmarks have headings, about which ranges and bearings say nothing.
+    """
+    partial = log.partial_sightings
+    if partial is None:
+        return _NO_SIGHTINGS, {}, ()
+    if log.has_orientation:
+        raise GraphError(
+            f"{log.name} has sightings with psi beside ranges or bearings alone, which say nothing about the heading of a "
+            "landmark: use dimensions=2"
+        )
+    _, nodes = np.unique(partial.landmarks, return_inverse=True)
+    edges = edges_of_single_numbers(partial, log.num_poses + nodes, sensor, kernel)
+    places, open_ = dict[int, Array](), list[int]()
+    for j in np.setdiff1d(partial.landmarks, [*log.landmark_ids, *known]).tolist():
+        node = log.num_poses + int(nodes[np.argmax(partial.landmarks == j)])
+        found = places_of([(f, np.flatnonzero(f.second == node)) for f in edges], log.initial_poses)
+        if found.determined:
+            places[j] = found.places[0]
+        else:
+            open_.append(j)
+    notes: tuple[str, ...] = ()
+    if open_:
+        notes = (
+            f"{listed('landmark', open_)} left out: their ranges or bearings from this way leave any number of places",
+        )
+    return partial.among(~np.isin(partial.landmarks, open_)), places, notes
+
+
+_NONE = np.zeros(0)
+_NO_SIGHTINGS = PartialSightings(steps=_NONE, landmarks=_NONE, ranges=_NONE, bearings=_NONE)
+
+
+def places_of(seen: list[tuple[PartialEdges, np.ndarray]], state: Array) -> Places:
+    """The places of one landmark, given its edges as rows of families, from the poses of a state (n, 3)."""
+    seen = [(family, rows) for family, rows in seen if len(rows)]
+    if not seen:
+        return Places(np.zeros((0, 2)), np.zeros(0))
+    parts = [_rows(family, rows) for family, rows in seen]
+    sensors = [mounted(state[part.first], tuple(part.offset)) for part in parts]
+    where = np.concatenate([each[:, :2] for each in sensors])
+    extent = float(np.hypot(*(where.max(axis=0) - where.min(axis=0))))
+    ranges = [part.measured[:, 0].max() for part in parts if isinstance(part, RangeEdges)]
+    reach = max([*ranges, FAR * extent if not ranges else 0.0, 1e-3])
+    turns = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
+    around = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    starts = (where.mean(axis=0) + reach * np.multiply.outer(np.array(DISTANCES), around)).reshape(-1, 2)
+    m, damping = starts, np.full(len(starts), 1e-3)
+    cost, H, g = _normal(parts, sensors, m)
+    for _ in range(STEPS):
+        step = np.linalg.solve(H + damping[:, None, None] * _diagonal(H), -g[..., None])[..., 0]
+        tried, tried_H, tried_g = _normal(parts, sensors, m + step)
+        better = tried < cost
+        m, cost = np.where(better[:, None], m + step, m), np.where(better, tried, cost)
+        H, g = np.where(better[:, None, None], tried_H, H), np.where(better[:, None], tried_g, g)
+        damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-9, 1e9)
+        if np.abs(step).max() < SAME * reach / 10:
+            break
+    far = np.hypot(*(m - where.mean(axis=0)).T)
+    left = np.linalg.solve(H + 1e-12 * _diagonal(H), g[..., None])[..., 0]
+    ended = np.flatnonzero(np.hypot(*left.T) <= SAME * np.maximum(far, reach))
+    ended = ended[np.argsort(cost[ended], kind="stable")]
+    kept: list[int] = []
+    while len(ended):
+        kept.append(int(ended[0]))
+        ended = ended[np.hypot(*(m[ended] - m[kept[-1]]).T) > SAME * (reach + far[ended])]
+    if not kept:
+        return Places(np.zeros((0, 2)), np.zeros(0))
+    best = kept[0]
+    distance = max(np.hypot(*(where - m[best]).T).min(), 1e-3)
+    least, most = np.linalg.eigvalsh(H[best]).tolist()
+    determined = least > SINGULAR * most
+    return Places(m[kept], cost[kept], determined, known=determined and least > (KNOWN * distance) ** -2)
+
+
+def _rows(family: PartialEdges, rows: np.ndarray) -> PartialEdges:
+    return type(family)(
+        family.first[rows],
+        family.second[rows],
+        family.measured[rows],
+        family.weighed[rows],
+        family.offset,
+        kernel=family.kernel,
+    )
+
+
+def _normal(parts: list[PartialEdges], sensors: list[Array], m: Array) -> tuple[Array, Array, Array]:
+    """The cost (S,) of a landmark at places (S, 2), its Gauss-Newton matrix (S, 2, 2) and half its gradient (S, 2)."""
+    cost, H, g = np.zeros(len(m)), np.zeros((len(m), 2, 2)), np.zeros((len(m), 2))
+    for part, places in zip(parts, sensors):
+        e, by_landmark, _ = part.residuals(places, m[:, None, :])
+        squares = e**2 * part.information[:, 0, 0]
+        w = np.broadcast_to(part.information[:, 0, 0], squares.shape)
+        if part.kernel is not None:
+            w = w * part.kernel.weight(squares)
+            squares = part.kernel.loss(squares)
+        cost += squares.sum(axis=1)
+        H += np.einsum("se,sei,sej->sij", w, by_landmark, by_landmark)
+        g += np.einsum("se,se,sei->si", w, e, by_landmark)
+    return cost, H, g
+
+
+def _diagonal(H: Array) -> Array:
+    """The diagonal matrices (S, 2, 2) by which Levenberg-Marquardt damps, never zero."""
+    size = np.trace(H, axis1=1, axis2=2)
+    return (np.einsum("sii->si", H) + 1e-9 * size[:, None] + 1e-300)[:, :, None] * np.eye(2)

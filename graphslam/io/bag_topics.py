@@ -1,0 +1,316 @@
+"""Which fields of a message type make the columns of a stream, decided by the type's definition.
+
+The possible roles of the topics of a bag, and which of them would be chosen.
+
+Fields of messages by their path: ``pose.pose.position.x``, or ``detections[].id`` in each element of a list.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
+
+from ..errors import FormatError, named, quoted, suggestion
+from .bag import Bag, Topic
+from .table import NAMES, plain
+
+#: nodes of definitions in rosbags: a base type, a named type, an array and a sequence
+_BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4
+_DEEPEST = 8
+
+
+def leaves(types: Any, type: str) -> dict[str, str]:
+    """The fields of a message type that hold numbers or text: {path: base type}.
+
+    A list of messages adds [] to the path. Lists of numbers are left out, except those that could be an id.
+    """
+    return dict(_leaves(types, type, "", 0))
+
+
+def _leaves(types: Any, type: str, prefix: str, depth: int) -> Iterator[tuple[str, str]]:
+    if depth > _DEEPEST or type not in types:
+        return
+    for name, (node, value) in types[type][1]:
+        path = f"{prefix}{name}"
+        if node == _BASE:
+            yield path, value[0]
+        elif node == _NAME:
+            yield from _leaves(types, value, f"{path}.", depth + 1)
+        else:
+            inner, content = value[0]
+            if inner == _NAME:
+                yield from _leaves(types, content, f"{path}[].", depth + 1)
+            elif name.endswith("id"):
+                yield f"{path}[]", content[0]
+
+
+def lists(path: str) -> str:
+    """The path of the list whose elements are rows, "detections" of "detections[].id"; empty where there is none."""
+    return path.partition("[].")[0] if "[]." in path else ""
+
+
+def getter(path: str) -> Callable[[Any], Any]:
+    """The value of a path in a message or element; of a list within it the first entry, None where it is empty."""
+    parts = path.split("[]")
+    if len(parts) == 1:
+        return attrgetter(path)
+    first, rest = attrgetter(parts[0]), "[]".join(parts[1:]).lstrip(".")
+    inner = getter(rest) if rest else None
+
+    def value(message: Any) -> Any:
+        entries = first(message)
+        if len(entries) == 0:
+            return None
+        return inner(entries[0]) if inner else entries[0]
+
+    return value
+
+
+_TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)|ground|vicon|mocap|optitrack|vrpn|qualisys|natnet|gazebo|reference|rtk")
+_WHEELS = re.compile(r"odom|wheel|encoder")
+_SEEN = re.compile(r"tag|landmark|detect|marker|obs|sight|fiducial|aruco|beacon|cone|tree|pole|feature")
+_NOT_SEEN = re.compile(r"particle|map|path|plan|goal|visual|rviz|debug|costmap")
+#: packages whose types are known: only these of them can be anything
+_STANDARD = (
+    "nav_msgs", "sensor_msgs", "geometry_msgs", "tf2_msgs", "tf", "std_msgs", "rcl_interfaces", "diagnostic_msgs",
+    "visualization_msgs", "rosgraph_msgs", "vision_msgs", "statistics_msgs", "action_msgs", "trajectory_msgs", "stereo_msgs",
+    "builtin_interfaces", "dynamic_reconfigure", "actionlib_msgs", "shape_msgs", "lifecycle_msgs", "foxglove_msgs",
+)  # fmt: skip
+#: type -> (what it could be, how well it suits)
+_KNOWN = {
+    "nav_msgs/msg/Odometry": ("odometry", 4.0),
+    "geometry_msgs/msg/TwistStamped": ("odometry", 3.0),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": ("odometry", 3.0),
+    "geometry_msgs/msg/Twist": ("odometry", 2.0),
+    "geometry_msgs/msg/PoseStamped": ("truth", 2.0),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": ("truth", 1.0),
+    "geometry_msgs/msg/TransformStamped": ("truth", 1.5),
+    "vision_msgs/msg/Detection3DArray": ("sightings", 4.0),
+    "visualization_msgs/msg/MarkerArray": ("sightings", 2.0),
+    "geometry_msgs/msg/PoseArray": ("sightings", 1.5),
+    "vision_msgs/msg/Detection2DArray": ("sightings", 1.0),
+}
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A topic with what it could be, and how well it suits; ``chosen`` says what it would be taken for."""
+
+    topic: Topic
+    could_be: str = ""
+    score: float = 0.0
+    chosen: str = ""
+
+
+def candidates(bag: Bag) -> list[Candidate]:
+    """Every topic of a bag with what it could be; the best of each kind is chosen.
+
+    Truth is chosen only where the name of a topic says that it is one.
+    """
+    found = [Candidate(topic, *_could_be(bag, topic)) for topic in bag.topics]
+    best: dict[str, Candidate] = {}
+    for each in found:
+        if each.could_be and each.topic.count > 0 and each.score > 0:
+            other = best.get(each.could_be)
+            if other is None or (each.score, each.topic.count) > (other.score, other.topic.count):
+                best[each.could_be] = each
+    return [
+        Candidate(each.topic, each.could_be, each.score, each.could_be if best.get(each.could_be) is each else "")
+        for each in found
+    ]
+
+
+def _could_be(bag: Bag, topic: Topic) -> tuple[str, float]:
+    name = topic.name.lower()
+    kind, score = _KNOWN.get(topic.type) or _by_fields(bag, topic)
+    if not kind:
+        return "", 0.0
+    if kind == "odometry" and _TRUTH.search(name):
+        return "truth", score
+    if kind == "odometry":
+        return kind, score + (2.0 if _WHEELS.search(name) else 0.0) - (1.0 if "cmd" in name else 0.0)
+    if kind == "truth":
+        return kind, score if _TRUTH.search(name) else 0.0
+    return kind, score + (1.0 if _SEEN.search(name) else 0.0) - (3.0 if _NOT_SEEN.search(name) else 0.0)
+
+
+def _by_fields(bag: Bag, topic: Topic) -> tuple[str, float]:
+    """The role of a message type of another package, by the names of its fields."""
+    if topic.type.partition("/")[0] in _STANDARD:
+        return "", 0.0
+    paths = leaves(bag.types, topic.type)
+    rows = {lists(path) for path in paths}
+    for row in sorted(rows, reverse=True):
+        inside = [path.removeprefix(f"{row}[].") if row else path for path in paths if lists(path) == row]
+        has = {role for role in NAMES if any(matches(role, path) for path in inside)}
+        place = {"range", "bearing"} <= has or any(path.endswith((".position.x", ".translation.x")) for path in inside)
+        if "id" in has and (place or {"x", "y"} <= has):
+            return "sightings", 5.0 if row else 3.0
+        if not row and {"nu", "omega"} <= has:
+            return "odometry", 2.5
+    return "", 0.0
+
+
+def matches(role: str, path: str) -> bool:
+    """Whether the name of a field is one that a column of this role has."""
+    own, _ = plain(path.replace("[]", ""))
+    if role == "id" and ("frame" in own or "seq" in own):
+        return False
+    return own in NAMES[role] or any(len(each) > 1 and own.endswith(f"_{each}") for each in NAMES[role])
+
+
+#: what columns a stream can have beside poses
+_PLAIN = {
+    "odometry": ("nu", "omega", "x", "y", "theta"),
+    "sightings": ("range", "bearing", "orientation", "x", "y"),
+    "truth": ("x", "y", "theta"),
+}
+#: message types that give each stream, for messages
+_GIVES = {
+    "odometry": "nav_msgs/Odometry, geometry_msgs/Twist, TwistStamped and TF do",
+    "sightings": "arrays of detections with ids and poses do (apriltag, vision_msgs, MarkerArray, PoseArray), and TF",
+    "truth": "nav_msgs/Odometry, geometry_msgs/PoseStamped and TF do",
+}
+_PLACES = ("position", "translation", "point")
+_TURNS = {"position": "orientation", "translation": "rotation"}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The conversion of messages to rows.
+
+    Attributes:
+        row: the list whose elements are rows; empty where each message is one.
+        columns: {column: path in a row}. A pose whose position is at P has columns "P.x", "P.y", "P.z" and, where it has an
+            orientation, "P.qx" to "P.qw".
+        places: the positions P, best first.
+        id, look: paths of the id and of the class; empty where there is none.
+        stamp: whether the "row" or the "message" has the time; empty where neither has.
+        frame: path of the name of the frame in the row or message that has the time.
+        child: path of the name of the frame that moves; empty where there is none.
+        action: whether rows can be deletions (visualization_msgs/Marker).
+    """
+
+    row: str
+    columns: Mapping[str, str]
+    places: tuple[str, ...]
+    id: str = ""
+    look: str = ""
+    stamp: str = ""
+    child: str = ""
+    action: bool = False
+
+
+def plan_of(source: str, kind: str, type: str, types: Any, stated: Mapping[str, str | int]) -> Plan:
+    """The plan for a topic.
+
+    Args:
+        source: bag and topic, for messages.
+        kind: odometry, sightings or truth.
+        type: of the messages.
+        types: definitions of ``rosbags``.
+        stated: {role: path of the field}, what the user says.
+
+    Raises:
+        FormatError: the type has no such fields.
+    """
+    paths = leaves(types, type)
+    row = _row(kind, paths, stated)
+    inside = [_in_row(path, row) for path in paths if lists(path) == row]
+    columns: dict[str, str] = {}
+    for role, path in stated.items():
+        columns[role] = _stated(source, role, str(path), inside, row)
+    places: list[str] = []
+    if not columns.keys() - {"id", "class"}:
+        places = _places(inside)
+        for place in places:
+            columns |= {f"{place}.{axis}": f"{place}.{axis}" for axis in "xyz"}
+            turn = _turn(place)
+            if f"{turn}.w" in inside:
+                columns |= {f"{place}.q{axis}": f"{turn}.{axis}" for axis in "xyzw"}
+        twist = next((path.removesuffix("linear.x") for path in inside if path.endswith("linear.x")), None)
+        if kind == "odometry" and twist is not None and f"{twist}angular.z" in inside:
+            columns |= {"nu": f"{twist}linear.x", "omega": f"{twist}angular.z"}
+        elif not places:
+            for role in _PLAIN[kind]:
+                if path := next((path for path in inside if matches(role, path)), ""):
+                    columns[role] = path
+    look = columns.pop("class", "")
+    id = columns.pop("id", "") or _id([path for path in inside if path != look])
+    look = look or _look([path for path in inside if path != id])
+    if not _enough(kind, columns, places):
+        raise FormatError(source, None, f"its messages, {type}, give no {kind}; {_GIVES[kind]}")
+    return Plan(
+        row,
+        columns,
+        tuple(places),
+        id if kind == "sightings" else "",
+        look if kind == "sightings" else "",
+        "row" if "header.stamp.sec" in inside else "message" if "header.stamp.sec" in paths else "",
+        "child_frame_id" if "child_frame_id" in inside else "",
+        row == "markers" and "action" in inside,
+    )
+
+
+def _row(kind: str, paths: Mapping[str, str], stated: Mapping[str, str | int]) -> str:
+    """The list whose elements are the rows."""
+    for path in map(str, stated.values()):
+        for known in paths:
+            if path.replace("[]", "") in (known.replace("[]", ""), _in_row(known, lists(known)).replace("[]", "")):
+                return lists(known)
+    of_lists = {lists(path) for path in paths} - {""}
+    # transforms of TF are rows for every kind
+    return next(iter(sorted(of_lists)), "") if kind == "sightings" or of_lists == {"transforms"} else ""
+
+
+def _in_row(path: str, row: str) -> str:
+    return path.removeprefix(f"{row}[].") if row else path
+
+
+def _stated(source: str, role: str, path: str, inside: list[str], row: str) -> str:
+    wanted = _in_row(path, row).removeprefix(f"{row}.").replace("[]", "")
+    for known in inside:
+        if known.replace("[]", "") == wanted:
+            return known
+    hint = suggestion(wanted, inside) or f"; it has {named(inside)}"
+    raise FormatError(source, None, f"its messages have no field {quoted(path)} for {role}{hint}")
+
+
+def _places(inside: list[str]) -> list[str]:
+    """Positions in space, results before boxes."""
+    found = [
+        path.removesuffix(".x")
+        for path in inside
+        if path.endswith(tuple(f"{place}.x" for place in _PLACES)) and f"{path[:-1]}z" in inside
+    ]
+    return sorted(found, key=lambda place: ("bbox" in place, "transform" not in place, place.count(".")))
+
+
+def _turn(place: str) -> str:
+    head, _, last = place.rpartition(".")
+    return ".".join(filter(None, [head, _TURNS.get(last, "orientation")]))
+
+
+def _id(inside: list[str]) -> str:
+    """The id of a row: a field of its own before a class, the frame of TF otherwise."""
+    fits = [path for path in inside if matches("id", path) and "frame" not in path and "seq" not in path]
+    fits.sort(key=lambda path: (path.replace("[]", "") != "id", "class" not in path, path.count(".")))
+    return fits[0] if fits else "child_frame_id" if "child_frame_id" in inside else ""
+
+
+def _look(inside: list[str]) -> str:
+    """The class of a row; the type of a message says nothing about what was seen."""
+    fits = [path for path in inside if matches("class", path) and path.rpartition(".")[2] not in ("type", "kind")]
+    return min(fits, key=lambda path: path.count("."), default="")
+
+
+def _enough(kind: str, columns: Mapping[str, str], places: list[str]) -> bool:
+    if kind == "odometry":
+        return {"nu", "omega"} <= columns.keys() or {"x", "y", "theta"} <= columns.keys() or bool(places)
+    if kind == "sightings":
+        return {"range", "bearing"} <= columns.keys() or {"x", "y"} <= columns.keys() or bool(places)
+    return {"x", "y"} <= columns.keys() or bool(places)

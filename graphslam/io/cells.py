@@ -1,0 +1,479 @@
+"""Times as whole nanoseconds: seconds since 1970 with nine decimals do not fit into a floating-point number.
+
+Columns of ids and classes: whole numbers, words, or nothing where a landmark was not identified.
+
+Headings of quaternions, and motions between poses of odometry.
+
+Rows that come twice and times that several rows share: the numbers can be read, but are probably not what was measured.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import LogError, decimals, first, named, quoted, shortened
+from ..log.rows import MOST_CLASSES, NO_CLASS, NO_ID, UNIDENTIFIED, Fault
+from ..models import sinc
+from ..se2 import Array, between
+from .table import Table
+from .text_table import MISSING
+
+#: nanoseconds of each unit
+UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
+#: floating-point numbers hold nanoseconds up to here
+_EXACT = 2.0**53
+#: whole nanoseconds in 64 bits are below this
+_LARGEST = 2.0**63
+#: date and time of day as in ISO 8601, with the hours and minutes by which it is ahead of UTC
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d(?:[.,]\d{1,9})?) ?(?:Z|UTC|([+-]\d\d):?(\d\d))?")
+#: a single time this far [s] outside those of both neighbours is wrong
+STRAY = 10
+#: 64 bits hold powers of ten up to here
+_LARGEST_POWER = 18
+
+
+def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
+    """A column of times (N,) as whole nanoseconds.
+
+    Args:
+        table: whose column it is.
+        column: its number.
+        unit: "s", "ms", "us" or "ns"; None: by the size of the numbers, which is certain for times since 1970, else s.
+
+    Dates with the time of day (ISO 8601, "2026-11-22T10:00:00.5Z") are counted from 1970, in UTC where they name no zone.
+
+    Raises:
+        LogError: a time is neither a finite number nor a date, or has no place in 64 bits (before 1678 or after 2262).
+    """
+    if (parts := table.decimals(column)) is not None and (exact := _of_decimals(*parts, unit)) is not None:
+        return exact
+    try:
+        values = table.numbers([column])[:, 0]
+    except LogError:
+        if (dates := _of_dates(table, column)) is None:
+            word = str(table.words(column)[0])
+            if not _is_number(word):
+                raise table.error(
+                    0,
+                    f"the time {table.title(column)} should be a number, or a date with the time of day as in "
+                    f"2026-11-22T10:00:00.5Z, not {quoted(word)}",
+                ) from None
+            raise
+        return dates
+    if (bad := np.flatnonzero(~np.isfinite(values))).size:
+        raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
+    factor = UNITS[unit or by_size(values)]
+    if (beyond := np.flatnonzero(np.abs(values) >= _LARGEST / factor)).size:
+        raise _beyond(table, int(beyond[0]), column)
+    if np.all(np.abs(values) * factor < _EXACT):
+        return np.rint(values * factor).astype(np.int64)
+    words = table.texts(column)
+    if words.dtype.kind in "iu":
+        return words.astype(np.int64) * factor
+    digits = len(str(factor)) - 1
+    whole, _, fraction = np.moveaxis(np.char.partition(words, b"."), -1, 0)
+    try:
+        beneath = np.char.ljust(fraction, digits, b"0").astype(f"S{digits}") if digits else np.full(len(whole), b"0")
+        return whole.astype(np.int64) * factor + beneath.astype(np.int64)
+    except (ValueError, OverflowError):
+        # with exponents
+        return np.rint(values * factor).astype(np.int64)
+
+
+def time_faults(values: np.ndarray, title: str, unit: str | None, stray: float = STRAY) -> list[Fault]:
+    """The rows whose time (N,) is no number, or lies more than ``stray`` [s] outside the times of both its neighbours.
+
+    A clock that continues from a wrong time is handled in `drive`.
+    """
+    finite = np.isfinite(values)
+    known = np.flatnonzero(finite)
+    alone = np.zeros(len(values), dtype=bool)
+    t = values[known]
+    if len(t) > 2:
+        far = stray * UNITS["s"] / UNITS[unit or by_size(t)]
+        before, after = np.append(t[1], t[:-1]), np.append(t[1:], t[-2])
+        # without the row its neighbours are in order
+        ordered = after >= before
+        ordered[0], ordered[-1] = t[2] >= t[1], t[-2] >= t[-3]
+        late, early = t > np.maximum(before, after) + far, t < np.minimum(before, after) - far
+        # the first row may be far before, and the last far after the others: a pause
+        late[-1], early[0] = False, False
+        alone[known] = (late | early) & ordered
+    return [
+        Fault(~finite, "no time", lambda k: f"{title} is {values[k]}; every row needs a time"),
+        Fault(
+            alone, "a time that is far from those of the rows before and after",
+            lambda k: f"{title} is {decimals(values[k])}, far from those of the rows before and after it; "
+            "repair or remove the row",
+        ),
+    ]  # fmt: skip
+
+
+def _of_dates(table: Table, column: int) -> np.ndarray | None:
+    """Times (N,) of dates; None where the first is none."""
+    ns = np.empty(len(table), np.int64)
+    for row, word in enumerate(map(str, table.words(column))):
+        if (match := _DATE.fullmatch(word)) is None:
+            if row == 0:
+                return None
+            raise table.error(
+                row, f"{table.title(column)} should be a date and time as in the rows above, not {quoted(word)}"
+            )
+        day, clock, hours, minutes = match.groups()
+        try:
+            whole, _, fraction = clock.replace(",", ".").partition(".")
+            # nanoseconds as numpy has them wrap without a word
+            moment = int(np.datetime64(f"{day}T{whole}", "s").astype(np.int64)) * UNITS["s"] + int(
+                fraction.ljust(9, "0")
+            )
+        except ValueError as error:
+            raise table.error(row, f"{table.title(column)} is no date that exists: {quoted(word)} ({error})") from None
+        ahead = 60 * int(hours) + int(hours[0] + minutes) if hours else 0
+        moment -= ahead * 60 * UNITS["s"]
+        if abs(moment) >= _LARGEST:
+            raise _beyond(table, row, column)
+        ns[row] = moment
+    return ns
+
+
+def _beyond(table: Table, row: int, column: int) -> LogError:
+    """The error of a time that does not fit."""
+    word = shortened(str(table.words(column)[row]))
+    return table.error(
+        row,
+        f"the time {table.title(column)} is {word}, but times are whole nanoseconds in 64 bits, from 1678 to 2262: is its "
+        "unit stated rightly (s, ms, us or ns)?",
+    )
+
+
+def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int) -> np.ndarray:
+    """Times (N,) plus others [ns].
+
+    Raises:
+        LogError: a sum does not fit into 64 bits, or times are so far apart that their difference does not.
+    """
+    total = times.astype(float) + np.asarray(more, dtype=float)
+    if (beyond := np.flatnonzero(np.abs(total) >= _LARGEST)).size:
+        raise _beyond(table, int(beyond[0]), column)
+    if np.ptp(total) >= _LARGEST:
+        raise table.error(int(np.argmax(total)), f"the times {table.title(column)} are more than 292 years apart")
+    return times + more
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _of_decimals(whole: np.ndarray, places: np.ndarray, unit: str | None) -> np.ndarray | None:
+    """Times (N,) of m / 10^k, rounded to nanoseconds; None where they do not fit into 64 bits."""
+    factor = UNITS[unit or by_size(whole / 10.0**places)]
+    exponents = len(str(factor)) - 1 - places
+    up, down = max(0, int(exponents.max())), max(0, -int(exponents.min()))
+    if down > _LARGEST_POWER or np.abs(whole).max() > (2**63 - 1 - 10**down) // 10**up:
+        return None
+    divisors = 10 ** np.maximum(-exponents, 0)
+    return (whole * 10 ** np.maximum(exponents, 0) + divisors // 2) // divisors
+
+
+def by_size(values: np.ndarray) -> str:
+    """The unit of times, where their size excludes all others: no log lasts three thousand years."""
+    largest = float(np.max(np.abs(values), initial=0.0))
+    for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
+        if largest >= least:
+            return unit
+    return "s"
+
+
+def seconds(nanoseconds: np.ndarray, origin: int) -> np.ndarray:
+    """Times in seconds after an origin, exact to less than a nanosecond within months."""
+    return (nanoseconds - origin) / 1e9
+
+
+#: cells without an id or a class, in small letters
+EMPTY = (*(cell.decode() for cell in MISSING), "nan", "<na>")
+
+#: whole numbers of so many digits fit into 64 bits
+_MOST_DIGITS = 18
+
+
+@dataclass(frozen=True)
+class Ids:
+    """The ids of the rows of a table.
+
+    Attributes:
+        numbers: (N,) of the landmarks; `UNIDENTIFIED` where the cell is empty.
+        names: {name: number} where the names of landmarks contain no number.
+        notes: one sentence each.
+    """
+
+    numbers: np.ndarray
+    names: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) -> Ids:
+    """The ids in a column of a table.
+
+    Args:
+        table: of sightings, or of the true map.
+        column: its number.
+        known: numbers of landmarks that have names in another table, which stay.
+
+    Raises:
+        LogError: an id is a number, but not a whole one.
+    """
+    try:
+        values = table.numbers([column])[:, 0]
+    except LogError:
+        words = table.words(column)
+        empty = np.isin(np.char.lower(words), EMPTY)
+        numbers, names = _of_names(words[~empty], known or {})
+    else:
+        names, empty = {}, np.isnan(values)
+        fault = id_fault(table, column, values)
+        if (k := first(fault.rows)) is not None:
+            raise table.error(k, fault.message(k))
+        numbers = _whole(table, column, values)[~empty]
+    ids = np.full(len(table), UNIDENTIFIED)
+    ids[~empty] = numbers
+    notes: tuple[str, ...] = ()
+    if empty.any():
+        notes = (f"{table.source}: {empty.sum()} of {len(table)} rows have no id",)
+    if np.any(none := ids == NO_ID):
+        ids[none] = UNIDENTIFIED
+        have = "row has" if none.sum() == 1 else "rows have"
+        notes = (*notes, f"{table.source}: {none.sum():,} of {len(table):,} {have} the id -1, taken as no id")
+    if names:
+        listed = named(f"{number} = {name}" for name, number in names.items())
+        notes = (*notes, f"{table.source}: landmarks have names, ids count them: {listed}")
+    return Ids(ids, names, notes)
+
+
+def id_fault(table: Table, column: int, values: np.ndarray) -> Fault:
+    """The rows whose id (N,), NaN where it is empty, is no whole number of 64 bits."""
+    order = "" if table.names else ": is the order of the columns t, id, range, bearing?"
+    wrong = ~np.isnan(values) & ((values % 1 != 0) | (np.abs(values) >= 2.0**63))
+    return Fault(
+        wrong, "an id that is no whole number of 64 bits",
+        lambda k: f"the id {table.title(column)} is {values[k]:g}, but ids are whole numbers "
+        + ("of less than 64 bits or words" if abs(values[k]) >= 2.0**63 else f"or words{order}"),
+    )  # fmt: skip
+
+
+def _whole(table: Table, column: int, values: Array) -> np.ndarray:
+    """The whole numbers (N,) of a column of ids whose floating-point numbers are ``values``; 0 where it is NaN.
+
+    Raises:
+        LogError: a number does not fit into 64 bits, where the smallest one stands for `UNIDENTIFIED`.
+    """
+    if (k := first(np.abs(values) >= 2.0**63)) is not None:
+        raise table.error(
+            k,
+            f"the id {table.title(column)} is {values[k]:g}, but ids are words, or whole numbers of less than 64 bits",
+        )
+    whole = np.where(np.isnan(values), 0.0, values).astype(np.int64)
+    large = np.flatnonzero(np.abs(values) >= 2.0**53)
+    if large.size:
+        # their last digits are in the text only
+        words = table.words(column)[large]
+        for k, word in zip(large.tolist(), words.tolist()):
+            with suppress(ValueError, OverflowError):  # 1e17, and what rounds up to 2^63
+                whole[k] = int(word)
+    return whole
+
+
+def _of_names(words: np.ndarray, known: Mapping[str, int]) -> tuple[np.ndarray, dict[str, int]]:
+    """Numbers (N,) of landmarks that have names, and their names where these contain no number.
+
+    They are the number at the end of each name where these differ, and else count the names. Names that are known keep
+    their number, and others get the next ones.
+    """
+    unique, which = np.unique(words, return_inverse=True)
+    listed = [str(name) for name in unique]
+    ends = [name[len(name.rstrip("0123456789")) :] for name in listed]
+    short = all(0 < len(end) <= _MOST_DIGITS for end in ends)
+    if not known and short and len({int(end) for end in ends}) == len(listed):
+        return np.array([int(end) for end in ends], dtype=np.int64)[which], {}
+    begin = max(known.values(), default=-1) + 1
+    new = {name: begin + k for k, name in enumerate(name for name in listed if name not in known)}
+    names = {**known, **new}
+    return np.array([names[name] for name in listed], dtype=np.int64)[which], names
+
+
+def classes_of(table: Table, column: int, *, stated: bool) -> tuple[np.ndarray | None, tuple[str, ...]]:
+    """The class (N,) of each sighting as words, or as integers where all are whole numbers; and notes.
+
+    Args:
+        table: of the sightings.
+        column: the number of the column.
+        stated: whether the user says that it holds classes; else one that cannot is left out, with a note.
+
+    Raises:
+        LogError: a stated column holds no classes.
+    """
+    words = table.words(column)
+    if words.dtype.kind not in "iu":
+        words = np.char.strip(words)
+        words = np.where(np.isin(np.char.lower(words), EMPTY), NO_CLASS, words)
+    names, which = np.unique(words, return_inverse=True)
+    numbers = _numbers([name for name in names.tolist() if name != NO_CLASS])
+    known = np.ones(len(words), dtype=bool) if words.dtype.kind in "iu" else words != NO_CLASS
+    reason = ""
+    if not known.any():
+        reason = "all its cells are empty"
+    elif numbers is not None and np.any(numbers % 1 != 0):
+        reason = f"it holds numbers that are not whole, such as {numbers[np.argmax(numbers % 1 != 0)]:g}"
+    elif len(names) > MOST_CLASSES:
+        reason = f"it has {len(names)} different entries, more than {MOST_CLASSES}"
+    if reason:
+        message = f"{table.title(column)} holds no classes of sightings: {reason}"
+        if stated:
+            raise table.error(None, message)
+        return None, (f"{table.source}: {message}; it is left out",)
+    notes: tuple[str, ...] = ()
+    if not known.all():
+        notes = (f"{table.source}: {np.sum(~known)} of {len(known)} sightings have no class, and may be of any",)
+    if numbers is None:
+        return words, notes
+    of_names = np.full(len(names), UNIDENTIFIED)
+    of_names[len(names) - len(numbers) :] = numbers.astype(np.int64)
+    return of_names[which], notes
+
+
+def _numbers(names: list[str | int]) -> np.ndarray | None:
+    """The names as numbers, None where one is none."""
+    try:
+        numbers = np.array([float(name) for name in names])
+    except ValueError:
+        return None
+    return numbers if np.all(np.abs(numbers) < 2.0**53) else None
+
+
+#: quaternions may be this far from length 1; a robot may be tilted by at most this angle [rad]
+_LENGTH, _TILT = 0.02, np.deg2rad(45)
+
+
+def heading(quaternions: Array) -> Array:
+    """The direction of the x axis in the plane (N,) [rad] of quaternions (N, 4), x, y, z, w."""
+    x, y, z, w = quaternions.T
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def checked_heading(table: Table, quaternions: Array) -> Array:
+    """The headings (N,) of the quaternions (N, 4) of a table, of a robot that stands on the ground.
+
+    Raises:
+        LogError: a quaternion is not of length 1, or tilts the robot.
+    """
+    length = np.linalg.norm(quaternions, axis=1)
+    if (k := first(np.abs(length - 1) > _LENGTH)) is not None:
+        cause = "no orientation was measured" if length[k] == 0 else "are its columns x, y, z, w in this order?"
+        raise table.error(k, f"the quaternion has length {length[k]:.3g}, but a rotation has length 1: {cause}")
+    x, y, _, _ = (quaternions / length[:, None]).T
+    if (k := first(1 - 2 * (x * x + y * y) < np.cos(_TILT))) is not None:
+        tilt = np.rad2deg(np.arccos(np.clip(1 - 2 * (x[k] ** 2 + y[k] ** 2), -1, 1)))
+        raise table.error(
+            k, f"the quaternion tilts the robot by {tilt:.0f} degrees: are its columns x, y, z, w in this order?"
+        )
+    return heading(quaternions)
+
+
+def controls_between(poses: Array, dt: Array) -> tuple[Array, float]:
+    """The controls (N, 2) that lead from each pose (N, 3) to the next on an arc, the last one zero.
+
+    Args:
+        poses: of the odometry.
+        dt: (N-1,) [s], positive.
+
+    Returns:
+        The controls, and the share of the distance that is driven sideways, which arcs leave out.
+    """
+    relative = between(poses[:-1], poses[1:])
+    half = relative[:, 2] / 2
+    c, s = np.cos(half), np.sin(half)
+    # the chord of an arc looks along half its turn
+    along, across = c * relative[:, 0] + s * relative[:, 1], c * relative[:, 1] - s * relative[:, 0]
+    controls = np.zeros((len(poses), 2))
+    controls[:-1, 0] = along / (sinc(half) * dt)
+    controls[:-1, 1] = relative[:, 2] / dt
+    driven = float(np.sum(np.hypot(along, across)))
+    return controls, float(np.sum(np.abs(across))) / driven if driven > 0 else 0.0
+
+
+#: name of the check and sentence of something that is probably a mistake, see `Log.doubts`
+Doubt = tuple[str, str]
+#: rows of odometry or truth, and sightings of one landmark, that share a time and are a larger part of all are a doubt
+_SHARE = 0.01
+
+
+def repeated_times(
+    kind: str, table: Table, ns: np.ndarray, rows: Array, numbers: np.ndarray
+) -> tuple[tuple[str, ...], tuple[Doubt, ...]]:
+    """Notes and doubts about a table in which one row per time belongs: odometry or truth.
+
+    Args:
+        kind: of the table.
+        table: for messages.
+        ns: times (N,) [ns], not decreasing.
+        rows: (N, k).
+        numbers: (N,) of the rows in the table.
+    """
+    same = np.diff(ns) == 0
+    if not same.any():
+        return (), ()
+    count = int(np.sum(same))
+    which = f"{_first(table, numbers[1:][same], f'{kind} row')} (of {len(ns)}) with the time"
+    if 2 * np.sum(same & np.all(rows[1:] == rows[:-1], axis=1)) > count:
+        message = f"{which} and numbers of the row before: the rows were probably written twice, or two files joined"
+    else:
+        message = (
+            f"{which} of the row before and other numbers: the times were probably rounded{_rounded(ns)}, and one row per "
+            "time is used"
+        )
+    return ((), ((f"{kind} repeats", message),)) if count > _SHARE * len(ns) else ((message,), ())
+
+
+def repeated_sightings(
+    table: Table, ns: np.ndarray, ids: np.ndarray, rows: Array, numbers: np.ndarray
+) -> tuple[Doubt, ...]:
+    """Doubts about sightings that are there twice, or are of one landmark at one time; the arguments as above, ids (N,)."""
+    order = np.lexsort((numbers, *rows.T[::-1], ids, ns))
+    ns, ids, rows, numbers = ns[order], ids[order], rows[order], numbers[order]
+    same = (np.diff(ns) == 0) & (np.diff(ids) == 0)
+    twice = same & np.all(rows[1:] == rows[:-1], axis=1)
+    doubts: list[Doubt] = []
+    if twice.any():
+        which = f"{_first(table, numbers[1:][twice], 'sighting')} (of {len(ns)}) with the time, id and numbers of another row"
+        cause = "the rows were probably written twice, or two files joined, and these sightings count twice"
+        doubts.append(("doubled sightings", f"{which}: {cause}"))
+    other = same & ~twice & (ids[1:] != UNIDENTIFIED)
+    if np.sum(other) > _SHARE * len(ns) and np.ptp(ids) > 0:
+        later = np.maximum(numbers[1:], numbers[:-1])[other]
+        which = (
+            f"{_first(table, later, 'sighting')} (of {len(ns)}) with the time and id of another row and other numbers"
+        )
+        cause = "several objects have one id, or the times were rounded"
+        if rounded := _rounded(ns):
+            cause = f"the times were probably rounded{rounded}, or several objects have one id"
+        doubts.append(("duplicate ids", f"{which}: {cause}"))
+    return tuple(doubts)
+
+
+def _first(table: Table, rows: np.ndarray, what: str) -> str:
+    """The place of the first of some rows, and their number in words."""
+    number = f"the only {what}" if len(rows) == 1 else f"the first of {len(rows)} {what}s"
+    return f"{table.place(int(rows.min()))}: {number}"
+
+
+def _rounded(ns: np.ndarray) -> str:
+    """ " to seconds" where times (N,) [ns] are whole seconds."""
+    return " to seconds" if not np.any(ns % 1_000_000_000) else ""

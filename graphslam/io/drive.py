@@ -1,0 +1,490 @@
+"""The streams of one drive from its tables: columns, units, clocks and their checks.
+
+A check refuses what is almost certainly a mistake, in one sentence with the place and the likely cause. Whoever states
+the unit silences the check of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..errors import LogError, first, named, quoted
+from ..log.rows import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
+from ..se2 import Array
+from .cells import (
+    Doubt,
+    Ids,
+    added,
+    checked_heading,
+    classes_of,
+    controls_between,
+    id_fault,
+    ids_of,
+    nanoseconds,
+    repeated_sightings,
+    repeated_times,
+    time_faults,
+)
+from .options import ANGLES, LENGTHS, TableOptions
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Chosen, Kept, Table, find, unit_of
+
+_POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
+ROLES = {
+    "odometry": ("t", "nanosec", "nu", "omega", *_POSE),
+    "sightings": ("t", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
+    "truth": ("t", "nanosec", *_POSE),
+    "map": ("id", "x", "y", "theta"),
+    "relations": ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS, *COVARIANCES),
+    "positions": ("t", "nanosec", "x", "y", "theta", "sigma", *DEVIATIONS, *COVARIANCES, "lever_x", "lever_y"),
+}
+_TUM = ("t", "x", "y", "", "qx", "qy", "qz", "qw")
+#: columns of tables without names, by their number
+ORDERS: dict[str, dict[int, tuple[str, ...]]] = {
+    "odometry": {3: ("t", "nu", "omega"), 4: ("t", "x", "y", "theta"), 8: _TUM},
+    "sightings": {4: ("t", "id", "range", "bearing"), 5: ("t", "id", "range", "bearing", "orientation")},
+    "truth": {3: ("t", "x", "y"), 4: ("t", "x", "y", "theta"), 8: _TUM},
+    "map": {3: ("id", "x", "y"), 4: ("id", "x", "y", "theta")},
+    "relations": {8: ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS)},
+    "positions": {4: ("t", "x", "y", "sigma")},
+}
+#: odometry with rows farther apart [s], faster [m/s] or turning faster [rad/s], and sightings from farther away [m], are
+#: refused unless their unit is stated
+SLOWEST, FASTEST, QUICKEST, FARTHEST = 5.0, 100.0, 2 * np.pi, 1000.0
+#: poses that move sideways for a larger share of their way are no poses of a robot with wheels
+_SIDEWAYS = 0.3
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A table that has been read: times (N,) in nanoseconds, not decreasing, and rows (N, k); of sightings ids and classes.
+
+    ``names`` are the ids of landmarks that have names, {name: id}.
+    ``ends`` (N,), of relations, are the times of their second poses.
+    ``columns`` says which column was taken for what, and in which unit; ``notes`` and ``doubts`` are those of a `Log`.
+    """
+
+    table: Table
+    times: np.ndarray
+    rows: Array
+    columns: tuple[str, ...]
+    ids: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    notes: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
+    classes: np.ndarray | None = None
+    names: Mapping[str, int] = field(default_factory=dict)
+    ends: np.ndarray | None = None
+
+
+class Reader:
+    """The columns of one table, in metres, radians and nanoseconds."""
+
+    def __init__(self, kind: str, table: Table, options: TableOptions) -> None:
+        self.kind, self.table, self.options = kind, table, options
+        self.used: dict[str, None] = {}
+        self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind])
+        if len(table) == 0:
+            raise table.error(None, f"there is no row of {kind} in it")
+
+    def has(self, *roles: str) -> bool:
+        return all(role in self.found for role in roles)
+
+    def need(self, *roles: str, instead: str = "") -> None:
+        """Raise an error that lists the columns unless these are there."""
+        if missing := [role for role in roles if role not in self.found]:
+            raise self.table.error(None, self.missing(missing[0], instead))
+        self.used |= dict.fromkeys(roles)
+
+    def missing(self, role: str, consequence: str = "") -> str:
+        """The sentence about a column that is not there, with those that are."""
+        have = named(self.table.names) if self.table.names else f"{self.table.width} columns without names"
+        names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
+        which = f"Say which it is: --columns {self.kind}.{role}=NAME"
+        if role == "id":
+            # many sensors have no ids, so that only a column without another use is asked about
+            taken = {chosen.column for chosen in self.found.values()}
+            rest = [name for column, name in enumerate(self.table.names or ()) if column not in taken]
+            if not rest:
+                return f"no column for id (named {names}, ...){consequence}"
+            which = f"If one has the ids, say which: --columns {self.kind}.{role}=NAME"
+        return f"no column for {role} (named {names}, ...){consequence}; it has {have}. {which}"
+
+    def described(self) -> tuple[str, ...]:
+        """The columns that were used, "range = 'dist' [m]"."""
+        parts = []
+        for role in self.used:
+            chosen, unit = self.found[role], ""
+            if role in MEASURES:
+                unit = self._unit(role) or {"time": "s", "angle": "radians", "length": "m"}[MEASURES[role]]
+                unit += "/s" if role in ("nu", "omega") else ""
+            name = self.table.names[chosen.column] if self.table.names else f"column {chosen.column + 1}"
+            parts.append((role if name == role else f"{role} = {name}") + (f" [{unit}]" if unit else ""))
+        return tuple(parts)
+
+    def stated(self, role: str) -> bool:
+        """Whether the unit of a column is known from the options or its name."""
+        return self._unit(role) is not None
+
+    def _unit(self, role: str) -> str | None:
+        kinds = {"time": "time", "angle": "angles", "length": "lengths"}
+        return unit_of(role, self.found[role], self.options.unit(kinds[MEASURES[role]], self.kind))
+
+    def leave_out(self, *roles: str) -> Table:
+        """The table without the rows in which a number of these columns, a time, an id or a range cannot be.
+
+        A column of words stays unchanged: the function that reads it raises the error.
+
+        Raises:
+            LogError: there are more of them than may be left out, or the options are strict.
+        """
+        columns: dict[str, Array] = {}
+        for role in ("t", *roles):
+            if role in self.found:
+                with suppress(LogError):
+                    columns[role] = self.table.numbers([self.found[role].column])[:, 0]
+        faults: list[Fault] = []
+        for role, values in columns.items():
+            title = self.table.title(self.found[role].column)
+            if MEASURES.get(role) == "time":
+                faults += time_faults(values, f"the time {title}", self._unit(role))
+            elif role == "id":
+                faults.append(id_fault(self.table, self.found[role].column, values))
+            else:
+                fault = finite_fault(values, title)
+                if {"range", "bearing"} <= {*columns} and role in ("range", "bearing") and "orientation" not in columns:
+                    # with one empty cell the sighting has the other number alone
+                    number = columns["bearing" if role == "range" else "range"]
+                    fault = replace(fault, rows=fault.rows & ~(np.isnan(values) & np.isfinite(number)))
+                faults.append(fault)
+                faults += range_faults(values) if role == "range" else []
+        if "x" in columns and self.kind == "sightings":
+            other = "z" if self.options.axes == "optical" else "y"
+            faults += range_faults(np.hypot(columns["x"], columns.get(other, np.ones(len(self.table)))))
+        kept, notes = sound_rows(
+            len(self.table), "sightings" if self.kind == "sightings" else "rows", faults, self.table.error,
+            strict=self.options.strict, source=self.table.source,
+        )  # fmt: skip
+        if not kept.all():
+            self.table = Kept(self.table, np.flatnonzero(kept), notes)
+        return self.table
+
+    def times(self, role: str = "t") -> np.ndarray:
+        """The times (N,) of a column in nanoseconds, by the clock of the table."""
+        self.need(role)
+        column = self.found[role].column
+        ns = nanoseconds(self.table, column, self._unit(role))
+        if self.has("nanosec"):
+            self.need("nanosec")
+            ns = added(self.table, column, ns, nanoseconds(self.table, self.found["nanosec"].column, "ns"))
+        return added(self.table, column, ns, self.options.clock(self.kind))
+
+    def numbers(self, *roles: str, finite: bool = True) -> Array:
+        """Columns (N, k) in metres and radians."""
+        self.need(*roles)
+        values = self.table.numbers([self.found[role].column for role in roles])
+        bad = ~np.isfinite(values)
+        if finite and bad.any():
+            row, column = np.argwhere(bad)[0]
+            title = self.table.title(self.found[roles[column]].column)
+            value = values[row, column]
+            raise self.table.error(
+                int(row), f"{title} is {'empty or NaN' if np.isnan(value) else value}; remove the row, or repair it"
+            )
+        for k, role in enumerate(roles):
+            if role in MEASURES:
+                values[:, k] *= (ANGLES | LENGTHS)[
+                    self._unit(role) or ("radians" if MEASURES[role] == "angle" else "m")
+                ]
+        return values
+
+    def classes(self) -> tuple[np.ndarray | None, tuple[str, ...]]:
+        """The classes (N,) of sightings, None where no column has any; and notes."""
+        if not self.has("class"):
+            return None, ()
+        stated = "class" in self.options.columns_of(self.kind)
+        classes, notes = classes_of(self.table, self.found["class"].column, stated=stated)
+        if classes is not None:
+            self.need("class")
+        return classes, notes
+
+    def poses(self, *, finite: bool = True) -> Array:
+        """x, y and heading (N, 3), or x and y (N, 2) where there is no heading."""
+        position = self.numbers("x", "y", finite=finite)
+        if self.has("theta"):
+            return np.column_stack([position, self.numbers("theta", finite=finite)])
+        if self.has("qz", "qw"):
+            roles = [role for role in ("qx", "qy", "qz", "qw") if role in self.found]
+            given = self.numbers(*roles, finite=finite)
+            quaternions = np.zeros((len(given), 4))
+            quaternions[:, [("qx", "qy", "qz", "qw").index(role) for role in roles]] = given
+            known = np.isfinite(quaternions).all(axis=1)
+            angles = np.full(len(given), np.nan)
+            # rows keep their numbers in messages
+            quaternions[~known] = (0, 0, 0, 1)
+            angles[known] = checked_heading(self.table, quaternions)[known]
+            return np.column_stack([position, angles])
+        return position
+
+    def refuse(self, role: str, values: Array, wrong: np.ndarray, message: str, option: str) -> None:
+        """Raise an error where values look like another unit, unless their unit is stated."""
+        if not self.stated(role) and (k := first(wrong)) is not None:
+            unit, own = option.split("/")
+            name = {"degrees": "angles", "radians": "angles"}.get(unit, "time" if unit in ("ms", "us") else "lengths")
+            raise self.table.error(
+                k,
+                message.format(values[k])
+                + f" Then add --{name} {self.kind}={unit}; if not, add --{name} {self.kind}={own}",
+            )
+
+
+def odometry_of(table: Table, options: TableOptions) -> Timed:
+    """The odometry: controls (nu, omega) (N, 2), or poses whose differences become controls.
+
+    Raises:
+        LogError: a column is missing, a number is none, or the unit is almost certainly another one.
+    """
+    reader = Reader("odometry", table, options)
+    reader.need("t")
+    driven = reader.has("nu", "omega") or not reader.has("x", "y")
+    table = reader.leave_out(*(("nu", "omega") if driven else _POSE))
+    ns = reader.times()
+    if driven:
+        reader.need("nu", "omega", instead=", and none for x, y and theta instead of nu and omega")
+        rows = reader.numbers("nu", "omega")
+    else:
+        rows = reader.poses()
+        if rows.shape[1] == 2:
+            reader.need("theta")
+    ns, order, notes = ordered(reader, ns)
+    rows = rows[order]
+    more, doubts = repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
+    notes += more
+    dt = np.diff(ns) / 1e9
+    if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > SLOWEST:
+        unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
+        raise table.error(
+            None,
+            f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds? Then add --time "
+            f"odometry={unit}; if they are seconds, add --time odometry=s",
+        )
+    if rows.shape[1] == 3:
+        rows, ns, sideways = _controls(reader, rows, ns)
+        doubts += sideways
+    else:
+        speed, turn = np.abs(rows).T
+        if np.quantile(speed, 0.95) > FASTEST:
+            reader.refuse("nu", speed, speed > FASTEST, "the speed is {:g} m/s: is it in mm/s?", "mm/m")
+        if np.quantile(turn, 0.95) > QUICKEST:
+            reader.refuse(
+                "omega", turn, turn > QUICKEST, "the turn rate is {:g} rad/s: is it in degrees per second?",
+                "degrees/radians",
+            )  # fmt: skip
+    return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
+
+
+def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[Doubt, ...]]:
+    """The controls between poses of odometry, their times, and doubts."""
+    # of several rows with one time the last holds
+    last = np.append(np.diff(ns) > 0, True)
+    poses, ns = poses[last], ns[last]
+    dt = np.diff(ns) / 1e9
+    controls, sideways = controls_between(poses, dt)
+    turns = np.abs(controls[:-1, 1])
+    if len(turns) and np.quantile(turns, 0.95) > QUICKEST:
+        reader.refuse(
+            "theta" if reader.has("theta") else "x", turns, turns > QUICKEST,
+            "the headings turn by {:g} rad/s: are they in degrees?", "degrees/radians",
+        )  # fmt: skip
+    speed = np.abs(controls[:-1, 0])
+    if len(speed) and np.quantile(speed, 0.95) > FASTEST:
+        reader.refuse("x", speed, speed > FASTEST, "the poses move by {:g} m/s: are they in mm?", "mm/m")
+    doubts: tuple[Doubt, ...] = ()
+    if sideways > _SIDEWAYS:
+        message = (
+            f"{reader.table.source}: the poses move sideways for {sideways:.0%} of their way, which wheels cannot; the "
+            "heading may be in another unit, turn the other way, or not be the robot's"
+        )
+        doubts = (("sideways", message),)
+    return controls, ns, doubts
+
+
+def sightings_of(table: Table, options: TableOptions) -> Timed:
+    """The sightings (range, bearing[, orientation]) in the axes of the sensor turned to those of the robot.
+
+    They have ids and, where there is a column of them, classes.
+
+    Raises:
+        LogError: a column is missing, a number is none, or the unit is almost certainly another one.
+    """
+    reader = Reader("sightings", table, options)
+    reader.need("t")
+    third = ("x", "z") if options.axes == "optical" else ("x", "y")
+    cartesian = reader.has("x", "y") and not reader.has("range")
+    measured = third if cartesian else ("range", "bearing")
+    # ids before range and bearing: columns in another order show first there
+    table = reader.leave_out("id", *measured, "orientation")
+    ns = reader.times()
+    found = _ids(reader)
+    if cartesian:
+        rows = _polar(reader.numbers(*third), options.axes)
+    else:
+        reader.need("range", "bearing", instead=", and none for x and y instead of range and bearing")
+        rows = reader.numbers("range", "bearing", finite=reader.has("orientation"))
+        reader.refuse(
+            "bearing", rows[:, 1], np.abs(rows[:, 1]) > 2 * np.pi + 1e-6,
+            "the bearing is {:g} rad, beyond 2 pi: is it in degrees?", "degrees/radians",
+        )  # fmt: skip
+    if np.nanmedian([*rows[:, 0], 0.0]) > FARTHEST:
+        role = "range" if reader.has("range") else "x"
+        reader.refuse(role, rows[:, 0], rows[:, 0] > FARTHEST, "the range is {:g} m: is it in mm?", "mm/m")
+    sign = -1.0 if options.bearings == "clockwise" else 1.0
+    if sign < 0:
+        rows[:, 1] *= -1
+    if options.sensor_yaw:
+        rows[:, 1] += options.sensor_yaw
+    if reader.has("orientation"):
+        rows = np.column_stack([rows, sign * reader.numbers("orientation")])
+    if options.centre == "robot" and any(options.sensor_offset or ()):
+        rows[:, :2] = _moved(rows[:, :2], np.array(options.sensor_offset))
+    ns, order, more = ordered(reader, ns)
+    ids, rows = found.numbers[order], rows[order]
+    doubts = repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
+    classes, remarks = reader.classes()
+    classes = None if classes is None else classes[order]
+    notes = (*found.notes, *more, *remarks)
+    return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
+
+
+def _polar(places: Array, axes: str) -> Array:
+    """Range and bearing (N, 2) of places (N, 2) in the given axes."""
+    x, y = places.T
+    forward, left = {
+        "forward-left": (x, y), "forward-right": (x, -y), "right-forward": (y, -x), "left-forward": (y, x),
+        "optical": (y, -x),
+    }[axes]  # fmt: skip
+    return np.column_stack([np.hypot(forward, left), np.arctan2(left, forward)])
+
+
+def _moved(rows: Array, offset: Array) -> Array:
+    """Range and bearing (N, 2) from the robot's centre, as from a sensor at an offset."""
+    x = rows[:, 0] * np.cos(rows[:, 1]) - offset[0]
+    y = rows[:, 0] * np.sin(rows[:, 1]) - offset[1]
+    return np.column_stack([np.hypot(x, y), np.arctan2(y, x)])
+
+
+def _ids(reader: Reader) -> Ids:
+    """The ids of the sightings; `UNIDENTIFIED` where there is no column of them."""
+    table = reader.table
+    if not reader.has("id"):
+        missing = reader.missing("id", ", so no landmark is identified")
+        return Ids(np.full(len(table), UNIDENTIFIED), notes=(f"{table.source}: {missing}",))
+    reader.need("id")
+    return ids_of(table, reader.found["id"].column)
+
+
+def truth_of(table: Table, options: TableOptions) -> Timed:
+    """The true poses (N, 3) or positions (N, 2); rows that are not known are left out.
+
+    Raises:
+        LogError: a column is missing, or a number is none.
+    """
+    reader = Reader("truth", table, options)
+    reader.need("t")
+    table = reader.leave_out()
+    ns, rows = reader.times(), reader.poses(finite=False)
+    known = np.asarray(np.isfinite(rows).all(axis=1))
+    notes: tuple[str, ...] = ()
+    if not known.all():
+        notes = (f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out",)
+    if rows.shape[1] == 3 and not reader.has("qz"):
+        reader.refuse(
+            "theta", rows[:, 2], np.abs(rows[:, 2]) > 8 * np.pi, "the heading is {:g} rad: is it in degrees?",
+            "degrees/radians",
+        )  # fmt: skip
+    kept = np.flatnonzero(known)
+    ns, order, more = ordered(reader, ns[kept], kept)
+    rows = rows[kept][order]
+    few, doubts = repeated_times("truth", table, ns, rows, kept[order])
+    return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *few), doubts=doubts)
+
+
+def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None = None) -> dict[int, Array]:
+    """The landmarks of a map, {id: (x, y) or (x, y, heading)}; ``names`` are those of the sightings, None without any.
+
+    An empty cell of the heading says that it is not known.
+
+    Raises:
+        LogError: a column is missing, a number is none, or two rows have one id.
+    """
+    reader = Reader("map", table, options)
+    reader.need("id")
+    column = reader.found["id"].column
+    found = ids_of(table, column, names)
+    ids = found.numbers
+    if (k := first(ids == UNIDENTIFIED)) is not None:
+        raise table.error(
+            k, f"the id {table.title(column)} is empty or -1, which means no id; each landmark of the map needs one"
+        )
+    if names is None and found.names:
+        raise table.error(
+            None,
+            f"the ids are words, such as {quoted(next(iter(found.names)))}; a log numbers its own words, so those of a map "
+            "by itself would be other landmarks: give the landmarks of both the same whole numbers",
+        )
+    places = reader.numbers("x", "y")
+    headings = reader.numbers("theta", finite=False)[:, 0] if reader.has("theta") else np.full(len(ids), np.nan)
+    _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)
+    if (k := first(counts > 1)) is not None:
+        again = int(np.flatnonzero(ids == ids[firsts[k]])[1])
+        name = next((name for name, number in (names or {}).items() if number == ids[again]), ids[again])
+        raise table.error(again, f"landmark {name} is in the map twice; each landmark has one place")
+    rows = zip(ids.tolist(), places, headings.tolist())
+    return {j: place if np.isnan(heading) else np.append(place, heading) for j, place, heading in rows}
+
+
+def ordered(
+    reader: Reader, ns: np.ndarray, rows: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray | slice, tuple[str, ...]]:
+    """The times in order, their order, and notes; ``rows`` are the rows of the table, where it has others, too.
+
+    Raises:
+        LogError: the clock starts again within the table.
+    """
+    back = np.diff(ns) < 0
+    if not back.any():
+        return ns, slice(None), ()
+    rows = np.arange(len(ns)) if rows is None else rows
+    k = int(np.argmax(back))
+    times = f"{ns[k + 1] / 1e9:.3f} s comes after {ns[k] / 1e9:.3f} s"
+    reached = np.maximum.accumulate(ns)
+    restarts = (reached - ns > 0.5 * (reached - ns[0])) & (reached - ns > 10_000_000_000)
+    if restarts.any():
+        k = int(np.argmax(restarts))
+        raise reader.table.error(
+            int(rows[k]),
+            f"the time goes back by {(reached[k] - ns[k]) / 1e9:.0f} s: does the table hold two drives, or a clock that "
+            "was set? Import each part alone",
+        )
+    note = f"{reader.table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
+    order = np.argsort(ns, kind="stable")
+    return ns[order], order, (note,)
+
+
+READERS: Mapping[str, Callable[[Table, TableOptions], Timed]] = {
+    "odometry": odometry_of, "sightings": sightings_of, "truth": truth_of,
+}  # fmt: skip
+__all__ = [
+    "READERS",
+    "ROLES",
+    "Chosen",
+    "Reader",
+    "Timed",
+    "map_of",
+    "odometry_of",
+    "ordered",
+    "sightings_of",
+    "truth_of",
+]

@@ -1,0 +1,319 @@
+"""The streams of a drive, each with its own clock, as the arguments of one log.
+
+The tables of other sensors: relations between two poses, and absolute positions, each with its noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import LogError, OptionError, check_type, checked_offset, first, quoted, suggestion
+from ..log.measurements import NOT_POSITIVE, not_positive
+from ..log.rows import ReadOptions
+from ..log.streams import Stream, parts_of_streams
+from ..models import SensorModel
+from ..se2 import Array
+from .cells import Doubt, seconds
+from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
+from .options import TableOptions
+from .table import COVARIANCES, Table
+from .text_table import table_of
+
+#: relations by which the robot turns more are refused unless the unit is stated [rad]
+MOST_TURN = 2 * np.pi + 1e-6
+#: the coordinates of the noise
+_AXES = ("x", "y", "theta")
+
+
+def relations_of(table: Table, options: TableOptions) -> Timed:
+    """The relations: rows (N, 12), the motions (dx, dy, dtheta) and their covariances, with the times of both poses.
+
+    Raises:
+        LogError: a column is missing, a number is none, or a covariance is not positive definite.
+    """
+    reader = Reader("relations", table, options)
+    steps = [name for name in table.names if name.lower() in ("step", "steps", "first", "second", "step1", "step2")]
+    reader.need("t1", instead=_no_steps(steps))
+    reader.need("t2", "dx", "dy", "dtheta")
+    table = reader.leave_out("t1", "t2", "dx", "dy", "dtheta")
+    ns, ends = reader.times("t1"), reader.times("t2")
+    if (k := first(ns == ends)) is not None:
+        raise table.error(k, f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it ties two poses")
+    motions = reader.numbers("dx", "dy", "dtheta")
+    reader.refuse(
+        "dtheta", motions[:, 2], np.abs(motions[:, 2]) > MOST_TURN,
+        "the turn is {:g} rad, beyond 2 pi: is it in degrees?", "degrees/radians",
+    )  # fmt: skip
+    rows = np.column_stack([motions, _noise(reader, np.ones(len(ns), dtype=bool)).reshape(-1, 9)])
+    order = np.argsort(ns, kind="stable")
+    return Timed(table, ns[order], rows[order], reader.described(), ends=ends[order])
+
+
+def _no_steps(steps: list[str]) -> str:
+    if not steps:
+        return ""
+    return (
+        f", and {steps[0]!r} counts steps, which tables do not have: poses are at the times of what was measured, so give "
+        "the time of both poses"
+    )
+
+
+def positions_of(table: Table, options: TableOptions) -> Timed:
+    """The absolute positions: rows (N, 14), (x, y, theta or NaN), covariances with NaN likewise, and levers.
+
+    Raises:
+        LogError: a column is missing, a number is none, or a covariance is not positive definite.
+    """
+    reader = Reader("positions", table, options)
+    reader.need("t", "x", "y")
+    table = reader.leave_out("x", "y")
+    ns = reader.times()
+    places = np.column_stack([reader.numbers("x", "y"), np.full(len(ns), np.nan)])
+    if reader.has("theta"):
+        # an empty cell: the heading is not known there
+        places[:, 2:] = reader.numbers("theta", finite=False)
+        turned = np.nan_to_num(places[:, 2])
+        reader.refuse(
+            "theta", turned, np.abs(turned) > 8 * np.pi, "the heading is {:g} rad: is it in degrees?", "degrees/radians"
+        )
+    covariances = _noise(reader, np.isfinite(places[:, 2]))
+    levers = np.zeros((len(ns), 2))
+    for column, role in enumerate(("lever_x", "lever_y")):
+        if reader.has(role):
+            levers[:, column] = reader.numbers(role)[:, 0]
+    ns, order, notes = ordered(reader, ns)
+    rows = np.column_stack([places, covariances.reshape(-1, 9), levers])[order]
+    return Timed(table, ns, rows, reader.described(), notes=notes)
+
+
+def _noise(reader: Reader, oriented: np.ndarray) -> Array:
+    """The covariances (N, 3, 3) of rows; those of headings are NaN where these are not measured, (N,) bool ``oriented``."""
+    d, covariances = 3 if oriented.any() else 2, np.zeros((len(oriented), 3, 3))
+    if reader.has("cov_xx"):
+        reader.need("cov_xx", "cov_yy", *(("cov_thetatheta",) if d == 3 else ()))
+        entries = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+        for role, (i, j) in zip(COVARIANCES, entries):
+            if reader.has(role) and j < d:
+                covariances[:, i, j] = covariances[:, j, i] = reader.numbers(role, finite=j < 2)[:, 0]
+    else:
+        if reader.has("sigma") and not reader.has("sigma_x"):
+            both = reader.numbers("sigma")
+            deviations = np.column_stack([both, both])
+        else:
+            reader.need("sigma_x", "sigma_y", instead=", and none for cov_xx, cov_yy instead of standard deviations")
+            deviations = reader.numbers("sigma_x", "sigma_y")
+        if d == 3:
+            deviations = np.column_stack([deviations, reader.numbers("sigma_theta", finite=False)])
+        for axis, column in enumerate(deviations.T):
+            used = np.ones(len(column), dtype=bool) if axis < 2 else oriented
+            if (k := first(used & ~(column > 0))) is not None:
+                raise reader.table.error(
+                    k, f"the standard deviation of {_AXES[axis]} is {column[k]:g}, but it must be above zero: how far off "
+                    "the sensor usually is",
+                )  # fmt: skip
+            covariances[:, axis, axis] = column**2
+    for size, rows in ((2, np.flatnonzero(~oriented)), (3, np.flatnonzero(oriented))):
+        wrong = not_positive(np.nan_to_num(covariances[rows, :size, :size]))
+        if (k := first(wrong)) is not None:
+            raise reader.table.error(int(rows[k]), f"the covariance {NOT_POSITIVE}")
+    covariances[~oriented, 2] = covariances[~oriented, :, 2] = np.nan
+    return covariances
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The streams of one drive that have been read, each with its own clock.
+
+    Attributes:
+        odometry, sightings, truth, relations, positions: times in nanoseconds, rows in metres and radians.
+        landmarks: the true map.
+        sensor_offset: position of the sensor on the robot [m], None where nothing says it.
+        notes: about the whole drive, one sentence each.
+        truth_offset: the point of the robot that the truth is of [m], as in `Log`; None for its pose.
+    """
+
+    odometry: Timed
+    sightings: Timed
+    truth: Timed | None = None
+    landmarks: Mapping[int, Array] | None = None
+    sensor_offset: tuple[float, ...] | None = None
+    notes: tuple[str, ...] = ()
+    truth_offset: tuple[float, ...] | None = None
+    relations: Timed | None = None
+    positions: Timed | None = None
+
+    @property
+    def streams(self) -> dict[str, Timed]:
+        """The streams by the name of their table."""
+        names = ("odometry", "sightings", "truth", "relations", "positions")
+        named: dict[str, Timed | None] = {name: getattr(self, name) for name in names}
+        return {name: stream for name, stream in named.items() if stream is not None}
+
+    def _covered(self) -> list[Doubt]:
+        """A doubt where the sightings cover little of the odometry."""
+        spans = [float(stream.times[-1] - stream.times[0]) for stream in (self.odometry, self.sightings)]
+        if len(self.sightings.times) < 2 or spans[1] > _FEW * spans[0]:
+            return []
+        share = f"{spans[1] / 1e9:.1f} s of the {spans[0] / 1e9:.1f} s of the odometry"
+        message = f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"
+        return [("covered", message)]
+
+    def _measured(self, origin: int) -> dict[str, Any]:
+        """The relations and the positions as `parts_of_streams` takes them, with times from ``origin`` [ns] on."""
+        relations, positions = self.relations, self.positions
+        streams: dict[str, Stream | None] = {"relations": None, "positions": None}
+        if relations is not None and relations.ends is not None:
+            ends = seconds(relations.ends, origin)
+            streams["relations"] = Stream(seconds(relations.times, origin), np.column_stack([ends, relations.rows]))
+        if positions is not None:
+            streams["positions"] = Stream(seconds(positions.times, origin), positions.rows)
+        return streams
+
+    def parts(self, reading: ReadOptions, name: str) -> dict[str, Any]:
+        """The arguments of the `Log` of this drive.
+
+        Raises:
+            LogError: the clocks do not overlap, or the streams cannot be joined.
+        """
+        for kind, stream in self.streams.items():
+            if kind != "odometry":
+                check_overlap(self.odometry, stream, kind)
+        origin = int(self.odometry.times[0])
+        remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
+        doubts = self._covered() + [doubt for stream in self.streams.values() for doubt in stream.doubts]
+        models: dict[str, Any] = {}
+        if self.sensor_offset is not None:
+            models["sensor"] = SensorModel(offset=self.sensor_offset)  # type: ignore[arg-type]  # checked there
+        joined = {kind: Stream(seconds(stream.times, origin), stream.rows) for kind, stream in self.streams.items()}
+        return parts_of_streams(
+            joined["odometry"],
+            joined["sightings"],
+            self.sightings.ids,
+            options=reading,
+            truth=joined.get("truth"),
+            **self._measured(origin),
+            truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
+            true_landmarks=self.landmarks,
+            classes=self.sightings.classes,
+            origin=origin / 1e9,
+            name=name,
+            notes=(*self.notes, *remarks),
+            doubts=tuple(doubts),
+            **models,
+        )
+
+
+def read_drive(
+    odometry: Any,
+    sightings: Any,
+    *,
+    truth: Any = None,
+    map: Any = None,
+    relations: Any = None,
+    positions: Any = None,
+    options: TableOptions | None = None,
+) -> Drive:
+    """Read the tables of a drive; the arguments are those of `Log.from_tables`.
+
+    Raises:
+        LogError: a table lacks a column or has an impossible value.
+    """
+    options = options or TableOptions()
+    moved, seen = (
+        odometry_of(table_of(odometry, "odometry"), options),
+        sightings_of(table_of(sightings, "sightings"), options),
+    )
+    return Drive(
+        moved,
+        seen,
+        None if truth is None else truth_of(table_of(truth, "truth"), options),
+        None if map is None else map_of(table_of(map, "map"), options, seen.names),
+        options.sensor_offset,
+        truth_offset=options.truth_offset,
+        relations=None if relations is None else relations_of(table_of(relations, "relations"), options),
+        positions=None if positions is None else positions_of(table_of(positions, "positions"), options),
+    )
+
+
+def parts_of_tables(
+    odometry: Any, sightings: Any, others: Mapping[str, Any], name: str, keep_every: float | None,
+    options: TableOptions | None, **changes: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """The arguments of the `Log` that `Log.from_tables` returns; its arguments and errors are the same.
+
+    ``others`` are the other tables by name.
+    """
+    check_type(TableOptions, options=options)
+    if options is not None and changes:
+        raise OptionError(f"give {next(iter(changes))} as a field of options, or leave out options")
+    for change in changes:
+        if change not in (names := [f.name for f in fields(TableOptions)]):
+            raise OptionError(
+                f"from_tables has no option {quoted(change)}{suggestion(change, names) or '; see TableOptions'}"
+            )
+    drive = read_drive(odometry, sightings, **others, options=options or TableOptions(**changes))
+    return drive.parts(ReadOptions(keep_every=keep_every), name)
+
+
+#: sightings or truth with less than this part within the time of the odometry, and this many times as long, are refused
+_FEW, _LONGER = 0.1, 20.0
+
+
+def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
+    """Raise `LogError` where two clocks have no time in common; the message has both intervals and the likely cause."""
+    begin, end = int(odometry.times[0]), int(odometry.times[-1])
+    first, last = int(other.times[0]), int(other.times[-1])
+    if len(odometry.times) == 1:
+        raise odometry.table.error(None, "there is one row, but motion takes two")
+    if begin == end:
+        raise odometry.table.error(
+            None, f"all {len(odometry.times)} rows have the time {begin / 1e9:.3f} s: are times in another column?"
+        )
+    if first <= end and last >= begin:
+        inside = int(np.sum((other.times >= begin) & (other.times <= end)))
+        longer = (last - first) / (end - begin)
+        if inside < _FEW * len(other.times) and longer > _LONGER:
+            raise LogError(
+                f"{_name(other)} lasts {longer:.0f} times as long as {_name(odometry)}, and only {inside} of "
+                f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in milliseconds? Then "
+                f"add --time {kind}=ms"
+            )
+        return
+    offset = (begin - first) / 1e9
+    hours = offset / 3600
+    if abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
+        cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
+    elif min(begin, first) < 1e16 < max(begin, first):
+        cause = "one counts from 1970 and the other from its own start"
+    elif (ratio := _unit_ratio(end - begin, last - first)) is not None:
+        cause = f"one seems to be in units {ratio} times as large"
+    else:
+        cause = "they are of different drives, or one clock was not set"
+    text = f"{offset:.3f}".rstrip("0").rstrip(".")
+    names = [
+        f"{_name(stream)} ({_interval(*ends)})" for stream, ends in ((odometry, (begin, end)), (other, (first, last)))
+    ]
+    raise LogError(
+        f"the clocks of {' and '.join(names)} do not overlap: {cause}; --clocks {kind}={text} lets both begin together"
+    )
+
+
+def _name(stream: Timed) -> str:
+    """The table without its folder: a sentence with two paths is hard to read."""
+    path, colon, topic = stream.table.source.partition(": ")
+    return f"{Path(path).name}{colon}{topic}"
+
+
+def _unit_ratio(one: int, other: int) -> int | None:
+    """The factor between the units of two spans, a power of 1000."""
+    ratio = max(one, other) / max(1, min(one, other))
+    return next((unit for unit in (1000, 10**6, 10**9) if 0.5 < ratio / unit < 2), None)
+
+
+def _interval(begin: int, end: int) -> str:
+    return f"{begin / 1e9:.3f} to {end / 1e9:.3f} s"

@@ -1,0 +1,323 @@
+"""`Table`: what every table has, whether its rows are lines of a file, rows of a data frame, or messages of a bag.
+
+Which column is what: names that people give to columns, and the units that stand in the names.
+"""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError, LogError, OptionError, named, quoted, suggestion
+from ..se2 import Array
+
+
+class Table(ABC):
+    """Columns with names.
+
+    Attributes:
+        source: what messages call the table: a file, or a topic of a bag.
+        names: of the columns; empty where the table has none.
+        width: the number of columns.
+        notes: what the reader changed, one sentence each.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    width: int
+    notes: tuple[str, ...] = ()
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """The number of rows."""
+
+    @abstractmethod
+    def numbers(self, columns: Sequence[int]) -> Array:
+        """Columns (N, k) as floating-point numbers, which may be NaN.
+
+        Raises:
+            LogError: a cell is no number; with its place.
+        """
+
+    @abstractmethod
+    def words(self, column: int) -> np.ndarray:
+        """A column (N,) as text, or as whole numbers where the table has these."""
+
+    def texts(self, column: int) -> np.ndarray:
+        """A column (N,) as bytes of ASCII, or as whole numbers where the table has these."""
+        words = self.words(column)
+        return words if words.dtype.kind in "iu" else np.char.encode(words, "ascii", "replace")
+
+    def decimals(self, column: int) -> tuple[np.ndarray, np.ndarray] | None:  # noqa: ARG002  # of tables in text files
+        """A column as whole numbers m (N,) and decimal places k (N,), each number m / 10^k; None where it is none."""
+        return None
+
+    @abstractmethod
+    def error(self, row: int | None, message: str) -> LogError:
+        """The error of a row, counted from 0, or of the whole table."""
+
+    def place(self, row: int) -> str:
+        """The name of a row in notes."""
+        return str(self.error(row, "")).rstrip(": ")
+
+    def title(self, column: int) -> str:
+        """The name of a column in messages."""
+        return quoted(self.names[column]) if self.names else f"column {column + 1}"
+
+
+class Columns(Table):
+    """A table in memory.
+
+    Args:
+        source: its name.
+        columns: {name: (N,)}; or without names, an array (N, k).
+        rows: what messages call its rows.
+    """
+
+    def __init__(self, source: str, columns: Mapping[str, Any] | Array, *, rows: str = "row") -> None:
+        self.source, self._rows = source, rows
+        if isinstance(columns, Mapping):
+            self.names = tuple(map(str, columns))
+            self._columns = [np.asarray(column) for column in columns.values()]
+        else:
+            self.names = ()
+            self._columns = list(np.asarray(columns).T)
+        self.width = len(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns[0]) if self._columns else 0
+
+    def numbers(self, columns: Sequence[int]) -> Array:
+        numbers = np.empty((len(self), len(columns)))
+        for k, column in enumerate(columns):
+            values = self._columns[column]
+            try:
+                numbers[:, k] = values
+            except (TypeError, ValueError, OverflowError):
+                for row, value in enumerate(values):
+                    try:
+                        float(value)
+                    except (TypeError, ValueError, OverflowError):
+                        message = f"{self.title(column)} should be a number, not {quoted(str(value))}"
+                        raise self.error(row, message) from None
+                rows = f"; it has {len(values)}, and the first column {len(self)}" if len(values) != len(self) else ""
+                raise self.error(
+                    None, f"{self.title(column)} should hold one number in each {self._rows}{rows}"
+                ) from None
+        return numbers
+
+    def words(self, column: int) -> np.ndarray:
+        values = self._columns[column]
+        return values if values.dtype.kind in "iu" else values.astype(str)
+
+    def error(self, row: int | None, message: str) -> LogError:
+        if row is None:
+            return FormatError(self.source, None, message)
+        return FormatError(f"{self.source}, {self._rows} {row + 1}", None, message)
+
+
+class Kept(Table):
+    """Some rows of a table; errors name the rows of the whole.
+
+    Args:
+        table: the whole.
+        rows: (N,) numbers of the rows that are kept.
+        notes: about what is left out.
+    """
+
+    def __init__(self, table: Table, rows: np.ndarray, notes: tuple[str, ...]) -> None:
+        self.source, self.names, self.width = table.source, table.names, table.width
+        self.notes = (*table.notes, *notes)
+        self._table, self._rows = table, rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def numbers(self, columns: Sequence[int]) -> Array:
+        return self._table.numbers(columns)[self._rows]
+
+    def words(self, column: int) -> np.ndarray:
+        return self._table.words(column)[self._rows]
+
+    def texts(self, column: int) -> np.ndarray:
+        return self._table.texts(column)[self._rows]
+
+    def decimals(self, column: int) -> tuple[np.ndarray, np.ndarray] | None:
+        parts = self._table.decimals(column)
+        return None if parts is None else (parts[0][self._rows], parts[1][self._rows])
+
+    def error(self, row: int | None, message: str) -> LogError:
+        return self._table.error(None if row is None else int(self._rows[row]), message)
+
+
+#: the columns of the noise of relations and positions: standard deviations, or covariances [m², m rad, rad²]
+DEVIATIONS = ("sigma_x", "sigma_y", "sigma_theta")
+COVARIANCES = ("cov_xx", "cov_xy", "cov_xtheta", "cov_yy", "cov_ytheta", "cov_thetatheta")
+#: what a column can be -> the names it has in other people's tables, after `plain`
+NAMES: dict[str, tuple[str, ...]] = {
+    "t": ("t", "time", "timestamp", "stamp", "ts", "seconds", "secs", "sec", "header_stamp", "times", "timestamps"),
+    "nanosec": ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"),
+    "nu": (
+        "nu", "v", "vel", "velocity", "speed", "linear_x", "linear_velocity", "forward_velocity", "forward_speed",
+        "lin_vel", "linear", "vx", "v_x", "v_lin", "translational_velocity",
+    ),
+    "omega": (
+        "omega", "w", "om", "angular_z", "angular_velocity", "yaw_rate", "yawrate", "turn_rate", "ang_vel", "angular",
+        "wz", "w_z", "gyro_z", "v_ang", "rotational_velocity", "omega_z", "theta_dot", "yaw_dot",
+    ),
+    "x": ("x", "pos_x", "px", "position_x", "tx", "rel_x", "translation_x"),
+    "y": ("y", "pos_y", "py", "position_y", "ty", "rel_y", "translation_y"),
+    "z": ("z", "pos_z", "pz", "position_z", "tz", "rel_z", "translation_z"),
+    "theta": ("theta", "heading", "yaw", "th", "angle", "orientation", "phi"),
+    "qx": ("qx", "q_x", "orientation_x", "rotation_x"),
+    "qy": ("qy", "q_y", "orientation_y", "rotation_y"),
+    "qz": ("qz", "q_z", "orientation_z", "rotation_z"),
+    "qw": ("qw", "q_w", "orientation_w", "rotation_w"),
+    "id": (
+        "id", "landmark", "landmark_id", "lm", "lm_id", "tag", "tag_id", "marker", "marker_id", "beacon", "beacon_id",
+        "fiducial_id", "feature", "feature_id", "barcode", "label", "class_id", "target", "target_id", "subject",
+        "ident", "number", "name", "landmarkid", "tagid", "markerid",
+    ),
+    "class": (
+        "class", "class_name", "class_label", "colour", "color", "colour_name", "color_name", "category", "class_id",
+        "kind", "type",
+    ),
+    "range": ("range", "r", "distance", "dist", "rho", "l", "d", "ranges"),
+    "bearing": ("bearing", "b", "phi", "azimuth", "angle", "bearings", "bearing_angle", "theta", "beta"),
+    "orientation": ("orientation", "psi", "orient"),
+    "t1": ("t1", "time1", "t_1", "time_1", "t_from", "from_time", "from", "t_a", "stamp1"),
+    "t2": ("t2", "time2", "t_2", "time_2", "t_to", "to_time", "to", "t_b", "stamp2"),
+    "dx": ("dx", "delta_x", "d_x", "x"),
+    "dy": ("dy", "delta_y", "d_y", "y"),
+    "dtheta": ("dtheta", "delta_theta", "d_theta", "dyaw", "dheading", "theta", "yaw"),
+    "sigma": ("sigma", "std", "accuracy", "horizontal_accuracy", "hacc", "sigma_xy", "std_xy"),
+    "sigma_x": ("sigma_x", "std_x", "stddev_x", "sx", "x_std", "sigma_dx"),
+    "sigma_y": ("sigma_y", "std_y", "stddev_y", "sy", "y_std", "sigma_dy"),
+    "sigma_theta": ("sigma_theta", "std_theta", "sigma_yaw", "std_yaw", "theta_std", "yaw_std", "sigma_dtheta"),
+    "cov_xx": ("cov_xx", "cxx", "var_x", "c11"),
+    "cov_xy": ("cov_xy", "cxy", "c12"),
+    "cov_xtheta": ("cov_xtheta", "cov_xt", "cxt", "cov_x_theta", "cov_xyaw", "c13"),
+    "cov_yy": ("cov_yy", "cyy", "var_y", "c22"),
+    "cov_ytheta": ("cov_ytheta", "cov_yt", "cyt", "cov_y_theta", "cov_yyaw", "c23"),
+    "cov_thetatheta": ("cov_thetatheta", "cov_tt", "ctt", "var_theta", "cov_theta_theta", "var_yaw", "c33"),
+    "lever_x": ("lever_x", "lever_ahead", "antenna_x", "offset_x"),
+    "lever_y": ("lever_y", "lever_left", "antenna_y", "offset_y"),
+}  # fmt: skip
+#: names too short or too general to be recognised at the end of a longer one
+WHOLE = ("v", "w", "r", "l", "d", "b", "kind", "type", "from", "to", "std", "sx", "sy", "t1", "t2")
+#: words at the end of a name that say its unit -> the unit
+UNITS = {
+    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms",
+    "us": "us", "usec": "us", "micros": "us", "microseconds": "us", "ns": "ns", "nanos": "ns",
+    "nanoseconds": "ns", "m": "m", "meters": "m", "metres": "m", "cm": "cm", "mm": "mm", "rad": "radians",
+    "radian": "radians", "radians": "radians", "deg": "degrees", "degs": "degrees", "degree": "degrees",
+    "degrees": "degrees", "m/s": "m", "mps": "m", "mm/s": "mm", "cm/s": "cm", "rad/s": "radians", "deg/s": "degrees",
+    "rads": "radians", "dps": "degrees", "°": "degrees", "°/s": "degrees",
+}  # fmt: skip
+_KINDS = {"time": ("s", "ms", "us", "ns"), "length": ("m", "cm", "mm"), "angle": ("radians", "degrees")}
+#: what each column measures
+MEASURES = {
+    "t": "time", "nu": "length", "x": "length", "y": "length", "z": "length", "range": "length",
+    "omega": "angle", "theta": "angle", "bearing": "angle", "orientation": "angle",
+    "t1": "time", "t2": "time", "dx": "length", "dy": "length", "dtheta": "angle", "sigma": "length", "sigma_x": "length",
+    "sigma_y": "length", "sigma_theta": "angle", "lever_x": "length", "lever_y": "length",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A column of a table that is used: its number, and the unit that its name states, if any."""
+
+    column: int
+    unit: str | None = None
+
+
+def plain(name: str) -> tuple[str, str | None]:
+    """A column's name in small letters and underscores, without its unit; and the unit."""
+    name, unit = name.strip().strip("\"'#").strip().lower(), None
+    if match := re.search(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$", name):
+        unit, name = UNITS.get(match[1]), name[: match.start()]
+    words = [word for word in re.split(r"[^0-9a-z°%]+", name.replace("%", "")) if word]
+    if len(words) > 1 and unit is None and words[-1] in UNITS:
+        # "v_m_s" and "omega_rad_s" end in two words
+        if words[-1] == "s" and len(words) > 2 and UNITS.get(words[-2]) in ("m", "mm", "cm", "radians", "degrees"):
+            words, unit = words[:-2], UNITS[words[-2]]
+        else:
+            words, unit = words[:-1], UNITS[words[-1]]
+    return "_".join(words), unit
+
+
+def find(
+    kind: str, table: Table, roles: Sequence[str], stated: Mapping[str, str | int], orders: Mapping[int, Sequence[str]]
+) -> dict[str, Chosen]:
+    """The columns of a table, by role.
+
+    Args:
+        kind: what the table holds, "odometry" for example, for messages.
+        table: the table.
+        roles: what its columns can be, keys of `NAMES`; of two roles that a name fits, the first takes it.
+        stated: {role: name or number of its column, from 1}, what the user says.
+        orders: for tables without names: the roles of the columns by their number.
+
+    Raises:
+        LogError: a stated column does not exist, or a name fits two columns.
+        OptionError: there is no such role.
+    """
+    found: dict[str, Chosen] = {}
+    for role, column in stated.items():
+        if role not in roles:
+            known = ", ".join(roles)
+            raise OptionError(f"columns: there is no {quoted(role)} in the table of {kind}; its columns can be {known}")
+        found[role] = _stated(table, role, column)
+    if not table.names:
+        order = orders.get(table.width, ()) if not stated else ()
+        return found | {role: Chosen(k) for k, role in enumerate(order) if role}
+    taken = {chosen.column for chosen in found.values()}
+    names = [plain(name) for name in table.names]
+    for tail in (False, True):
+        for role in roles:
+            if role in found:
+                continue
+            for name in NAMES[role]:
+                fits = [
+                    k
+                    for k, (own, _) in enumerate(names)
+                    if k not in taken and (own == name or (tail and name not in WHOLE and own.endswith(f"_{name}")))
+                ]
+                if len(fits) > 1:
+                    titles = " and ".join(table.title(k) for k in fits[:2])
+                    raise table.error(
+                        None,
+                        f"{titles} could both be {role}; say which: --columns {kind}.{role}=NAME",
+                    )
+                if fits:
+                    found[role] = Chosen(fits[0], names[fits[0]][1])
+                    taken.add(fits[0])
+                    break
+    return found
+
+
+def _stated(table: Table, role: str, column: str | int) -> Chosen:
+    if isinstance(column, int) or (column.isdigit() and column not in table.names):
+        number = int(str(column)[:9])  # nobody has that many columns
+        if not 1 <= number <= table.width:
+            raise table.error(None, f"{role} should be column {number}, but there are columns 1 to {table.width}")
+        return Chosen(number - 1, plain(table.names[number - 1])[1] if table.names else None)
+    if column not in table.names:
+        known = f"its columns are {named(table.names)}" if table.names else "its columns have no names: give numbers"
+        raise table.error(
+            None, f"there is no column {quoted(column)} for {role}{suggestion(column, table.names) or f'; {known}'}"
+        )
+    place = table.names.index(column)
+    return Chosen(place, plain(column)[1])
+
+
+def unit_of(role: str, chosen: Chosen, stated: str | None) -> str | None:
+    """The unit of a column: the stated one, else that of its name where it is one of this kind."""
+    kinds = _KINDS[MEASURES[role]]
+    return stated or (chosen.unit if chosen.unit in kinds else None)

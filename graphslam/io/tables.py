@@ -1,0 +1,202 @@
+"""A folder of tables of your own robot: ``odometry.csv``, ``sightings.csv``, and ``truth.csv``, ``map.csv`` where known.
+
+``relations.csv`` and ``positions.csv`` hold what other sensors measured, loop closures and GPS for example.
+
+The endings may be .csv, .tsv, .txt, .tum, .dat or .parquet. Columns are recognised by common names (`Log.from_tables`).
+``import.toml`` in the folder states units, columns, clocks and other names of files (`io.tables`).
+
+A recipe: the options of tables and bags as a TOML file, ``import.toml`` beside the data or named by the user.
+
+angles = "degrees"              # any field of TableOptions
+[sightings]                     # odometry, sightings, truth, map
+file = "tags.csv"               # of a folder; of a bag: topic = "/tags"
+clock = 0.12                    # seconds to add to its times
+time = "ms"                     # units of this table: time, angles, lengths
+range = "dist"                  # which column is what, by name or by number from 1
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import FormatError, OptionError, quoted
+from ..files import check_unpacked
+from ..log import Log
+from ..log.rows import ReadOptions
+from .base import Format, errors_name
+from .drive import ROLES
+from .join import Drive, read_drive
+from .options import TABLES, TableOptions
+from .text_table import PARQUET, TEXT
+from .toml_file import TomlFile
+
+#: keys of the table of a stream that are not its columns
+_UNITS = ("time", "angles", "lengths")
+_WHERE = ("file", "topic", "child", "parent", "use")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Options, and for each table where it is: {"odometry": {"file": "wheels.csv"}, ...}; of a bag topics and frames."""
+
+    options: TableOptions = field(default_factory=TableOptions)
+    places: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def place(self, table: str, what: str) -> str | None:
+        """The place of a table in the recipe: its file, topic, frames; None where there is none."""
+        return self.places.get(table, {}).get(what)
+
+    def strictly(self, strict: bool) -> Recipe:
+        """The same, with tables that are read strictly where ``strict`` is set."""
+        return replace(self, options=replace(self.options, strict=True)) if strict else self
+
+
+def read_recipe(path: Path) -> Recipe:
+    """Read a recipe.
+
+    Raises:
+        FormatError: it is not TOML, has an unknown key, or an impossible value; with the line.
+    """
+    file = TomlFile(path)
+    known = {f.name: f for f in fields(TableOptions)}
+    file.check_keys(file.table, (*known, *TABLES))
+    values: dict[str, Any] = {}
+    for name in known:
+        if name in file.table:
+            values[name] = _value(file, name)
+    units: dict[str, dict[str, str]] = {
+        name: {"": values[name]} for name in _UNITS if isinstance(values.get(name), str)
+    }
+    of_tables = {name: values.pop(name) for name in ("columns", "clocks") if name in values}
+    stated = file.attempt(lambda: TableOptions(**of_tables))
+    columns: dict[str, dict[str, Any]] = {table: dict(stated.columns_of(table)) for table in TABLES}
+    clocks = stated.by_table("clocks")
+    places: dict[str, dict[str, str]] = {}
+    for table in TABLES:
+        content = file.value(file.table, table, dict) or {}
+        file.check_keys(content, (*_WHERE, *_UNITS, "clock", *ROLES[table]), table)
+        for key in content:
+            if key in _WHERE:
+                places.setdefault(table, {})[key] = file.value(content, key, str, where=table)
+            elif key in _UNITS:
+                units.setdefault(key, {})[table] = file.value(content, key, str, where=table)
+            elif key == "clock":
+                clocks[table] = file.value(content, key, float, where=table)
+            else:
+                columns.setdefault(table, {})[key] = file.value(content, key, str, int, where=table)
+    for name, value in (*units.items(), ("columns", columns), ("clocks", clocks)):
+        if value:
+            values[name] = value
+    return Recipe(file.attempt(lambda: TableOptions(**values)), places)
+
+
+def _value(file: TomlFile, name: str) -> Any:
+    """The value of an option in the head of the file, in the type of its field."""
+    if name in ("sensor_offset", "truth_offset"):
+        value = file.value(file.table, name, list)
+        if len(value) != 2 or not all(type(number) in (int, float) for number in value):
+            raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
+        return tuple(file.value({name: number}, name, float) for number in value)
+    if name == "strict":
+        return file.value(file.table, name, bool)
+    if name == "sensor_yaw":
+        return file.value(file.table, name, float)
+    if name in (*_UNITS, "columns", "clocks"):
+        return file.value(file.table, name, str, dict)
+    return file.value(file.table, name, str)
+
+
+def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
+    """The recipe with options of the command line or of Python, which take precedence; None is not given."""
+    given = {name: value for name, value in changes.items() if value is not None}
+    old = {f.name: getattr(recipe.options, f.name) for f in fields(TableOptions)}
+    for name in given:
+        if name not in old:
+            raise OptionError(f"there is no option {quoted(name)} of tables; they are {', '.join(old)}")
+    defaults = {f.name: f.default for f in fields(TableOptions) if f.default is not MISSING}
+    kept = {name: value for name, value in old.items() if value != defaults[name]}
+    return Recipe(TableOptions(**kept | given), recipe.places)
+
+
+RECIPE = "import.toml"
+_NAMES = {"truth": ("truth", "groundtruth", "ground_truth"), "map": ("map", "landmarks")}
+
+
+def _recognises(path: Path, _: bytes) -> bool:
+    return path.is_dir() and any(_candidates(path, table) for table in ("odometry", "sightings"))
+
+
+def _candidates(folder: Path, table: str) -> list[Path]:
+    names = _NAMES.get(table, (table,))
+    return sorted(
+        path for path in folder.iterdir() if path.stem.lower() in names and path.suffix.lower() in (*TEXT, *PARQUET)
+    )
+
+
+def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:
+    """The files of the tables of a folder, by table.
+
+    Raises:
+        FormatError: odometry or sightings are missing, or there are two files for one table.
+    """
+    found = {}
+    for table, holds in TABLES.items():
+        named = recipe.place(table, "file")
+        paths = [folder / named] if named else _candidates(folder, table)
+        if len(paths) > 1:
+            names = " and ".join(path.name for path in paths[:2])
+            raise FormatError(
+                folder,
+                None,
+                f"{names} could both hold {holds}; name one in {RECIPE}, as in [{table}] file = {paths[0].name!r}",
+            )
+        if paths:
+            found[table] = paths[0]
+        elif table in ("odometry", "sightings"):
+            for packed in sorted(folder.glob(f"{table}.*.*")):
+                with packed.open("rb") as stream:
+                    check_unpacked(packed, stream.read(16))
+            message = (
+                f"this file is missing; it would hold {holds}. A file of another name can be named in {RECIPE}, as in "
+                f"[{table}] file = 'NAME.csv'"
+            )
+            raise FormatError(folder / f"{table}.csv", None, message)
+    return found
+
+
+def drive_of(folder: Path, recipe: Recipe | None = None) -> Drive:
+    """The streams of the tables of a folder.
+
+    Args:
+        folder: with the tables.
+        recipe: units, columns and names; default: that of the folder.
+
+    Raises:
+        LogError: a file is missing, or breaks a rule of its table.
+    """
+    recipe = recipe_of(folder) if recipe is None else recipe
+    tables: dict[str, Any] = dict(find_tables(folder, recipe))
+    return read_drive(**tables, options=recipe.options)
+
+
+def recipe_of(folder: Path) -> Recipe:
+    """The recipe in a folder, or an empty one.
+
+    Raises:
+        FormatError: it has a mistake.
+    """
+    path = folder / RECIPE
+    return read_recipe(path) if path.is_file() else Recipe()
+
+
+def _read(folder: Path, options: ReadOptions) -> Log:
+    if not folder.is_dir():
+        raise FormatError(folder, None, "a log of tables is a folder with odometry.csv and sightings.csv, not a file")
+    with errors_name(folder):
+        return Log(**drive_of(folder, recipe_of(folder).strictly(options.strict)).parts(options, folder.resolve().name))
+
+
+FORMAT = Format("tables", _recognises, _read, separate_times=True)

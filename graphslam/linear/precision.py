@@ -1,0 +1,149 @@
+"""Limits of double precision: of lengths and noise, and the inverses of covariances.
+
+Graphs multiply up to six lengths and standard deviations with one another, and a determinant multiplies three of these
+products. Between 1e-20 and 1e20 none of that leaves the range of floating point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from math import inf, sqrt
+from typing import TYPE_CHECKING
+from weakref import WeakSet
+
+import numpy as np
+
+from ..errors import GraphError, first
+from ..models import MotionModel, SensorModel
+from ..se2 import Array
+
+if TYPE_CHECKING:
+    from ..log import Log
+
+SMALLEST, LARGEST = 1e-20, 1e20
+#: a matrix is singular to double precision where elimination leaves less than this part of a diagonal entry
+PART = 1e-13
+
+
+def check_magnitudes(log: Log, motion: MotionModel | None, sensor: SensorModel) -> None:
+    """Raise `GraphError` where numbers of a log and its noise models are too large, too small or too far apart.
+
+    The variances of a sighting along the line of sight and across it must not differ by more than 1 / `PART`, nor may
+    those of bearing and orientation: their sum in other axes would lose the smaller one.
+    """
+    for model in (motion, sensor):
+        if model is not None:
+            check_model(model)
+    check_size(f"the initial poses of {log.name}", log.initial_poses)
+    ranges = log.sightings[:, 0]
+    check_size(f"the ranges of {log.name}", ranges, least=SMALLEST)
+    along = np.hypot(ranges * sensor.range_rate, sensor.range_std)
+    across = ranges * sensor.bearing_std
+    if (k := first(np.maximum(along / across, across / along) > PART**-0.5)) is not None:
+        raise GraphError(
+            f"{log.name}: the noise of sighting {k} is {along[k]:.2g} m along the line of sight and {across[k]:.2g} m "
+            f"across it, and double precision holds a ratio of {PART**-0.5:.0e} at most; change range_rate, range_std or "
+            "bearing_std"
+        )
+    if log.has_orientation and sensor.orientation_std < PART**0.5 * sensor.bearing_std:
+        raise GraphError(
+            f"orientation_std, {sensor.orientation_std:.2g} rad, is too small beside bearing_std, "
+            f"{sensor.bearing_std:.2g} rad, for double precision; their ratio may be {PART**0.5:.0e} at least"
+        )
+
+
+#: the models that `check_model` has accepted: every factor comes with one, and a check takes longer than making the factor
+_accepted: WeakSet[MotionModel | SensorModel] = WeakSet()
+
+
+def check_model(model: MotionModel | SensorModel) -> None:
+    """Raise `GraphError` where numbers of a noise model are too large or too small."""
+    if model in _accepted:
+        return
+    # limits of sight may be infinite; the offset is a number of the equations
+    limits = [name for name in getattr(model, "GEOMETRY", ()) if name != "offset"]
+    for name in (f.name for f in fields(model)):
+        if name in limits:
+            continue
+        # a small noise of the motion, or epsilon, is judged by the inverse of its covariance
+        least = SMALLEST if isinstance(model, SensorModel) and name != "offset" else 0.0
+        for number in np.atleast_1d(getattr(model, name)).tolist():
+            check_size(f"{name} of the noise model", number, least=least if number else 0.0)
+    _accepted.add(model)
+
+
+def check_size(what: str, numbers: object, *, least: float = 0.0, most: float = LARGEST) -> None:
+    """Raise `GraphError` unless the magnitudes of all numbers lie between two limits."""
+    if isinstance(numbers, float) and least <= abs(numbers) <= most:
+        return
+    size = np.abs(np.asarray(numbers, dtype=float)).ravel()
+    if (k := first((size > most) | (size < least))) is not None:
+        raise GraphError(
+            f"{what}: {size[k]:g} is too {'large' if size[k] > most else 'small'} for double precision; the limit is "
+            f"{most if size[k] > most else least:g}"
+        )
+
+
+def inverses(covariances: Array, noun: str, remedy: str) -> Array:
+    """The inverses (E, d, d) of covariances, symmetric and positive definite.
+
+    Rows and columns are scaled to a diagonal of ones first, so that metres and radians of different size lose no digits.
+
+    Args:
+        covariances: (E, d, d).
+        noun: what has these covariances, for the message, such as "motion".
+        remedy: what to do, for the message.
+
+    Raises:
+        GraphError: one of them is not finite, or singular to double precision.
+    """
+    with np.errstate(all="ignore"):
+        size = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+        unit = covariances / (size[:, :, None] * size[:, None, :])
+    wrong = ~np.isfinite(unit).all(axis=(1, 2))
+    if not wrong.any():
+        wrong = ~(_smallest_pivots(unit) > PART)
+    if (k := first(wrong)) is not None:
+        raise GraphError(f"the uncertainty of {noun} {k} is singular to double precision; {remedy}")
+    inverse = np.linalg.inv(unit) / (size[:, :, None] * size[:, None, :])
+    return (inverse + np.swapaxes(inverse, 1, 2)) / 2
+
+
+def small_inverse(matrix: Sequence[Sequence[float]], least: float = PART) -> Array | None:
+    """The inverse (d, d) of one symmetric matrix of few rows, or None where it is not positive definite.
+
+    Gauss-Jordan elimination in Python, scaled as in `inverses`: for 3 x 3 the functions of NumPy take ten times as long.
+
+    Args:
+        matrix: (d, d), as lists.
+        least: elimination must leave more than this part of each diagonal entry.
+    """
+    span = range(len(matrix))
+    diagonal = [matrix[k][k] for k in span]
+    if not (min(diagonal) > 0 and sum(diagonal) < inf):
+        return None
+    size = [sqrt(entry) for entry in diagonal]
+    unit = [[matrix[i][j] / (size[i] * size[j]) for j in span] for i in span]
+    for k in span:
+        pivot, row = unit[k][k], unit[k]
+        if not pivot > least:
+            return None
+        row[k] = 1.0
+        for j in span:
+            row[j] /= pivot
+        for i in span:
+            if i != k:
+                other = unit[i]
+                factor, other[k] = other[k], 0.0
+                for j in span:
+                    other[j] -= factor * row[j]
+    return np.array([[(unit[i][j] + unit[j][i]) / (2 * size[i] * size[j]) for j in span] for i in span])
+
+
+def _smallest_pivots(unit: Array) -> Array:
+    """The smallest pivot (E,) of elimination for matrices (E, d, d) with ones on the diagonal."""
+    try:
+        return np.diagonal(np.linalg.cholesky(unit), axis1=1, axis2=2).min(axis=1) ** 2
+    except np.linalg.LinAlgError:
+        return np.linalg.eigvalsh(unit)[:, 0]

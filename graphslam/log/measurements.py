@@ -1,0 +1,419 @@
+"""What other sensors measure: relations between two poses, absolute positions, and ranges or bearings of landmarks alone.
+
+A relation is a pose measured from another one: by scan matching, a loop closure, or the odometry of a second source. An
+absolute position is the place of a point of the robot in the world: by GPS, motion capture, or a total station.
+
+The arguments of a `Log` as arrays: shapes, types and impossible values are refused in one sentence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import LogError, OptionError, array_of, first, quoted, real_array, shortened
+from ..se2 import Array, wrap
+
+
+def length_of(value: Any) -> int | None:
+    """The number of rows of an array or a list; None of what has none."""
+    try:
+        return len(value)
+    except TypeError:
+        return None
+
+
+def checked_starts(value: np.ndarray, controls: int) -> np.ndarray:
+    """The first control of each motion, and the number of controls, (T+1,)."""
+    try:
+        starts = np.array(value)
+    except ValueError:  # rows of different lengths
+        starts = np.empty(0)
+    whole = starts.ndim == 1 and len(starts) > 0 and starts.dtype.kind in "iu"
+    if not whole or starts[0] != 0 or starts[-1] != controls or np.any(np.diff(starts) <= 0):
+        raise LogError(
+            f"control_starts must be whole numbers, one per pose, that increase from 0 to the number of controls, {controls}"
+        )
+    return starts.astype(np.int64)
+
+
+def checked_truth(value: ArrayLike, shape: tuple[int, ...], name: str = "true_poses") -> Array:
+    """True poses; each row is complete, a position with an unknown heading, or unknown."""
+    array = array_of(name, value)
+    unknown = np.isnan(array)
+    known = finite_floats(name, np.where(unknown, 0.0, array) if array.shape == shape else array, shape)
+    k = first((unknown[:, 0] != unknown[:, 1]) | (unknown[:, 0] & ~unknown[:, 2]))
+    if k is not None:
+        raise LogError(f"{name}[{k}] is {array[k]}; a row must be complete, (x, y, NaN) or all NaN")
+    known[unknown] = np.nan
+    return known
+
+
+def checked_classes(value: ArrayLike, length: int) -> np.ndarray:
+    """Classes as words, or as whole numbers."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        raise LogError(f"classes must be words, or whole numbers, one per sighting, not {quoted(value)}") from None
+    if array.dtype.kind == "O" and all(isinstance(each, str) for each in array.flat):
+        array = array.astype(str)
+    if array.dtype.kind != "U":
+        return whole_numbers("classes", array, length, "words, or whole numbers")
+    if array.shape != (length,):
+        raise LogError(f"classes must have one entry per sighting, shape ({length},), not {array.shape}")
+    return np.char.strip(array)
+
+
+def checked_landmarks(value: Any) -> dict[int, Array]:
+    """The true map, {id: (x, y) or (x, y, heading)}."""
+    if not isinstance(value, Mapping):
+        raise OptionError(f"true_landmarks must be a mapping {{id: (x, y) or (x, y, heading)}}, not {quoted(value)}")
+    for j in value:
+        if not isinstance(j, (int, float, np.integer)) or j % 1 != 0 or not -(2**63) <= j < 2**63:
+            raise OptionError(f"the ids of true_landmarks must be whole numbers of at most 64 bits, not {quoted(j)}")
+    return {int(j): _landmark(int(j), m) for j, m in value.items()}
+
+
+def _landmark(id: int, value: ArrayLike) -> Array:
+    landmark = finite_floats(f"true_landmarks[{id}]", value, (None,))
+    if len(landmark) not in (2, 3):
+        raise LogError(f"true_landmarks[{id}] must be (x, y) or (x, y, heading), not of shape {landmark.shape}")
+    return landmark
+
+
+def finite_floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """A copy of an array of finite numbers of a shape, in which None stands for any length."""
+    try:
+        array = real_array(value).copy()
+    except (TypeError, ValueError, OverflowError) as error:
+        raise LogError(f"{name} must be an array of numbers: {shortened(str(error))}") from None
+    if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
+        wanted = ", ".join("any" if want is None else str(want) for want in shape)
+        raise LogError(f"{name} must have shape ({wanted}), not {array.shape}")
+    if not np.all(np.isfinite(array)):
+        where = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise LogError(f"{name}{where} is {array[tuple(where)]}; all numbers must be finite")
+    return array
+
+
+def whole_numbers(
+    name: str, value: ArrayLike, length: int, wanted: str = "whole numbers", noun: str = "sighting"
+) -> np.ndarray:
+    """A copy of an array (length,) of whole numbers of 64 bits, one for each ``noun``."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        raise LogError(f"{name} must be {wanted}, one per {noun}, not {quoted(value)}") from None
+    if array.size == 0:
+        array = array.astype(np.int64).reshape(-1)
+    if array.shape != (length,):
+        raise LogError(f"{name} must have one entry per {noun}, shape ({length},), not {array.shape}")
+    try:
+        with np.errstate(invalid="ignore"):
+            if array.dtype.kind in "cmM":
+                raise TypeError
+            whole = array.astype(np.int64)
+    except (TypeError, ValueError, OverflowError):  # of a word, or None
+        raise LogError(f"{name} must be {wanted}, not such as {quoted(array[0])}") from None
+    if not np.array_equal(whole, array):
+        raise LogError(f"{name} must be {wanted}")
+    return whole.copy()
+
+
+@dataclass(frozen=True)
+class Session:
+    """One of the drives, or robots, that a log was joined from: its name, its first step, and the time of that [s]."""
+
+    name: str
+    start: int
+    start_time: float
+
+
+def check_sessions(sessions: Sequence[Session], poses: int) -> None:
+    """Raise `LogError` unless the first steps of sessions, if there are any, increase from 0 and are below ``poses``."""
+    starts = [each.start for each in sessions]
+    if starts and (starts[0] != 0 or np.any(np.diff([*starts, poses]) <= 0)):
+        raise LogError(f"sessions start at the steps {starts}; these must increase from 0 and be below {poses}")
+
+
+#: the variance [rad²] of the heading of a relation that does not measure it: it adds at most 1e-5 to J
+NO_HEADING = 1e6
+
+
+class _Records:
+    """Rows that belong together, in arrays that cannot be written to."""
+
+    #: the fields that hold steps
+    ENDS: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(getattr(self, self.ENDS[0]))
+
+    def among(self, rows: np.ndarray) -> Self:
+        """Some of the rows, given by their numbers or a mask."""
+        return type(self)(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})  # type: ignore[arg-type]
+
+    def within(self, steps: np.ndarray) -> Self:
+        """The rows whose steps are all among increasing ``steps``, with the places of these in them as new steps."""
+        kept = self.among(np.all([np.isin(getattr(self, end), steps) for end in self.ENDS], axis=0))
+        return kept.moved({end: np.searchsorted(steps, getattr(kept, end)) for end in self.ENDS})
+
+    def moved(self, ends: dict[str, np.ndarray]) -> Self:
+        """The same with other steps."""
+        return type(self)(**{f.name: ends.get(f.name, getattr(self, f.name)) for f in fields(self)})  # type: ignore[arg-type]
+
+    def equals(self, other: object) -> bool:
+        """Whether the other holds exactly the same numbers."""
+        return type(other) is type(self) and all(
+            np.array_equal(getattr(self, f.name), getattr(other, f.name), equal_nan=f.name not in self.ENDS)
+            for f in fields(self)  # type: ignore[arg-type]
+        )
+
+    def check_steps(self, name: str, poses: int) -> None:
+        """Raise `LogError` where a step is none of a log with so many poses."""
+        for end in self.ENDS:
+            steps = getattr(self, end)
+            if (k := first((steps < 0) | (steps >= poses))) is not None:
+                raise LogError(
+                    f"row {k} of {name} has {end[:-1] if end == 'steps' else end} {steps[k]}, but the log has steps 0 to "
+                    f"{poses - 1}: are these times? A step counts poses from 0"
+                )
+
+    def _set(self, **values: Array) -> None:
+        for name, value in values.items():
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PoseRelations(_Records):
+    """R measured relations between two poses of a log each. All arrays are copied, checked and made read-only.
+
+    The motion z = (dx, dy, dtheta) is the pose at ``second`` in the axes of the pose at ``first``, with the residual
+    e = (R(theta_1)' (p_2 - p_1) - (dx, dy), theta_2 - theta_1 - dtheta) and the information C^-1.
+
+    Args:
+        first, second: (R,) the steps of both poses; ``second`` may come before ``first``.
+        motions: (R, 3) [m, m, rad]; headings are wrapped to [-pi, pi), and NaN where they are not measured.
+        covariances: C (R, 3, 3) of the motions in the axes of the first pose [m², m rad, rad²]; one matrix is for all. Rows
+            and columns of a heading that is not measured are not used: it becomes 0 with the variance `NO_HEADING`.
+
+    Raises:
+        LogError: an array has another shape, a relation ties a pose to itself, or a covariance is not positive definite.
+    """
+
+    ENDS = ("first", "second")
+
+    first: np.ndarray
+    second: np.ndarray
+    motions: Array
+    covariances: Array
+
+    def __post_init__(self) -> None:
+        motions, covariances = np.array(self.motions, dtype=float), self.covariances
+        if motions.ndim == 2 and motions.shape[1] == 3 and np.any(open_ := np.isnan(motions[:, 2])):
+            covariances = np.array(_one_for_all(covariances, len(motions)), dtype=float)
+            motions[open_, 2] = 0.0
+            covariances[open_, 2], covariances[open_, :, 2] = 0.0, 0.0
+            covariances[open_, 2, 2] = NO_HEADING
+        motions = finite_floats("the motions of relations", motions, (None, 3))
+        motions[:, 2] = wrap(motions[:, 2])
+        count, noun = len(motions), "relation"
+        ends = {
+            end: whole_numbers(f"the steps {end} of relations", getattr(self, end), count, noun=noun)
+            for end in self.ENDS
+        }
+        if (k := first(ends["first"] == ends["second"])) is not None:
+            raise LogError(f"relation {k} goes from step {ends['first'][k]} to itself; it ties two poses")
+        self._set(**ends, motions=motions, covariances=checked_covariances("relations", covariances, count, 3))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AbsolutePositions(_Records):
+    """N measured places of a point of the robot in the world. All arrays are copied, checked and made read-only.
+
+    The residual is e = p + R(theta) a - (x, y), with a the lever, and theta - theta_z where the heading is measured, too.
+
+    Args:
+        steps: (N,) the step of each.
+        places: (N, 2) x and y [m], or (N, 3) with the heading of the robot [rad], NaN where it is not measured.
+        covariances: (N, 2, 2) or (N, 3, 3) in world axes [m², m rad, rad²]; one matrix is for all. Rows and columns of a
+            heading that is not measured are not used.
+        levers: a (N, 2), the point of the robot that is measured, (ahead, left) [m] of its pose; one point is for all.
+
+    Raises:
+        LogError: an array has another shape, or a covariance is not positive definite.
+    """
+
+    ENDS = ("steps",)
+
+    steps: np.ndarray
+    places: Array
+    covariances: Array
+    levers: Array = field(default_factory=lambda: np.zeros(2))
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.places)
+        columns = 2 if given.ndim == 2 and given.shape[1] == 2 else 3
+        places = np.full((len(given) if given.ndim else 0, 3), np.nan)
+        measured = (
+            ~np.isnan(given[:, 2].astype(float)) if given.ndim == 2 and columns == 3 else np.zeros(len(places), bool)
+        )
+        places[:, :2] = finite_floats(
+            "the places of positions", given[..., :2] if given.ndim == 2 else given, (None, 2)
+        )
+        if measured.any():
+            places[measured, 2] = wrap(finite_floats("the headings of positions", given[measured, 2], (None,)))
+        count = len(places)
+        steps = whole_numbers("the steps of positions", self.steps, count, noun="position")
+        covariances = np.full((count, 3, 3), np.nan)
+        shape = np.shape(self.covariances)
+        d = 3 if shape[-1:] == (3,) else 2
+        if measured.any() and d == 2:
+            raise LogError("positions with headings need covariances (N, 3, 3), of x, y and heading")
+        all_of_them = (
+            np.broadcast_to(_one_for_all(self.covariances, count), (count, d, d)) if shape[-2:] == (d, d) else None
+        )
+        if all_of_them is None or shape[:-2] not in ((), (count,)):
+            raise LogError(
+                f"the covariances of positions must have shape ({count}, 2, 2) or ({count}, 3, 3), not {shape}"
+            )
+        for rows, size in ((np.flatnonzero(~measured), 2), (np.flatnonzero(measured), 3)):
+            if len(rows):
+                covariances[rows, :size, :size] = checked_covariances(
+                    "positions", all_of_them[rows, :size, :size], len(rows), size, rows
+                )
+        levers = finite_floats("the levers of positions", np.broadcast_to(self.levers, (count, 2)), (count, 2))
+        self._set(steps=steps, places=places, covariances=covariances, levers=levers)
+
+    @property
+    def oriented(self) -> np.ndarray:
+        """Whether the heading is measured, too, (N,) bool."""
+        return np.isfinite(self.places[:, 2])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PartialSightings(_Records):
+    """K sightings of landmarks with one number, a range or a bearing. All arrays are copied, checked and made read-only.
+
+    `edges.observation` has the residuals. The noise is that of the sensor model.
+
+    Args:
+        steps: (K,) the step of each.
+        landmarks: (K,) the ids.
+        ranges: (K,) [m], NaN where the bearing was measured.
+        bearings: (K,) [rad], NaN where the range was measured; wrapped to [-pi, pi).
+
+    Raises:
+        LogError: an array has another shape, a row has both numbers or none, or a range is not above zero.
+    """
+
+    ENDS = ("steps",)
+
+    steps: np.ndarray
+    landmarks: np.ndarray
+    ranges: Array
+    bearings: Array
+
+    def __post_init__(self) -> None:
+        ranges, bearings = (np.array(each, dtype=float) for each in (self.ranges, self.bearings))
+        count = len(ranges) if ranges.ndim == 1 else 0
+        if ranges.shape != (count,) or bearings.shape != (count,):
+            raise LogError(f"ranges and bearings must have shape (K,), not {ranges.shape} and {bearings.shape}")
+        if (k := first(np.isnan(ranges) == np.isnan(bearings))) is not None:
+            which = (
+                "neither range nor bearing" if np.isnan(ranges[k]) else "both range and bearing: it is a whole sighting"
+            )
+            raise LogError(f"partial sighting {k} has {which}")
+        measured = ~np.isnan(ranges)
+        if (k := first(measured & ~((ranges > 0) & (ranges < np.inf)))) is not None:
+            raise LogError(f"partial sighting {k} has range {ranges[k]:g} m; a range must be finite and above zero")
+        bearings[~measured] = wrap(finite_floats("the bearings of partial sightings", bearings[~measured], (None,)))
+        noun = "partial sighting"
+        steps, landmarks = (
+            whole_numbers(f"the {name} of partial sightings", getattr(self, name), count, noun=noun)
+            for name in ("steps", "landmarks")
+        )
+        self._set(steps=steps, landmarks=landmarks, ranges=ranges, bearings=bearings)
+
+    @property
+    def ranged(self) -> np.ndarray:
+        """Whether the range is measured, and not the bearing, (K,) bool."""
+        return np.isfinite(self.ranges)
+
+
+def _one_for_all(covariances: ArrayLike, count: int) -> Array:
+    array = np.asarray(covariances)
+    return np.broadcast_to(array, (count, *array.shape)) if array.ndim == 2 else array
+
+
+def checked_covariances(name: str, value: Any, count: int, d: int, rows: np.ndarray | None = None) -> Array:
+    """Covariances (count, d, d) that are symmetric and positive definite; one matrix is for all.
+
+    Args:
+        name: what they are of, for messages.
+        rows: (count,) the numbers of the rows for messages; default: 0, 1, ...
+
+    Raises:
+        LogError: they are not.
+    """
+    covariances = finite_floats(f"the covariances of {name}", _one_for_all(value, count), (count, d, d))
+    if (k := first(not_positive(covariances))) is not None:
+        row = k if rows is None else rows[k]
+        raise LogError(f"the covariance of row {row} of {name} {NOT_POSITIVE}")
+    return (covariances + np.swapaxes(covariances, 1, 2)) / 2
+
+
+#: what is wrong with a covariance, and what to do
+NOT_POSITIVE = (
+    "is not symmetric and positive definite: its diagonal holds variances, above zero, and a covariance between two "
+    "coordinates is smaller than the product of their standard deviations; are these correlations, or columns in another "
+    "order?"
+)
+
+
+def not_positive(covariances: Array) -> np.ndarray:
+    """Which of the covariances (N, d, d) are not symmetric and positive definite to double precision, (N,) bool."""
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    size = np.sqrt(np.where(variances > 0, variances, 1.0))
+    unit = covariances / (size[:, :, None] * size[:, None, :])
+    wrong = np.any(variances <= 0, axis=1) | np.any(np.abs(unit - np.swapaxes(unit, 1, 2)) > 1e-6, axis=(1, 2))
+    smallest = np.linalg.eigvalsh(unit)[:, 0] if len(unit) else np.zeros(0)
+    return np.asarray(wrong | ~(smallest > 1e-13))
+
+
+Measured = PoseRelations | AbsolutePositions | PartialSightings
+#: what a log may hold beside its sightings, by the names of its arguments
+MEASURED: dict[str, type[Measured]] = {
+    "relations": PoseRelations, "positions": AbsolutePositions, "partial_sightings": PartialSightings,
+}  # fmt: skip
+
+
+def checked_steps(steps: ArrayLike, poses: int) -> np.ndarray:
+    """Increasing steps (K,) int64 of a log with so many poses, or a `LogError`."""
+    kept = array_of("steps", steps)
+    if (
+        kept.ndim != 1
+        or len(kept) == 0
+        or np.any(kept % 1)
+        or np.any(np.diff(kept) <= 0)
+        or kept[0] < 0
+        or kept[-1] >= poses
+    ):
+        raise LogError(f"steps to keep must increase and lie between 0 and {poses - 1}")
+    return kept.astype(np.int64)
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two values of a log are exactly the same, arrays and mappings compared element by element."""
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, Measured):
+        return a.equals(b)
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
+    return bool(a == b) if type(a) is type(b) else False

@@ -1,0 +1,328 @@
+"""The system of a graph with its parameters p as further unknowns, which touch every motion or every sighting:
+
+    [ Omega  C ] [Delta]   [xi]        C = sum B' Omega_e J,   D = sum J' Omega_e J + P,
+    [ C'     D ] [delta] = [g ],       g = - sum J' Omega_e e - P (p - mean),        J = de/dp, P the priors.
+
+Omega keeps its sparse factorisation. With the Schur complement S = D - C' Omega^-1 C the solution is
+
+    delta = S^-1 (g - C' Omega^-1 xi),   Delta = Omega^-1 (xi - C delta),
+
+at the price of K further right-hand sides. S^-1 is the covariance of the parameters.
+
+J of a sighting is its Jacobian by its pose times the move of this pose (`identification.corrections`). So every sighting
+gets a copy of its pose, the family writes the Omega of these copies as it does for any graph, and C, D and g are sums of it.
+
+Whether a log tells the parameters: the information that it would have without any noise.
+
+With all measurements replaced by what the state predicts, a change of the parameters that the nodes can follow exactly, such
+as one scale for wheels and ranges, has no information at all. (With the measured values such a change still has some: a
+smaller world has smaller residuals.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.linalg import cho_factor, cho_solve, eigh
+
+from ..edges import LandmarkSightings, ObservationEdges, RelativePoseEdges, SightingEdges, VirtualMotionEdges
+from ..errors import GraphError
+from ..graph import Graph
+from ..identification.corrections import corrected_controls, motion_slopes, moves
+from ..identification.declared import PARAMETERS
+from ..linear.cholesky import Factor, FactorizationError
+from ..linear.information import BlockSystem
+from ..se2 import Array, between, rotation
+from .corrected import corrected, motion_edges, predictions, sighted_edges, undetermined
+
+
+class JointGraph:
+    """A graph and its parameters in the form that the iterations of `graphslam.solvers` need.
+
+    The states (n + r, 3) of the iterations have the parameters in their last r rows, three in each.
+    """
+
+    #: the noise of the sensor is evaluated at the predicted sightings
+    state_dependent_information = True
+
+    def __init__(self, graph: Graph) -> None:
+        assert graph.parameters is not None
+        _check_pairs(sighted_edges(graph))
+        self.graph, self.parameters = graph, graph.parameters
+        self.reweighted, self.rows = graph.reweighted, -(-len(self.parameters) // 3)
+        self.system = JointSystem(self)
+
+    def joined(self, nodes: Array, values: Array) -> Array:
+        """The state (n + r, 3) of nodes (n, 3) and parameters (K,)."""
+        last = np.zeros(3 * self.rows)
+        last[: len(values)] = values
+        return np.concatenate([nodes, last.reshape(-1, 3)])
+
+    def parted(self, state: Array) -> tuple[Array, Array]:
+        """The nodes (n, 3) and the parameters (K,) of a state."""
+        count = self.graph.num_nodes
+        return state[:count], state[count:].ravel()[: len(self.parameters)]
+
+    def at(self, state: Array, reference: Array | None = None) -> Graph:
+        """The graph at the parameters of a state, its noise at those of a reference state."""
+        _, values = self.parted(state)
+        nodes, at = self.parted(state if reference is None else reference)
+        return corrected(self.graph, values, nodes, at)
+
+    def cost(self, state: Array, reference: Array | None = None) -> float:
+        """J and the cost of the priors."""
+        nodes, _ = self.parted(state)
+        held = nodes if reference is None else self.parted(reference)[0]
+        return self.at(state, reference).cost(nodes, held)
+
+    def linearize(self, state: Array, reference: Array | None = None) -> tuple[JointSystem, float]:
+        """The system at a state, and its cost."""
+        nodes, _ = self.parted(state)
+        held = nodes if reference is None else self.parted(reference)[0]
+        graph = self.at(state, reference)
+        _, cost = graph.linearize(nodes, held)
+        self.system.fill(graph, nodes, held, self.border(graph, nodes, held))
+        return self.system, cost
+
+    def border(self, graph: Graph, nodes: Array, held: Array, scaled: bool = False) -> Border:
+        """C, D and g of `at` a state; ``scaled`` as `Graph.information` scales Omega."""
+        parameters = graph.parameters
+        assert parameters is not None
+        seen, driven = sighted_edges(graph), motion_edges(graph)
+        factor = seen.information_per_weight if scaled else 1.0
+        predicted = predictions(seen, held)
+        border = Border.of_sightings(self._copies, graph, seen, nodes, held, predicted).scaled(factor)
+        if driven is not None:
+            _, slopes = motion_slopes(parameters, corrected_controls(parameters))
+            border += Border.of_motions(driven, nodes, held, slopes)
+        priors = parameters.weights
+        return border + Border(
+            np.zeros_like(border.mixed), np.diag(priors), -priors * (parameters.values - parameters.means)
+        )
+
+    @cached_property
+    def _copies(self) -> BlockSystem:
+        edges, _ = copied(sighted_edges(self.graph), np.zeros((self.graph.num_nodes, 3)), len(self.graph.steps))
+        count = len(edges.sightings) + len(self.graph.landmark_ids)
+        return BlockSystem.from_cliques(count, [edges.cliques()])
+
+
+class Border:
+    """C (n, 3, K), D (K, K) and g (K,) of some edges."""
+
+    def __init__(self, mixed: Array, own: Array, gradient: Array) -> None:
+        self.mixed, self.own, self.gradient = mixed, own, gradient
+
+    def __add__(self, other: Border) -> Border:
+        return Border(self.mixed + other.mixed, self.own + other.own, self.gradient + other.gradient)
+
+    def scaled(self, factor: float) -> Border:
+        """The same with another factor on the information."""
+        return self if factor == 1 else Border(self.mixed * factor, self.own * factor, self.gradient * factor)
+
+    @classmethod
+    def of_sightings(
+        cls, copies: BlockSystem, graph: Graph, edges: SightingEdges, nodes: Array, held: Array, predicted: Array
+    ) -> Border:
+        """That of edges from sightings, with the predicted sightings (M, d); ``copies`` has room for Omega and xi."""
+        parameters = graph.parameters
+        assert parameters is not None and graph.log is not None
+        poses, count = len(graph.steps), len(edges.sightings)
+        free, at = copied(edges, nodes, poses)
+        copies.clear()
+        free.accumulate(at, copied(edges, held, poses)[1], copies)
+        moved = np.zeros((len(at), 3, len(parameters)))
+        moved[:count] = moves(parameters, predicted, graph.log.steps[graph.sighting_rows])
+        moved[:count, :2] = rotation(at[:count, 2]) @ moved[:count, :2]
+        weighed = _times(copies, moved)
+        mixed = np.zeros((len(nodes), 3, len(parameters)))
+        np.add.at(mixed, edges.first if isinstance(edges, ObservationEdges) else edges.nodes, weighed[:count])  # type: ignore[attr-defined]
+        mixed[poses:] += weighed[count:]
+        own = np.einsum("nik,nil->kl", moved, weighed)
+        return cls(mixed, (own + own.T) / 2, np.einsum("nik,ni->k", moved, copies.xi))
+
+    @classmethod
+    def of_motions(cls, edges: RelativePoseEdges, nodes: Array, held: Array, slopes: Array) -> Border:
+        """That of motion edges whose measured motions have the derivative slopes (T, 3, K) by the parameters."""
+        ends = edges.linearize(nodes, held)
+        # a longer measured motion has the effect of a second pose that stays behind
+        behind = -slopes
+        behind[:, :2] = rotation(nodes[edges.first, 2]) @ behind[:, :2]
+        J = ends.jacobians[1] @ behind
+        weighed = ends.information @ J
+        mixed = np.zeros((len(nodes), 3, slopes.shape[2]))
+        for node, B in zip(ends.nodes, ends.jacobians):
+            np.add.at(mixed, node, np.swapaxes(B, 1, 2) @ weighed)
+        own = np.einsum("eik,eil->kl", J, weighed)
+        return cls(mixed, (own + own.T) / 2, -np.einsum("eik,ei->k", weighed, ends.residuals))
+
+
+class JointSystem:
+    """The bordered system at one state; see the module."""
+
+    def __init__(self, joint: JointGraph) -> None:
+        self._joint = joint
+
+    def fill(self, graph: Graph, nodes: Array, held: Array, border: Border) -> None:
+        """Take over what `Graph.linearize` left in the graph's system, and the border."""
+        self._graph, self._nodes, self._held, self.border = graph, nodes, held, border
+
+    @property
+    def xi(self) -> Array:
+        """(n + r, 3)."""
+        return self._joint.joined(self._graph.system.xi, self.border.gradient)
+
+    def diagonal(self) -> Array:
+        """The scalar diagonal, (n + r, 3), 1 where there is no parameter."""
+        last = np.ones(3 * self._joint.rows)
+        last[: len(self.border.own)] = np.diag(self.border.own)
+        return np.concatenate([self._graph.system.diagonal(), last.reshape(-1, 3)])
+
+    def factorize(self, damping: float = 0.0) -> JointFactor:
+        """The factor of Omega, and of S, both with damping times the diagonal.
+
+        Raises:
+            GraphError: the edges leave a direction of the nodes free, or S is not positive definite.
+        """
+        try:
+            factor = self._graph.system.factorize(damping)
+        except FactorizationError as error:
+            raise undetermined(self._graph, self._nodes, error) from None
+        return JointFactor(self._joint, factor, self.border, damping)
+
+
+class JointFactor:
+    """Solves the bordered system.
+
+    Raises:
+        GraphError: S is not positive definite.
+    """
+
+    def __init__(self, joint: JointGraph, factor: Factor, border: Border, damping: float = 0.0) -> None:
+        self._joint, self._factor, self.border = joint, factor, border
+        # Omega^-1 C
+        self.reach = factor.solve(border.mixed)
+        own = border.own + damping * np.diag(np.diag(border.own))
+        self.schur = own - np.einsum("nik,nil->kl", border.mixed, self.reach)
+        try:
+            self._root = cho_factor((self.schur + self.schur.T) / 2)
+        except np.linalg.LinAlgError:
+            names = ", ".join(joint.parameters.names)
+            raise GraphError(f"the log does not determine the parameters {names} together: estimate fewer") from None
+
+    @property
+    def covariance(self) -> Array:
+        """S^-1 (K, K)."""
+        return cho_solve(self._root, np.eye(len(self.schur)))
+
+    def solve(self, right: Array) -> Array:
+        """The solution (n + r, 3) for a right side (n + r, 3)."""
+        xi, g = self._joint.parted(right)
+        first = self._factor.solve(np.ascontiguousarray(xi))
+        delta = cho_solve(self._root, g - np.einsum("nik,ni->k", self.border.mixed, first))
+        return self._joint.joined(first - self.reach @ delta, delta)
+
+
+def copied(edges: SightingEdges, state: Array, poses: int) -> tuple[SightingEdges, Array]:
+    """The same edges with a copy of the pose for each sighting as nodes, landmarks after them, and a state of these."""
+    count = len(edges.sightings)
+    own = np.arange(count)
+    if isinstance(edges, ObservationEdges):
+        moved = replace(edges, first=own, second=edges.second - poses + count)
+        return moved, np.concatenate([state[edges.first], state[poses:]])
+    assert isinstance(edges, LandmarkSightings)
+    return replace(edges, nodes=own), state[edges.nodes]
+
+
+def _times(system: BlockSystem, right: Array) -> Array:
+    """Omega times right sides (n, 3, K)."""
+    n, _, K = right.shape
+    flat = right.reshape(3 * n, K)
+    # the blocks of the upper triangle by columns are, transposed, those of the lower one by rows
+    lower = sp.bsr_matrix(
+        (np.ascontiguousarray(np.swapaxes(system.values, 1, 2)), system.indices, system.indptr), shape=(3 * n, 3 * n)
+    )
+    product = (lower @ flat + lower.T @ flat).reshape(n, 3, K)
+    return np.asarray(product - system.values[system.diagonal_slots] @ right)
+
+
+def _check_pairs(edges: SightingEdges) -> None:
+    """Raise `GraphError` where a landmark was seen twice in one step and sightings enter in pairs."""
+    if isinstance(edges, VirtualMotionEdges):
+        seen = np.column_stack([edges.group, edges.nodes])
+        if len(np.unique(seen, axis=0)) < len(seen):
+            raise GraphError(
+                "a landmark was seen twice from one pose, and pairs of such sightings tell nothing of the pose but of the "
+                "parameters; use weight='marginal' or edges='landmark+motion'"
+            )
+
+
+#: the least information of a combination of parameters, over that with all nodes known
+LEAST = 1e-7
+#: parameters with at least this part of the largest one in such a combination are named
+NAMED = 0.1
+
+
+def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
+    """Raise `GraphError` where the log does not tell the parameters, at nodes (n, 3) and values (K,), with names and reason.
+
+    A prior does not help: what the log does not tell at all would only be the prior.
+    """
+    parameters, K = joint.parameters.at(values), len(values)
+    graph, slopes = _without_noise(corrected(joint.graph, values, nodes), nodes)
+    graph.linearize(nodes)
+    try:
+        factor = graph.system.factorize()
+    except FactorizationError:
+        # the nodes alone are not determined: the solver says so
+        return
+    seen = sighted_edges(graph)
+    border = Border.of_sightings(joint._copies, graph, seen, nodes, nodes, seen.sightings)
+    if (driven := motion_edges(graph)) is not None:
+        border += Border.of_motions(driven, nodes, nodes, slopes)
+    known = np.diag(border.own)
+    still = [name for name, information in zip(parameters.names, known) if not information > 0]
+    if still:
+        raise GraphError(f"the log does not tell {' and '.join(still)}: nothing that was recorded depends on it")
+    schur = border.own - np.einsum("nik,nil->kl", border.mixed, factor.solve(border.mixed))
+    scale = 1 / np.sqrt(known)
+    information, directions = eigh(scale[:, None] * schur * scale)
+    if information[0] < LEAST:
+        direction = np.abs(directions[:, 0])
+        names = [parameters.names[k] for k in range(K) if direction[k] >= NAMED * direction.max()]
+        what = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} together"
+        why = "poses and landmarks can follow a change of it exactly"
+        if len(names) > 1:
+            why = "they can change so that poses and landmarks follow exactly; estimate all but one of them"
+        if {"wheel_scale", "range_scale"} <= set(names):
+            why = "both only change the size of the world; estimate one of the two, relative to the other"
+        raise GraphError(f"the log does not tell {what}: {why}")
+    deviations = np.sqrt(np.diag(np.linalg.inv(schur + np.diag(parameters.weights))))
+    for name, deviation in zip(parameters.names, deviations.tolist()):
+        if deviation > PARAMETERS[name].limit:
+            raise GraphError(
+                f"the log does not tell {name}: its standard deviation would be {deviation:.2g} "
+                f"{PARAMETERS[name].unit}".rstrip()
+                + "; estimate fewer parameters, or give it a prior"
+            )
+
+
+def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
+    """The graph whose measurements are what the nodes predict, and the derivative (T, 3, K) of its motions."""
+    seen, driven = sighted_edges(graph), motion_edges(graph)
+    parameters = graph.parameters
+    assert parameters is not None
+    trust = seen.trusted * graph.sighting_weights(nodes)
+    exact = replace(seen, sightings=predictions(seen, nodes), kernel=None, trust=trust)  # type: ignore[type-var]
+    changed = {seen: exact}
+    slopes = np.zeros((0, 3, len(parameters)))
+    if driven is not None:
+        measured = between(nodes[driven.first], nodes[driven.second])
+        changed[driven] = replace(driven, measured=measured)  # type: ignore[index, assignment]
+        _, slopes = motion_slopes(parameters, corrected_controls(parameters), measured[:, :2])
+    found = replace(graph, families=tuple(changed.get(family, family) for family in graph.families))  # type: ignore[call-overload]
+    vars(found)["system"] = graph.system
+    return found, slopes

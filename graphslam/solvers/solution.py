@@ -1,0 +1,356 @@
+"""`Solution`: what every solver of a graph returns.
+
+The map that a solved graph leaves for others, with the joint covariance of its landmarks.
+
+Its inverse is the Schur complement of all poses in Omega: all that the log says about the landmarks, at the linearisation
+of the solution. A graph of another log with this prior has the same solution as one of both logs together, as far as they are
+linear.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from numbers import Integral
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+
+from ..edges import CartesianObservationEdges, MarginalEdges, SightingEdges
+from ..errors import OptionError, make_read_only, quoted
+from ..graph import Graph
+from ..graph.landmark_map import LandmarkMap
+from ..graph.transform import with_landmark_nodes
+from ..identification.declared import ParameterEstimate
+from ..log import Log
+from ..marginals import ids_of, shaped
+from ..metrics import pose_nees
+from ..se2 import Array, wrap
+from .certificate import Certificate, prove
+from .uncertainty import Uncertainty, doubts
+
+#: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
+MOST = 50_000_000
+
+
+def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> LandmarkMap:
+    """The map at a solution (n, 3), in the frame of the graph.
+
+    Landmarks of the graph's own map that are exact stay so. Graphs without landmark nodes get them: their covariances then
+    count each sighting once, also where the weight "pairs" counts it more often.
+
+    Raises:
+        OptionError: the graph has no landmarks. GraphError: its edges do not determine them.
+    """
+    log = graph.log
+    if not len(graph.landmark_ids):
+        if log is None:
+            raise OptionError("a graph without a log and without landmark nodes has no map")
+        graph, state = _with_nodes(graph, log, state)
+        uncertainty = Uncertainty(graph, state)
+    poses, d = len(graph.steps), graph.landmark_dimension
+    free = np.setdiff1d(np.arange(poses, graph.num_nodes), graph.fixed)
+    places = state[:, :d].copy()
+    places[:, 2:] = wrap(places[:, 2:])
+    ids = graph.landmark_ids[free - poses].tolist()
+    means_of_nodes = dict(zip(graph.landmark_ids.tolist(), places[poses:]))
+    means = means_of_nodes | dict(graph.map or {}) | dict(zip(ids, places[free]))
+    classes = (graph.map.classes if graph.map is not None else {}) | _classes(log)
+    # landmarks of the graph's map that are no nodes are as they were
+    others = {
+        j: C for j, C in (graph.map.covariances if graph.map is not None else {}).items() if j not in means_of_nodes
+    }
+    if 9 * len(free) * graph.num_nodes > MOST or not len(free):
+        covariances = dict(zip(ids, uncertainty.diagonal[free, :d, :d]))
+        return LandmarkMap(means, others | covariances, classes=classes)
+    kept = np.tile(np.arange(3) < d, len(free))
+    joint = block_diag(uncertainty.joint(free)[np.ix_(kept, kept)], *others.values())
+    # by increasing id
+    places = np.repeat([*ids, *others], [d] * len(ids) + [len(C) for C in others.values()])
+    order = np.argsort(places, kind="stable")
+    joint = joint[np.ix_(order, order)]
+    return LandmarkMap(means, classes=classes, joint=(joint + joint.T) / 2, joint_ids=[*ids, *others])
+
+
+def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:
+    """The graph with landmark nodes in place of virtual-motion or marginal edges, and a state of all its nodes."""
+    sighted = next(family for family in graph.families if isinstance(family, SightingEdges))
+    nodes = with_landmark_nodes(graph)
+    assert nodes is not None
+    families = tuple(
+        replace(f, kernel=sighted.kernel) if isinstance(f, CartesianObservationEdges) else f for f in nodes.families
+    )
+    ids = np.unique(log.landmarks[graph.sighting_rows])
+    by_landmark = sighted.starts, sighted.nodes, sighted.sightings, sighted.sensor  # type: ignore[attr-defined]
+    marks = MarginalEdges(*by_landmark, kernel=sighted.kernel, trust=sighted.trust).landmarks(state, state)
+    changed = replace(nodes, families=families, landmark_ids=ids, parameters=None, held=None)
+    return changed, np.concatenate([state, marks])
+
+
+def _classes(log: Log | None) -> dict[int, str | int]:
+    """The class that most sightings of each landmark have, where the log has classes."""
+    if log is None or log.classes is None:
+        return {}
+    seen: dict[int, Counter[str | int]] = {}
+    known = log.classified
+    for j, kind in zip(log.landmarks[known].tolist(), log.classes[known].tolist()):
+        seen.setdefault(j, Counter())[kind] += 1
+    return {j: kinds.most_common(1)[0][0] for j, kinds in seen.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The result of a solver on a graph, converged or not.
+
+    The arrays are read-only. Methods name a pose by its id: the step for the graph of a log, the number in the file for a
+    pose graph.
+
+    Attributes:
+        poses: (T+1, 3) [m, m, rad], headings in [-pi, pi); for a pose graph one row per pose id, by increasing id.
+        estimated: (T+1,) bool; False for poses that are not part of the graph: their rows hold the initial guess.
+        landmarks: {id: (x, y) or (x, y, heading)}; landmark nodes, or the map that `estimate_map` makes from the poses,
+            with the graph's robust kernel and its trust in the sightings.
+        cost: J at the solution, the sum of e' Omega e (without a factor 1/2), with the priors of estimated parameters.
+        costs: J before the first step and after each one, as far as the solver reports it.
+        iterations: the number of steps taken.
+        step_norms: (iterations,), the Euclidean norm of each whole correction vector.
+        converged: whether a stop rule was met; never True for a run that diverged, could not lower J, or took all its
+            iterations. The solution is then a stationary point, which may be a local minimum.
+        reason: one sentence on why the iteration ended.
+        seconds: time of the optimisation alone [s], from initial values to the end.
+        solver: the name of the solver.
+        state: (n, 3) the values of the graph's nodes.
+        notes: remarks on the graph and the solver, one sentence each.
+        trust: (M,) the trust in each sighting of the log, from 0 to 1, where the method "gnc" determined it; NaN for
+            sightings that the graph does not use. None for other solvers.
+        other_trust: the same for {"relations": (R,), "positions": (N,)}, as far as the graph has them. In a pose graph the
+            relations are its loop closures, in their order.
+        graph: the graph that was solved, with the final trust in its sightings.
+    """
+
+    poses: Array
+    estimated: np.ndarray
+    landmarks: dict[int, Array]
+    cost: float
+    costs: Array
+    iterations: int
+    step_norms: Array
+    converged: bool
+    reason: str
+    seconds: float
+    solver: str
+    state: Array
+    notes: tuple[str, ...] = ()
+    trust: Array | None = None
+    other_trust: dict[str, Array] = field(default_factory=dict)
+    graph: Graph | None = None
+
+    def __post_init__(self) -> None:
+        make_read_only(self, "poses", "estimated", "costs", "step_norms", "state", "trust")
+        for place in self.landmarks.values():
+            place.flags.writeable = False
+
+    def __repr__(self) -> str:
+        """One line: solver, outcome, cost and sizes."""
+        outcome = "converged" if self.converged else "not converged"
+        return (
+            f"<Solution by {self.solver}: {outcome} after {self.iterations} iterations, J = {self.cost:.6g}, "
+            f"{len(self.poses)} poses, {len(self.landmarks)} landmarks, {self.seconds:.3g} s>"
+        )
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """Whether the solution is proven to be the global minimum of J, and how far below J any state may lie at most.
+
+        Computed at the first use. Estimated parameters are held at their values, which the status states: a lower J with
+        other values is not excluded. The status of a run that has not converged is "not proven", also where the bound is
+        tight.
+        """
+        return prove(self._solved_graph, self.state).of_run(self.converged, self.reason)
+
+    def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:
+        """Covariances in world axes (x, y, theta): blocks of Omega^-1.
+
+        With a robust kernel they are those of the robust estimate; see `Graph.information`.
+
+        Args:
+            poses: the id of a pose, which gives (3, 3), or a list of P ids, which gives (P, 3, 3). An id is the step for
+                the graph of a log, the number in the file for a pose graph.
+            landmarks: the id of a landmark, which gives (d, d), d = 2 or 3, or a list of L ids, which gives (L, d, d). For
+                a map made from the poses they are those given the poses.
+            joint: return one matrix (3 P + d L, 3 P + d L) of poses and landmark nodes, poses first, instead of a block
+                for each. Without it, poses and landmarks together give a pair (blocks of poses, blocks of landmarks).
+
+        Without arguments, the covariances of all rows of ``poses``, (T+1, 3, 3); NaN where a pose is not estimated.
+
+        Raises:
+            OptionError: there is no such pose or landmark, or the graph does not estimate it.
+            GraphError: the edges do not determine the poses.
+        """
+        if poses is None and landmarks is None and not joint:
+            blocks = np.full((len(self.poses), 3, 3), np.nan)
+            blocks[self.estimated] = self._uncertainty.diagonal[: int(self.estimated.sum())]
+            return blocks
+        graph = self._solved_graph
+        if poses is None and landmarks is None:
+            poses = graph.pose_ids
+        nodes = [self._node(id) for id in ids_of("poses", poses)]
+        ids, first, d = ids_of("landmarks", landmarks), len(graph.steps), graph.landmark_dimension
+        if unknown := [id for id in ids if id not in self.landmarks]:
+            raise OptionError(f"there is no landmark {unknown[0]} in the solution")
+        if not joint:
+            of_landmarks = [self.landmark_covariances[id] for id in ids]
+            return shaped(poses, landmarks, [self._uncertainty.diagonal[node] for node in nodes], of_landmarks)
+        if ids and not len(graph.landmark_ids):
+            raise OptionError(
+                f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
+            )
+        ends = [(node, 3) for node in nodes]
+        ends += [(first + int(np.searchsorted(graph.landmark_ids, id)), d) for id in ids]
+        return np.block([[self._uncertainty.block(a, b)[:m, :n] for b, n in ends] for a, m in ends])
+
+    @cached_property
+    def landmark_covariances(self) -> dict[int, Array]:
+        """{id: (2, 2) or (3, 3)}: marginal covariances of landmark nodes; for a map from the poses, given the poses."""
+        if isinstance(self.landmarks, LandmarkMap):
+            return self.landmarks.covariances
+        if not self.landmarks:
+            return {}
+        graph = self._solved_graph
+        blocks = self._uncertainty.diagonal[len(graph.steps) :]
+        d = graph.landmark_dimension
+        return {j: block[:d, :d].copy() for j, block in zip(self.landmarks, blocks)}
+
+    @cached_property
+    def map(self) -> LandmarkMap:
+        """The map with the joint covariance of its landmarks, to localise other logs in; see `solved_map.solved_map`.
+
+        Raises:
+            OptionError: the solution has no landmarks. GraphError: the edges do not determine them.
+        """
+        return solved_map(self._solved_graph, self.state, self._uncertainty)
+
+    def nees(self, true_poses: ArrayLike) -> Array:
+        """The normalised estimation error squared e' P^-1 e / 3 of every pose, (T+1,); 1 on average if consistent.
+
+        The poses are not aligned: the truth must be in the frame of the graph. NaN where the truth is unknown, or the
+        pose is not estimated or fixed. `metrics.pose_nees` has the source.
+
+        Raises:
+            GraphError: the edges do not determine the poses.
+        """
+        return pose_nees(_errors(self.poses, true_poses), self.covariance())
+
+    def joint_nees(self, true_poses: ArrayLike) -> float:
+        """e' Omega e / (3 T) of all poses together but the first, given the first; 1 on average if consistent.
+
+        Landmark nodes and estimated parameters are eliminated, so that their uncertainty counts. The truth must be in the
+        frame of the graph, and known for all its poses.
+        """
+        graph = self._solved_graph
+        errors = _errors(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
+        return self._uncertainty.joint_square(errors) / errors[1:].size
+
+    @cached_property
+    def expected_ate(self) -> float:
+        """The ATE [m] that the covariances let expect, with the uncertainty of biases: the truth is not needed.
+
+        It is as right as the noise models are. `Uncertainty.expected_ate` has the equation.
+
+        Raises:
+            GraphError: the edges do not determine the poses.
+        """
+        return self._uncertainty.expected_ate(len(self._solved_graph.steps))
+
+    @cached_property
+    def parameters(self) -> ParameterEstimate | None:
+        """The parameters of vehicle and sensor that the graph estimates, with their covariance; None for none.
+
+        Raises:
+            GraphError: the edges do not determine them.
+        """
+        unknown = None if self.graph is None else self.graph.parameters
+        if unknown is None:
+            return None
+        priors = zip(unknown.names, unknown.means.tolist(), unknown.deviations.tolist())
+        return ParameterEstimate(
+            unknown.names, unknown.values, self._uncertainty.of_parameters,
+            {name: (mean, deviation) for name, mean, deviation in priors if np.isfinite(deviation)},
+            doubts(self._solved_graph, self.state, self._uncertainty),
+        )  # fmt: skip
+
+    @property
+    def _solved_graph(self) -> Graph:
+        if self.graph is None:
+            raise OptionError(f"the solver {self.solver} left no graph to take covariances from")
+        return self.graph
+
+    @cached_property
+    def _uncertainty(self) -> Uncertainty:
+        return Uncertainty(self._solved_graph, self.state)
+
+    def _node(self, id: int) -> int:
+        """The node of a pose."""
+        graph, whole = self._solved_graph, isinstance(id, Integral)
+        ids = graph.pose_ids
+        matches = np.flatnonzero((ids == id) & whole)
+        if len(matches):
+            return int(matches[0])
+        if graph.log is None:
+            what = f"{len(ids)} whole numbers from {ids.min()} to {ids.max()}, such as {', '.join(map(str, ids[:3]))}"
+        elif whole and 0 <= id < len(self.poses):
+            raise OptionError(f"pose {id} is not part of the graph, so it has no covariance")
+        else:
+            what = f"the steps of the log, 0 to {len(self.poses) - 1}"
+        raise OptionError(f"there is no pose {quoted(id)}; the ids of the poses are {what}")
+
+
+def _errors(poses: Array, true_poses: ArrayLike) -> Array:
+    errors = poses - np.asarray(true_poses, dtype=float)
+    errors[:, 2] = wrap(errors[:, 2])
+    return errors
+
+
+def make_solution(
+    graph: Graph,
+    state: Array,
+    *,
+    step_norms: list[float],
+    costs: list[float],
+    converged: bool,
+    reason: str,
+    seconds: float,
+    solver: str,
+    notes: tuple[str, ...] = (),
+    cost: float | None = None,
+) -> Solution:
+    """The `Solution` of a graph from the final state (n, 3) of a solver, its cost if known, and the record of its steps."""
+    poses, estimated = graph.trajectory_of(state)
+    poses[:, 2] = wrap(poses[:, 2])
+    cost = graph.cost(state) if cost is None else cost
+    landmarks: dict[int, Array] = {}
+    if len(graph.landmark_ids):
+        nodes = state[len(graph.steps) :, : graph.landmark_dimension].copy()
+        nodes[:, 2:] = wrap(nodes[:, 2:])
+        landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
+    elif graph.log is not None and np.all(np.isfinite(poses)):
+        landmarks = graph.map_from(poses)
+    return Solution(
+        poses=poses,
+        estimated=estimated,
+        landmarks=landmarks,
+        cost=cost,
+        costs=np.array([*costs, cost]),
+        iterations=len(step_norms),
+        step_norms=np.array(step_norms),
+        converged=converged,
+        reason=reason,
+        seconds=seconds,
+        solver=solver,
+        state=state,
+        notes=(*graph.notes, *notes),
+        graph=graph,
+    )

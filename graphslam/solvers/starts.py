@@ -1,0 +1,392 @@
+"""Initial values of the iteration: given values, dead reckoning, or headings first and then positions.
+
+Gauss-Newton reaches the optimum only from near it, mostly because of the headings. They can be computed first, by linear
+least squares on unit vectors: with r_i = (cos theta_i, sin theta_i), every edge that measures a relative heading d asks
+for R(d) r_i = r_j. With the headings known, the positions are linear, too. Both systems have the pattern of Omega, so
+its ordering and structure are computed only once.
+
+Source: Carlone, Tron, Daniilidis and Dellaert, *Initialization techniques for 3D SLAM: a survey on rotation estimation
+and its use in pose graph optimization*, ICRA 2015 (there called chordal relaxation, for the plane).
+
+Initial values by solving a growing part of the trajectory: solve the first poses, add the next ones, solve again.
+
+Each added pose begins where its motion edge leads from the corrected pose before it, so that no error of dead reckoning
+accumulates, and each new landmark where its first sighting puts it. This finds the optimum where noise is so large that
+starts which look at all poses at once end in other minima. Fewer poses at a time find it more often, and take longer.
+
+Restarts with one stretch of the trajectory turned by 2 pi: a search for a lower minimum near a local one.
+
+Sightings hold headings up to full turns. Where they are few or noisy, mainly the motion edges say how far the robot turns
+over a stretch of poses, and one full turn more or less, spread over the stretch, leads to another minimum. If the headings
+of an end deviate from those of the odometry by E over a stretch whose odometry has the variance V, the motion edges
+cost about E² / V there, and (2 pi - abs(E))² / V after the other turn.
+
+`descents` has the restarts from an end that is not proven, along the negative direction of its certificate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..edges import AnchorEdges, ObservationEdges, PriorEdges, RelationEdges, RelativePoseEdges
+from ..edges.base import Relations
+from ..engine import engine
+from ..errors import GraphError, quoted
+from ..graph import Graph
+from ..graph.transform import first_poses
+from ..linear.cholesky import FactorizationError
+from ..linear.information import BlockSystem
+from ..se2 import Array, compose, rotation, wrap
+from .iteration import Run, gauss_newton
+
+
+def rotation_first(graph: Graph) -> Array:
+    """A state (n, 3): headings by linear least squares on unit vectors, then positions by linear least squares.
+
+    Raises:
+        GraphError: the edges do not connect all headings (no psi and no motion edges, for instance).
+    """
+    state, system = graph.initial.copy(), graph.system
+    held = _held(graph, state)
+    headings = _followed(graph, state, held)
+    if headings is None:
+        _solve_headings(graph, state, held)
+    else:
+        state[:, 2] = headings
+
+    system.clear()
+    position = np.zeros((graph.num_nodes, 2))
+    position[held] = state[held, :2]
+    for family in graph.families:
+        offset = family.positions(state)
+        if offset is not None:
+            engine.add_positions(*_relations(system, offset), position, *system.arrays)
+    state[:, :2] = position + _solved(graph, system, held)[:, :2]
+    return state
+
+
+def _followed(graph: Graph, state: Array, held: np.ndarray) -> Array | None:
+    """The headings (n,) where each edge leads to one more node, in the order of the edges: without loops all can be met."""
+    headings, known = state[:, 2].copy(), np.zeros(graph.num_nodes, dtype=bool)
+    known[held] = True
+    for family in graph.families:
+        edges = family.headings()
+        if edges is not None and not engine.follow_headings(
+            edges.first, edges.second, edges.value, edges.information, headings, known
+        ):
+            return None
+    return headings if known[: len(graph.steps)].all() else None
+
+
+def _solve_headings(graph: Graph, state: Array, held: np.ndarray) -> None:
+    """Write the headings by linear least squares on unit vectors into a state (n, 3)."""
+    system = graph.system
+    system.clear()
+    tied = np.zeros(graph.num_nodes, dtype=bool)
+    # linear, so it does not matter where the others start
+    unit = np.zeros((graph.num_nodes, 2))
+    unit[held, 0], unit[held, 1] = np.cos(state[held, 2]), np.sin(state[held, 2])
+    for family in graph.families:
+        relative = family.headings()
+        if relative is not None:
+            engine.add_headings(*_relations(system, relative), unit, *system.arrays)
+            tied[relative.first] = tied[relative.second] = True
+    if not tied[: len(graph.steps)].all():
+        loose = np.flatnonzero(~tied[: len(graph.steps)])
+        raise GraphError(
+            f"initialize='rotation-first' needs edges that measure relative headings; {graph.names(loose)} have none"
+        )
+    system.rest(np.flatnonzero(~tied), 0)
+    correction = _solved(graph, system, held)
+    # a held heading keeps its own value, with its full turns
+    tied[held] = False
+    direction = unit + correction[:, :2]
+    tied &= np.any(direction != 0, axis=1)
+    state[tied, 2] = np.arctan2(direction[tied, 1], direction[tied, 0])
+
+
+def dead_reckoning(graph: Graph) -> Array:
+    """A state (n, 3): poses one after the other by their motion edges from the first, landmarks as given.
+
+    Raises:
+        GraphError: there is no chain of motion edges through all poses.
+    """
+    state, (step, _) = graph.initial.copy(), odometry(graph, "dead-reckoning")
+    for k in range(1, len(graph.steps)):
+        state[k] = compose(state[k - 1], step[k])
+    return state
+
+
+def odometry(graph: Graph, initialize: str) -> tuple[Array, Array]:
+    """The measured motion (P, 3) to each pose from the pose before it, and the variance (P,) of its turn; 0 for the first.
+
+    Raises:
+        GraphError: no motion edge leads to a pose; the message names the option's value ``initialize``.
+    """
+    step, variance = np.full((len(graph.steps), 3), np.nan), np.zeros(len(graph.steps))
+    step[:1] = 0.0
+    for family in graph.families:
+        if isinstance(family, RelativePoseEdges) and not isinstance(family, RelationEdges):
+            # several edges may lead to the next pose; the first in the file is the odometry
+            following = np.flatnonzero(family.second == family.first + 1)[::-1]
+            step[family.second[following]] = family.measured[following]
+            variance[family.second[following]] = _turn_variance(family.information[following])
+    missing = np.flatnonzero(np.isnan(step[:, 0]))
+    if len(missing):
+        raise GraphError(f"initialize={quoted(initialize)} needs motion edges; none leads to {graph.names(missing)}")
+    return step, variance
+
+
+def _turn_variance(information: Array) -> Array:
+    """The last diagonal element of the inverse of each matrix (E, 3, 3); infinite where it is singular."""
+    determinant = np.linalg.det(information)
+    minor = information[:, 0, 0] * information[:, 1, 1] - information[:, 0, 1] * information[:, 1, 0]
+    return np.divide(minor, determinant, out=np.full(len(minor), np.inf), where=determinant > 0)
+
+
+def place_landmarks(graph: Graph, poses: Array) -> Array:
+    """A state (n, 3) of poses (P, 3) and every landmark node at the mean of where its trusted sightings put it.
+
+    Landmarks of a map are where that puts them.
+    """
+    state = np.concatenate([poses, graph.initial[len(graph.steps) :]])
+    for family in graph.families:
+        if isinstance(family, ObservationEdges):
+            d = family.sightings.shape[1]
+            y, trust = family.sensor.h_inverse(state[family.first], family.sightings), family.trusted
+            columns = [y[:, 0], y[:, 1]] + ([np.cos(y[:, 2]), np.sin(y[:, 2])] if d == 3 else [])
+            total = np.column_stack([np.bincount(family.second, trust * part, graph.num_nodes) for part in columns])
+            count = np.bincount(family.second, trust, graph.num_nodes)
+            seen = np.flatnonzero(count)
+            state[seen, :2] = total[seen, :2] / count[seen, None]
+            if d == 3:
+                # the circular mean does not depend on where headings wrap
+                state[seen, 2] = np.arctan2(total[seen, 3], total[seen, 2])
+    state[graph.mapped] = graph.initial[graph.mapped]
+    return state
+
+
+def _held(graph: Graph, state: Array) -> np.ndarray:
+    """The nodes that keep their values; anchored ones, and those of a map, get the value that is given for them.
+
+    A map may leave all headings open, so that the first pose keeps its value, too: that of the first fix.
+    """
+    held = [graph.fixed]
+    for family in graph.families:
+        if isinstance(family, AnchorEdges | PriorEdges):
+            state[family.nodes] = family.values
+            held.append(family.nodes)
+    if graph.map is not None:
+        held.append(np.zeros(1, dtype=np.int64))
+    nodes = np.concatenate(held)
+    return nodes if len(nodes) else np.zeros(1, dtype=np.int64)
+
+
+def _relations(system: BlockSystem, relations: Relations) -> tuple[Array, ...]:
+    """The nodes of relations, the blocks between them, values and information, as the engine takes them."""
+    pairs = system.slots_of(relations.first, relations.second)[2]
+    return relations.first, relations.second, pairs, relations.value, relations.information
+
+
+def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
+    """The correction (n, 3), in which the third coordinate and held nodes are at rest."""
+    system.rest(np.arange(graph.num_nodes), 2)
+    system.hold(held)
+    try:
+        return system.factorize().solve(system.xi)
+    except FactorizationError as error:
+        raise GraphError(
+            f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([error.node]))}"
+        ) from None
+
+
+#: beyond this number of poses, more are added at a time in proportion, so that the time grows little faster than them
+MANY = 300
+#: the most steps of Gauss-Newton after each addition
+STEPS_EACH = 4
+
+
+@dataclass(frozen=True, eq=False)
+class _Tree:
+    """The parent (n,) of each node, a pose with a lower number, and the pose (n, 3) of the node in the axes of its parent."""
+
+    parents: np.ndarray
+    offsets: Array
+
+
+def most_steps(total: int, poses: int) -> float:
+    """The most steps of `sequential_start` for ``total`` poses, each counted as the part of the poses that it moves."""
+    steps, count = 0.0, 1
+    while count < total:
+        count = _next(count, poses, total)
+        steps += STEPS_EACH * count / total
+    return steps
+
+
+def _next(count: int, poses: int, total: int) -> int:
+    """The number of poses after some more were added to ``count``."""
+    return min(count + poses * max(count, MANY) // MANY, total)
+
+
+def sequential_start(graph: Graph, poses: int) -> Array:
+    """A state (n, 3) from solving the first poses, then ``poses`` more, until all are there.
+
+    Raises:
+        GraphError: no chain of motion edges leads through all poses.
+    """
+    tree, count, total = _tree(graph), 1, len(graph.steps)
+    state = graph.initial.copy()
+    _place(state, tree, np.flatnonzero(tree.parents[total:] == 0) + total)
+    while count < total:
+        before, count = count, _next(count, poses, total)
+        for pose in range(before, count):
+            _place(state, tree, np.array([pose]))
+        seen_from = tree.parents[total:]
+        _place(state, tree, np.flatnonzero((seen_from >= before) & (seen_from < count)) + total)
+        piece, nodes = first_poses(graph, count)
+        # a start needs little accuracy
+        run = Run(state[nodes], tolerance=1e-3 * count**0.5, max_iterations=STEPS_EACH)
+        try:
+            gauss_newton(piece, run)
+        except GraphError:
+            continue  # more poses may determine what these leave open
+        if np.isfinite(run.state).all():
+            state[nodes] = run.state
+    return state
+
+
+def _place(state: Array, tree: _Tree, nodes: np.ndarray) -> None:
+    """Set nodes of a state (n, 3) to where their parents see them."""
+    state[nodes] = compose(state[tree.parents[nodes]], tree.offsets[nodes])
+
+
+def _tree(graph: Graph) -> _Tree:
+    """Poses follow from the pose before, landmarks from the first pose that sees them."""
+    poses, unturned = len(graph.steps), np.zeros_like(graph.initial)
+    parents, offsets = np.full(graph.num_nodes, -1), np.zeros((graph.num_nodes, 3))
+    parents[1:poses] = np.arange(poses - 1)
+    offsets[:poses], _ = odometry(graph, "grow")
+    for family in graph.families:
+        for relations, columns in ((family.positions(unturned), slice(0, 2)), (family.headings(), 2)):
+            if relations is None:
+                continue
+            # of several sightings the last assignment stays: that of the first pose
+            backwards = np.argsort(-relations.first, kind="stable")
+            first, second = relations.first[backwards], relations.second[backwards]
+            at_landmark = second >= poses
+            parents[second[at_landmark]] = first[at_landmark]
+            offsets[second[at_landmark], columns] = relations.value[backwards][at_landmark]
+    # those of a map stay where they are
+    parents[graph.mapped] = -1
+    return _Tree(parents, offsets)
+
+
+#: a turn is tried where it raises the cost of the motion edges by at most this: a factor of exp(-5) in likelihood
+MOST_RISE = 10.0
+#: lengths of stretches [motions], from shortest to longest; stretches of one group do not overlap
+LENGTHS = ((2, 8), (9, 32), (33, 100))
+#: a turn is kept if it lowers J by more than this part of it
+LOWER = 1e-6
+#: the most turns to try, at most one for so many poses, and the most steps after each
+TURNS, POSES_PER_TURN, STEPS = 40, 4, 30
+
+
+def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
+    """The state (n, 3) that other turns lead to, one after the other, each kept if it lowers J; None if none does.
+
+    Returns:
+        The state, and the number of steps that were taken: after ``limit`` steps no further turn is tried.
+    """
+    most, steps = min(TURNS, len(graph.steps) // POSES_PER_TURN), 0
+    best, cost, tried, again = state, graph.cost(state), set[tuple[int, int, float]](), True
+    while again:
+        again = False
+        for stretch, start in _turns(graph, best):
+            if stretch in tried or len(tried) == most or steps >= limit:
+                continue
+            tried.add(stretch)
+            run = Run(start, tolerance=1e-6 * graph.num_nodes**0.5, max_iterations=STEPS)
+            try:
+                gauss_newton(graph, run)
+            except GraphError:
+                continue
+            steps += len(run.step_norms)
+            lower = graph.cost(run.state)
+            if lower < cost * (1 - LOWER):
+                best, cost, again = run.state, lower, True
+                break
+    return None if best is state else best, steps
+
+
+def _turns(graph: Graph, state: Array) -> Iterator[tuple[tuple[int, int, float], Array]]:
+    """Stretches (first pose, last pose, sign of E) and the states (n, 3) after their turns, in the order of the costs."""
+    try:
+        driven, variance = odometry(graph, "auto")
+    except GraphError:
+        return
+    deviation = np.zeros(len(driven))
+    deviation[1:] = wrap(np.diff(state[: len(driven), 2]) - driven[1:, 2])
+    E, V, headings = np.cumsum(deviation), np.cumsum(variance), np.cumsum(driven[:, 2])
+    for first, last in _stretches(E, V):
+        sign, stretch = float(np.sign(E[last] - E[first])), slice(first, last + 1)
+        share = (V[stretch] - V[first]) / (V[last] - V[first])
+        turn = headings[stretch] - headings[first] + E[stretch] - E[first] - 2 * np.pi * sign * share
+        heading = state[first, 2] + turn
+        steps = np.einsum("kij,kj->ki", rotation(heading[:-1]), driven[first + 1 : last + 1, :2])
+        place = state[first, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+        # what is missing at the last pose is shared evenly
+        place += np.linspace(0, 1, len(place))[:, None] * (state[last, :2] - place[-1])
+        start = state.copy()
+        start[first:last] = np.column_stack([place, heading])[:-1]
+        yield (first, last, sign), start
+
+
+def _stretches(E: Array, V: Array) -> list[tuple[int, int]]:
+    """The first and last poses of the stretches whose other turn raises the cost little, the least first."""
+    found = list[tuple[float, int, int]]()
+    for shortest, longest in LENGTHS:
+        group = list[tuple[float, int, int]]()
+        for length in range(shortest, min(longest, len(E) - 1) + 1):
+            variance = np.maximum(V[length:] - V[:-length], 1e-300)
+            rise = 4 * np.pi * (np.pi - np.abs(E[length:] - E[:-length])) / variance
+            cheap = np.flatnonzero(rise < MOST_RISE)
+            group += zip(rise[cheap].tolist(), cheap.tolist(), (cheap + length).tolist())
+        taken = np.zeros(len(E), dtype=bool)
+        for rise, first, last in sorted(group):
+            if not taken[first:last].any():
+                taken[first:last] = True
+                found.append((rise, first, last))
+    return [(first, last) for _, first, last in sorted(found)]
+
+
+#: the lengths that are tried, as changes of the heading [rad] that turns most
+CHANGES = (4.0, 2.0, 1.0)
+
+
+def descents(graph: Graph, state: Array, direction: Array) -> Iterator[Array]:
+    """States (n, 3) along a direction of `Certificate`, from which the cost may fall below that of the state.
+
+    The function below J falls along the direction, and along the direction turned by any angle; it is turned so that the
+    headings change most. J itself need not fall at once, so that long steps come first: on simulated logs, most lower ends
+    were reached from changes of two to four radians.
+    """
+    poses = len(graph.steps)
+    z, t = np.exp(1j * state[:poses, 2]), state[:, 0] + 1j * state[:, 1]
+    turned = direction[:poses, 0] * np.conj(z)
+    largest = np.abs(turned).max(initial=0.0)
+    if largest == 0:
+        return
+    # exp(i phase) makes the squares of the turns as negative as possible: the changes are imaginary, along the circle
+    phase = (np.pi - np.angle(np.sum(turned**2))) / 2
+    step = direction * np.exp(1j * phase) / largest
+    for length in CHANGES:
+        for sign in (1.0, -1.0):
+            moved = state.copy()
+            place = t + sign * length * step[:, 1]
+            moved[:, 0], moved[:, 1] = place.real, place.imag
+            moved[:poses, 2] = np.angle(z + sign * length * step[:poses, 0])
+            moved[graph.fixed] = state[graph.fixed]
+            yield moved

@@ -1,0 +1,230 @@
+"""Covariances from the factor of Omega at a solution: blocks of Omega^-1, which itself is never formed.
+
+What speaks against estimated parameters although the log determines them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from ..edges.base import Linearization
+from ..graph import Graph
+from ..identification.declared import Parameters
+from ..linear.cholesky import Factor, FactorizationError
+from ..se2 import Array, perpendicular
+from .corrected import motion_edges, undetermined
+from .joint import JointFactor, JointGraph
+
+
+class Uncertainty:
+    """Marginal covariances of the nodes of a graph at a state (n, 3), computed at the first use.
+
+    Omega is the Gauss-Newton information at the state, so the covariances are those of the linearised problem. With
+    robust kernels it is that of their estimate (`Graph.information`). Fixed nodes have covariance zero. The
+    uncertainty of parameters, solved for or held, is part of that of the nodes: Omega^-1 + (Omega^-1 C) S^-1 (Omega^-1 C)'.
+
+    Raises:
+        GraphError: (all methods) the edges do not determine the nodes.
+    """
+
+    def __init__(self, graph: Graph, state: Array) -> None:
+        self._graph, self._state = graph, state
+
+    @cached_property
+    def _factor(self) -> Factor:
+        system = self._graph.information(self._state)
+        try:
+            # the next solve would overwrite that of the system
+            return system.own_factor()
+        except FactorizationError as error:
+            raise undetermined(self._graph, self._state, error) from None
+
+    @cached_property
+    def _joint(self) -> JointFactor | None:
+        """The factor of the system with its parameters."""
+        graph = self._graph
+        if graph.parameters is None:
+            if graph.held is None:
+                return None
+            graph = replace(graph, parameters=graph.held)
+        joint = JointGraph(graph)
+        border = joint.border(graph, self._state, self._state, scaled=True)
+        # nodes that are held, such as exact landmarks of a map, do not follow the parameters
+        border.mixed[graph.fixed] = 0.0
+        return JointFactor(joint, self._factor, border)
+
+    @property
+    def of_parameters(self) -> Array:
+        """The covariance (K, K) of the parameters."""
+        return np.zeros((0, 0)) if self._joint is None else self._joint.covariance
+
+    @cached_property
+    def diagonal(self) -> Array:
+        """The covariance of every node, (n, 3, 3), by selected inversion."""
+        blocks = self._factor.diagonal_covariances()
+        if self._joint is not None:
+            reach = self._joint.reach
+            blocks += reach @ self._joint.covariance @ np.swapaxes(reach, 1, 2)
+        blocks[self._graph.fixed] = 0.0
+        return blocks
+
+    def block(self, i: int, j: int) -> Array:
+        """The covariance between nodes i and j, (3, 3): the block of Omega^-1 in row i and column j."""
+        if i == j:
+            return self.diagonal[i].copy()
+        if i in self._graph.fixed or j in self._graph.fixed:
+            return np.zeros((3, 3))
+        block = self._factor.covariance(i, j)
+        if self._joint is not None:
+            block = block + self._joint.reach[i] @ self._joint.covariance @ self._joint.reach[j].T
+        return block
+
+    def with_node(self, j: int) -> Array:
+        """The covariances (n, 3, 3) between every node and node j, by one solution: the columns of node j in Omega^-1."""
+        if j in self._graph.fixed:
+            return np.zeros((self._graph.num_nodes, 3, 3))
+        columns = np.zeros((self._graph.num_nodes, 3, 3))
+        columns[j] = np.eye(3)
+        blocks = self.solve(columns)
+        if self._joint is not None:
+            blocks = blocks + self._joint.reach @ self._joint.covariance @ self._joint.reach[j].T
+        blocks[self._graph.fixed] = 0.0
+        return blocks
+
+    def joint(self, nodes: np.ndarray) -> Array:
+        """The covariance (3k, 3k) of nodes (k,) together."""
+        whole = self._factor.joint_covariance(nodes)
+        if self._joint is not None:
+            reach = self._joint.reach[nodes].reshape(len(whole), -1)
+            whole = whole + reach @ self._joint.covariance @ reach.T
+        held = np.repeat(np.isin(nodes, self._graph.fixed), 3)
+        whole[held], whole[:, held] = 0.0, 0.0
+        return np.asarray(whole)
+
+    def expected_ate(self, poses: int) -> float:
+        """The root of the expected square of the ATE [m] of the first P nodes, ``poses``, if the noise models are right.
+
+        The ATE is the remainder of errors e of the positions after the best rigid motion is removed. To the first order
+        that is the part across the three directions g_k in which e shifts or turns all poses together, so its mean square
+        is (tr Sigma - sum_k g_k' Sigma g_k) / P.
+        """
+        centred = self._state[:poses, :2] - self._state[:poses, :2].mean(axis=0)
+        rigid = np.zeros((self._graph.num_nodes, 3, 3))
+        rigid[:poses, 0, 0] = rigid[:poses, 1, 1] = 1.0
+        rigid[:poses, :2, 2] = perpendicular(centred)
+        size = np.linalg.norm(rigid, axis=(0, 1))
+        rigid /= np.where(size > 0, size, 1.0)
+        rigid[self._graph.fixed] = 0.0
+        along = np.einsum("nik,nik->k", rigid, self.solve(rigid))
+        if self._joint is not None:
+            reached = np.einsum("nik,nip->kp", rigid, self._joint.reach)
+            along += np.einsum("kp,pq,kq->k", reached, self._joint.covariance, reached)
+        total = np.trace(self.diagonal[:poses, :2, :2], axis1=1, axis2=2).sum()
+        return float(np.sqrt(max(total - along.sum(), 0.0) / poses))
+
+    def solve(self, right: Array) -> Array:
+        """Omega^-1 times right-hand sides, (n, 3) or (n, 3, k)."""
+        return self._factor.solve(right)
+
+    def of_edges(self, edges: Linearization) -> Array:
+        """The covariance B Omega^-1 B' (E, d, d) of each residual due to the state, of edges between two nodes."""
+        first, second = edges.nodes
+        by_first, by_second = edges.jacobians
+        diagonal = self.diagonal
+        crossed = self._factor.covariances_between(first, second)
+        if self._joint is not None:
+            reach = self._joint.reach
+            crossed += reach[first] @ self._joint.covariance @ np.swapaxes(reach[second], 1, 2)
+        crossed[np.isin(first, self._graph.fixed) | np.isin(second, self._graph.fixed)] = 0.0
+        mixed = by_first @ crossed @ np.swapaxes(by_second, 1, 2)
+        own = sum(B @ diagonal[k] @ np.swapaxes(B, 1, 2) for B, k in ((by_first, first), (by_second, second)))
+        return own + mixed + np.swapaxes(mixed, 1, 2)
+
+    def joint_square(self, errors: Array) -> float:
+        """e' Omega e for errors (P, 3) of all poses but the first, given the first.
+
+        Landmark nodes and parameters are eliminated.
+        """
+        from scipy.sparse import bmat
+        from scipy.sparse.linalg import spsolve
+
+        border = None if self._joint is None else self._joint.border
+        system = self._graph.information(self._state)
+        omega, end = system.to_sparse().tocsc(), errors.size
+        if border is not None:
+            mixed = border.mixed.reshape(omega.shape[0], -1)
+            omega = bmat([[omega, mixed], [mixed.T, border.own]]).tocsc()
+        e = errors[1:].ravel()
+        square = float(e @ (omega[3:end, 3:end] @ e))
+        if omega.shape[0] > end:
+            across = omega[end:, 3:end] @ e
+            square -= float(across @ spsolve(omega[end:, end:], across))
+        return square
+
+
+#: the parameters that turns tell: a shift of the sensor moves sightings differently only where the robot turns
+BY_TURNS = ("sensor_ahead", "sensor_left", "sensor_delay")
+#: the parameters that change the size of the world; a log tells only their quotient
+SCALES = ("wheel_scale", "range_scale")
+#: a scale that is so many standard deviations from 1 is wrong, or the other one is
+CLEAR = 3.0
+#: doubtful where the motion edges cost less than this part of what they should
+SMALL = 0.3
+#: the expected cost from which the ratio is judged: its standard deviation is then sqrt(2 / 30), a quarter
+ENOUGH = 30.0
+
+
+def doubts(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
+    """The sentences that apply; empty where nothing speaks against the parameters."""
+    parameters = graph.parameters
+    assert parameters is not None
+    deviations = np.sqrt(np.diag(uncertainty.of_parameters))
+    found = (doubt_of_scale(parameters, deviations), doubt_of_turns(graph, state, uncertainty))
+    return ". ".join(each for each in found if each)
+
+
+def doubt_of_scale(parameters: Parameters, deviations: Array) -> str:
+    """A sentence where one scale is clearly not 1 and the other is held; empty otherwise.
+
+    Wheels that measure s times the way, and a sensor that measures 1 / s times the ranges, give the same log up to the size
+    of the world and to the noise, so that J does not tell them apart.
+    """
+    names = [name for name in parameters.names if name in SCALES]
+    if len(names) != 1:
+        return ""
+    k = parameters.names.index(names[0])
+    value, other = parameters.values[k], SCALES[1 - SCALES.index(names[0])]
+    if abs(value - 1) < CLEAR * deviations[k]:
+        return ""
+    return (
+        f"{names[0]} is {value:.3f} if {other} is 1, and a log explains itself as well with {other} {1 / value:.3f} instead. "
+        "Only a length that is known, such as the distance of two landmarks, tells which of the two is wrong"
+    )
+
+
+def doubt_of_turns(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
+    """A sentence where the motion model allows much more noise than the motions have; empty otherwise.
+
+    At the optimum, the residual of a motion edge has the covariance C - P, P = B Omega^-1 B', if the models are right. So the
+    expected cost of all motion edges is the sum of tr(I - C^-1 P). Where they cost much less, the noise of the sightings
+    appears as turns of the robot, and a parameter in `BY_TURNS` fits these.
+    """
+    assert graph.parameters is not None
+    names = [name for name in graph.parameters.names if name in BY_TURNS]
+    motions = motion_edges(graph)
+    if not names or motions is None:
+        return ""
+    edges = motions.linearize(state, state)
+    fitted = np.einsum("eij,eji->", edges.information, uncertainty.of_edges(edges))
+    expected, cost = edges.residuals.size - fitted, float(edges.mahalanobis.sum())
+    if expected < ENOUGH or cost > SMALL * expected:
+        return ""
+    return (
+        "the motions vary much less than the motion model allows: J of their edges is "
+        f"{cost / expected:.2f} of its expected value. Noise of the sightings may then appear as turns of the robot, "
+        f"so do not rely on {', '.join(names)}. Give the motion model the noise of the robot, "
+        "for example with slam-compare calibrate, which needs to know the place of the sensor (--sensor-offset)"
+    )

@@ -1,1 +1,0 @@
-"""Recorded streams of odometry, sightings and truth, each with its own clock."""
