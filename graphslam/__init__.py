@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from .lazy import lazy_names
 
 if TYPE_CHECKING:
-    pass
+    from . import edges, factors, io, metrics, se2, textbook
     from .association import associate
     from .calibration import calibrate
     from .edges.robust import Cauchy, GemanMcClure, Huber
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 #: the public names, by the module that defines them; "" lists modules
 _PUBLIC = {
-    "": "edges factors io.formats metrics se2 textbook",
+    "": "edges factors io metrics se2 textbook",
     "association": "associate",
     "calibration": "calibrate",
     "solvers.certificate": "Certificate",

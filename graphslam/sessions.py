@@ -13,7 +13,7 @@ pose x_a of the robot that sees, range and bearing give the place of the other o
     e = R(theta_a)' (p_b - p_a) - o - l (cos phi, sin phi),
 
 with the covariance of a sighting of a landmark (`SensorModel.places`); o is the place of the sensor. With psi the heading is
-measured, too. The other robot gets a pose at that instant, by cutting its controls (`keyframes.with_poses_at`).
+measured, too. The other robot gets a pose at that instant, by cutting its controls (`continuous_time.with_poses_at`).
 
 In a log such a sighting has the class "robot N", N the number of the other robot, and no id: whatever works with landmarks
 does not use it, and corrects it like the others.

@@ -1,6 +1,6 @@
 """One estimator of a comparison: an error becomes a `Skipped`, and the other estimators run.
 
-With a time limit it runs in a process of the `pool`. Neither a compiled kernel nor GTSAM can be interrupted in this process.
+With a time limit it runs in a process of the pool. Neither a compiled kernel nor GTSAM can be interrupted in this process.
 
 The pool of local processes in which studies, solver checks and the studies of filters do their work.
 

@@ -68,7 +68,7 @@ DOUBTFUL = 2.0
 
 
 def _correction(name: str) -> Any:
-    """The option that takes one of `graphslam.parameters.PARAMETERS` out of a log."""
+    """The option that takes one of `identification.declared.PARAMETERS` out of a log."""
     known = PARAMETERS[name]
     return option(
         None, f"{known.help}; corrected before anything else.", unit=known.unit, default_text=f"{known.ideal:g}",

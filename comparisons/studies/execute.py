@@ -182,7 +182,7 @@ def local_processes(jobs: int | None, estimators: Sequence[str]) -> Iterator[Pla
 def in_pool(pool: ProcessPool, run: Run, limit: float, added: bytes = b"") -> Future[Outcome]:
     """Begin a run in a pool. Starting a process and compiling do not count towards the limit [s], reading the log does.
 
-    ``added`` are estimators of the user that the processes of the pool may not have, see `pool.added_estimators`.
+    ``added`` are estimators of the user that the processes of the pool may not have, see `attempt.added_estimators`.
     """
     future: Future[Outcome] = pool.schedule(_execute_with, (run, added), timeout=limit)
     return future

@@ -68,7 +68,7 @@ class Run:
 
     Attributes:
         log: the name of the log in tables: the file as the study names it, or the world and its varied settings.
-        source: {"file", "sha256"} or {"simulate": settings}, see `simulated.simulated_log`.
+        source: {"file", "sha256"} or {"simulate": settings}, see `simulated_log`.
         seed: random seed of the simulator and of the estimator.
         estimator: its name.
         method: the name of the estimator in tables, with the varied options that it uses.

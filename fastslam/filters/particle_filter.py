@@ -56,7 +56,7 @@ class ParticleFilter(ABC):
     is resampled, and the filter continues. In log space this needs more than a bad initial pose: every particle exactly
     on the landmark, or numbers outside the range of floating point.
 
-    Random numbers come from one generator in this order: for each motion `noise.standard_normals`, five per particle
+    Random numbers come from one generator in this order: for each motion `options.standard_normals`, five per particle
     (nu, omega, x, y, theta; the first three for a Gaussian drawn at once), for each resampling what the scheme draws.
     The same seed gives exactly the same result for any number of threads.
 

@@ -160,7 +160,7 @@ class EdgeFamily(ABC):
         return self.cost(state, state)
 
     def constant(self, state: Array) -> ConstantEdges:
-        """The edges in the form that `graphslam.certificate` needs, at a state (n, 3); a kernel keeps its weights there.
+        """The edges in the form that `solvers.certificate` needs, at a state (n, 3); a kernel keeps its weights there.
 
         Raises:
             GraphError: their information depends on the state, or their residual has another form.

@@ -139,7 +139,7 @@ class Graph:
             dimensions: 3: require orientation psi; 2: ignore it; default: use psi where the log has it.
             residual: of landmark nodes: "cartesian" (the sighting as a position in the robot's axes, the landmark's heading
                 with it) or "polar" (range and bearing, h(x, m) - z, whose cost has false minima).
-            estimate: parameters of vehicle and sensor to estimate with the poses, names of `graphslam.parameters.PARAMETERS`:
+            estimate: parameters of vehicle and sensor to estimate with the poses, names of `declared.PARAMETERS`:
                 ["wheel_scale", "range_bias"]. "wheel_scale:0.1" gives a prior with this standard deviation about the
                 ideal value; {"wheel_scale": 0.1, "range_bias": None} is the same for both. Default: none is estimated.
 

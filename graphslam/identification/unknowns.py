@@ -1,7 +1,7 @@
 """A drive whose noise and biases are unknown: nodes, parameters and variances of one least-squares problem.
 
 The nodes are the poses x_t and the places m of the landmarks (with headings where psi was measured). The parameters p are
-those of `graphslam.parameters` (scales, biases, delay and place of the sensor), each with a prior about its ideal value. The
+those of `declared` (scales, biases, delay and place of the sensor), each with a prior about its ideal value. The
 residuals are
 
     motions:    e = (R(theta_t)' (t_{t+1} - t_t), theta_{t+1} - theta_t) - the motion of the corrected controls,

@@ -1,6 +1,6 @@
 """The streams of a drive in a bag: topics are chosen, streamed once, and brought into the axes of the robot.
 
-Bags of ROS 1 (.bag) and ROS 2 (.mcap, .db3, or their folder); `graphslam.bags` reads them.
+Bags of ROS 1 (.bag) and ROS 2 (.mcap, .db3, or their folder); `io.bag` reads them.
 
 A recipe beside the bag, ``drive.toml`` for ``drive.mcap``, names topics, fields, units and clocks (`io.tables`).
 """

@@ -202,7 +202,7 @@ class Log:
                 and lever_x, lever_y, the point of the robot that is measured. docs/other_sensors.md has both tables.
             name: of the log.
             keep_every: the greatest time between poses [s]; default: poses only where something was seen.
-            options, changes: units, clocks and axes: a `graphslam.tables.TableOptions`, or its fields, for example
+            options, changes: units, clocks and axes: a `graphslam.io.options.TableOptions`, or its fields, for example
                 ``angles="degrees"``, ``time={"odometry": "ms"}``, ``columns={"sightings": {"range": "dist"}}``.
 
         Raises:

@@ -68,8 +68,8 @@ class SensorFaults:
 
 #: the biases that are factors; the others are angles
 _FACTORS = ("speed", "turn rate", "range")
-#: the parameters of `graphslam.parameters` that stand for biases. None stands for that of psi, and the range shares its scale
-#: with the speed, so that only one of the two can be estimated well.
+#: the parameters of `identification.declared` that stand for biases. None stands for that of psi, and the range shares its
+#: scale with the speed, so that only one of the two can be estimated well.
 _PARAMETERS = {"speed": "wheel_scale", "turn rate": "turn_scale", "range": "range_scale", "bearing": "bearing_bias"}
 
 

@@ -135,7 +135,7 @@ class Run:
 
 
 def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: float) -> None:
-    """Iterate in the engine from ``run.state``; ``kept`` is `gauss_newton.KEPT`.
+    """Iterate in the engine from ``run.state``; ``kept`` is `KEPT`.
 
     Raises:
         GraphError: the edges do not determine the nodes.

@@ -226,7 +226,7 @@ class Solution:
 
     @cached_property
     def map(self) -> LandmarkMap:
-        """The map with the joint covariance of its landmarks, to localise other logs in; see `solved_map.solved_map`.
+        """The map with the joint covariance of its landmarks, to localise other logs in; see `solved_map`.
 
         Raises:
             OptionError: the solution has no landmarks. GraphError: the edges do not determine them.

@@ -165,7 +165,7 @@ def costs_figure(comparison: Comparison) -> Figure | None:
 
 
 def convergence_figure(variants: Sequence[Iterations]) -> Figure:
-    """The variants of `convergence.iterations`, drawn like `costs_figure`, with a legend."""
+    """The variants of `iterations`, drawn like `costs_figure`, with a legend."""
     traces: list[dict[str, Any]] = []
     for variant, (colour, symbol) in zip(variants, ITERATIONS):
         look = {"mode": "lines+markers", "line": {"color": colour, "width": 1.6},

@@ -69,7 +69,7 @@ class View:
 
     Attributes:
         log: what was estimated from.
-        aligned_to: what the estimates are aligned to, see `placement.aligned_to`.
+        aligned_to: what the estimates are aligned to, see `canvas.aligned_to`.
         steps: (S,) the steps shown.
         times: (S,) since the first pose [s]; None where the log has none.
         truth: (S, 3), NaN where unknown; None without ground truth.
