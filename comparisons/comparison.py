@@ -15,7 +15,7 @@ from graphslam import Certificate, GraphError, Log, MotionModel, SensorModel, Sl
 from graphslam.association import AssociationScore, score
 from graphslam.log import UNIDENTIFIED
 from graphslam.log_checks import Finding, check_log
-from graphslam.metrics import Metrics, evaluate
+from graphslam.metrics import Errors, Metrics, evaluate
 from graphslam.se2 import wrap
 
 from .display import Displayed
@@ -41,8 +41,8 @@ from .results.saving import SavedFiles, fill_results, new_directory, write_json
 from .results.sightings import association_document, documents_of_sessions
 
 
-@dataclass(frozen=True)
-class Row:
+@dataclass(frozen=True, kw_only=True)
+class Row(Errors):
     """One line of the table; None where a value does not exist or cannot be known.
 
     ``cost_per_dof`` is J per degree of freedom, about 1 where the noise models fit; see `results.of_expected`.
@@ -57,10 +57,6 @@ class Row:
     iterations: int | None = None
     seconds: float | None = None
     cost: float | None = None
-    ate_m: float | None = None
-    rpe_m: float | None = None
-    rpe_rad: float | None = None
-    landmark_rmse_m: float | None = None
     nees: float | None = None
     skipped: str | None = None
     cost_per_dof: float | None = None

@@ -23,7 +23,17 @@ from graphslam.io.map_files import COVARIANCE, UPPER
 from graphslam.io.options import TableOptions
 from graphslam.io.table import plain
 from graphslam.io.text_table import PARQUET, TEXT, table_of
-from graphslam.metrics import align, gospa, heading_rmse, landmark_rmse, matched_places, pose_nees, position_errors, rpe
+from graphslam.metrics import (
+    Errors,
+    align,
+    gospa,
+    heading_rmse,
+    landmark_rmse,
+    matched_places,
+    pose_nees,
+    position_errors,
+    rpe,
+)
 from graphslam.se2 import Array, compose, interpolate, rotation, wrap
 
 from .display import Displayed
@@ -54,20 +64,18 @@ class Trajectory:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluated:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evaluated(Errors):
     """The errors of one estimate; None where they cannot be known. Errors of the map are those after the same alignment.
 
     Attributes:
         name: of the estimate.
         poses, compared: the number of its poses, and of those at whose time the truth is known.
-        ate_m, most_m: root mean square and largest of the position errors after alignment [m].
-        rpe_m, rpe_rad: errors of the motion between neighbouring poses, see `graphslam.metrics.rpe`.
-        heading_rad: root mean square of the errors of the headings after alignment.
+        most_m: the largest position error after alignment [m].
         nees: mean of e' P^-1 e / 3; about 1 for right covariances. Where that of the first pose is zero, errors are those
             in its frame, else in that of the truth. None without covariances, true headings, or the truth of the first pose.
         landmarks: the number of landmarks of the map.
-        landmark_rmse_m: error of the landmarks whose ids are true ones, or, with ``match="place"``, of the pairs.
+            The error of the map is that of landmarks whose ids are true ones, or, with ``match="place"``, of the pairs.
         missed, false: true landmarks that have no partner within the cutoff, and landmarks of the map without.
         gospa_m: see `graphslam.metrics.gospa`.
         times, errors: (N,) [s] since the first true pose, and position errors [m].
@@ -79,17 +87,12 @@ class Evaluated:
     name: str
     poses: int
     compared: int
-    ate_m: float
     most_m: float
-    rpe_m: float | None
-    rpe_rad: float | None
-    heading_rad: float | None
     nees: float | None
     times: Array
     errors: Array
     aligned: Array
     landmarks: int | None = None
-    landmark_rmse_m: float | None = None
     missed: int | None = None
     false: int | None = None
     gospa_m: float | None = None
@@ -253,7 +256,7 @@ def _evaluated(
             "gospa_m": gospa(true_map, moved, options.cutoff), "aligned_map": moved,
         }  # fmt: skip
     return Evaluated(
-        estimate.name, len(known), int(np.count_nonzero(known)),
+        name=estimate.name, poses=len(known), compared=int(np.count_nonzero(known)),
         ate_m=float(np.sqrt(np.mean(errors**2))), most_m=float(errors.max()),
         rpe_m=None if step is None else step[0], rpe_rad=None if step is None else step[1],
         heading_rad=heading_rmse(at, poses) if with_heading else None,

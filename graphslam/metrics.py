@@ -13,7 +13,8 @@ in the RPE.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,25 +26,52 @@ from .se2 import Array, between, transform, wrap
 EXCHANGED = 3.0
 
 
-@dataclass(frozen=True)
-class Metrics:
-    """The errors of one estimate; None where they cannot be computed.
+def metric(title: str, unit: str, help: str, *, shown: str = "always") -> Any:
+    """A field of `Errors`: the declaration of a metric, from which tables, studies, axes, JSON and options take it.
+
+    Args:
+        title: in tables and on axes.
+        unit: "m" or "rad".
+        help: what it is, for the JSON schema.
+        shown: in which tables: "always", "runs" (not in the tables of studies), or "never" (only in files).
+    """
+    return field(default=None, metadata={"title": title, "unit": unit, "help": help, "shown": shown})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """The metrics of an estimate, each a number that is smaller for a better estimate; None where it cannot be known.
+
+    A further metric is a field here, and its value in `evaluate`.
+    """
+
+    ate_m: float | None = metric("ATE", "m", "absolute trajectory error, see `graphslam.metrics.ate`")
+    rpe_m: float | None = metric("RPE", "m", "relative pose error per step, see `graphslam.metrics.rpe`")
+    rpe_rad: float | None = metric("RPE", "rad", "relative pose error per step", shown="runs")
+    heading_rad: float | None = metric("heading", "rad", "error of the headings after alignment", shown="never")
+    landmark_rmse_m: float | None = metric("map", "m", "error of the map in the aligned frame")
+
+
+#: {name: title, unit, help and shown} of every metric
+METRICS = {f.name: f.metadata for f in fields(Errors)}
+
+
+def headings(studies: bool = False, separator: str = "\n") -> dict[str, str]:
+    """{name: title and unit} of the metrics that the tables of runs, or of studies, show."""
+    which = ("always",) if studies else ("always", "runs")
+    return {n: f"{m['title']}{separator}[{m['unit']}]" for n, m in METRICS.items() if m["shown"] in which}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metrics(Errors):
+    """The errors of one estimate and what they were computed with; None where they cannot be computed.
 
     Attributes:
-        ate_m: absolute trajectory error [m], see `ate`.
-        rpe_m, rpe_rad: relative pose error per step [m], [rad], see `rpe`.
-        heading_rad: error of the headings [rad], see `heading_rmse`.
-        landmark_rmse_m: error of the map [m], see `landmark_rmse`.
         landmark_errors_m: {id: error of each landmark [m]}, see `landmark_errors`.
         aligned_by: "poses", or "landmarks" where only their truth is known; see `alignment_of`.
         poses_counted: the number of poses that were compared: estimated, and with known true position.
     """
 
-    ate_m: float | None = None
-    rpe_m: float | None = None
-    rpe_rad: float | None = None
-    heading_rad: float | None = None
-    landmark_rmse_m: float | None = None
     landmark_errors_m: Mapping[int, float] | None = None
     aligned_by: str | None = None
     poses_counted: int | None = None

@@ -19,6 +19,7 @@ from fastslam.options import FilterOptions, GibbsOptions
 from graphslam.errors import OptionError, option
 from graphslam.graph.landmark_map import USES, LandmarkMap
 from graphslam.identification.declared import PARAMETERS, parsed
+from graphslam.metrics import METRICS as ERRORS
 from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS, World
@@ -465,7 +466,7 @@ class SummaryOptions(FigureOptions):
     )
     metric: str = option(
         "ate_m", "Metric of the figure.",
-        choices=("ate_m", "rpe_m", "rpe_rad", "landmark_rmse_m", "cost_per_dof", "iterations", "seconds"),
+        choices=(*ERRORS, "cost_per_dof", "iterations", "seconds"),
     )  # fmt: skip
     csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", panel=OUTPUT)
     summary: Path | None = option(

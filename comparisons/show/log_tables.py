@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from graphslam import Log
+from graphslam.metrics import headings as metric_headings
 from graphslam.se2 import Array
 
 from ..estimators import online_steps
@@ -217,7 +218,7 @@ def evaluation_tables(evaluation: Evaluation) -> Tables:
 
 
 #: the metrics of a study's tables
-_METRICS = {"ate_m": "ATE [m]", "rpe_m": "RPE [m]", "landmark_rmse_m": "map [m]"}
+_METRICS = metric_headings(studies=True, separator=" ")
 #: error messages that are printed below a study
 _MOST_ERRORS = 5
 

@@ -22,6 +22,7 @@ from graphslam.errors import printable
 from graphslam.files import write_whole
 from graphslam.log.measurements import Session
 from graphslam.metrics import exchanged
+from graphslam.metrics import headings as metric_headings
 
 from ..options import DOUBTFUL
 from ..results.sightings import errors_of_sessions, shared_landmarks, sightings_of
@@ -160,7 +161,7 @@ def _text(cell: object) -> str:
 
 def result_tables(results: ResultTable) -> Tables:
     """The rows of a comparison, one per estimator; NEES only where the truth is known, optimum only where a proof applies."""
-    metrics = {"ate_m": "ATE\n[m]", "rpe_m": "RPE\n[m]", "rpe_rad": "RPE\n[rad]", "landmark_rmse_m": "map\n[m]"}
+    metrics = metric_headings()
     known = any(row.nees is not None for row in results)
     proofs = any(row.certificate is not None and row.certificate.applicable for row in results)
     headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *["optimum"] * proofs]
@@ -230,7 +231,10 @@ def comparison_tables(comparison: Comparison) -> Tables:
 
 def session_tables(comparison: Comparison) -> list[Table]:
     """A table for each of several logs that were solved together: its errors, alone and after the common alignment."""
-    metrics = {"ate_m": "ATE\n[m]", "rpe_m": "RPE\n[m]", "rpe_rad": "RPE\n[rad]"}
+    errors = list(errors_of_sessions(comparison))
+    metrics = {
+        n: title for n, title in metric_headings().items() if any(getattr(e.alone, n) is not None for e in errors)
+    }
     log, tables = comparison.log, dict[Session, LeanTable]()
     for k, (session, (seen, shared)) in enumerate(zip(log.sessions, shared_landmarks(log))):
         drive = log.drives[k]
@@ -238,7 +242,7 @@ def session_tables(comparison: Comparison) -> list[Table]:
             f"log {k + 1}, {session.name}: {drive.stop - drive.start} poses, {seen} landmarks, {shared} also in others"
         )
         tables[session] = LeanTable(title, ["estimator"], [*metrics.values(), "ATE in the\ncommon frame [m]"])
-    for each in errors_of_sessions(comparison):
+    for each in errors:
         alone = (number(getattr(each.alone, metric)) for metric in metrics)
         tables[each.session].add_row(each.estimator, *alone, number(each.together_m))
     return list(tables.values())

@@ -28,7 +28,7 @@ from .plan import Run, Study
 
 #: "SLAM" in ASCII, in the head of the file: the place where SQLite keeps the application of a database
 APPLICATION = 0x534C414D
-VERSION = 3
+VERSION = 4
 
 _TYPES = {"int | None": "INTEGER", "bool | None": "INTEGER", "float | None": "REAL"}
 _FIGURES = [(f.name, _TYPES.get(str(f.type), "TEXT")) for f in fields(Outcome) if f.name != "key"]

@@ -25,6 +25,7 @@ from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Log, LogError, OptionError
 from graphslam.identification.declared import CORRECTIONS
+from graphslam.metrics import Errors
 
 from ..comparison import compare
 from ..estimators.attempt import add_estimators, default_jobs, how_it_ended, processes
@@ -39,8 +40,8 @@ DONE, ERROR, TIMEOUT = "done", "error", "timeout"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """The outcome of a run; a figure that does not exist or cannot be known is None.
+class Outcome(Errors):
+    """The outcome of a run with its errors; a figure that does not exist or cannot be known is None.
 
     Attributes:
         key: of the run, see `plan.Run.key`.
@@ -48,7 +49,6 @@ class Outcome:
         error: one sentence where the status is not `DONE`.
         converged, iterations, cost, cost_per_dof: as in `comparisons.comparison.Row`.
         proven: whether the end is proven to be the global minimum of J; None where no proof applies.
-        ate_m, rpe_m, rpe_rad, landmark_rmse_m: errors against the ground truth, see `graphslam.metrics`.
         seconds: the estimation alone.
         total_seconds: the whole run, with reading the log, setting up and computing the errors.
         poses_sha256: the first 16 digits of the digest of the estimated poses, equal where the poses are exactly equal.
@@ -64,10 +64,6 @@ class Outcome:
     cost: float | None = None
     cost_per_dof: float | None = None
     proven: bool | None = None
-    ate_m: float | None = None
-    rpe_m: float | None = None
-    rpe_rad: float | None = None
-    landmark_rmse_m: float | None = None
     seconds: float | None = None
     total_seconds: float | None = None
     poses_sha256: str | None = None

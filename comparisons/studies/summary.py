@@ -25,6 +25,7 @@ import numpy as np
 from graphslam import OptionError
 from graphslam.errors import printable, quoted, suggestion
 from graphslam.files import write_whole
+from graphslam.metrics import METRICS as ERRORS
 from graphslam.se2 import Array
 
 from ..display import Displayed
@@ -98,10 +99,7 @@ def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int =
 
 #: the figures that are summarised, and their names in tables and on axes
 METRICS = {
-    "ate_m": "ATE [m]",
-    "rpe_m": "RPE [m]",
-    "rpe_rad": "RPE [rad]",
-    "landmark_rmse_m": "map RMSE [m]",
+    **{name: f"{about['title']} [{about['unit']}]" for name, about in ERRORS.items()},
     "cost_per_dof": "J per degree of freedom",
     "iterations": "iterations",
     "seconds": "time [s]",

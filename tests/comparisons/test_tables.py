@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import fields
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from rich.console import Console
@@ -14,16 +16,23 @@ from rich.table import Table
 from comparisons.comparison import Comparison, ResultTable, Row
 from comparisons.datasets import DATA_SETS, Found, Survey
 from comparisons.estimators.attempt import Skipped
+from comparisons.evaluation import Evaluated
+from comparisons.options import SummaryOptions
+from comparisons.options.option import options_of
 from comparisons.results import EstimatorResult
+from comparisons.results.documents import EstimatorDocument, SessionErrorsDocument
 from comparisons.show.cells import LeanTable, number, seconds
 from comparisons.show.tables import as_html, as_text, tables_of
 from comparisons.studies.backends import BackendComparison, BackendRow
 from comparisons.studies.consistency import Consistency, ConsistencyStudy
+from comparisons.studies.database import COLUMNS
+from comparisons.studies.execute import Outcome
 from comparisons.studies.particles import ParticleRun, ParticleStudy
 from comparisons.studies.solvers import SkippedVariant, SolverComparison, VariantResult
 from comparisons.studies.summary import METRICS, Median, MethodSummary, PairedDifference, Summary
 from graphslam import Log, MotionModel, SensorModel, simulate
 from graphslam.calibration import Calibration
+from graphslam.metrics import METRICS as ERRORS
 
 LONG = "a-long-name-that-must-wrap/of-a-method with its options lambda=10"
 
@@ -62,8 +71,30 @@ def test_seconds(value: float | None, text: str) -> None:
 
 def _comparison() -> object:
     rows = [
-        Row(LONG, True, 1234, 1234.5678, 98765.4321, 12345.678, 23456.789, 34567.891, 45678.912, 56789.123),
-        Row("graph", False, 100, 0.1234, 1.5e7, 0.123, 0.456, 0.789, 0.987, 1.234),
+        Row(
+            name=LONG,
+            converged=True,
+            iterations=1234,
+            seconds=1234.5678,
+            cost=98765.4321,
+            ate_m=12345.678,
+            rpe_m=23456.789,
+            rpe_rad=34567.891,
+            landmark_rmse_m=45678.912,
+            nees=56789.123,
+        ),
+        Row(
+            name="graph",
+            converged=False,
+            iterations=100,
+            seconds=0.1234,
+            cost=1.5e7,
+            ate_m=0.123,
+            rpe_m=0.456,
+            rpe_rad=0.789,
+            landmark_rmse_m=0.987,
+            nees=1.234,
+        ),
     ]
     return ResultTable("a log", tuple(rows))
 
@@ -157,7 +188,19 @@ def test_a_narrow_terminal_gets_as_few_tables_as_possible() -> None:
 
 
 def test_the_table_of_the_sample_fits_into_80_characters() -> None:
-    row = Row("graph-marginal", True, 100, 0.1234, 12345.678, 0.123, 0.123, 0.123, 0.123, 22.702, cost_per_dof=14.123)
+    row = Row(
+        name="graph-marginal",
+        converged=True,
+        iterations=100,
+        seconds=0.1234,
+        cost=12345.678,
+        ate_m=0.123,
+        rpe_m=0.123,
+        rpe_rad=0.123,
+        landmark_rmse_m=0.123,
+        nees=22.702,
+        cost_per_dof=14.123,
+    )
     (table,), _ = tables_of(ResultTable("sample", (row,)))
     text = printed(table, 80)
     line = "graph-marginal   yes, 100 123.4 ms 12345.68 14.12 0.123 0.123 0.123 0.123 22.70"
@@ -179,7 +222,7 @@ def test_table_keeps_its_units_and_dashes(log: Log) -> None:
 
 
 def test_the_nees_is_a_column_where_it_is_known(log: Log) -> None:
-    rows = (Row("graph", nees=22.7), Row("mcl"))
+    rows = (Row(name="graph", nees=22.7), Row(name="mcl"))
     assert "NEES" in as_text(ResultTable("t", rows))
     assert "NEES" not in as_text(ResultTable("t", rows[1:]))
     known = Comparison(log, (result(log, "dead-reckoning", log=log),))
@@ -279,7 +322,7 @@ def test_the_survey_tells_what_is_at_hand_and_what_cannot_be_read(tmp_path: Path
 
 
 def test_html_has_all_cells_and_escapes_them() -> None:
-    rows = (Row("<b>", True, 3, cost=1.5), Row("skipped", skipped="no map"))
+    rows = (Row(name="<b>", converged=True, iterations=3, cost=1.5), Row(name="skipped", skipped="no map"))
     page = as_html(ResultTable("a [m] & b", rows))
     assert "<caption>a [m] &amp; b</caption>" in page
     assert '<th scope="row" style="text-align:left">&lt;b&gt;</th>' in page
@@ -287,3 +330,15 @@ def test_html_has_all_cells_and_escapes_them() -> None:
     assert ">yes, 3</td>" in page
     assert page.count("<tr>") == 3
     assert page.count("<td") == 16
+
+
+def test_a_metric_is_declared_once():
+    """Rows, studies, JSON, options and tables take their metrics from `graphslam.metrics.Errors`."""
+    rows, columns, properties = ({f.name for f in fields(cls)} for cls in (Row, Outcome, Evaluated))
+    in_json = [{f.name for f in msgspec.structs.fields(model)} for model in (EstimatorDocument, SessionErrorsDocument)]
+    choices = options_of(SummaryOptions)["metric"].choices
+    table = as_text(ResultTable("", (Row(name="graph", **dict.fromkeys(ERRORS, 0.125)),)), width=200)
+    for name, about in ERRORS.items():
+        assert all(name in names for names in (rows, columns, properties, *in_json, COLUMNS, METRICS, choices)), name
+        assert (about["title"] in table) == (about["shown"] != "never"), name
+    assert table.count("0.125") == sum(about["shown"] != "never" for about in ERRORS.values())

@@ -117,9 +117,9 @@ def test_the_two_solvers_share_only_their_start():
     """
     of_gtsam = [name for name in MODULES if name.startswith("graphslam.solvers.gtsam_")]
     used = {name for module in of_gtsam for name in imports(module) if name.startswith("graphslam.solvers.")}
-    # what both return is one: `Solution` and its certificate
-    returned = ("graphslam.solvers.solution.", "graphslam.solvers.certificate.", "graphslam.solvers.uncertainty.")
-    ours = {name for name in used if not name.startswith((*USES_GTSAM, *returned))}
+    # both return a `Solution` with its certificate, and take the same graph at other parameters
+    shared = tuple(f"graphslam.solvers.{module}." for module in ("solution", "certificate", "corrected", "joint"))
+    ours = {name for name in used if not name.startswith((*USES_GTSAM, *shared))}
     assert {name.rpartition(".")[2] for name in ours} == {
         "starting_state",
         "best_end",

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 import numpy as np
 
+from graphslam.metrics import METRICS
+
 from ..saving import jsonable
 
 if TYPE_CHECKING:
@@ -52,6 +54,14 @@ def about(text: str) -> msgspec.Meta:
     """The description of a field."""
     return msgspec.Meta(description=text)
 
+
+#: a model with a field for each metric, as `graphslam.metrics.Errors` declares them
+ErrorsDocument: Any = msgspec.defstruct(
+    "ErrorsDocument",
+    [(n, Annotated[float | None, about(f"{m['help']} [{m['unit']}]")]) for n, m in METRICS.items()],
+    bases=(Document,),
+    kw_only=True,
+)
 
 Count = Annotated[int, msgspec.Meta(ge=0)]
 Id = Annotated[str, msgspec.Meta(pattern="^-?[0-9]+$")]

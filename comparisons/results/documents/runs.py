@@ -10,6 +10,7 @@ from .logs import (
     Count,
     Covariance,
     Document,
+    ErrorsDocument,
     Id,
     LogDocument,
     Pose,
@@ -138,7 +139,7 @@ class AssociationDocument(Document):
     verdict: Annotated[VerdictDocument | None, about("whether the map can be relied on; null for filters")]
 
 
-class EstimatorDocument(Document):
+class EstimatorDocument(ErrorsDocument):
     """The result of one estimator. Every metric is null where it cannot be known, or the estimator did not run."""
 
     name: Annotated[str, about("name of the estimator")]
@@ -150,14 +151,9 @@ class EstimatorDocument(Document):
     cost: Annotated[float | None, about("J at the end")]
     cost_per_dof: CostPerDof
     seconds: Annotated[float | None, about("time of the estimation alone [s]")]
-    ate_m: Annotated[float | None, about("absolute trajectory error [m]")]
     expected_ate_m: Annotated[
         float | None, about("the ATE that the covariances of a graph let expect [m]; right where the noise models are")
     ]
-    rpe_m: Annotated[float | None, about("relative pose error per step [m]")]
-    rpe_rad: Annotated[float | None, about("relative pose error per step [rad]")]
-    heading_rad: Annotated[float | None, about("error of the headings after alignment [rad]")]
-    landmark_rmse_m: Annotated[float | None, about("error of the map in the aligned frame [m]")]
     landmark_errors_m: Annotated[
         dict[Id, float] | None, about("error of each landmark in the aligned frame [m], by id")
     ]
@@ -208,13 +204,10 @@ class NoiseDocument(Document):
     model: Annotated[dict[str, Any], about("fields of `graphslam.MotionModel` or `graphslam.SensorModel`")]
 
 
-class SessionErrorsDocument(Document):
-    """The errors of one estimator in one of several logs; null where the ground truth is not known."""
+class SessionErrorsDocument(ErrorsDocument):
+    """The errors of one estimator in one of several logs, aligned alone; null where the ground truth is not known."""
 
-    ate_m: Annotated[float | None, about("absolute trajectory error after the alignment of this log alone [m]")]
-    together_m: Annotated[float | None, about("the same after the common alignment of all logs [m]")]
-    rpe_m: Annotated[float | None, about("relative pose error per step [m]")]
-    rpe_rad: Annotated[float | None, about("relative pose error per step [rad]")]
+    together_m: Annotated[float | None, about("the ATE after the common alignment of all logs [m]")]
     poses_counted: Annotated[Count | None, about("number of poses that the metrics are of")]
 
 
@@ -281,20 +274,15 @@ class AnimateDocument(Document):
     poses: Annotated[list[Pose], about("the trajectory in the last frame")]
 
 
-class EvaluatedDocument(Document):
+class EvaluatedDocument(ErrorsDocument):
     """The errors of one estimate; null where they cannot be known."""
 
     name: Annotated[str, about("name of the estimate")]
     poses: Annotated[Count, about("number of its poses")]
     compared: Annotated[Count, about("poses at whose time the truth is known")]
-    ate_m: Annotated[float, about("absolute trajectory error [m]")]
     most_m: Annotated[float, about("largest position error after alignment [m]")]
-    rpe_m: Annotated[float | None, about("relative pose error between neighbouring poses [m]")]
-    rpe_rad: Annotated[float | None, about("the same of the rotation [rad]")]
-    heading_rad: Annotated[float | None, about("error of the headings after alignment [rad]")]
     nees: Annotated[float | None, about("mean NEES of the poses per degree of freedom; 1: consistent")]
     landmarks: Annotated[Count | None, about("number of landmarks of the map")]
-    landmark_rmse_m: Annotated[float | None, about("error of the map in the aligned frame [m]")]
     missed: Annotated[Count | None, about("true landmarks without a partner within the cutoff")]
     false: Annotated[Count | None, about("landmarks without a true one within the cutoff")]
     gospa_m: Annotated[float | None, about("GOSPA distance of the maps [m], p = 2, alpha = 2")]

@@ -5,7 +5,11 @@ The JSON of solvers that are compared on the same graphs.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
+
+import msgspec
+
+from graphslam.metrics import METRICS
 
 from .logs import Band, CostPerDof, Count, Dimensions, Document, Quartiles, about
 from .runs import CertificateDocument
@@ -82,16 +86,13 @@ class MedianDocument(Document):
     count: Annotated[Count, about("number of values")]
 
 
-class MedianFiguresDocument(Document):
-    """The median of each metric, see the estimator document; null where it is not known."""
-
-    ate_m: MedianDocument | None
-    rpe_m: MedianDocument | None
-    rpe_rad: MedianDocument | None
-    landmark_rmse_m: MedianDocument | None
-    cost_per_dof: MedianDocument | None
-    iterations: MedianDocument | None
-    seconds: MedianDocument | None
+MedianFiguresDocument: Any = msgspec.defstruct(
+    "MedianFiguresDocument",
+    [(name, MedianDocument | None) for name in (*METRICS, "cost_per_dof", "iterations", "seconds")],
+    bases=(Document,),
+    namespace={"__doc__": "The median of each metric, see the estimator document; null where it is not known."},
+    kw_only=True,
+)
 
 
 class MethodDocument(Document):
