@@ -265,10 +265,10 @@ class Comparison(Displayed):
             return
         name, ratio = self.noise_ratio
         medians = typical_costs(self[name])
-        told = f"J per degree of freedom of {name} is {ratio:.1f}, and should be about 1"
+        fit = f"J per degree of freedom of {name} is {ratio:.1f}, and should be about 1"
         if medians:
             shown = " and ".join(f"{value:.1f} for {each}" for each, value in medians.items())
-            told += f"; in the median it is {shown}"
+            fit += f"; in the median it is {shown}"
         if max(medians.values(), default=ratio) > DOUBTFUL:
             whose = (
                 "the noise of odometry and that of sightings cannot both be right"
@@ -277,7 +277,7 @@ class Comparison(Displayed):
             )
             yield Finding(
                 "too little noise",
-                f"the noise models say less noise than this log shows, so that {whose}: {told}. "
+                f"the noise models say less noise than this log shows, so that {whose}: {fit}. "
                 + (
                     "Does the robot slip, or are the sightings of several landmarks wrong together?"
                     if sources == {"estimated"}
@@ -287,7 +287,7 @@ class Comparison(Displayed):
         elif ratio > DOUBTFUL:
             yield Finding(
                 "wrong sightings",
-                f"{told}: the noise models fit most sightings, and some sightings are wrong"
+                f"{fit}: the noise models fit most sightings, and some sightings are wrong"
                 + (
                     ""
                     if self.options.check_ids or sources == {"estimated"}

@@ -22,8 +22,8 @@ HEAD = """\
 
 Every verb takes `--json FILE` (or `-` for standard output, which then carries nothing else), and `run` always writes a
 `comparison.json`. [schema.json](schema.json) is the JSON Schema (draft 2020-12) of all of them, with one entry of `$defs` for
-each verb. Both this page and the schema are generated from `comparisons/results/documents/` by `python docs/make_json.py`, and
-the tests validate the output of every verb. To validate a file yourself:
+each verb. Both this page and the schema are generated from `comparisons/results/documents/` by `python docs/make_json.py`,
+and the tests validate the output of every verb. To validate a file yourself:
 
 ```python
 import json

@@ -386,7 +386,7 @@ class ParticleFilter(ABC):
         self._end_move()
 
     def _begin_move(self) -> int:
-        """Finish the previous step, and return the key of the random numbers of this motion."""
+        """Finish the previous step, and return the random key of this motion."""
         if self._observed:
             self._engine.end_step()
             self._observed = False

@@ -239,8 +239,8 @@ def calibrate(
     truth, by `estimate_robot` on each log (`Calibration.of`).
 
     Noise that is to be used on a log without ground truth is best calibrated from the ground truth of other robots of the
-    same kind. Several logs give one noise for all; what differs between them is part of the noise from the truth, and told
-    where the noise is from residuals.
+    same kind. Several logs give one noise for all; what differs between them is part of the noise from the truth, and is
+    reported where the noise is from residuals.
 
     In logs whose sightings have no ids, ids and noise are found in turn, see `robot_of`.
 
@@ -358,8 +358,8 @@ def _noise(every: Sequence[RobotEstimate]) -> _Noise:
     models = [vars(one.motion) | vars(one.sensor) for one in every]
     values = np.log([[model[name] for name in names] for model in models]) - widths
     # a log that holds a bias at its ideal value does not tell it
-    told = [dict(zip(one.parameters.names, one.parameters.values.tolist())) for one in every]
-    biases = np.array([[each.get(name, 0.0) for name in biased] for each in told])
+    estimates = [dict(zip(one.parameters.names, one.parameters.values.tolist())) for one in every]
+    biases = np.array([[each.get(name, 0.0) for name in biased] for each in estimates])
     spreads = [[one.parameters.deviations.get(name, np.inf) for name in biased] for one in every]
     errors = np.hstack([[list(one.errors.values()) for one in every], spreads])
     both, information = np.hstack([values, biases]), errors**-2

@@ -82,9 +82,9 @@ def left_out(drive: Log, candidates: Mapping[str, Unknowns], rng: np.random.Gene
     # the same random signs for all
     each = {name: _log_densities(drive, one, np.random.default_rng(seed)) for name, one in candidates.items()}
     each = {name: values for name, values in each.items() if np.isfinite(values).any()}
-    told = np.isfinite(sum(each.values(), np.zeros(len(drive.steps))))
-    count = int(np.count_nonzero(told))
-    return LeftOut(count, {name: float(np.mean(values[told])) if count else 0.0 for name, values in each.items()})
+    scored = np.isfinite(sum(each.values(), np.zeros(len(drive.steps))))
+    count = int(np.count_nonzero(scored))
+    return LeftOut(count, {name: float(np.mean(values[scored])) if count else 0.0 for name, values in each.items()})
 
 
 def _log_densities(drive: Log, candidate: Unknowns, rng: np.random.Generator) -> Array:
@@ -132,7 +132,7 @@ ESTIMATE, DEAD_RECKONING, BOOK_NOISE, GIVEN_NOISE = (
     "the estimate from this log", "dead reckoning", "the book's noise", "the noise that was given"
 )  # fmt: skip
 #: a log tells a bias where its standard deviation is below so many times that of the prior
-TOLD = 0.7
+MIN_INFORMATION = 0.7
 #: an estimate is doubtful with fewer sightings than this, with more than this part of the ids wrong, and with a bias that is
 #: so many standard deviations of its prior from its ideal value, for which these are likely causes
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
@@ -207,11 +207,11 @@ class RobotEstimate:
                 f" (standard deviations; those of the sensor {self.inflation**0.5:.1f} times those of single sightings)"
             )
         p = self.parameters
-        told = [name for name in p.names if p.deviations[name] < TOLD * p.priors[name][1]]
-        if told:
-            lines.append(f"biases estimated from this log: {p.sentence_of(told)}")
-        if untold := [name for name in p.names if name not in told]:
-            lines.append(f"the log hardly tells {', '.join(untold)}: {p.sentence_of(untold)}")
+        informed = [name for name in p.names if p.deviations[name] < MIN_INFORMATION * p.priors[name][1]]
+        if informed:
+            lines.append(f"biases estimated from this log: {p.sentence_of(informed)}")
+        if uninformed := [name for name in p.names if name not in informed]:
+            lines.append(f"the log says little about {', '.join(uninformed)}: {p.sentence_of(uninformed)}")
         return (*lines, *self.remarks)
 
     @property

@@ -160,13 +160,13 @@ def _unlikely(log: Log, rows: np.ndarray, density: Array) -> np.ndarray:
     """
     if len(rows) == 0:
         return rows
-    told = np.isfinite(density[rows])
+    predicted = np.isfinite(density[rows])
     in_view = -np.sum(np.log(np.maximum(np.ptp(log.sightings, axis=0), 1e-6)))
-    gain = np.where(told, np.exp(np.clip(density[rows] - in_view, -700, 700)), 1.0)
+    gain = np.where(predicted, np.exp(np.clip(density[rows] - in_view, -700, 700)), 1.0)
     part = 0.5
     for _ in range(50):
         right = part * gain / (part * gain + 1 - part)
-        part = (float(right[told].sum()) + RIGHT) / (np.count_nonzero(told) + RIGHT)
+        part = (float(right[predicted].sum()) + RIGHT) / (np.count_nonzero(predicted) + RIGHT)
     return rows[right < BELIEVED]
 
 
@@ -182,10 +182,10 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     times = log.times
     assert times is not None
     # beside a silence of the odometry, a pose follows its sightings, and the covariance of its prediction hides their errors
-    told = np.ones(log.num_poses, dtype=bool)
+    reliable = np.ones(log.num_poses, dtype=bool)
     silent = np.flatnonzero(~ordinary(log))
-    told[silent], told[silent + 1] = False, False
-    rows = np.flatnonzero(np.isin(log.landmarks, unknowns.ids) & ~used & told[log.steps])
+    reliable[silent], reliable[silent + 1] = False, False
+    rows = np.flatnonzero(np.isin(log.landmarks, unknowns.ids) & ~used & reliable[log.steps])
     order = np.lexsort((rows, log.landmarks[rows]))
     rows = rows[order]
     if len(rows) < FEWEST:

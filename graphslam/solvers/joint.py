@@ -277,7 +277,7 @@ def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
     try:
         factor = graph.system.factorize()
     except FactorizationError:
-        # the nodes alone are not determined: the solver says so
+        # the nodes alone are not determined: the solver reports it
         return
     seen = sighted_edges(graph)
     border = Border.of_sightings(joint._copies, graph, seen, nodes, nodes, seen.sightings)
