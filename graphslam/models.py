@@ -19,6 +19,10 @@ from numpy.typing import ArrayLike
 from .errors import OptionError, check_positive, check_real, checked_offset, option, quoted
 from .se2 import Array, mounted, wrap
 
+#: the variances of speed, turn rate and sideways speed of a control of a second that says nothing, as between two drives: a
+#: kilometre, and several turns, in any direction
+ANYWHERE = (1e6, 1e3, 1e6)
+
 
 def sinc(a: ArrayLike) -> Array:
     """sin(a) / a, equal to 1 at a = 0."""

@@ -35,13 +35,9 @@ from .log import Log
 from .log.continuous_time import CLOCK, nearest_of, with_poses_at
 from .log.measurements import MEASURED, Measured, PoseRelations, Session
 from .log.rows import robot_class
-from .models import MotionModel, SensorModel, additional_variances
+from .models import ANYWHERE, MotionModel, SensorModel, additional_variances
 from .se2 import Array, between, compose
 from .solvers.solve import solve
-
-#: the variances of speed, turn rate and sideways speed of the control between two drives, which takes a second: a kilometre,
-#: and several turns, in any direction
-ANYWHERE = (1e6, 1e3, 1e6)
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ from graphslam.calibration.estimate import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
 from graphslam.graph.landmark_map import as_map
-from graphslam.graph.localization import in_frame_of
+from graphslam.graph.tracking import in_frame_of
 from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
 from graphslam.identification.result import ESTIMATE

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -26,28 +27,44 @@ class FormulaError(ValueError):
     """A formula that cannot be shown."""
 
 
-def replace(page: str) -> str:
-    """Replace the formulas of a page, as `pymdownx.arithmatex` marks them.
+def replace(page: str, mark: Callable[[str], str] = str) -> str:
+    """Replace the formulas of a page, as `pymdownx.arithmatex` marks them; `mark` may mark symbols of a formula.
 
     Raises:
         FormulaError: a formula has a command that is not known.
     """
-    return _FORMULA.sub(lambda found: render(html.unescape(found[3]), found[2] == "["), page)
+
+    def rendered(found: re.Match[str]) -> str:
+        formula = html.unescape(found[3])
+        return render(formula, found[2] == "[", mark(formula))
+
+    return _FORMULA.sub(rendered, page)
 
 
 @cache
-def render(formula: str, block: bool) -> str:
-    """Return one formula as HTML, with MathML for screen readers and its source for copying."""
+def render(formula: str, block: bool, marked: str | None = None) -> str:
+    """Return one formula as HTML, with MathML for screen readers and its source for copying.
+
+    Args:
+        formula: in LaTeX, with our abbreviations.
+        block: whether it stands on a line of its own.
+        marked: the formula with marks on its symbols, see `symbols`.
+    """
+    source, drawn = _expanded(formula), _expanded(marked or formula)
+    options = {"displayMode": block, "macros": {r"\arraystretch": "1.2"}, "trust": True, "strict": "ignore"}
+    try:
+        made = _katex().call("katex.renderToString", drawn, options)
+    except JSEvalException as error:
+        raise FormulaError(f"formula {formula.strip()!r}: {str(error).splitlines()[0]}") from None
+    made = made.replace(html.escape(drawn), html.escape(source))
+    return f'<div class="formula" tabindex="0">{made}</div>' if block else f'<span class="formula">{made}</span>'
+
+
+def _expanded(formula: str) -> str:
     expanded = formula.strip()
     for pattern, replacement in MACROS:
         expanded = re.sub(pattern, replacement, expanded)
-    try:
-        made = _katex().call(
-            "katex.renderToString", expanded, {"displayMode": block, "macros": {r"\arraystretch": "1.2"}}
-        )
-    except JSEvalException as error:
-        raise FormulaError(f"formula {formula.strip()!r}: {str(error).splitlines()[0]}") from None
-    return f'<div class="formula" tabindex="0">{made}</div>' if block else f'<span class="formula">{made}</span>'
+    return expanded
 
 
 @cache

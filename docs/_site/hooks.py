@@ -32,8 +32,10 @@ import cells
 import exercises
 import formulas
 import listings
+import literature
 import live
 import notebooks
+import symbols
 from mkdocs.exceptions import PluginError
 from mkdocs.plugins import event_priority
 from mkdocs.utils import get_relative_url
@@ -56,7 +58,7 @@ WORDS = {
     },
 }
 #: weights of pages in the search: a word in a chapter counts more than in the pages that name everything
-BOOST = {"api/": 0.02, "decisions": 0.02, "json": 0.1, "index": 0.3, "method/": 2, "beyond/": 2, "tutorials/": 2}
+BOOST = {"api/": 0.02, "json": 0.1, "index": 0.3, "method/": 2, "beyond/": 2, "tutorials/": 2}
 SEARCHED_WORDS = tomllib.loads((cells.DOCS / "_site" / "questions.toml").read_text())["words"]
 #: where the search divides text into words; Japanese, which has no spaces, also where the script changes and after each
 #: kanji, but not before the star that the search itself adds
@@ -85,7 +87,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     source = cells.DOCS / re.sub(r"(\.ja)?\.md$", ".py", page.file.src_uri)
     boost = next((value for start, value in BOOST.items() if page.file.src_uri.startswith(start)), 1)
     words = SEARCHED_WORDS.get(re.sub(r"(\.ja)?\.md$", "", page.file.src_uri), "")
-    page.meta |= {"search": {"boost": boost}, "tags": words.split()}
+    # the record of experiments would be a tenth of the index, which every page loads
+    search = {"exclude": True} if page.file.src_uri.startswith("decisions") else {"boost": boost}
+    page.meta |= {"search": search, "tags": words.split()}
 
     def text(found: re.Match[str]) -> str:
         indent, kind, arguments = found[1], found[2], shlex.split(found[3] or "")
@@ -106,6 +110,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         return "\n".join(indent + line if line else line for line in made.splitlines())
 
     made = _MARKER.sub(text, cells.markers(markdown))
+    if read := literature.section(re.sub(r"(\.ja)?\.md$", "", page.file.src_uri), language):
+        made += f"\n\n{read}\n"
     if page.file.url.startswith("ja/") and language == "en":
         made = f'!!! note "{WORDS["ja"]["untranslated"]}"\n\n{made}'
     if source.exists():
@@ -125,10 +131,27 @@ def on_page_content(html: str, page: Any, config: Any, files: Any) -> str:
     Every page loads the index of the search, which would be twice as large with the code.
     """
     try:
-        made = re.sub(r"<img (?![^>]*loading=)", '<img loading="lazy" ', formulas.replace(html))
+        language = "ja" if page.file.src_uri.endswith(".ja.md") else "en"
+        name = re.sub(r"(\.ja)?\.md$", "", page.file.src_uri)
+        made = formulas.replace(html, lambda formula: symbols.marked(formula, name))
+        made += symbols.explained(
+            name,
+            made,
+            language,
+            lambda formula: formulas.render(formula, False),
+            lambda place: _address(place, page, files, language),
+        )
+        made = re.sub(r"<img (?![^>]*loading=)", '<img loading="lazy" ', made)
         return re.sub(r'<(div|span) class="(?=[^"]*\bhighlight\b|formula")', r'<\1 data-search-exclude class="', made)
     except formulas.FormulaError as error:
         raise PageError(f"{page.file.src_uri}: {error}") from None
+
+
+def _address(place: str, page: Any, files: Any, language: str) -> str:
+    """The address of a page with an anchor, from another page in the same language."""
+    name, _, anchor = place.partition("#")
+    file = next(file for file in files if file.src_uri == (name.replace(".md", ".ja.md") if language == "ja" else name))
+    return get_relative_url(file.url, page.file.url) + (f"#{anchor}" if anchor else "")
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:

@@ -53,8 +53,9 @@ def rows(log: Log) -> dict[str, Any]:
     assert log.controls is not None and log.dt is not None
     truth = {}
     if log.true_poses is not None and log.true_landmarks is not None:
-        truth = {"truth": log.true_poses[:, :2].round(3).tolist()}
-        truth |= {"landmarks": [place[:2].round(3).tolist() for place in log.true_landmarks.values()]}
+        truth = {"truth": log.true_poses.round(3).tolist()}
+        # x, y, heading and id
+        truth |= {"landmarks": [[*place.round(3).tolist(), int(j)] for j, place in log.true_landmarks.items()]}
     return truth | {
         "start": log.initial_poses[0].tolist(),
         "controls": np.column_stack([log.controls, log.dt]).tolist(),

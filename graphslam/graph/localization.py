@@ -9,7 +9,7 @@ few contradict.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..errors import GraphError, check_type, listed
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose, rotation, turn_matrix, wrap
+from .constellation import Constellations, Merged, match, merged
 from .landmark_map import LandmarkMap, as_map
 from .registration import STEPS, Match, Points, linear, register
 
@@ -29,6 +30,12 @@ OPEN = 0.5
 ENOUGH = 300
 #: how many more sightings are taken at a time
 GROWTH = 1.5
+#: without ids, the sightings with which a fix is tried first, the most that are tried, and the fewest landmarks that agree
+BEGIN, LONGEST, FEWEST = 8, 400, 4
+#: windows that begin later on the way, and the sightings between their beginnings
+WINDOWS, LATER = 16, 40
+#: attempts with more sightings and less evidence after which no more are taken
+PATIENCE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +85,21 @@ def first_fix(
     """The first pose of a log in the frame of a map, from sightings of its landmarks; the log's own first pose is not used.
 
     Args:
-        log: with ids of the map's landmarks; sightings of other landmarks are not used.
+        log: with ids of the map's landmarks; sightings of other landmarks are not used. Without ids the constellation of the
+            first sightings says where the log begins, see `possible_fixes`.
         landmarks: the map, in any form that `Graph.from_log` takes.
         motion, sensor: the noise models; default: those of the log, else the book's.
 
     Raises:
-        GraphError: the log has no ids, sees no landmark of the map or too few, or no place in the map fits what it sees; the
-            message names the likely cause.
+        GraphError: the log sees no landmark of the map or too few, or no place in the map fits what it sees, or several do;
+            the message names the likely cause, or the places and their odds.
     """
     check_is_log(log)
     check_type(MotionModel, motion=motion)
     check_type(SensorModel, sensor=sensor)
     landmarks = as_map(landmarks)
+    if not log.identified:
+        return _sure(log, possible_fixes(log, landmarks, motion=motion, sensor=sensor))
     rows = _rows(log, landmarks)
     sensor = sensor or log.sensor or SensorModel()
     count, drift = 1, _Drift(log, motion)
@@ -118,23 +128,124 @@ def first_fix(
             raise _no_fix(log, points, matches)
 
 
-def in_frame_of(
-    log: Log, landmarks: LandmarkMap, *, motion: MotionModel | None = None, sensor: SensorModel | None = None
-) -> tuple[Log, tuple[str, ...]]:
-    """The log with its initial poses in the frame of a map, and notes, one sentence each; see `first_fix`.
+def possible_fixes(
+    log: Log,
+    landmarks: LandmarkMap | Mapping[int, Array] | str | PathLike[str],
+    *,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
+) -> list[Fix]:
+    """Where a log without ids may begin in a map, the most probable place first, each with its odds.
 
-    It has no psi where a landmark that is seen and exact in the map has no heading there.
+    The first sightings, merged into landmarks, are matched as a constellation (`graphslam.graph.constellation`). More are taken
+    until the odds of the best place against all others and none are above `SURE` and at least `FEWEST` landmarks agree, more
+    than contradict. If all, or `LONGEST`, do not suffice, the first odds are below that: the map is ambiguous.
+
+    Args:
+        log: its ids, if it has any, are not used.
+        landmarks, motion, sensor: as in `first_fix`.
+
+    Returns:
+        The places; empty where none fits. ``agree`` and ``disagree`` are the rows of the sightings.
+
+    Raises:
+        GraphError: the map or the log is empty.
     """
-    fix, notes = first_fix(log, landmarks, motion=motion, sensor=sensor), []
-    placed = compose(fix.pose, between(log.initial_poses[0], log.initial_poses))
-    # headings keep their full turns
-    placed[:, 2] = fix.pose[2] + log.initial_poses[:, 2] - log.initial_poses[0, 2]
-    notes.append(f"the first pose was found in the map: {fix.sentence}")
-    seen = [j for j in log.landmark_ids.tolist() if j in landmarks]
-    if log.has_orientation and (bare := [j for j in seen if j not in landmarks.covariances and len(landmarks[j]) == 2]):
-        notes.append(f"psi is not used, because the map has no heading of {listed('landmark', bare)}, exact in it")
-        log = log.without_orientation()
-    return log.replace(initial_poses=placed), tuple(notes)
+    landmarks, sensor = as_map(landmarks), sensor or log.sensor or SensorModel()
+    _check_not_empty(log, landmarks)
+    known = Constellations.of(landmarks, float(np.quantile(log.sightings[:, 0], 0.98)))
+    first, drift = list[Fix](), _Drift(log, motion)
+    in_order = np.sort(log.steps)
+    for begin in range(0, min(WINDOWS * LATER, len(in_order)), LATER):
+        step = int(in_order[begin]) if begin else 0
+        fixes = _fixes_here(log.at_steps(np.arange(step, log.num_poses)), known, motion, sensor)
+        drift.go_to(step)
+        fixes = [_carried_back(fix, step, drift, np.flatnonzero(log.steps >= step)) for fix in fixes]
+        if fixes and fixes[0].odds > SURE:
+            return fixes
+        first = first or fixes
+        # two places that are alike: other sightings are unlikely to tell them apart
+        if sum(fix.odds / (1 + fix.odds) for fix in fixes) > 1 - 1 / SURE:
+            return fixes
+    return first
+
+
+def _fixes_here(log: Log, known: Constellations, motion: MotionModel | None, sensor: SensorModel) -> list[Fix]:
+    """The same from the first step of a log on alone."""
+    drift, count = _Drift(log, motion), BEGIN
+    whole = min(LONGEST, len(log.steps))
+    attempts: list[tuple[float, np.ndarray, int, Merged, list[tuple[Match, np.ndarray]]]] = []
+    order = np.argsort(log.steps, kind="stable")
+    while True:
+        step = int(log.steps[order[min(count, whole) - 1]])
+        rows = order[: int(np.searchsorted(log.steps[order], step, side="right"))]
+        drift.go_to(step)
+        at = log.steps[rows]
+        y, sensed, lever = _seen(drift.poses[at], log.sightings[rows], sensor)
+        J = _by_pose(lever)
+        seen = merged(y, sensed, J @ drift.covariances[at] @ np.swapaxes(J, 1, 2), at)
+        found = match(seen, known)
+        best = found[0][0] if found else None
+        sure = False
+        if best is not None and _odds([each for each, _ in found]) > SURE:
+            fits = int(np.sum(best.agree))
+            sure = fits >= max(FEWEST, np.sum(seen.counts[~best.agree] > 1) + 1) and 2 * fits > len(best.agree)
+        attempts.append((best.evidence if best else -np.inf, rows, step, seen, found))
+        # the errors of a long way hide a constellation
+        since = len(attempts) - 1 - int(np.argmax([each[0] for each in attempts]))
+        if sure or count >= whole or since >= PATIENCE:
+            break
+        count = int(count * GROWTH)
+    if not sure:
+        _, rows, step, seen, found = max(attempts, key=lambda each: each[0])
+    evidence, fixes = np.array([each.evidence for each, _ in found]), []
+    for k, (each, _) in enumerate(found):
+        others = float(np.logaddexp.reduce([0.0, *np.delete(evidence, k)]))
+        odds = float(np.exp(np.clip(each.evidence - others, -700.0, 700.0)))
+        near = each.agree[seen.which]
+        agree, disagree = rows[near], rows[~near]
+        fixes.append(Fix(each.pose, each.covariance, step, agree, disagree, odds if sure else min(odds, SURE)))
+    return fixes
+
+
+def _carried_back(fix: Fix, step: int, drift: _Drift, rows: np.ndarray) -> Fix:
+    """The fix of a pose on the way as one of the first pose; ``rows`` are those of the log's sightings from there on."""
+    if step == 0:
+        return fix
+    back = between(drift.poses[step], np.zeros(3))
+    pose = compose(fix.pose, back)
+    x, y = fix.pose[:2] - pose[:2]
+    F, J = np.array([[1, 0, y], [0, 1, -x], [0, 0, 1]]), turn_matrix(pose[2])
+    noise = F @ J @ drift.covariances[step] @ J.T @ F.T
+    return replace(
+        fix, pose=pose, covariance=F @ fix.covariance @ F.T + noise, step=step + fix.step, agree=rows[fix.agree],
+        disagree=rows[fix.disagree],
+    )  # fmt: skip
+
+
+def _sure(log: Log, fixes: list[Fix]) -> Fix:
+    """The first of the places where a log may begin.
+
+    Raises:
+        GraphError: there is none, or another one is nearly as likely; with their odds.
+    """
+    if fixes and fixes[0].odds > SURE:
+        return fixes[0]
+    likely = [fix for fix in fixes if fix.odds > 1 / SURE][:4]
+    if not likely or sum(fix.odds / (1 + fix.odds) for fix in likely) < 0.5:
+        raise GraphError(
+            f"{log.name} has sightings without ids, and they do not say where in the map it begins: no place surely has a "
+            "constellation of landmarks like theirs; is it the map of another place, or has the noise another size?"
+        )
+    places = "; ".join(
+        f"({fix.pose[0]:.2f}, {fix.pose[1]:.2f}) m, {np.degrees(fix.pose[2]):.0f} degrees with probability "
+        f"{fix.odds / (1 + fix.odds):.2g}"
+        for fix in likely
+    )
+    raise GraphError(
+        f"{log.name} has sightings without ids, and they do not say surely where in the map it begins: {places}; more "
+        "sightings are needed, or give it the pose"
+    )
 
 
 def registered(
@@ -207,19 +318,18 @@ class _Drift:
         return np.where(later[:, :, None, None], np.transpose(upper, (1, 0, 3, 2)), upper)
 
 
-def _rows(log: Log, landmarks: LandmarkMap) -> np.ndarray:
-    """The rows of the sightings of landmarks of the map."""
-    if not log.identified:
-        raise GraphError(
-            f"{log.name} has sightings without ids, and a map is used by the ids of its landmarks; leave the map out, or "
-            "give the sightings its ids"
-        )
+def _check_not_empty(log: Log, landmarks: LandmarkMap) -> None:
     for missing, name in (
         (not landmarks, "the map has no landmarks"),
         (not len(log.steps), f"{log.name} has no sightings"),
     ):
         if missing:
             raise GraphError(f"{name}, so that the robot cannot be found in the map")
+
+
+def _rows(log: Log, landmarks: LandmarkMap) -> np.ndarray:
+    """The rows of the sightings of landmarks of the map."""
+    _check_not_empty(log, landmarks)
     rows = np.flatnonzero(np.isin(log.landmarks, list(landmarks)))
     if len(rows) == 0:
         seen, known = (listed("landmark", sorted(ids), most=4) for ids in (log.landmark_ids.tolist(), landmarks))

@@ -18,7 +18,7 @@ MacKay, *Information Theory, Inference, and Learning Algorithms*, chapter 28.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,6 +72,11 @@ class Match:
     agree: np.ndarray
     evidence: float
 
+    def volume(self, area: float) -> float:
+        """log of the share of the poses in a map of this area [m²] that the covariance leaves; see the module."""
+        # the poses in the map are all that there are, however open the measurements leave T
+        return min(0.0, float(np.linalg.slogdet(2 * np.pi * self.covariance)[1] / 2 - np.log(2 * np.pi * area)))
+
     def differs(self, other: Match) -> bool:
         """Whether another hypothesis is another place, and not the same one refined from elsewhere."""
         way = self.pose - other.pose
@@ -96,7 +101,7 @@ def register(points: Points) -> list[Match]:
         # the same measurements lead to the same place
         if any(2 * np.sum(near & match.agree[rows]) > np.sum(near) for match in found):
             continue
-        match = _refined(points, poses[k])
+        match = refined(points, poses[k])
         if match is not None and all(match.differs(other) for other in found):
             found.append(match)
         left -= 1
@@ -120,12 +125,13 @@ def _hypotheses(points: Points) -> Array:
     a, b = y[j] - y[i], m[j] - m[i]
     theta = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.einsum("hi,hi->h", a, b))
     share = (weight[i] / (weight[i] + weight[j]))[:, None]
-    of_pairs = _through(theta, share * y[i] + (1 - share) * y[j], share * m[i] + (1 - share) * m[j])
+    of_pairs = through(theta, share * y[i] + (1 - share) * y[j], share * m[i] + (1 - share) * m[j])
     k = np.flatnonzero(points.oriented)
-    return np.concatenate([of_pairs, _through(wrap(points.places[k, 2] - points.measured[k, 2]), y[k], m[k])])
+    return np.concatenate([of_pairs, through(wrap(points.places[k, 2] - points.measured[k, 2]), y[k], m[k])])
 
 
-def _through(theta: Array, y: Array, m: Array) -> Array:
+def through(theta: Array, y: Array, m: Array) -> Array:
+    """T (H, 3) with the headings (H,) that take points y to m, (H, 2) each."""
     return np.column_stack([m - np.einsum("hij,hj->hi", rotation(theta), y), theta])
 
 
@@ -158,7 +164,7 @@ def linear(points: Points, pose: Array) -> tuple[Array, Array, Array]:
     return e, W, J
 
 
-def _refined(points: Points, pose: Array) -> Match | None:
+def refined(points: Points, pose: Array) -> Match | None:
     """A hypothesis after Gauss-Newton over the measurements that agree with it; None where too few do."""
     agree = np.zeros(len(points.ids), dtype=bool)
     for _ in range(STEPS):
@@ -183,6 +189,5 @@ def _refined(points: Points, pose: Array) -> Match | None:
     # a wrong heading is anywhere in the circle
     densities[turned] = (np.linalg.slogdet(W[turned])[1] - np.log(2 * np.pi) - squares[agree][turned]) / 2
     odds = np.sum(densities + np.log(points.area * RIGHT)) + np.sum(~agree) * np.log(1 - RIGHT)
-    # the poses in the map are all that there are, however open the measurements leave T
-    volume = min(0.0, np.linalg.slogdet(2 * np.pi * P)[1] / 2 - np.log(2 * np.pi * points.area))
-    return Match(pose, P, agree, float(odds + volume))
+    match = Match(pose, P, agree, float(odds))
+    return replace(match, evidence=match.evidence + match.volume(points.area))

@@ -126,7 +126,11 @@ def test_maps_that_do_not_fit_are_refused_with_the_cause():
     assert "sees no landmark of the map" in refused(log, {100 + j: m for j, m in true.items()})
     assert "two are needed" in refused(log, {1: true[1]})
     unknown = log.replace(landmarks=np.full(len(log.steps), np.iinfo(np.int64).min))
-    assert "without ids" in refused(unknown, true)
+    assert "without ids" in refused(unknown, {j: rng.uniform(-20, 20, 2) for j in range(30)})
+    # chi-square with 3 degrees of freedom is below 21 in 9,999 of 10,000
+    fix = first_fix(unknown, LandmarkMap(true), **MODELS)
+    way = fix.pose - log.true_poses[0]
+    assert way @ np.linalg.solve(fix.covariance, way) < 21
     empty = np.zeros(0, dtype=np.intp)
     blind = log.replace(steps=empty, landmarks=empty, sightings=np.zeros((0, 3)))
     assert "has no sightings" in refused(blind, true)

@@ -120,8 +120,6 @@ def test_page(page: str, address: str, browser: Chromium) -> None:
         for scheme in ("light", "dark"):
             browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
             assert browser.evaluate(FAULTS) == [], (scheme, width)
-    assert browser.evaluate(UNANSWERED) == []
-    assert browser.evaluate(FAULTS) == [], "with the exercises open"
     if browser.evaluate("document.querySelector('figure.live') !== null"):
         # such a figure loads the engine when it comes into view
         browser.evaluate("document.querySelector('figure.live').scrollIntoView()")
@@ -129,6 +127,9 @@ def test_page(page: str, address: str, browser: Chromium) -> None:
     # the theme looks for a site map beside each page, to find the translation, and does without it
     assert [complaint for complaint in browser.complaints() if "sitemap.xml" not in complaint] == []
     assert browser.evaluate(LOADED) < LARGEST
+    # opening the exercises loads what is folded
+    assert browser.evaluate(UNANSWERED) == []
+    assert browser.evaluate(FAULTS) == [], "with the exercises open"
 
 
 @pytest.mark.parametrize("language", ["en", "ja"])
@@ -144,3 +145,40 @@ def test_search_finds_the_page_among_the_first_three(language: str, address: str
         if page not in list(dict.fromkeys(pages))[:3]
     }
     assert missed == {}
+
+
+def test_symbols_explain_themselves(address: str, browser: Chromium) -> None:
+    browser.resize(1280, 900)
+    browser.send("Page.navigate", url=f"{address}/ja/method/graph/information/")
+    browser.wait_for("document.readyState === 'complete' && document.querySelector('.symbol-tip') !== null")
+    tip, shown = "document.querySelector('.symbol-tip')", "document.querySelector('.symbol-tip').checkVisibility()"
+    x, y = browser.evaluate("""(() => {
+        const symbol = document.querySelector("div.formula [data-sym]");
+        symbol.scrollIntoView({ block: "center" });
+        const box = symbol.getBoundingClientRect();
+        return [box.x + box.width / 2, box.y + box.height / 2]; })()""")
+    assert not browser.evaluate(shown)
+    browser.move_mouse(x, y)
+    browser.wait_for(shown)
+    assert "センサ値の共分散行列" in browser.evaluate(f"{tip}.innerText")
+    browser.press("Escape", 27)
+    browser.wait_for(f"!{shown}")
+    browser.move_mouse(2, 2)
+    browser.click("div.formula [data-sym]")
+    browser.wait_for(shown)
+    browser.press("Escape", 27)
+    browser.wait_for(f"!{shown}")
+    # by keyboard all symbols of a formula
+    browser.send("Emulation.setFocusEmulationEnabled", enabled=True)
+    browser.evaluate(
+        "document.activeElement.blur(), document.querySelector('div.formula').focus({ focusVisible: true })"
+    )
+    browser.wait_for(shown)
+    assert browser.evaluate(f"{tip}.childElementCount") >= 4
+    # each link leads to a heading in the same language
+    links = browser.evaluate("[...document.querySelectorAll('details.symbols a')].map((link) => link.href)")
+    assert len(links) > 5
+    for link in set(links):
+        page, _, anchor = link.removeprefix(f"{address}/").partition("#")
+        assert page.startswith("ja/")
+        assert not anchor or f'id="{anchor}"' in (SITE / page / "index.html").read_text()

@@ -166,6 +166,34 @@ def test_the_graph_has_the_numbers_of_python(open_page: Open, name: str) -> None
     assert page.complaints() == []
 
 
+def test_without_the_anchor_the_first_pose_stays_where_it_is_put(open_page: Open) -> None:
+    import live
+
+    log = live.log("loop")
+    page = open_page("graph", "loop")
+    page.click("figure.live button[data-name=all]")
+    best = agrees(page, log)
+    switch(page, "anchor")
+    drag(page, ".handles g:nth-of-type(5) circle.pose", 40, 25)  # after four landmarks, the first pose
+    first = page.evaluate(f"{FIGURE}.live.state.poses[0]")
+    assert np.hypot(*(np.array(first) - log.initial_poses[0])[:2]) > 0.2
+    # J without the term of the anchor
+    poses, graph = (
+        np.array(page.evaluate(f"{FIGURE}.live.state.poses")),
+        graph_of(log, page.evaluate(f"{FIGURE}.live.log()")),
+    )
+    moved = poses[0] - log.initial_poses[0]
+    anchor = 1e6 * moved @ moved
+    assert float(page.evaluate(f"{FIGURE}.dataset.cost")) == pytest.approx(graph.cost(poses) - anchor, rel=1e-4)
+    page.click("figure.live button[data-name=all]")
+    assert float(page.evaluate(f"{FIGURE}.dataset.cost")) == pytest.approx(best, rel=1e-6)
+    np.testing.assert_allclose(page.evaluate(f"{FIGURE}.live.state.poses[0]"), first, atol=1e-9)
+    assert "no inverse" in page.evaluate("document.querySelector('.live-status').textContent")
+    switch(page, "ellipses")
+    assert page.evaluate("document.querySelectorAll('.live-stage .ellipse').length") == 0
+    assert page.complaints() == []
+
+
 def test_poses_and_landmarks_move_by_mouse_finger_and_keys(open_page: Open) -> None:
     import live
 
@@ -285,6 +313,27 @@ def test_fastslam_runs_and_shows_the_particle_that_is_clicked(open_page: Open) -
     page.click("figure.live button[data-name=other]")
     switch(page, "resampling")
     assert page.evaluate(f"[{FIGURE}.live.state.t, {FIGURE}.live.state.resampling]") == [0, False]
+    assert page.complaints() == []
+
+
+def test_a_kidnapped_robot_is_lost(open_page: Open) -> None:
+    page = open_page("fastslam", "drive")
+    slam = f"{FIGURE}.live"
+    away = f"""(() => {{ const {{ poses, logWeights }} = {slam}.particles();
+        const best = poses[logWeights.indexOf(Math.max(...logWeights))], [x, y] = {slam}.truth();
+        return Math.hypot(best[0] - x, best[1] - y); }})()"""
+    page.evaluate(f"""(() => {{ let k = 0n; {slam}.random.key = () => (k += 1n) * 7919n; {slam}.random.offset = () => 0.5;
+        {slam}.restart(); while ({slam}.state.t < 8) {slam}.step(); }})()""")
+    before = page.evaluate(away)
+    page.click("figure.live button[data-name=kidnap]")
+    page.evaluate(f"while ({slam}.state.t < 14) {slam}.step()")
+    assert page.evaluate(away) > before + 2
+    assert "was not told" in page.evaluate("document.querySelector('.live-status').textContent")
+    assert page.evaluate(
+        "[...document.querySelectorAll('.true-path')].every((path) => !path.getAttribute('d').includes('NaN'))"
+    )
+    page.click("figure.live button[data-name=restart]")
+    assert page.evaluate(f"{slam}.state.kidnapped") is False
     assert page.complaints() == []
 
 

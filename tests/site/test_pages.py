@@ -149,3 +149,53 @@ def test_measured_values_are_the_same_on_all_pages():
     found = re.findall(r"(?:1/)?([\d.,]+)<!-- ([a-z][\w ]+) -->", text)
     assert {name for _, name in found} == set(measured)
     assert [(value, name) for value, name in found if measured[name] != value] == []
+
+
+FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\n]+?)\$", re.DOTALL)
+CHAPTERS = [page for page in PAGES if page.parent.name in ("graph", "fastslam", "beyond") and page.stem != "index"]
+
+
+def test_symbols_are_marked_and_nothing_else_changes():
+    symbols, used = import_module("symbols"), set()
+    for page in CHAPTERS:
+        name = str(page.relative_to(DOCS)).removesuffix(".md")
+        for path in (page, page.with_suffix(".ja.md")):
+            for found in FORMULA.finditer(re.sub(r"`[^`]*`", "", path.read_text())):
+                formula = found[1] or found[2]
+                marked = symbols.marked(formula, name)
+                used |= {int(number) for number in re.findall(r"sym=(\d+)", marked)}
+                plain = re.sub(r"\\htmlData\{sym=\d+\}", "", marked)
+                assert re.sub("[{}]", "", plain) == re.sub("[{}]", "", formula)
+    assert used == set(range(len(symbols.table())))
+
+
+def test_bold_symbols_of_chapters_are_explained():
+    symbols, missing = import_module("symbols"), []
+    # named where they stand, or a part of another symbol
+    others = {r"\V{0}", r"\V{a}", r"\V{b}", r"\V{d}", r"\V{t}", r"\V{y}", r"\textbf{e}", r"\textbf{x}"}
+    for page in CHAPTERS:
+        name = str(page.relative_to(DOCS)).removesuffix(".md")
+        used = set(re.findall(r"\\V\{\w\}|\\textbf\{\w\}", page.read_text())) - others
+        missing += [(name, symbol) for symbol in used if not any(symbol in head for head, _ in symbols.heads(name))]
+    assert missing == []
+
+
+@pytest.mark.parametrize("entry", import_module("symbols").table(), ids=lambda entry: entry["latex"][0])
+def test_symbols_have_a_meaning_in_both_languages_and_a_place(entry):
+    assert entry["en"]
+    assert entry["ja"]
+    page, _, anchor = entry["where"].partition("#")
+    for name in (f"{page}.md", f"{page}.ja.md"):
+        assert not anchor or section_of(name, anchor)
+        assert (DOCS / name).exists()
+
+
+def test_each_chapter_ends_with_literature():
+    literature = import_module("literature")
+    assert set(literature.chapters()) == {str(page.relative_to(DOCS)).removesuffix(".md") for page in CHAPTERS}
+    listed = [name for chapter in literature.chapters().values() for name in chapter["papers"]]
+    assert set(listed) == set(literature.papers())
+    for page in literature.chapters():
+        for language in ("en", "ja"):
+            text = literature.section(page, language)
+            assert text.startswith("## ") and len(text.splitlines()) >= 4

@@ -4,13 +4,19 @@ import { Controls, Stage, element, fill, html } from "./stage.js";
 const NUMBERS = [1, 5, 10, 20, 50, 100, 200, 500, 1000], FACTORS = [0.25, 0.5, 1, 2, 4];
 /** Groups of weights that are drawn in sizes of their own; trajectories shown at most; time of a step in a run [ms]. */
 const SIZES = 5, SHOWN = 100, PERIOD = 150;
+/** What the book's camera sees: ranges [m], bearings to both sides [rad]. A kidnapped robot is turned about the landmarks by so much. */
+const NEAR = 0.5, FAR = 6, ASIDE = Math.PI / 3, CARRIED = 2 * Math.PI / 3;
 
 export function make(figure, engine, log, words, book) {
   const state = { particles: 100, version: 1, noise: 1, resampling: true, chosen: null, t: -1, ess: null };
   // a test replaces these
-  const random = { key: () => BigInt(Math.floor(Math.random() * 2 ** 53)) << 11n, offset: Math.random };
-  const seen = [...log.controls, 0].map(() => []);
-  for (const [step, ...sighting] of log.sightings) seen[step].push(sighting);
+  const random = {
+    key: () => BigInt(Math.floor(Math.random() * 2 ** 53)) << 11n, offset: Math.random,
+    normal: () => Math.sqrt(-2 * Math.log(1 - Math.random())) * Math.cos(2 * Math.PI * Math.random()),
+  };
+  const recorded = [...log.controls, 0].map(() => []);
+  for (const [step, ...sighting] of log.sightings) recorded[step].push(sighting);
+  let seen = recorded, truth = log.truth;
   const names = [...new Set(log.sightings.map((row) => row[1]))];
   const stage = new Stage(figure, words.fastslamLabel, draw);
   ["truth", "paths", "ellipses", "particles", "chosen"].forEach((name) => stage.layer(name));
@@ -20,8 +26,8 @@ export function make(figure, engine, log, words, book) {
     slam?.free();
     const motion = ["nn", "no", "on", "oo"].map((name) => [name, book[name] * state.noise]);
     slam = engine.fastslam({ start: log.start, particles: state.particles, version: state.version, noise: Object.fromEntries(motion) });
-    history = [];
-    Object.assign(state, { t: -1, ess: null, chosen: null, resampled: false });
+    [history, seen, truth] = [[], recorded, log.truth];
+    Object.assign(state, { t: -1, ess: null, chosen: null, resampled: false, kidnapped: false });
     step();
   }
   /** Move, weigh and, if the effective sample size is at most half of N, resample. Returns false at the end of the drive. */
@@ -37,6 +43,22 @@ export function make(figure, engine, log, words, book) {
     if (ancestors) state.chosen = null;
     draw();
     return true;
+  }
+  /** Carry the robot to another place: from now on it drives there by the same controls, and the sightings are measured anew. */
+  function kidnap() {
+    if (state.kidnapped || state.t + 1 >= seen.length) return;
+    state.kidnapped = true;
+    const [u, v] = [0, 1].map((c) => log.landmarks.reduce((sum, m) => sum + m[c], 0) / log.landmarks.length);
+    const cosine = Math.cos(CARRIED), sine = Math.sin(CARRIED);
+    truth = truth.map(([x, y, heading], t) => (t <= state.t ? [x, y, heading]
+      : [u + cosine * (x - u) - sine * (y - v), v + sine * (x - u) + cosine * (y - v), heading + CARRIED]));
+    seen = recorded.map((rows, t) => (t <= state.t ? rows : log.landmarks.flatMap(([x, y, heading, name]) => {
+      const [range, bearing, psi] = engine.sight(truth[t], [x, y, heading]);
+      if (range < NEAR || range > FAR || Math.abs(bearing) > ASIDE) return [];
+      return [[name, range * (1 + book.range_rate * random.normal()), bearing + book.bearing_std * random.normal(),
+               psi + book.orientation_std * random.normal()]];
+    })));
+    draw();
   }
   /** The poses of a particle from now back to the start. */
   function trajectory(i) {
@@ -64,6 +86,7 @@ export function make(figure, engine, log, words, book) {
   const button = controls.button("run", words.run, run);
   controls.button("restart", words.restart, () => { stop(); restart(); });
   controls.button("other", words.other, () => choose((chosen() + 1) % state.particles));
+  controls.button("kidnap", words.kidnap, kidnap);
   controls.toggle("version", "FastSLAM 2.0", false, (on) => change("version")(on ? 2 : 1));
   controls.toggle("resampling", words.resampling, true, change("resampling"));
   controls.slider("particles", "N =", NUMBERS, 100, change("particles"));
@@ -82,7 +105,8 @@ export function make(figure, engine, log, words, book) {
     if (!stage.size || !history.length) return;
     const { poses, logWeights } = history.at(-1), most = Math.max(...logWeights), i = chosen();
     const stars = log.landmarks.map((m) => stage.at(m));
-    fill(stage, "truth", [stage.path(log.truth), ...stars.map(([x, y]) => `M${x - 5} ${y}h10m-5 -5v10`)], (d, k) =>
+    const until = state.kidnapped ? truth.findIndex((pose, t) => pose !== log.truth[t] && pose[2] !== log.truth[t][2]) : truth.length;
+    fill(stage, "truth", [stage.path(truth.slice(0, until)) + (until < truth.length ? stage.path(truth.slice(until)) : ""), ...stars.map(([x, y]) => `M${x - 5} ${y}h10m-5 -5v10`)], (d, k) =>
       ({ d, class: k ? "true-landmark" : "true-path" }));
     // common ancestors are drawn once
     const every = Math.ceil(state.particles / SHOWN), segments = new Set();
@@ -111,9 +135,11 @@ export function make(figure, engine, log, words, book) {
     const [x, y] = stage.at(poses[i]);
     fill(stage, "chosen", [stage.path(trajectory(i)), `M${x} ${y}h.01`], (d, k) => ({ d, class: k ? "chosen-pose" : "chosen-path" }));
     status.innerHTML = `<strong>t = ${state.t}</strong>, <span></span>`;
-    status.lastChild.textContent = words.ess(state.ess, state.particles, state.resampled);
+    status.lastChild.textContent = words.ess(state.ess, state.particles, state.resampled)
+      + (state.kidnapped ? words.kidnapped : "");
   }
   restart();
   stage.show([...log.truth, ...log.landmarks], 0.8);
-  return { state, random, step, restart, change, choose, particles: () => slam.particles(), map: () => names.map((name) => slam.landmark(name)), names };
+  return { state, random, step, restart, change, choose, particles: () => slam.particles(), map: () => names.map((name) => slam.landmark(name)), names, kidnap,
+           truth: () => truth[state.t] };
 }

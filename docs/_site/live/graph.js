@@ -16,7 +16,7 @@ export function make(figure, engine, log, words) {
   const state = {
     sightings: log.sightings.map((row) => [...row]), poses: [],
     oriented: on("psi", true), motions: on("motions", true), wrong: on("wrong", false), kernel: on("kernel", false),
-    ellipses: on("ellipses", false),
+    ellipses: on("ellipses", false), anchor: on("anchor", true),
   };
   const pairs = pairsOf(log.sightings), mistaken = Number(given.mistaken ?? log.sightings.length - 1);
   const stage = new Stage(figure, words.graphLabel, draw);
@@ -54,11 +54,13 @@ export function make(figure, engine, log, words) {
     draw();
   }
   function solve(most) {
-    const end = graph.solve(state.poses, most);
-    if (end.poses.every((pose) => pose.every(Number.isFinite))) state.poses = end.poses;
+    // without the anchor nothing changes if all poses move together: the first one is held where it is
+    const held = state.poses[0], carry = state.anchor ? (poses) => poses : (poses, from, to) => poses.map((pose) => carried(pose, from, to));
+    const end = graph.solve(carry(state.poses, held, log.start), most);
+    if (end.poses.every((pose) => pose.every(Number.isFinite))) state.poses = carry(end.poses, log.start, held);
     message = !end.determined ? words.free
       : `${most === 1 ? "" : `${words.steps(end.steps)}, `}${words.norm}: ${end.norm.toPrecision(2)}`
-        + (most > 1 && !end.converged ? `, ${words.notConverged}` : "");
+        + (most > 1 && !end.converged ? `, ${words.notConverged}` : "") + (state.anchor ? "" : `. ${words.noAnchor}`);
     draw();
   }
   function change(name, value) {
@@ -72,7 +74,7 @@ export function make(figure, engine, log, words) {
   controls.button("step", words.step, () => solve(1));
   controls.button("all", words.all, () => solve(100));
   controls.button("reset", words.reset, () => { state.poses = graph.deadReckoning(); message = ""; draw(); });
-  for (const [name, key] of [["psi", "oriented"], ["motions", "motions"], ["wrong", "wrong"], ["kernel", "kernel"], ["ellipses", "ellipses"]])
+  for (const [name, key] of [["psi", "oriented"], ["motions", "motions"], ["wrong", "wrong"], ["kernel", "kernel"], ["anchor", "anchor"], ["ellipses", "ellipses"]])
     controls.toggle(name, words[name], state[key], (value) => change(key, value));
   const status = html("p", { class: "live-status", role: "status" }, figure);
   const legend = html("p", { class: "live-legend" }, figure);
@@ -114,7 +116,8 @@ export function make(figure, engine, log, words) {
 
   function draw() {
     if (!graph || !stage.size || !handles) return;
-    const { J, squares } = graph.costs(state.poses), sightings = measured();
+    const { J: whole, squares } = graph.costs(state.poses), sightings = measured();
+    const J = state.anchor ? whole : whole - squares[0];
     const places = sightings.map((row) => engine.place(state.poses[row[0]], row.slice(2)).landmark);
     const motions = state.motions ? log.controls.map((_, t) => stage.path([state.poses[t], state.poses[t + 1]])) : [];
     const edges = [...motions, ...pairs.map(([a, b]) => {
@@ -132,7 +135,7 @@ export function make(figure, engine, log, words) {
     const rays = sightings.map((row, k) => stage.path([state.poses[row[0]], places[k]])).join("");
     fill(stage, "rays", [rays, residuals], (path, k) => ({ d: path, class: k ? "residual" : "ray" }));
     fill(stage, "places", places.map((at) => stage.at(at)), ([x, y]) => ({ d: `M${x} ${y}h.01`, class: "place" }));
-    const blocks = state.ellipses ? graph.covariances(state.poses) : null;
+    const blocks = state.ellipses && state.anchor ? graph.covariances(state.poses) : null;
     fill(stage, "ellipses", blocks ?? [], (C, t) => ({ d: stage.ellipse(state.poses[t], [C[0], C[1], C[4]]), class: "ellipse" }));
 
     landmarks.forEach((m, k) => place(stage, handles.landmarks[k], m, 0, `${words.landmark} ${names[k]}`, words.moveLandmark));
@@ -144,6 +147,12 @@ export function make(figure, engine, log, words) {
   const drawn = log.sightings.map((row) => engine.place(state.poses[row[0]], row.slice(2)).landmark);
   stage.show([...state.poses, ...solved, ...landmarks, ...drawn], 0.4);
   return { state, landmarks, solve, change, draw, costs: () => graph.costs(state.poses), log: () => ({ ...log, sightings: measured() }) };
+}
+
+/** A pose that has been carried along as `from` is carried to `to`. */
+function carried([x, y, heading], from, to) {
+  const turn = to[2] - from[2], c = Math.cos(turn), s = Math.sin(turn), dx = x - from[0], dy = y - from[1];
+  return [to[0] + c * dx - s * dy, to[1] + s * dx + c * dy, heading + turn];
 }
 
 /** All pairs of sightings of one landmark, by their numbers. */

@@ -8,6 +8,7 @@ const WORDS = {
     moveLandmark: "arrow keys move it, and its sightings are measured anew",
     step: "One Gauss-Newton step", all: "All steps", reset: "Dead reckoning",
     psi: "ψ is measured", motions: "motion edges", wrong: "one wrong sighting", kernel: "robust kernel (Cauchy)", ellipses: "covariance ellipses",
+    anchor: "anchor", noAnchor: "Without the anchor Ω has no inverse; the first pose is held where it is.",
     norm: "norm of the last step", steps: (n) => `${n} steps`,
     free: "The edges do not determine all poses: Ω has no inverse.",
     notConverged: "not converged",
@@ -22,6 +23,7 @@ const WORDS = {
       + "The grey line is the residual e. Drag the poses and the ends of the sightings.",
     fastslamLabel: "particles of FastSLAM, with the map of one of them",
     oneStep: "One step", run: "Run", pause: "Pause", restart: "From the start", other: "Next particle",
+    kidnap: "Kidnap the robot", kidnapped: ", the robot was carried elsewhere, and the filter was not told",
     resampling: "resampling", motionNoise: "motion noise ×",
     ess: (ess, n, resampled) => (ess === null ? "no landmark seen yet" : `effective sample size ${ess.toFixed(1)} of ${n}`)
       + (resampled ? ", resampled" : ""),
@@ -49,6 +51,7 @@ const WORDS = {
     moveLandmark: "矢印キーで動かすと、センサ値を測り直します",
     step: "ガウス・ニュートン法を1回", all: "収束まで", reset: "デッドレコニング",
     psi: "ψを計測する", motions: "移動エッジ", wrong: "誤ったセンサ値を1つ入れる", kernel: "ロバストカーネル（Cauchy）", ellipses: "共分散の楕円",
+    anchor: "アンカー", noAnchor: "アンカーがないとΩに逆行列がないので、最初の姿勢をその場に固定して解きます",
     norm: "最後の更新量のノルム", steps: (n) => `${n}回`,
     free: "エッジだけでは姿勢が一意に決まりません。Ωに逆行列がありません。",
     notConverged: "収束していません",
@@ -62,6 +65,7 @@ const WORDS = {
     covarianceLegend: "楕円は標準偏差の2倍で、青とオレンジは各センサ値、紫は残差（共分散の和）です。灰色の線が残差eです。姿勢とセンサ値の先端をドラッグできます。",
     fastslamLabel: "FastSLAMのパーティクルと、そのうち1つの地図",
     oneStep: "1ステップ", run: "走らせる", pause: "止める", restart: "最初から", other: "次のパーティクル",
+    kidnap: "ロボットを誘拐する", kidnapped: "、ロボットは別の場所へ運ばれましたが、フィルタには知らされていません",
     resampling: "リサンプリング", motionNoise: "移動の雑音 ×",
     ess: (ess, n, resampled) => (ess === null ? "まだランドマークを観測していません" : `有効サンプルサイズ ${ess.toFixed(1)}（N = ${n}）`)
       + (resampled ? "、リサンプリングしました" : ""),
@@ -79,7 +83,7 @@ const WORDS = {
     noRange: (value) => `距離が ${value} です。正の値でなければなりません`,
     report: (poses, marks, seen, left, s) => `姿勢${poses}個、ランドマーク${marks}個、センサ値${seen}個（ほかに${left}個を除外）、${s.toFixed(2)}秒。`,
     ownNotConverged: "反復は収束していません。",
-    ownLegend: "線は軌跡、破線はデッドレコニング、十字はランドマークです。雑音は書籍の値で、各センサ値を1回ずつ数えます。",
+    ownLegend: "線は軌跡、破線はデッドレコニング、十字はランドマークです。雑音は書籍の値で、各センサ値は1回ずつ使います。",
   },
 };
 

@@ -2,10 +2,42 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from graphslam import SensorModel, simulate
+from graphslam import MotionModel, SensorModel, simulate
 
 log = simulate(seed=3, steps=20, clean=True)  # the book's world
 sensor = SensorModel()
+
+# %% naive
+# move by the control, write what is seen onto the map, and never correct either
+from graphslam import textbook as graph_textbook
+
+drive = simulate(seed=3, clean=True)
+pose, naive, written = drive.initial_poses[0], [drive.initial_poses[0]], {}
+for t in range(drive.num_poses):
+    if t > 0:
+        pose = MotionModel().f(pose, drive.controls[t - 1], drive.dt[t - 1])
+        naive.append(pose)
+    for j, z in zip(drive.landmarks[drive.steps == t], drive.sightings[drive.steps == t]):
+        written.setdefault(int(j), []).append(graph_textbook.inverse_observation(pose, z)[:2])
+naive = np.array(naive)
+fig, axes = plt.subplots(1, 2, figsize=(8.4, 4.2), sharex=True, sharey=True)
+for ax, last, name in ((axes[0], 4, "after 4 motions"), (axes[1], drive.num_poses - 1, "after 62 motions")):
+    ax.plot(*drive.true_poses[: last + 1, :2].T, "k--", lw=0.8, label="ground truth")
+    ax.plot(*naive[: last + 1, :2].T, "C0", lw=1, label="naive trajectory")
+    for j, places in written.items():
+        count = int(np.sum((drive.landmarks == j) & (drive.steps <= last)))
+        ax.plot(*np.array(places[:count]).reshape(-1, 2).T, ".", color=f"C{j + 1}", ms=4)
+        ax.plot(*drive.true_landmarks[j][:2], "k*", ms=9)
+    ax.set(xlabel="x [m]", aspect="equal", title=name)
+axes[0].set_ylabel("y [m]")
+axes[0].legend(fontsize=8, loc="lower left")
+away = np.hypot(*(naive - drive.true_poses)[:, :2].T)
+print(f"error of the position: {away[4]:.2f} m after 4 motions, at most {away.max():.2f} m in {drive.num_poses - 1}")
+spread = [np.ptp(places, axis=0).max() for places in written.values()]
+print(f"one landmark is written onto places that are up to {max(spread):.1f} m apart")
+assert drive.num_poses == 63
+assert away[4] < 0.3 * away.max()
+assert max(spread) > 5
 
 # %% independent
 # one landmark seen from a known pose, another one, too: with the pose known, their errors have nothing in common

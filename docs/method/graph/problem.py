@@ -31,6 +31,52 @@ print(f"unknown: {poses} poses and {landmarks} landmarks, {3 * (poses + landmark
 print(f"without the landmarks: {3 * poses} numbers")
 print(f"measured: {log.controls.size + log.sightings.size} numbers")
 
+# %% strain
+# ten poses on a circle with four landmarks: where each sighting puts its landmark, before and after the solution
+from graphslam import simulate, textbook
+
+landmarks = ((2.6, -2.4, 0.0), (2.2, 1.8, 0.0), (-2.4, 1.6, 0.0), (-2.2, -2.2, 0.0))
+circle = {
+    "steps": 9,
+    "dt": 4.0,
+    "speed": 0.35,
+    "turn_rate": 2 * np.pi / 36,
+    "start": (0.0, -2.0, 0.0),
+    "max_range": 5.0,
+}
+loop = simulate(seed=25, landmarks=landmarks, clean=True, **circle)
+loop_graph = Graph.from_log(loop, edges="virtual+motion", weight="pairs", kernel="none")
+strained = {"dead reckoning": loop_graph.initial, "after the poses have moved": solve(loop_graph).poses}
+
+
+def spring(a, b, turns=7, width=0.07):
+    """A zigzag line from a to b."""
+    along = np.linspace(0, 1, 2 * turns + 3)
+    side = np.array([0, 0, *(width * (-1) ** np.arange(2 * turns - 1)), 0, 0])
+    normal = np.array([a[1] - b[1], b[0] - a[0]]) / max(np.hypot(*(b - a)), 1e-9)
+    return a + along[:, None] * (b - a) + side[:, None] * normal
+
+
+fig, axes = plt.subplots(1, 2, figsize=(8.4, 4.2), sharex=True, sharey=True)
+lengths = {}
+for ax, (name, x) in zip(axes, strained.items()):
+    places = np.array([textbook.inverse_observation(x[t], z)[:2] for t, z in zip(loop.steps, loop.sightings)])
+    for j in np.unique(loop.landmarks):
+        rows = np.flatnonzero(loop.landmarks == j)
+        for k, a in enumerate(rows):
+            for b in rows[k + 1 :]:
+                ax.plot(*spring(places[a], places[b]).T, "C1", lw=0.5, alpha=0.6)
+                lengths.setdefault(name, []).append(np.hypot(*(places[a] - places[b])))
+    for t, place in zip(loop.steps, places):
+        ax.plot(*np.array([x[t, :2], place]).T, "k:", lw=0.4)
+    ax.plot(*places.T, "k.", ms=3)
+    ax.quiver(*x[:, :2].T, np.cos(x[:, 2]), np.sin(x[:, 2]), color="C0", scale=18, width=0.008)
+    ax.set(xlabel="x [m]", aspect="equal", title=f"{name}: J = {loop_graph.cost(x):.0f}")
+axes[0].set_ylabel("y [m]")
+means = {name: np.mean(values) for name, values in lengths.items()}
+print("mean length of the springs [m]:", {name: round(float(value), 2) for name, value in means.items()})
+assert means["after the poses have moved"] < 0.5 * means["dead reckoning"]
+
 # %% three
 from graphslam import load
 

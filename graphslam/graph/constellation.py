@@ -1,0 +1,242 @@
+"""Registration of landmarks without ids in a map: which place in it has a constellation like theirs.
+
+Two measured landmarks at a distance d match the pairs of landmarks of the map at the same distance, and each match is a
+hypothesis of the pose T. All are scored by how many measurements have a landmark of the map nearby; the best are refined and
+compared by their evidence, as in `graph.registration`. There the id says which of the L landmarks a measurement is of.
+Here it may be any of them: with the density rho = L / A of the landmarks of the map, a measurement adds
+
+    log(RIGHT sum over j of p_kj / rho + 1 - RIGHT),
+
+p_kj its density if it is of landmark j, of which the `NEAR` nearest count; 1 - RIGHT is for clutter and landmarks that the
+map does not have. One that is too uncertain to say anything adds about 0.
+
+Sightings of one landmark must count once: they are merged first, in the frame of the measurements.
+
+Sources: Bailey, Nebot, Rosenblatt and Durrant-Whyte, *Data association for mobile robot navigation: a graph theoretic
+approach*, ICRA 2000; MacKay, *Information Theory, Inference, and Learning Algorithms*, chapter 28.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..se2 import Array, rotation, wrap
+from .landmark_map import LandmarkMap
+from .registration import GATE, RIGHT, Match, Points, refined, through
+
+#: the pairs of measurements that make hypotheses, how often each measurement is in one, and the most matches of a pair
+PAIRS, USED, MATCHES = 16, 3, 5_000
+#: the most measurements by which hypotheses are scored, and the hypotheses that are refined
+SCORED, REFINED = 30, 24
+#: how many standard deviations two distances may differ
+WIDE = 2.5
+#: the landmarks of the map that a measurement may be of
+NEAR = 8
+#: cells of the table of the nearest landmark
+CELLS = 160_000
+
+
+@dataclass(frozen=True, eq=False)
+class Constellations:
+    """A map whose pairs of landmarks are sorted by their distance.
+
+    Attributes:
+        ids: (L,) of the landmarks.
+        places, covariances: (L, 3) and (L, 3, 3), headings NaN where they are not known.
+        tree: of the places.
+        pairs, distances: (N, 2) and (N,), by increasing distance.
+        corner, cell, nearest: a table (X, Y) of the landmark nearest to each square cell, and where it begins.
+        area: of the map [m²].
+    """
+
+    ids: np.ndarray
+    places: Array
+    covariances: Array
+    tree: cKDTree
+    pairs: np.ndarray
+    distances: Array
+    corner: Array
+    cell: float
+    nearest: np.ndarray
+    area: float
+
+    @classmethod
+    def of(cls, landmarks: LandmarkMap, reach: float) -> Constellations:
+        """A map, with the pairs that are not farther apart than twice the reach of the sensor [m]."""
+        ids = np.array(list(landmarks))
+        places, covariances = np.full((len(ids), 3), np.nan), np.zeros((len(ids), 3, 3))
+        for k, j in enumerate(ids.tolist()):
+            places[k, : len(landmarks[j])] = landmarks[j]
+            if j in landmarks.covariances:
+                d = len(landmarks.covariances[j])
+                covariances[k, :d, :d] = landmarks.covariances[j]
+        tree = cKDTree(places[:, :2])
+        pairs = tree.query_pairs(2 * reach, output_type="ndarray")
+        distances = np.hypot(*(places[pairs[:, 1], :2] - places[pairs[:, 0], :2]).T)
+        order = np.argsort(distances)
+        corner = places[:, :2].min(axis=0) - reach / 4
+        size = np.ptp(places[:, :2], axis=0) + reach / 2
+        cell = float(np.sqrt(np.prod(size) / CELLS))
+        shape = np.ceil(size / cell).astype(int)
+        centres = (
+            np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1) * cell + corner + cell / 2
+        )
+        nearest = tree.query(centres.reshape(-1, 2))[1].reshape(shape)
+        area = float(np.prod(np.ptp(places[:, :2], axis=0) + reach))
+        return cls(ids, places, covariances, tree, pairs[order], distances[order], corner, cell, nearest, area)
+
+    def near(self, points: Array) -> np.ndarray:
+        """About the nearest landmark of points (..., 2), from the table."""
+        cells = ((points - self.corner) / self.cell).astype(int)
+        cells = np.clip(cells, 0, np.array(self.nearest.shape) - 1)
+        return np.asarray(self.nearest[cells[..., 0], cells[..., 1]])
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """Landmarks in the frame of the measurements, K of each: places (K, 3), covariances (K, 3, 3), numbers of sightings.
+
+    ``which`` (M,) is the landmark of each sighting.
+    """
+
+    places: Array
+    covariances: Array
+    counts: np.ndarray
+    which: np.ndarray
+
+
+def merged(y: Array, sensed: Array, drift: Array, steps: np.ndarray) -> Merged:
+    """Sightings (M, 3), headings NaN where unknown, as landmarks: each belongs to the nearest one that it fits, or is new.
+
+    Args:
+        y: places.
+        sensed, drift: (M, 3, 3) their covariances by the sensor, and by the odometry since the first pose.
+        steps: (M,) at which they were seen; two sightings of one step are two landmarks.
+    """
+    means: list[Array] = []
+    information: list[Array] = []
+    first: list[Array] = []
+    last: list[int] = []
+    counts: list[int] = []
+    which = np.empty(len(y), dtype=int)
+    d = 3 if np.isfinite(y[:, 2]).all() else 2
+    for k in range(len(y)):
+        best, least = -1, GATE
+        W = np.linalg.inv(sensed[k, :d, :d])
+        for c, mean in enumerate(means):
+            off = y[k, :2] - mean[:2]
+            if last[c] == steps[k] or abs(off[0]) + abs(off[1]) > 5.0:
+                continue
+            V = sensed[k, :2, :2] + np.linalg.inv(information[c])[:2, :2] + drift[k, :2, :2] - first[c][:2, :2]
+            square = float(off @ np.linalg.solve(V, off))
+            if square < least:
+                best, least = c, square
+        if best < 0:
+            which[k] = len(means)
+            means.append(y[k, :d].copy())
+            information.append(W)
+            first.append(drift[k])
+            last.append(int(steps[k]))
+            counts.append(1)
+            continue
+        off = y[k, :d] - means[best]
+        off[2:] = wrap(off[2:])
+        information[best] = information[best] + W
+        means[best] = means[best] + np.linalg.solve(information[best], W @ off)
+        last[best], which[k] = int(steps[k]), best
+        counts[best] += 1
+    places, covariances = np.full((len(means), 3), np.nan), np.zeros((len(means), 3, 3))
+    places[:, :d] = means
+    covariances[:, :d, :d] = np.linalg.inv(np.array(information)) + np.array(first)[:, :d, :d]
+    return Merged(places, covariances, np.array(counts), which)
+
+
+def match(landmarks: Merged, known: Constellations) -> list[tuple[Match, np.ndarray]]:
+    """The poses T that differ, by decreasing evidence, each with the number (K,) in the map of each landmark's partner."""
+    order = np.argsort(-landmarks.counts, kind="stable")[:SCORED]
+    y, C = landmarks.places[order], landmarks.covariances[order]
+    variance = np.trace(C[:, :2, :2], axis1=1, axis2=2) / 2
+    variance = variance + float(np.mean(np.trace(known.covariances[:, :2, :2], axis1=1, axis2=2))) / 2
+    poses = _hypotheses(y[:, :2], variance, known)
+    if not len(poses):
+        return []
+    moved = np.einsum("hij,kj->hki", rotation(poses[:, 2]), y[:, :2]) + poses[:, None, :2]
+    near = known.near(moved)
+    squares = np.sum((moved - known.places[near, :2]) ** 2, axis=2) / variance
+    gain = np.maximum(0.0, GATE - squares).sum(axis=1)
+    found: list[tuple[Match, np.ndarray]] = []
+    left, tried = REFINED, list[np.ndarray]()
+    for k in np.argsort(-gain, kind="stable").tolist():
+        partners = np.where(squares[k] <= GATE, near[k], -1)
+        # the same partners lead to the same place
+        if any(2 * np.sum((partners == each) & (partners >= 0)) > np.sum(partners >= 0) for each in tried):
+            continue
+        tried.append(partners)
+        result = _refined(landmarks, known, poses[k])
+        if result is not None and all(result[0].differs(other) for other, _ in found):
+            found.append(result)
+        left -= 1
+        if left == 0:
+            break
+    return sorted(found, key=lambda each: -each[0].evidence)
+
+
+def _hypotheses(y: Array, variance: Array, known: Constellations) -> Array:
+    """T (H, 3) of pairs of measurements and pairs of landmarks at the same distance; the rarest distances first."""
+    i, j = np.triu_indices(len(y), 1)
+    apart = np.hypot(*(y[j] - y[i]).T)
+    off = WIDE * np.sqrt(variance[i] + variance[j])
+    low, high = (np.searchsorted(known.distances, apart + sign * off) for sign in (-1, 1))
+    count = high - low
+    used, chosen = np.zeros(len(y), dtype=int), list[Array]()
+    for k in np.argsort(count, kind="stable").tolist():
+        # two that are hardly apart do not say where they head
+        if count[k] == 0 or apart[k] < 2 * off[k] / WIDE or max(used[i[k]], used[j[k]]) >= USED:
+            continue
+        if count[k] > MATCHES or len(chosen) == PAIRS:
+            break
+        used[[i[k], j[k]]] += 1
+        pairs = known.pairs[low[k] : high[k]]
+        a, b = (known.places[np.concatenate([pairs[:, n], pairs[:, 1 - n]]), :2] for n in (0, 1))
+        way, here = b - a, y[j[k]] - y[i[k]]
+        theta = np.arctan2(here[0] * way[:, 1] - here[1] * way[:, 0], way @ here)
+        share = variance[j[k]] / (variance[i[k]] + variance[j[k]])
+        middle = np.broadcast_to(share * y[i[k]] + (1 - share) * y[j[k]], a.shape)
+        chosen.append(through(theta, middle, share * a + (1 - share) * b))
+    return np.concatenate(chosen) if chosen else np.zeros((0, 3))
+
+
+def _refined(landmarks: Merged, known: Constellations, pose: Array) -> tuple[Match, np.ndarray] | None:
+    """A hypothesis after Gauss-Newton with the nearest landmark for each measurement, and these partners."""
+    result: Match | None = None
+    for _ in range(3):
+        moved = landmarks.places[:, :2] @ rotation(pose[2]).T + pose[:2]
+        distance, partner = known.tree.query(moved)
+        # one landmark is seen once: the nearest measurement has it
+        order = np.lexsort((distance, partner))
+        again = np.zeros(len(partner), dtype=bool)
+        again[order[1:]] = partner[order[1:]] == partner[order[:-1]]
+        places = known.places[partner].copy()
+        places[again, :2] += 1e6
+        points = Points(
+            landmarks.places, landmarks.covariances, places, known.covariances[partner], known.ids[partner], known.area
+        )
+        result = refined(points, pose)
+        if result is None:
+            return None
+        pose = result.pose
+    assert result is not None
+    moved = landmarks.places[:, :2] @ rotation(pose[2]).T + pose[:2]
+    _, partners = known.tree.query(moved, k=min(NEAR, len(known.ids)))
+    partners = partners.reshape(len(moved), -1)
+    turn = rotation(pose[2])
+    V = turn @ landmarks.covariances[:, :2, :2] @ turn.T
+    V = V[:, None] + known.covariances[partners][:, :, :2, :2]
+    e = moved[:, None] - known.places[partners][:, :, :2]
+    squares = np.einsum("kni,knij,knj->kn", e, np.linalg.inv(V), e)
+    densities = np.exp(-squares / 2) / (2 * np.pi * np.sqrt(np.linalg.det(V)))
+    seen = np.log(RIGHT * densities.sum(axis=1) * known.area / len(known.ids) + 1 - RIGHT)
+    return Match(result.pose, result.covariance, result.agree, float(seen.sum() + result.volume(known.area))), partner

@@ -1,0 +1,131 @@
+"""Logs without ids in a map, and robots that are lifted: `graphslam.graph.constellation` and `graphslam.graph.tracking`."""
+
+import numpy as np
+import pytest
+
+from graphslam import Graph, GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, simulate, solve
+from graphslam.graph.constellation import Constellations, match, merged
+from graphslam.graph.localization import possible_fixes
+from graphslam.graph.tracking import follow
+from graphslam.log import UNIDENTIFIED
+from graphslam.se2 import wrap
+
+MODELS = {
+    "motion": MotionModel(nn=0.05, no=0.001, on=0.02, oo=0.05),
+    "sensor": SensorModel(range_rate=0.03, bearing_std=0.02, orientation_std=0.02),
+}
+WORLD = {"clean": True, "orientation": False, "max_range": 8.0, "arena": 15.0, "landmarks": 60, **MODELS}
+FIRST = simulate(seed=4, steps=40, start=(0.0, -5.0, 0.3), **WORLD)
+TRUE = LandmarkMap(FIRST.true_landmarks)
+
+
+def unnamed(log):
+    return log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED), true_landmarks=None)
+
+
+def elsewhere(seed, start):
+    """A drive in the same world from another pose."""
+    world = WORLD | {"landmarks": [m.tolist() for m in FIRST.true_landmarks.values()]}
+    return simulate(seed=seed, steps=40, start=start, **world)
+
+
+def lifted(first, second):
+    """Two drives as one, whose odometry stands still between them."""
+    return Log(
+        dt=np.concatenate([first.dt, [3.0], second.dt]), controls=np.concatenate([first.controls, [[0, 0]], second.controls]),
+        steps=np.concatenate([first.steps, first.num_poses + second.steps]),
+        landmarks=np.concatenate([first.landmarks, second.landmarks]),
+        sightings=np.concatenate([first.sightings, second.sightings]),
+    )  # fmt: skip
+
+
+def off(pose, true):
+    return np.hypot(*(pose - true)[:2]), abs(wrap(pose[2] - true[2]))
+
+
+def test_a_constellation_without_noise_is_found_exactly():
+    rng = np.random.default_rng(0)
+    places = rng.uniform(0, 40, (200, 2))
+    pose = np.array([20.0, 15.0, 2.0])
+    near = np.argsort(np.hypot(*(places - pose[:2]).T))[:8]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    y = np.column_stack([(places[near] - pose[:2]) @ [[c, -s], [s, c]], np.full(8, np.nan)])
+    small = np.tile(1e-6 * np.eye(3), (8, 1, 1))
+    known = Constellations.of(LandmarkMap(dict(enumerate(places))), 8.0)
+    seen = merged(y, small, 0 * small, np.zeros(8))
+    (best, partners), *others = match(seen, known)
+    assert np.allclose(best.pose, pose, atol=1e-6) and best.agree.all()
+    assert np.array_equal(partners[np.argsort(seen.which)], near[np.argsort(seen.which)])
+    assert all(best.evidence - each.evidence > 20 for each, _ in others)
+
+
+def test_sightings_of_one_landmark_are_merged():
+    rng = np.random.default_rng(1)
+    landmarks = np.array([[3.0, 0.0], [0.0, 4.0], [-2.0, 1.0]])
+    steps = np.repeat(np.arange(6), 3)
+    y = np.column_stack([np.tile(landmarks, (6, 1)) + 0.1 * rng.normal(size=(18, 2)), np.full(18, np.nan)])
+    noise = np.tile(0.01 * np.eye(3), (18, 1, 1))
+    seen = merged(y, noise, 0 * noise, steps)
+    assert np.array_equal(seen.which, np.tile([0, 1, 2], 6)) and list(seen.counts) == [6, 6, 6]
+    # the mean of six, and its covariance
+    for k in range(3):
+        assert np.allclose(seen.places[k, :2], y[k::3, :2].mean(axis=0))
+        assert np.allclose(seen.covariances[k, :2, :2], 0.01 / 6 * np.eye(2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_first_fix_without_ids_is_that_with_them(seed):
+    log = elsewhere(10 + seed, (4.0 * seed - 4, 3.0, 2.0 * seed))
+    fix = first_fix(unnamed(log), TRUE, **MODELS)
+    assert fix.odds > 1000
+    way = fix.pose - log.true_poses[0]
+    way[2] = wrap(way[2])
+    # chi-square with 3 degrees of freedom is below 21 in 9,999 of 10,000
+    assert way @ np.linalg.solve(fix.covariance, way) < 21
+
+
+def test_two_alike_rooms_are_alternatives_with_even_odds():
+    there = {100 + j: np.append(m[:2] + (100.0, 0.0), m[2:]) for j, m in TRUE.items()}
+    log = unnamed(elsewhere(10, (-4.0, 3.0, 0.0)))
+    fixes = possible_fixes(log, LandmarkMap({**TRUE, **there}), **MODELS)
+    assert np.allclose(fixes[0].pose - fixes[1].pose, np.sign(fixes[0].pose[0] - 50) * np.array([100, 0, 0]), atol=1e-3)
+    assert fixes[0].odds == pytest.approx(1, rel=0.05) and fixes[1].odds == pytest.approx(1, rel=0.05)
+    with pytest.raises(GraphError, match=r"with probability 0\.5; .* with probability 0\.5"):
+        first_fix(log, LandmarkMap({**TRUE, **there}), **MODELS)
+
+
+def test_a_log_without_ids_is_solved_in_a_map():
+    log = elsewhere(10, (-4.0, 3.0, 0.0))
+    graph = Graph.from_log(unnamed(log), map=TRUE, **MODELS)
+    found = follow(unnamed(log), TRUE, **MODELS).landmarks
+    known = found != UNIDENTIFIED
+    assert known.mean() > 0.8 and np.array_equal(found[known], log.landmarks[known])
+    with_ids = solve(Graph.from_log(log.with_sightings(known), map=TRUE, **MODELS))
+    assert np.allclose(solve(graph).poses, with_ids.poses, atol=1e-6)
+    assert any("without ids their landmark" in note for note in graph.notes)
+
+
+@pytest.mark.parametrize("with_ids", [True, False])
+def test_a_lifted_robot_is_found_again(with_ids):
+    first, second = FIRST, elsewhere(11, (5.0, 6.0, -2.0))
+    log = lifted(*((first, second) if with_ids else (unnamed(first), unnamed(second))))
+    graph = Graph.from_log(log, map=TRUE, kernel="none", **MODELS)
+    (note,) = [note for note in graph.notes if "lifted" in note]
+    assert f"and {first.num_poses}, and put down" in note
+    # the drives are apart: each has the solution that it has alone
+    poses = solve(graph).poses
+    for part, rows in ((first, slice(first.num_poses)), (second, slice(first.num_poses, None))):
+        alone = solve(Graph.from_log(part if with_ids else unnamed(part), map=TRUE, kernel="none", **MODELS)).poses
+        assert np.abs(poses[rows] - alone)[:, :2].max() < 1e-3
+
+
+def test_drives_without_kidnapping_are_not_changed():
+    for seed in range(20, 30):
+        assert not follow(elsewhere(seed, (0.0, 0.0, 0.5 * seed)), TRUE, **MODELS).lifted
+
+
+def test_a_landmark_that_has_moved_is_no_kidnapping():
+    log = elsewhere(10, (-4.0, 3.0, 0.0))
+    j = int(np.bincount(log.landmarks).argmax())
+    moved = LandmarkMap({**TRUE, j: TRUE[j] + (2.0, 0.0, 0.0)[: len(TRUE[j])]})
+    assert not follow(log, moved, **MODELS).lifted
