@@ -249,10 +249,9 @@ def session_tables(comparison: Comparison) -> list[Table]:
 
 
 def state_table(comparison: Comparison) -> Table | None:
-    """The landmarks of the map that do not surely agree, and new ones; None where there are none."""
-    states = [
-        each for each in comparison.options.landmark_states or () if each.state != "agrees" or each.probability < 0.95
-    ]
+    """The landmarks of the map that were in view and do not surely agree, and new ones; None where there are none."""
+    told = comparison.options.landmark_states or ()
+    states = [e for e in told if e.state != "not in view" and (e.state != "agrees" or e.probability < 0.95)]
     if not states:
         return None
     headings = ["state", "probability", "moved by\n[m]", "sightings", "views"]

@@ -137,7 +137,7 @@ def possible_fixes(
 ) -> list[Fix]:
     """Where a log without ids may begin in a map, the most probable place first, each with its odds.
 
-    The first sightings, merged into landmarks, are matched as a constellation (`graphslam.graph.constellation`). More are taken
+    The first sightings, merged into landmarks, are matched as a constellation (`graph.constellation`). More are taken
     until the odds of the best place against all others and none are above `SURE` and at least `FEWEST` landmarks agree, more
     than contradict. If all, or `LONGEST`, do not suffice, the first odds are below that: the map is ambiguous.
 
