@@ -250,8 +250,8 @@ def session_tables(comparison: Comparison) -> list[Table]:
 
 def state_table(comparison: Comparison) -> Table | None:
     """The landmarks of the map that were in view and do not surely agree, and new ones; None where there are none."""
-    told = comparison.options.landmark_states or ()
-    states = [e for e in told if e.state != "not in view" and (e.state != "agrees" or e.probability < 0.95)]
+    every = comparison.options.landmark_states or ()
+    states = [e for e in every if e.state != "not in view" and (e.state != "agrees" or e.probability < 0.95)]
     if not states:
         return None
     headings = ["state", "probability", "moved by\n[m]", "sightings", "views"]
