@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from graphslam import LandmarkMap, LogError, OptionError, load
-from graphslam.io.drive import truth_of
 from graphslam.io.map_files import COVARIANCE, UPPER
-from graphslam.io.options import TableOptions
-from graphslam.io.table import plain
-from graphslam.io.text_table import PARQUET, TEXT, table_of
+from graphslam.log.drive import truth_of
+from graphslam.log.table import plain
+from graphslam.log.table_options import TableOptions
+from graphslam.log.text_table import PARQUET, TEXT, table_of
 from graphslam.metrics import (
     Errors,
     align,

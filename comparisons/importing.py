@@ -18,11 +18,11 @@ from graphslam import FormatError, Log, LogError, OptionError, SensorModel
 from graphslam.files import check_file, check_path, check_unpacked
 from graphslam.io.bag import is_bag
 from graphslam.io.bag_drive import drive_of_bag, recipe_beside, topics_of
-from graphslam.io.drive import Timed
-from graphslam.io.join import Drive, read_drive
-from graphslam.io.options import TABLES
 from graphslam.io.tables import Recipe, drive_of, merged, read_recipe, recipe_of
+from graphslam.log.drive import Timed
+from graphslam.log.join import Drive, read_drive
 from graphslam.log.rows import ReadOptions
+from graphslam.log.table_options import TABLES
 from graphslam.log_checks import Finding, check_log
 from graphslam.log_checks.readings import comparable
 from graphslam.se2 import Array

@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import typer
 
 from graphslam.errors import SlamError, printable
-from graphslam.io.options import TableOptions
+from graphslam.log.table_options import TableOptions
 
 from ..options.option import options_of
 

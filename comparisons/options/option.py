@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from fastslam.options import GibbsOptions
 from graphslam.errors import OptionError, option, quoted, suggestion
-from graphslam.io.options import TableOptions
+from graphslam.log.table_options import TableOptions
 
 #: fields of components that have another name among the options: (component, field) -> option
 _RENAMED = {("sensor", name): f"sensor_{name}" for name in ("offset", "min_range", "max_range", "field_of_view")}

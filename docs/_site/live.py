@@ -18,7 +18,7 @@ import numpy as np
 
 from graphslam import Log, load, simulate
 from graphslam.edges.robust import Cauchy
-from graphslam.io import table as columns
+from graphslam.log import table as columns
 
 KINDS = {path.stem for path in (Path(__file__).parent / "live").glob("*.js")} - {"stage", "tables", "words"}
 #: what `make engine-wasm` builds

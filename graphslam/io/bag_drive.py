@@ -16,18 +16,18 @@ import numpy as np
 
 from ..errors import FormatError, LogError, named, quoted, suggestion
 from ..log import Log
+from ..log.drive import map_of, odometry_of, sightings_of, truth_of
+from ..log.join import Drive, check_overlap, positions_of, relations_of
 from ..log.rows import ReadOptions
+from ..log.table import Columns
+from ..log.table_options import TableOptions
+from ..log.text_table import table_of
 from ..se2 import Array, wrap
 from .bag import Bag, Topic, is_bag, open_bag
 from .bag_messages import Collector, Frames, clean, rotation_of
 from .bag_topics import TF, Candidate, candidates, plan_of
 from .base import Format
-from .drive import map_of, odometry_of, sightings_of, truth_of
-from .join import Drive, check_overlap, positions_of, relations_of
-from .options import TableOptions
-from .table import Columns
 from .tables import Recipe, read_recipe
-from .text_table import table_of
 
 #: names that the frame of a robot usually has
 _BASES = ("base_link", "base_footprint", "base", "robot", "chassis")

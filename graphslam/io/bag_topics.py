@@ -14,8 +14,8 @@ from operator import attrgetter
 from typing import Any
 
 from ..errors import FormatError, named, quoted, suggestion
+from ..log.table import NAMES, plain
 from .bag import Bag, Topic
-from .table import NAMES, plain
 
 #: nodes of definitions in rosbags: a base type, a named type, an array and a sequence
 _BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4

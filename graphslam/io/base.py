@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike
 from ..errors import FormatError, LogError, decimals, first, quoted, shortened
 from ..files import read_text
 from ..log import Log
+from ..log.cells import time_faults
 from ..log.rows import Fault, ReadOptions, finite_fault, sound_rows
 from ..log.streams import MOST_DISORDER, Stream, disorder, parts_of_streams
 from ..se2 import Array
-from .cells import time_faults
 
 #: the message about a data set in which no landmark was seen
 NO_SIGHTING = "no sighting of any landmark: nothing to estimate from"

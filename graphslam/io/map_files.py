@@ -2,7 +2,7 @@
 
 * Tables (.csv, .tsv, .txt, .parquet): one landmark per row, with the columns id, x, y and, where they are known, heading,
   class and the covariance: var_x, cov_xy, var_y, cov_x_heading, cov_y_heading, var_heading. Other common names of the first
-  ones are recognised (`graphslam.io.table`). Empty cells say that something is not known.
+  ones are recognised (`graphslam.log.table`). Empty cells say that something is not known.
 * .npz, which keeps everything without rounding: ``format`` ("graphslam-map-1"), ``ids`` (L,), ``places`` (L, 3) with NaN for
   a heading that is not known, ``covariances`` (L, 3, 3) with NaN for what is not known, ``classes`` (L,) words, and
   ``joint`` (N, N) where the covariances are those of the landmarks together.
@@ -29,11 +29,11 @@ import numpy as np
 
 from ..errors import FormatError, OptionError, quoted, reason_of
 from ..files import check_file, read_archive, read_text, write_whole
+from ..log.drive import map_of
+from ..log.table import Table, plain
+from ..log.table_options import TableOptions
+from ..log.text_table import PARQUET, TEXT, table_of
 from ..se2 import Array
-from .drive import map_of
-from .options import TableOptions
-from .table import Table, plain
-from .text_table import PARQUET, TEXT, table_of
 
 VERSION = "graphslam-map-1"
 #: the columns of covariances, in the order of the upper triangle of (3, 3), column by column

@@ -25,12 +25,12 @@ from typing import Any
 from ..errors import FormatError, OptionError, quoted
 from ..files import check_unpacked
 from ..log import Log
+from ..log.drive import ROLES
+from ..log.join import Drive, read_drive
 from ..log.rows import ReadOptions
+from ..log.table_options import TABLES, TableOptions
+from ..log.text_table import PARQUET, TEXT
 from .base import Format, errors_name
-from .drive import ROLES
-from .join import Drive, read_drive
-from .options import TABLES, TableOptions
-from .text_table import PARQUET, TEXT
 from .toml_file import TomlFile
 
 #: keys of the table of a stream that are not its columns

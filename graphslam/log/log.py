@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,7 @@ from ..errors import (
 )
 from ..models import MotionModel, SensorModel, additional_variances
 from ..se2 import Array, mounted, wrap
+from .join import parts_of_tables
 from .measurements import (
     MEASURED,
     AbsolutePositions,
@@ -43,9 +44,7 @@ from .measurements import (
     whole_numbers,
 )
 from .rows import NO_CLASS, NO_ID, UNIDENTIFIED
-
-if TYPE_CHECKING:
-    from ..io.options import TableOptions
+from .table_options import TableOptions
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -202,15 +201,13 @@ class Log:
                 and lever_x, lever_y, the point of the robot that is measured. docs/other_sensors.md has both tables.
             name: of the log.
             keep_every: the greatest time between poses [s]; default: poses only where something was seen.
-            options, changes: units, clocks and axes: a `graphslam.io.options.TableOptions`, or its fields, for example
+            options, changes: units, clocks and axes: a `graphslam.log.table_options.TableOptions`, or its fields, for example
                 ``angles="degrees"``, ``time={"odometry": "ms"}``, ``columns={"sightings": {"range": "dist"}}``.
 
         Raises:
             LogError: a table lacks a column or has an impossible value; the message names file and line.
             OptionError: an option is impossible.
         """
-        from ..io.join import parts_of_tables  # readers are above `Log`, and only this method needs them
-
         tables = {"truth": truth, "map": map, "relations": relations, "positions": positions}
         return cls(**parts_of_tables(odometry, sightings, tables, name, keep_every, options, **changes))
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from graphslam.io.cells import nanoseconds
-from graphslam.io.text_table import TextTable, grid_of
+from graphslam.log.cells import nanoseconds
+from graphslam.log.text_table import TextTable, grid_of
 
 CELLS = [
     "0", "-0", "-0.0", "5.", ".5", "+1.5", "0.1", "0.30000000000000004", "9007199254740993", "1e-3", "-2.5E+07", "1e400",

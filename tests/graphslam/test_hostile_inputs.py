@@ -33,8 +33,8 @@ from graphslam import (
 )
 from graphslam.errors import named, quoted
 from graphslam.graph.transform import relative_graph
-from graphslam.io.options import TableOptions
 from graphslam.io.toml_file import TomlFile
+from graphslam.log.table_options import TableOptions
 
 ODOMETRY = "t,v,w\n" + "".join(f"{k * 0.5},0.5,0.1\n" for k in range(20))
 

@@ -7,8 +7,8 @@ import pytest
 from own_tables import NU, ODOMETRY, OMEGA, SEEN, T, text, write_tables
 
 from graphslam import FormatError, Log, LogError, load, save
-from graphslam.io.table import plain
 from graphslam.log import UNIDENTIFIED
+from graphslam.log.table import plain
 
 UNSEEN = (
     "the odometry of 0.2 s before the first sighting and 8.0 s after the last sighting is left out: poses are where "

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from ..errors import LogError, OptionError, check_type, checked_offset, first, quoted, suggestion
-from ..log.measurements import NOT_POSITIVE, not_positive
-from ..log.rows import ReadOptions
-from ..log.streams import Stream, parts_of_streams
 from ..models import SensorModel
 from ..se2 import Array
 from .cells import Doubt, seconds
 from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
-from .options import TableOptions
+from .measurements import NOT_POSITIVE, not_positive
+from .rows import ReadOptions
+from .streams import Stream, parts_of_streams
 from .table import COVARIANCES, Table
+from .table_options import TableOptions
 from .text_table import table_of
 
 #: relations by which the robot turns more are refused unless the unit is stated [rad]

@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import LogError, decimals, first, named, quoted, shortened
-from ..log.rows import MOST_CLASSES, NO_CLASS, NO_ID, UNIDENTIFIED, Fault
 from ..models import sinc
 from ..se2 import Array, between
+from .rows import MOST_CLASSES, NO_CLASS, NO_ID, UNIDENTIFIED, Fault
 from .table import Table
 from .text_table import MISSING
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import LogError, first, named, quoted
-from ..log.rows import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
 from ..se2 import Array
 from .cells import (
     Doubt,
@@ -29,8 +28,9 @@ from .cells import (
     repeated_times,
     time_faults,
 )
-from .options import ANGLES, LENGTHS, TableOptions
+from .rows import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Chosen, Kept, Table, find, unit_of
+from .table_options import ANGLES, LENGTHS, TableOptions
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
