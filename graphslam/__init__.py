@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .graph import Graph
-    from .graph.landmark_map import LandmarkMap, estimate_map
+    from .graph.landmark_map import LandmarkMap
     from .graph.localization import first_fix
+    from .graph.mapping import estimate_map
     from .identification.robot import estimate_robot
     from .io.base import synchronize
     from .io.formats import load, save
@@ -52,7 +53,8 @@ _PUBLIC = {
     "identification.robot": "estimate_robot",
     "graph.localization": "first_fix",
     "log": "Log",
-    "graph.landmark_map": "LandmarkMap estimate_map",
+    "graph.landmark_map": "LandmarkMap",
+    "graph.mapping": "estimate_map",
     "log.measurements": "AbsolutePositions PoseRelations",
     "models": "MotionModel SensorModel",
     "online": "OnlineSolver solve_online",

@@ -1,5 +1,17 @@
 """What the estimators found, in one form that tables, figures, reports, JSON and files read."""
 
-from .results import EstimatorResult, dead_reckoning_covariances, noted, of_expected, sentence, typical_costs
+from typing import TYPE_CHECKING
 
-__all__ = ["EstimatorResult", "dead_reckoning_covariances", "noted", "of_expected", "sentence", "typical_costs"]
+from graphslam.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from .results import EstimatorResult as EstimatorResult
+    from .results import dead_reckoning_covariances as dead_reckoning_covariances
+    from .results import noted as noted
+    from .results import of_expected as of_expected
+    from .results import sentence as sentence
+    from .results import typical_costs as typical_costs
+
+# imported at the first use: whoever needs another module of this package does not wait for this one
+_PUBLIC = {"results": "dead_reckoning_covariances EstimatorResult noted of_expected sentence typical_costs"}
+__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

@@ -1,5 +1,16 @@
 """The graph of a log, its landmark map, and where it begins."""
 
-from .graph import EDGES, FRAMES, WEIGHTS, Graph, check_graph
+from typing import TYPE_CHECKING
 
-__all__ = ["EDGES", "FRAMES", "Graph", "WEIGHTS", "check_graph"]
+from ..lazy import lazy_names
+
+if TYPE_CHECKING:
+    from .graph import EDGES as EDGES
+    from .graph import FRAMES as FRAMES
+    from .graph import WEIGHTS as WEIGHTS
+    from .graph import Graph as Graph
+    from .graph import check_graph as check_graph
+
+# imported at the first use: whoever needs another module of this package does not wait for this one
+_PUBLIC = {"graph": "check_graph EDGES FRAMES Graph WEIGHTS"}
+__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

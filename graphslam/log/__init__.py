@@ -1,5 +1,14 @@
 """The log of a drive: controls, sightings and other measurements, and what is made of them before a graph."""
 
-from .log import UNIDENTIFIED, Log, check_is_log
+from typing import TYPE_CHECKING
 
-__all__ = ["Log", "UNIDENTIFIED", "check_is_log"]
+from ..lazy import lazy_names
+
+if TYPE_CHECKING:
+    from .log import UNIDENTIFIED as UNIDENTIFIED
+    from .log import Log as Log
+    from .log import check_is_log as check_is_log
+
+# imported at the first use: whoever needs another module of this package does not wait for this one
+_PUBLIC = {"log": "check_is_log Log UNIDENTIFIED"}
+__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

@@ -84,7 +84,17 @@ def test_the_table_says_whether_the_noise_fits(log: Log) -> None:
 
 def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
     payload = json.loads(json.dumps(comparison.to_json({"figure": Path("f.png")}), allow_nan=False))
-    assert set(payload) == {"log", "noise", "robot", "sessions", "estimators", "files", "notes", "warnings"}
+    assert set(payload) == {
+        "log",
+        "noise",
+        "robot",
+        "sessions",
+        "map_states",
+        "estimators",
+        "files",
+        "notes",
+        "warnings",
+    }
     assert payload["files"] == {"figure": "f.png"}
     assert payload["log"]["poses"] == log.num_poses
     for entry, result in zip(payload["estimators"], comparison.results):
@@ -208,7 +218,7 @@ def test_a_graph_that_fails_is_a_row_where_others_have_results(log: Log, monkeyp
     def singular(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("comparisons.estimators.make_graph", singular)
+    monkeypatch.setattr("comparisons.estimators.estimators.make_graph", singular)
     outcome = run(log, estimators=["dead-reckoning", "graph"])
     assert outcome.table["graph"].skipped == "LinAlgError: Singular matrix"
 
