@@ -31,6 +31,7 @@ import bundled
 import cells
 import exercises
 import formulas
+import labels
 import listings
 import literature
 import live
@@ -170,6 +171,8 @@ def on_post_build(config: Any) -> None:
         if cells.folder(source).exists():
             target = Path(config["site_dir"]) / _place(source)
             shutil.copytree(cells.folder(source), target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.json"))
+            for figure in cells.folder(source).glob("*.svg"):
+                (target / f"{figure.stem}.ja.svg").write_text(labels.in_japanese(figure.read_text()))
         for language in bundled.LANGUAGES:
             content = bundled.make(source, language, cells.results(source), cells.folder(source))
             notebooks.write(Path(config["site_dir"]) / _notebook(source, language), content)
@@ -239,20 +242,23 @@ def _cell(kind: str, source: Path, arguments: list[str], page: Any, language: st
     if kind != "figure" and cell.output:
         made += ["```text", *cell.output.rstrip().splitlines(), "```", ""]
     if cell.figures:
-        made += [_figures(cell, source, alternative, page), ""]
+        made += [_figures(cell, source, alternative, page, language), ""]
     if kind != "cell":
         made += [f'??? note "{WORDS[language]["code"]}"', "", *(f"    {line}" for line in code)]
     return "\n".join(made)
 
 
-def _figures(cell: cells.Cell, source: Path, alternative: str, page: Any) -> str:
+def _figures(cell: cells.Cell, source: Path, alternative: str, page: Any, language: str) -> str:
     alternative = html.escape(alternative, quote=True)
-    urls = [get_relative_url(f"{_place(source)}/{file}", page.file.url) for _, file in cell.figures]
+    files = [file for _, file in cell.figures]
+    if language == "ja":
+        files = [file.replace(".svg", ".ja.svg") for file in files]
+    urls = [get_relative_url(f"{_place(source)}/{file}", page.file.url) for file in files]
     if len(urls) == 1:
         return f'<figure class="drawn"><img src="{urls[0]}" alt="{alternative}" loading="lazy"></figure>'
-    labels = [html.escape(label) for label, _ in cell.figures]
+    named = [html.escape((language == "ja" and labels.translated(label)) or label) for label, _ in cell.figures]
     images = "".join(
         f'<img src="{url}" alt="{alternative} ({label})" data-label="{label}" loading="lazy">'
-        for url, label in zip(urls, labels, strict=True)
+        for url, label in zip(urls, named, strict=True)
     )
-    return f'<figure class="drawn slider">{images}<figcaption>{labels[0]} – {labels[-1]}</figcaption></figure>'
+    return f'<figure class="drawn slider">{images}<figcaption>{named[0]} – {named[-1]}</figcaption></figure>'

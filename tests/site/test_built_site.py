@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 import tomllib
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -182,3 +184,13 @@ def test_symbols_explain_themselves(address: str, browser: Chromium) -> None:
         page, _, anchor = link.removeprefix(f"{address}/").partition("#")
         assert page.startswith("ja/")
         assert not anchor or f'id="{anchor}"' in (SITE / page / "index.html").read_text()
+
+
+def test_labels_of_figures_are_japanese_on_japanese_pages() -> None:
+    sys.path.insert(0, str(SITE.parent / "docs" / "_site"))
+    labels = import_module("labels")
+    figures = [figure for figure in (SITE / "figures").rglob("*.svg") if not figure.name.endswith(".ja.svg")]
+    assert len(figures) > 30
+    missing = {label: figure.name for figure in figures for label in labels.missing(figure.read_text())}
+    assert missing == {}
+    assert "真値" in (SITE / "figures" / "method" / "graph" / "problem" / "trajectories-0.ja.svg").read_text()

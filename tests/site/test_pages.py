@@ -21,7 +21,21 @@ PAGES = sorted(
     if not page.name.endswith(".ja.md")
 )
 #: pages of which both languages exist, besides those above
-TRANSLATED = [DOCS / f"{name}.md" for name in ("index", "gallery", "films", "sample_log", "command-line", "own_robot")]
+TRANSLATED = [
+    DOCS / f"{name}.md"
+    for name in (
+        "index",
+        "gallery",
+        "films",
+        "sample_log",
+        "command-line",
+        "own_robot",
+        "configuration",
+        "online",
+        "studies",
+        "results",
+    )
+]
 MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|ask|live) (.+?) \}\}$", re.MULTILINE)
 
 
