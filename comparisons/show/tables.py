@@ -235,6 +235,8 @@ def session_tables(comparison: Comparison) -> list[Table]:
     metrics = {
         n: title for n, title in metric_headings().items() if any(getattr(e.alone, n) is not None for e in errors)
     }
+    if not metrics and all(each.together_m is None for each in errors):
+        return []
     log, tables = comparison.log, dict[Session, LeanTable]()
     for k, (session, (seen, shared)) in enumerate(zip(log.sessions, shared_landmarks(log))):
         drive = log.drives[k]

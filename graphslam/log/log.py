@@ -331,7 +331,7 @@ class Log:
             return f"{total} sightings of unidentified landmarks"
         some, ids, alone = f" ({without} without an id)" if without else "", self.landmark_ids, ""
         if (single := self.partial_sightings) is not None:
-            ids, alone = np.union1d(ids, single.landmarks), f" and {len(single)} ranges or bearings alone"
+            ids, alone = np.union1d(ids, single.landmarks), f" and {len(single)} with a range or a bearing alone"
         return f"{total} sightings{some}{alone} of {len(ids)} landmarks"
 
     @property

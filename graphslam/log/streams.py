@@ -127,7 +127,8 @@ def parts_of_streams(
     classes = None if classes is None else np.asarray(classes)[order][inside]
     rows = sightings.rows[inside]
     if (alone := np.isnan(rows[:, :2]).any(axis=1)).any():
-        remarks.append(f"{np.sum(alone)} of {len(alone)} sightings have a range or a bearing alone")
+        have = "has" if np.sum(alone) == 1 else "have"
+        remarks.append(f"{np.sum(alone)} of {len(alone)} sightings {have} a range or a bearing alone")
         measured_alone = PartialSightings(
             steps=steps[alone], landmarks=ids[alone], ranges=rows[alone, 0], bearings=rows[alone, 1]
         )
