@@ -22,9 +22,6 @@ from typing import Any, Protocol
 import typer
 
 from graphslam.errors import SlamError, printable
-from graphslam.log.table_options import TableOptions
-
-from ..options.option import options_of
 
 #: exit statuses
 DIFFERENT, WRONG_INPUT, INTERRUPTED = 1, 2, 130
@@ -246,6 +243,11 @@ def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
         text: the sentence.
         known: names of the options of the verb.
     """
+    # options are not imported until an error needs them, so that help is shown at once
+    from graphslam.log.table_options import TableOptions
+
+    from ..options.option import options_of
+
     names = [f"--{name.replace('_', '-')}" for name in options_of(TableOptions) if name not in known]
     named = [name for name in names if re.search(rf"{name}\b", text)]
     if not named:

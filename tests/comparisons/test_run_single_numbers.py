@@ -40,7 +40,9 @@ def test_empty_cells_go_through_the_command_line(invoke: Invoke, tmp_path: Path,
     graph, gtsam, isam2 = document["estimators"]
     assert np.allclose(graph["poses"], gtsam["poses"], atol=1e-5) and graph["certificate"]["status"] == "not applicable"
     assert isam2["reason"].startswith("step by step there is no start for ranges or bearings alone")
-    assert f"0 sightings and {len(partial)} with a range or a bearing alone of 4 landmarks" in " ".join(result.output.split())
+    assert f"0 sightings and {len(partial)} with a range or a bearing alone of 4 landmarks" in " ".join(
+        result.output.split()
+    )
     assert f"{len(partial)} of {len(partial)} sightings have a range or a bearing alone" in result.output
     assert f"EDGE_{number.upper()}_SE2_XY" in (tmp_path / "out/graph.g2o").read_text()
     # the same in Python, from the import
