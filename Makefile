@@ -1,10 +1,11 @@
 # make compare: the main job on the bundled sample log. make test: everything that must hold. make check: its quick part.
+# make test-all: with the whole site, the engine's own tests, fuzzer and lint, and a wheel; it takes an hour.
 # All set up .venv by themselves; PYTHON names the interpreter to build it with.
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 
-.PHONY: compare test check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
+.PHONY: compare test test-all check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
 
 compare: .venv/.installed
 	$(BIN)/slam-compare run
@@ -14,6 +15,9 @@ PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscop
 
 test: lint .venv/.installed-test
 	$(PYTEST)
+
+# the site comes first, because its tests are skipped without it
+test-all: docs engine-test engine-fuzz engine-lint wheel-check test
 
 check: lint .venv/.installed-test
 	$(PYTEST) -m "not slow and not browser and not cluster"
