@@ -33,7 +33,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graphslam.engine import engine
-from graphslam.errors import OptionError, check_choice, quoted, real_array
+from graphslam.errors import OptionError, quoted
+from graphslam.errors.checks import check_choice, real_array
 from graphslam.log import Log
 from graphslam.se2 import Array, wrap
 

@@ -16,7 +16,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import OptionError, check_positive, check_real, checked_offset, option, quoted
+from .errors import OptionError, quoted
+from .errors.checks import check_positive, check_real, checked_offset, option
 from .se2 import Array, mounted, wrap
 
 #: the variances of speed, turn rate and sideways speed of a control of a second that says nothing, as between two drives: a

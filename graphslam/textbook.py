@@ -16,7 +16,8 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from .errors import GraphError, OptionError, check_choice, quoted
+from .errors import GraphError, OptionError, quoted
+from .errors.checks import check_choice
 from .linear.precision import check_magnitudes
 from .log import Log
 from .models import MotionModel, SensorModel

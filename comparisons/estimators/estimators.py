@@ -18,7 +18,8 @@ import numpy as np
 import fastslam
 import graphslam
 from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError, Solution, simulate
-from graphslam.errors import quoted, suggestion
+from graphslam.errors import quoted
+from graphslam.errors.checks import suggestion
 from graphslam.graph.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED

@@ -17,7 +17,8 @@ from types import NoneType, UnionType
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from fastslam.options import GibbsOptions
-from graphslam.errors import OptionError, option, quoted, suggestion
+from graphslam.errors import OptionError, quoted
+from graphslam.errors.checks import option, suggestion
 from graphslam.log.table_options import TableOptions
 
 #: fields of components that have another name among the options: (component, field) -> option

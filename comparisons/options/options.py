@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from fastslam.options import FilterOptions, GibbsOptions
-from graphslam.errors import OptionError, option
+from graphslam.errors import OptionError
+from graphslam.errors.checks import option
 from graphslam.graph.landmark_map import USES, LandmarkMap
 from graphslam.identification.declared import PARAMETERS, parsed
 from graphslam.metrics import METRICS as ERRORS

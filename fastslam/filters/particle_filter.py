@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graphslam.engine import available_threads, engine
-from graphslam.errors import LogError, OptionError, check_type, quoted, suggestion
+from graphslam.errors import LogError, OptionError, quoted
+from graphslam.errors.checks import check_type, suggestion
 from graphslam.graph.localization import Fix
 from graphslam.identification.robot import known_robot
 from graphslam.log import Log

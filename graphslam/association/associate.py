@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ..errors import GraphError, LogError, OptionError, array_of, check_type, quoted, suggestion
+from ..errors import GraphError, LogError, OptionError, quoted
+from ..errors.checks import array_of, check_type, suggestion
 from ..identification.declared import ParameterEstimate
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log, check_is_log

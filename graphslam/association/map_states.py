@@ -30,7 +30,8 @@ from typing import Any
 import numpy as np
 from scipy.special import betaln
 
-from ..errors import OptionError, listed, quoted
+from ..errors import OptionError, quoted
+from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.landmark_map import LandmarkMap, as_map
 from ..log import Log

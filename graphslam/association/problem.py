@@ -22,7 +22,8 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import LogError, OptionError, check_choice, check_count, option, quoted
+from ..errors import LogError, OptionError, quoted
+from ..errors.checks import check_choice, check_count, option
 from ..log import UNIDENTIFIED, Log
 from ..log.rows import MOST_CLASSES
 from ..models import SensorModel

@@ -13,7 +13,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from ..association import associate
-from ..errors import GraphError, LogError, array_of, check_choice, check_not_negative, check_type
+from ..errors import GraphError, LogError
+from ..errors.checks import array_of, check_choice, check_not_negative, check_type
 from ..identification.corrections import without_biases
 from ..identification.declared import CORRECTIONS, PLACE, of_sensor_alone
 from ..identification.odometry import OF_SENSOR, with_variances

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import GraphError, first, make_read_only
+from ..errors import GraphError
+from ..errors.checks import first, make_read_only
 from ..linear.information import BlockSystem
 from ..se2 import Array, turn_matrix
 

@@ -35,7 +35,8 @@ from numpy.typing import ArrayLike
 from scipy.special import gammaincinv
 
 from ..engine import engine
-from ..errors import OptionError, check_choice, check_positive, quoted
+from ..errors import OptionError, quoted
+from ..errors.checks import check_choice, check_positive
 from ..se2 import Array
 from .base import EdgeFamily
 

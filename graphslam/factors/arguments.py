@@ -10,7 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, check_choice, check_type, quoted
+from ..errors import OptionError, quoted
+from ..errors.checks import check_choice, check_type
 from ..linear.precision import SMALLEST, check_model, check_size, small_inverse
 from ..models import MotionModel, SensorModel
 from ..se2 import Array

@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..edges.robust import Cauchy, GemanMcClure, Huber, Kernel, kernel_of
-from ..errors import FactorError, OptionError, check_choice, check_positive, quoted
+from ..errors import FactorError, OptionError, quoted
+from ..errors.checks import check_choice, check_positive
 from ..se2 import Array
 from .arguments import positive_definite
 from .description import FACTOR_TYPES, FactorDescription, key_name

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from ..engine import engine
-from ..errors import FactorError, OptionError, check_choice, quoted
+from ..errors import FactorError, OptionError, quoted
+from ..errors.checks import check_choice
 from ..linear.precision import SMALLEST, check_size
 from ..models import RESIDUALS, SensorModel
 from ..se2 import Array, rotation, wrap

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 
 from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
-from ..errors import GraphError, OptionError, check_positive
+from ..errors import GraphError, OptionError
+from ..errors.checks import check_positive
 from ..linear.precision import check_size, small_inverse
 from ..models import MotionModel, sinc_slope_near_zero
 from ..se2 import Array, rotation

@@ -32,7 +32,8 @@ from ..edges import (
 )
 from ..edges.base import PairEdges
 from ..edges.robust import Kernel
-from ..errors import GraphError, OptionError, listed, quoted
+from ..errors import GraphError, OptionError, quoted
+from ..errors.checks import listed
 from ..io.pose_graph import PoseGraphFile
 from ..linear.precision import LARGEST, check_magnitudes, check_size, inverses
 from ..log import Log

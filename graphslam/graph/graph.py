@@ -22,7 +22,8 @@ from ..edges import (
     SightingEdges,
 )
 from ..edges.robust import Kernel, expected_cost, kernel_of
-from ..errors import GraphError, OptionError, array_of, check_choice, check_positive, check_type, make_read_only
+from ..errors import GraphError, OptionError
+from ..errors.checks import array_of, check_choice, check_positive, check_type, make_read_only
 from ..files import path_of
 from ..identification.declared import Parameters, declared
 from ..identification.robot import AUTO, BOOK, known_robot

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import FormatError, OptionError, array_of, check_choice, quoted
+from ..errors import FormatError, OptionError, quoted
+from ..errors.checks import array_of, check_choice
 from ..files import path_of
 from ..io.map_files import read_map, write_map
 from ..log.rows import NO_ID, UNIDENTIFIED

@@ -14,7 +14,8 @@ from os import PathLike
 
 import numpy as np
 
-from ..errors import GraphError, check_type, listed
+from ..errors import GraphError
+from ..errors.checks import check_type, listed
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose, rotation, turn_matrix, wrap

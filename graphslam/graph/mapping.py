@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 
 from ..edges import MarginalEdges
 from ..edges.robust import Kernel, kernel_of
-from ..errors import OptionError, array_of
+from ..errors import OptionError
+from ..errors.checks import array_of
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log
 from ..models import SensorModel

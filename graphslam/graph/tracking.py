@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import GraphError, listed
+from ..errors import GraphError
+from ..errors.checks import listed
 from ..log import UNIDENTIFIED, Log
 from ..models import ANYWHERE, MotionModel, SensorModel, additional_variances
 from ..se2 import Array, between, compose, rotation, wrap

@@ -48,7 +48,8 @@ from ..edges import (
     SightingEdges,
     VirtualMotionEdges,
 )
-from ..errors import GraphError, array_of
+from ..errors import GraphError
+from ..errors.checks import array_of
 from ..se2 import Array, between, inverse, perpendicular, rotation, turn_matrix
 from .graph import Graph
 

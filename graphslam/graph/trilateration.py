@@ -13,7 +13,8 @@ import numpy as np
 
 from ..edges import BearingEdges, PartialEdges, RangeEdges
 from ..edges.robust import Kernel
-from ..errors import GraphError, listed
+from ..errors import GraphError
+from ..errors.checks import listed
 from ..log import Log
 from ..log.measurements import PartialSightings
 from ..models import SensorModel

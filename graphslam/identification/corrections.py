@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import LogError, check_choice, check_number, check_positive, check_type, first
+from ..errors import LogError
+from ..errors.checks import check_choice, check_number, check_positive, check_type, first
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array

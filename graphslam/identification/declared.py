@@ -16,7 +16,8 @@ from math import inf
 
 import numpy as np
 
-from ..errors import GraphError, OptionError, quoted, suggestion
+from ..errors import GraphError, OptionError, quoted
+from ..errors.checks import suggestion
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array

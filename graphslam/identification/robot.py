@@ -24,7 +24,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import GraphError, LogError, check_count, check_type
+from ..errors import GraphError, LogError
+from ..errors.checks import check_count, check_type
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .corrections import corrected_log

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, LogError, named, quoted, suggestion
+from ..errors import FormatError, LogError, named, quoted
+from ..errors.checks import suggestion
 from ..log import Log
 from ..log.drive import map_of, odometry_of, sightings_of, truth_of
 from ..log.join import Drive, check_overlap, positions_of, relations_of

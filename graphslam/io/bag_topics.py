@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
-from ..errors import FormatError, named, quoted, suggestion
+from ..errors import FormatError, named, quoted
+from ..errors.checks import suggestion
 from ..log.table import NAMES, plain
 from .bag import Bag, Topic
 

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import FormatError, LogError, decimals, first, quoted, shortened
+from ..errors import FormatError, LogError, decimals, quoted, shortened
+from ..errors.checks import first
 from ..files import read_text
 from ..log import Log
 from ..log.cells import time_faults

@@ -11,7 +11,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..errors import FormatError, OptionError, check_choice, quoted
+from ..errors import FormatError, OptionError, quoted
+from ..errors.checks import check_choice
 from ..files import check_file, check_path, check_unpacked, path_of
 from ..log import Log, check_is_log
 from ..log.continuous_time import with_poses_every

@@ -26,7 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FormatError, decimals, first
+from ..errors import FormatError, decimals
+from ..errors.checks import first
 from ..log import Log
 from ..log.rows import ReadOptions
 from ..log.streams import Stream, bridge, gap_note, in_order, silent

@@ -28,7 +28,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, OptionError, first, quoted
+from ..errors import FormatError, OptionError, quoted
+from ..errors.checks import first
 from ..log import Log
 from ..log.rows import NO_CLASS, UNIDENTIFIED, Fault, ReadOptions, range_faults, robot_class
 from ..log.streams import Stream

@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, OptionError, SlamError, real_array, reason_of
+from ..errors import FormatError, OptionError, SlamError, reason_of
+from ..errors.checks import real_array
 from ..files import check_file, read_archive, write_whole
 from ..log import Log
 from ..log.measurements import MEASURED, Session

@@ -34,7 +34,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import FormatError, check_choice, first, named, quoted
+from ..errors import FormatError, named, quoted
+from ..errors.checks import check_choice, first
 from ..files import read_text, write_whole
 from ..se2 import Array, compose, inverse, transform, turn_matrix, wrap
 from .base import number, whole

@@ -9,7 +9,8 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..errors import FormatError, OptionError, quoted, shortened, suggestion
+from ..errors import FormatError, OptionError, quoted, shortened
+from ..errors.checks import suggestion
 from ..files import check_file
 
 T = TypeVar("T")

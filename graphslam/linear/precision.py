@@ -14,7 +14,8 @@ from weakref import WeakSet
 
 import numpy as np
 
-from ..errors import GraphError, first
+from ..errors import GraphError
+from ..errors.checks import first
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 

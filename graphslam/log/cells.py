@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import LogError, decimals, first, named, quoted, shortened
+from ..errors import LogError, decimals, named, quoted, shortened
+from ..errors.checks import first
 from ..models import sinc
 from ..se2 import Array, between
 from .rows import MOST_CLASSES, NO_CLASS, NO_ID, UNIDENTIFIED, Fault

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import LogError, check_positive, first
+from ..errors import LogError
+from ..errors.checks import check_positive, first
 from ..models import MotionModel, additional_variances
 from ..se2 import Array, between, compose, wrap
 from .log import Log

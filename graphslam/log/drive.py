@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..errors import LogError, first, named, quoted
+from ..errors import LogError, named, quoted
+from ..errors.checks import first
 from ..se2 import Array
 from .cells import (
     Doubt,

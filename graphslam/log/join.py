@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import LogError, OptionError, check_type, checked_offset, first, quoted, suggestion
+from ..errors import LogError, OptionError, quoted
+from ..errors.checks import check_type, checked_offset, first, suggestion
 from ..models import SensorModel
 from ..se2 import Array
 from .cells import Doubt, seconds

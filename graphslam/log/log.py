@@ -10,18 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import (
-    LogError,
-    OptionError,
-    array_of,
-    check_positive,
-    check_type,
-    checked_deviations,
-    checked_offset,
-    first,
-    printable,
-    quoted,
-)
+from ..errors import LogError, OptionError, printable, quoted
+from ..errors.checks import array_of, check_positive, check_type, checked_deviations, checked_offset, first
 from ..models import MotionModel, SensorModel, additional_variances
 from ..se2 import Array, mounted, wrap
 from .join import parts_of_tables

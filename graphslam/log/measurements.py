@@ -15,7 +15,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import LogError, OptionError, array_of, first, quoted, real_array, shortened
+from ..errors import LogError, OptionError, quoted, shortened
+from ..errors.checks import array_of, first, real_array
 from ..se2 import Array, wrap
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import LogError, check_count, check_positive, option
+from ..errors import LogError
+from ..errors.checks import check_count, check_positive, option
 
 #: the id of a landmark that the sensor could not identify
 UNIDENTIFIED = -(2**63)

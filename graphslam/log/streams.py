@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import LogError, OptionError, decimals, first
+from ..errors import LogError, OptionError, decimals
+from ..errors.checks import first
 from ..models import MotionModel
 from ..se2 import Array, interpolate, mounted
 from .measurements import AbsolutePositions, PartialSightings, PoseRelations

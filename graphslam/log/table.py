@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, LogError, OptionError, named, quoted, suggestion
+from ..errors import FormatError, LogError, OptionError, named, quoted
+from ..errors.checks import suggestion
 from ..se2 import Array
 
 

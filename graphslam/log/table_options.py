@@ -7,7 +7,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from ..errors import OptionError, check_choice, check_number, checked_offset, option, quoted, suggestion
+from ..errors import OptionError, quoted
+from ..errors.checks import check_choice, check_number, checked_offset, option, suggestion
 
 #: the tables of a drive, and what each holds
 TABLES = {

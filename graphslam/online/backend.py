@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, quoted, real_array
+from ..errors import OptionError, quoted
+from ..errors.checks import real_array
 from ..linear.precision import inverses
 from ..se2 import Array
 

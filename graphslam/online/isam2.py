@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..edges.robust import Kernel
-from ..errors import GraphError, OptionError, check_choice, quoted
+from ..errors import GraphError, OptionError, quoted
+from ..errors.checks import check_choice
 from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, PositionFactor, RelativePoseFactor
 from ..factors.landmark import WEIGHTS
 from ..models import RESIDUALS, SensorModel

@@ -12,7 +12,8 @@ from scipy.linalg import block_diag
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, code_and_width
 from ..engine import engine
-from ..errors import GraphError, check_count, check_positive
+from ..errors import GraphError
+from ..errors.checks import check_count, check_positive
 from ..graph.landmark_map import LandmarkMap, as_map
 from ..linear.precision import inverses
 from ..models import SensorModel

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..edges.robust import Kernel, kernel_of
-from ..errors import GraphError, OptionError, check_choice, check_count, check_positive, check_type, quoted, suggestion
+from ..errors import GraphError, OptionError, quoted
+from ..errors.checks import check_choice, check_count, check_positive, check_type, suggestion
 from ..linear.precision import check_model, inverses
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..marginals import ids_of, split

@@ -14,7 +14,8 @@ from math import pi
 
 import numpy as np
 
-from ..errors import OptionError, check_choice, check_count, check_not_negative, check_positive, option
+from ..errors import OptionError
+from ..errors.checks import check_choice, check_count, check_not_negative, check_positive, option
 from ..identification.declared import PARAMETERS
 from ..io.base import synchronize
 from ..log import Log

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import OptionError, check_count, check_not_negative, check_type, option, quoted, suggestion
+from ..errors import OptionError, quoted
+from ..errors.checks import check_count, check_not_negative, check_type, option, suggestion
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, wrap

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import (
-    OptionError,
+from ..errors import OptionError, quoted
+from ..errors.checks import (
     array_of,
     check_choice,
     check_count,
@@ -24,7 +24,6 @@ from ..errors import (
     check_real,
     check_type,
     option,
-    quoted,
 )
 from ..log import Log
 from ..log.measurements import PartialSightings

@@ -15,7 +15,8 @@ import numpy as np
 
 from ..edges import ConstantEdges
 from ..engine import engine
-from ..errors import GraphError, first
+from ..errors import GraphError
+from ..errors.checks import first
 from ..graph import Graph
 from ..linear.cholesky import ROUNDOFF, HermitianFactor, HermitianSymbolic, amd, analyze_hermitian, factorize
 from ..linear.information import BlockSystem

@@ -23,7 +23,8 @@ from ..edges import (
     RelativePoseEdges,
     VirtualMotionEdges,
 )
-from ..errors import GraphError, OptionError, array_of, quoted
+from ..errors import GraphError, OptionError, quoted
+from ..errors.checks import array_of
 from ..factors.description import FactorDescription, describe, key_name
 from ..graph import Graph
 from ..se2 import Array

@@ -19,7 +19,8 @@ import numpy as np
 from .. import edges
 from .. import factors as factor_types
 from ..edges.robust import Kernel
-from ..errors import GraphError, check_choice
+from ..errors import GraphError
+from ..errors.checks import check_choice
 from ..graph import Graph
 from ..se2 import Array
 

@@ -25,7 +25,8 @@ import numpy as np
 from .. import edges
 from .. import factors as factor_types
 from ..engine import engine
-from ..errors import GraphError, check_count, check_positive
+from ..errors import GraphError
+from ..errors.checks import check_count, check_positive
 from ..factors.base import POSE, Factor, noise_model, turned
 from ..graph import Graph, check_graph
 from ..identification.corrections import corrected_controls, motion_slopes, moves

@@ -17,7 +17,8 @@ from functools import partial
 import numpy as np
 
 from ..edges import ObservationEdges, PartialEdges, RelativePoseEdges, SightingEdges
-from ..errors import GraphError, check_choice
+from ..errors import GraphError
+from ..errors.checks import check_choice
 from ..graph import Graph
 from ..graph.defaults import into_world
 from ..graph.localization import registered

@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from ..edges import CartesianObservationEdges, MarginalEdges, SightingEdges
-from ..errors import OptionError, make_read_only, quoted
+from ..errors import OptionError, quoted
+from ..errors.checks import make_read_only
 from ..graph import Graph
 from ..graph.landmark_map import LandmarkMap
 from ..graph.transform import with_landmark_nodes

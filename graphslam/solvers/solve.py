@@ -19,7 +19,8 @@ from typing import Any
 
 from pebble import ProcessExpired
 
-from ..errors import GraphError, OptionError, SlamError, check_choice, check_count, check_positive, quoted, suggestion
+from ..errors import GraphError, OptionError, SlamError, quoted
+from ..errors.checks import check_choice, check_count, check_positive, suggestion
 from ..graph import Graph, check_graph
 from ..linear.information import Structures, sharing
 from ..processes import default_jobs, how_it_ended, processes

@@ -25,7 +25,7 @@ QUICK = ["--estimators", "dead-reckoning,graph"]
 def test_the_command_line_imports_nothing_heavy() -> None:
     code = """if True:
         import sys, comparisons.cli, comparisons.__main__
-        heavy = {"scipy", "matplotlib", "gtsam", "rich.table", "comparisons.show"} & set(sys.modules)
+        heavy = {"numpy", "scipy", "matplotlib", "gtsam", "rich.table", "comparisons.show"} & set(sys.modules)
         sys.exit(str(heavy) if heavy else 0)
     """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
