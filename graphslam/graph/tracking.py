@@ -133,7 +133,7 @@ def follow(
                     x, P, step, doubt, last = elsewhere.pose, elsewhere.covariance, since, 0, since
                     # sightings from here on are judged again
                     tried = 0
-                    if log.identified is False:
+                    if not places.identified:
                         result.landmarks[log.steps >= since] = UNIDENTIFIED
                     continue
         if step == log.num_poses - 1:
@@ -152,7 +152,7 @@ class _Places:
     """The landmarks of a map for the sightings of a log."""
 
     def __init__(self, log: Log, landmarks: LandmarkMap, sensor: SensorModel) -> None:
-        self.log, self.sensor = log, sensor
+        self.log, self.sensor, self.identified = log, sensor, log.identified
         self.ids = np.array(list(landmarks))
         self.places = np.array([place[:2] for place in landmarks.values()])
         none = np.zeros((2, 2))
@@ -166,7 +166,7 @@ class _Places:
 
         ``named`` (M,) gets the ids of sightings that have none.
         """
-        if self.log.identified:
+        if self.identified:
             pairs = [(r, self.number[j]) for r in rows.tolist() if (j := int(self.log.landmarks[r])) in self.number]
             contradict = 0
         else:
@@ -181,7 +181,7 @@ class _Places:
             x, P = x - K @ e[0], P - K @ J @ P
             x[2], P = wrap(x[2]), (P + P.T) / 2
             agree.append(row)
-            if not self.log.identified:
+            if not self.identified:
                 named[row] = self.ids[k]
         return x, P, np.array(agree, dtype=int), contradict
 
