@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, overload
+from typing import Annotated, Any, ClassVar, overload
 
 import numpy as np
 
 from graphslam import Certificate, GraphError, Log, MotionModel, SensorModel, SlamError, Solution
 from graphslam.association import AssociationScore, score
+from graphslam.association.map_states import LandmarkState
+from graphslam.calibration import Calibration
 from graphslam.log import UNIDENTIFIED
 from graphslam.log_checks import Finding, check_log
-from graphslam.metrics import Errors, Metrics, evaluate
+from graphslam.metrics import Metrics, evaluate
 from graphslam.se2 import wrap
 
 from .display import Displayed
@@ -26,43 +28,64 @@ from .estimators.filters import Announce, announce_memory
 from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions
 from .options.reading import LogOrPath, prepare
 from .options.toml_files import write_noise
-from .results import EstimatorResult, noted, typical_costs
-from .results.documents import (
-    EstimatorDocument,
-    LandmarkStateDocument,
-    RunDocument,
-    certificate_document,
-    describe,
-    document,
-    parameters_document,
-)
+from .results import EstimatorResult, Figures, noted, typical_costs
+from .results.documents import Count, Covariance, Flags, LogDocument, Numbers, Poses, Position, describe, one_of
 from .results.exchange import texts, write_pose_graph
-from .results.saving import SavedFiles, fill_results, new_directory, write_json
-from .results.sightings import association_document, documents_of_sessions
+from .results.results import Parameter, parameters_of
+from .results.saving import SavedFiles, fill_results, jsonable, new_directory, write_json
+from .results.sightings import FoundIds, SolvedSession, found_ids, solved_sessions
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row(Errors):
-    """One line of the table; None where a value does not exist or cannot be known.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Row(Figures, Metrics):
+    """All that is known of one estimator: a line of the table, and an entry of the JSON. None where it cannot be known.
 
-    ``cost_per_dof`` is J per degree of freedom, about 1 where the noise models fit; see `results.of_expected`.
-    ``certificate`` says whether the end is proven to be the global minimum of J; see `graphslam.Certificate`.
-    ``nees`` is the mean normalised error squared of the poses, 1 means consistent; see `EstimatorResult.nees`.
-    ``knows`` names what the estimator was given that the others do not have, such as the true map.
-    ``association`` compares the landmarks of the sightings with the true ids, where the estimator did not use these.
+    Attributes:
+        name: of the estimator.
+        step_norms: norm of the correction of each iteration.
+        nees: mean NEES of the poses per degree of freedom, see `EstimatorResult.nees`; 1: consistent.
+        seed_errors: ATE [m] of each random seed of a particle filter, by seed; the other fields are of the run with the
+            median one. null for a single run: the options name a seed, no true poses are known, or the log is large.
+        knows: what it was given that others do not have, such as the true map; else empty.
+        weighed_down: number of sightings that a robust kernel gives less than half of their weight; null without one.
+        association: ids found for the sightings; null where the ids of the log were used.
+        parameters: estimated parameters by name; null where none was estimated.
+        poses: the trajectory, T + 1 poses.
+        estimated: false where a pose is only the initial guess.
+        landmarks: the map, by id.
+        landmark_covariances: covariances of the map, by id.
+        options: the options that the estimator used.
+        certificate: whether the end is proven to be the global minimum of J; null without a graph.
+        reason: why it ended, or why it did not run.
+        notes: remarks of the estimator.
+        skipped: the reason of an estimator that did not run.
+        result: from which this was computed.
     """
 
     name: str
-    converged: bool | None = None
-    iterations: int | None = None
-    seconds: float | None = None
-    cost: float | None = None
+    step_norms: Numbers | None = None
     nees: float | None = None
-    skipped: str | None = None
-    cost_per_dof: float | None = None
+    seed_errors: Mapping[int, float] | None = None
+    knows: str | None = None
+    weighed_down: Count | None = None
+    association: FoundIds | None = None
+    parameters: Mapping[str, Parameter] | None = None
+    poses: Poses | None = None
+    estimated: Flags | None = None
+    landmarks: Mapping[int, Position] | None = None
+    landmark_covariances: Mapping[int, Covariance] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
     certificate: Certificate | None = None
-    association: AssociationScore | None = None
-    knows: str = ""
+    reason: str = ""
+    notes: tuple[str, ...] = ()
+    skipped: str | None = field(default=None, repr=False)
+    result: EstimatorResult | None = field(default=None, repr=False)
+    shown: ClassVar = {"expected_ate_m": "expected_ate_m"}
+
+    @property
+    def expected_ate_m(self) -> float | None:
+        """The ATE that the covariances of a graph let expect [m]; right where the noise models are."""
+        return None if self.result is None else self.result.expected_ate_m
 
 
 @dataclass(frozen=True)
@@ -191,13 +214,23 @@ class Comparison(Displayed):
     @cached_property
     def table(self) -> ResultTable:
         """The metrics as a table, results and skipped estimators in the order of the registry."""
-        rows = [_row(r, self.metrics[r.name], self.nees[r.name], self.associations[r.name]) for r in self.results]
-        rows += [Row(name=entry.name, skipped=entry.reason) for entry in self.skipped]
+        rows = [self._row(result) for result in self.results]
+        rows += [Row(name=entry.name, skipped=entry.reason, reason=entry.reason) for entry in self.skipped]
         order = list(ESTIMATORS)
         rows.sort(key=lambda row: order.index(row.name) if row.name in order else len(order))
         log = self.log
         title = f"{log.name}: {log.num_poses} poses, {log.seen}"
         return ResultTable(title, tuple(rows))
+
+    def _row(self, result: EstimatorResult) -> Row:
+        metrics, name, parameters = self.metrics[result.name], result.name, result.parameters
+        found: dict[str, Any] = {
+            "nees": self.nees[name], "notes": self.notes_of(result), "result": result,
+            "association": found_ids(self.log, result, self.associations[name]),
+            "parameters": None if parameters is None else parameters_of(parameters),
+        }  # fmt: skip
+        same = {f.name for f in fields(Row)} - {"skipped", *found}
+        return Row(**found, **{each: getattr(metrics if hasattr(metrics, each) else result, each) for each in same})
 
     def difference(self, first: str = "graph", second: str = "gtsam") -> float | None:
         """The largest difference of two results in any x, y [m] or heading [rad] that both estimated, or None."""
@@ -222,28 +255,19 @@ class Comparison(Displayed):
         Args:
             files: what was saved, {"figure": path, ...}; the notes of `SavedFiles` become those of the document.
         """
-        by_name = {
-            r.name: document(
-                EstimatorDocument, r, self.metrics[r.name], nees=self.nees[r.name], notes=self.notes_of(r),
-                certificate=certificate_document(r.certificate),
-                association=association_document(self.log, r, self.associations[r.name]),
-                parameters=parameters_document(r.parameters),
+        source = None if isinstance(self.source, tuple) else self.source
+        return jsonable(
+            RunDocument(
+                log=describe(self.log, source),
+                noise={name: Noise(self.noise_source[name], model) for name, model in self.models.items()},
+                sessions=solved_sessions(self),
+                robot=self.options.calibration,
+                map_states=self.options.landmark_states,
+                estimators=self.table.rows,
+                files=dict(files or {}),
+                notes=getattr(files, "notes", []),
+                warnings=[finding.message for finding in self.findings],
             )
-            for r in self.results
-        }  # fmt: skip
-        states = self.options.landmark_states
-        by_name |= {entry.name: _SKIPPED | {"name": entry.name, "reason": entry.reason} for entry in self.skipped}
-        return document(
-            RunDocument,
-            log=describe(self.log, None if isinstance(self.source, tuple) else self.source),
-            sessions=documents_of_sessions(self),
-            noise={n: {"source": self.noise_source[n], "model": asdict(model)} for n, model in self.models.items()},
-            robot=None if self.options.calibration is None else self.options.calibration.to_json(),
-            map_states=None if states is None else [document(LandmarkStateDocument, each) for each in states],
-            estimators=[by_name[row.name] for row in self.table],
-            files={kind: str(path) for kind, path in (files or {}).items()},
-            notes=getattr(files, "notes", []),
-            warnings=[finding.message for finding in self.findings],
         )
 
     @cached_property
@@ -355,8 +379,45 @@ class Comparison(Displayed):
         return files
 
 
-#: the fields of an estimator that did not run
-_SKIPPED = dict.fromkeys(EstimatorDocument.__struct_fields__) | {"options": {}, "notes": []}
+@dataclass(frozen=True)
+class Noise:
+    """A noise model of the run.
+
+    Attributes:
+        source: book: the lectures' values; log: those of the log or its reader; file: a noise file; estimated: from this log;
+            given: by options.
+        model: fields of `graphslam.MotionModel` or `graphslam.SensorModel`.
+    """
+
+    source: Annotated[str, one_of("book", "log", "file", "estimated", "given")]
+    model: MotionModel | SensorModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunDocument:
+    """The JSON of `slam-compare run` and `report`, comparison.json.
+
+    Attributes:
+        noise: the noise models `motion` and `sensor` of all estimators.
+        sessions: the logs, where several were solved as one; null for one log.
+        robot: noise and biases that were estimated from the log; null where none were.
+        map_states: the landmarks of the map and new ones; null without a map.
+        estimators: in the order of the table.
+        files: the files written, by kind or name.
+        notes: files that could not be made, one sentence each.
+        warnings: what is probably wrong with the log, with the likely cause.
+    """
+
+    log: LogDocument
+    noise: Mapping[str, Noise]
+    sessions: list[SolvedSession] | None
+    robot: Calibration | None
+    map_states: Sequence[LandmarkState] | None
+    estimators: tuple[Row, ...]
+    files: Mapping[str, Path]
+    notes: list[str]
+    warnings: list[str]
+
 
 #: called with a name when an estimator begins (None) and when it is done
 Progress = Callable[[str, EstimatorResult | Skipped | None], None]
@@ -432,13 +493,6 @@ def compare(
             raise first.error
         raise SlamError(f"no estimator has a result; {first.name} {first.outcome}: {first.reason}") from first.error
     return Comparison(data, tuple(results), tuple(skipped), source, options, names, time_limit)
-
-
-def _row(result: EstimatorResult, metrics: Metrics, nees: float | None, association: AssociationScore | None) -> Row:
-    values: dict[str, Any] = {"nees": nees, "skipped": None, "association": association}
-    for name in (f.name for f in fields(Row) if f.name not in values):
-        values[name] = getattr(metrics if hasattr(metrics, name) else result, name)
-    return Row(**values)
 
 
 def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:

@@ -9,11 +9,11 @@ import os
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from graphslam import Graph, SlamError, load
 from graphslam.edges import AnchorEdges
@@ -22,6 +22,7 @@ from graphslam.io import mrclam
 from graphslam.io.formats import FORMATS
 
 from .display import Displayed
+from .results.documents import Count
 from .results.saving import jsonable
 
 #: how many levels of folders are searched, and the size from which on files are not opened for recognition [bytes]
@@ -42,6 +43,7 @@ class DataSet:
         title, source, terms: what it is, where it is published, and the terms of its owners.
         layout: of its files.
         is_graph: whether its files are pose graphs, for ``slam-compare backends``, and not logs.
+        found: the local copies.
     """
 
     name: str
@@ -50,6 +52,7 @@ class DataSet:
     terms: str
     layout: str
     is_graph: bool = False
+    found: tuple[Found, ...] = ()
 
 
 DATA_SETS = tuple(
@@ -74,12 +77,12 @@ class Found:
 
     path: Path
     robot: int | None = None
-    poses: int = 0
-    sightings: int = 0
-    landmarks: int = 0
-    controls: int | None = None
+    poses: Count = 0
+    sightings: Count = 0
+    landmarks: Count = 0
+    controls: Count | None = None
     seconds: float | None = None
-    poses_covered: int | None = None
+    poses_covered: Count | None = None
     notes: tuple[str, ...] = ()
     error: str | None = None
 
@@ -89,7 +92,18 @@ class Survey(Displayed):
     """The result of `survey`: the logs below a folder, by the name of the data set."""
 
     folder: Path
-    found: dict[str, tuple[Found, ...]] = field(default_factory=dict)
+    found: dict[str, tuple[Found, ...]] = field(default_factory=dict, repr=False)
+    shown: ClassVar = {"exists": "exists", "sets": "sets"}
+
+    @property
+    def exists(self) -> bool:
+        """Whether there is such a folder."""
+        return self.folder.is_dir()
+
+    @property
+    def sets(self) -> tuple[DataSet, ...]:
+        """The known data sets."""
+        return tuple(replace(known, found=self.found[known.name]) for known in DATA_SETS)
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -98,8 +112,7 @@ class Survey(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The survey as plain data: {"folder", "exists", "sets": [{"name", ..., "found": [...]}]}."""
-        sets = [asdict(known) | {"found": list(map(asdict, self.found[known.name]))} for known in DATA_SETS]
-        return jsonable({"folder": self.folder, "exists": self.folder.is_dir(), "sets": sets})
+        return jsonable(self)
 
 
 def survey(folder: str | PathLike[str] | None = None, *, progress: Callable[[Path], None] | None = None) -> Survey:

@@ -38,7 +38,8 @@ from graphslam.se2 import Array, compose, interpolate, rotation, wrap
 
 from .display import Displayed
 from .options import EvaluationOptions
-from .results.documents import EvaluatedDocument, EvaluateDocument, document
+from .results.documents import Count
+from .results.saving import jsonable
 
 #: stands for the map of an estimate that has none
 NO_MAP = Path("-")
@@ -85,19 +86,19 @@ class Evaluated(Errors):
     """
 
     name: str
-    poses: int
-    compared: int
+    poses: Count
+    compared: Count
     most_m: float
     nees: float | None
-    times: Array
-    errors: Array
-    aligned: Array
-    landmarks: int | None = None
-    missed: int | None = None
-    false: int | None = None
+    times: Array = field(repr=False)
+    errors: Array = field(repr=False)
+    aligned: Array = field(repr=False)
+    landmarks: Count | None = None
+    missed: Count | None = None
+    false: Count | None = None
     gospa_m: float | None = None
-    aligned_map: Mapping[int, Array] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    aligned_map: Mapping[int, Array] = field(default_factory=dict, repr=False)
+    notes: tuple[str, ...] = field(default=(), repr=False)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -116,11 +117,33 @@ class Evaluation(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The errors as plain data, see docs/json.md."""
-        return document(
-            EvaluateDocument, self, truth=self.truth.name, true_poses=len(self.truth.times),
-            true_landmarks=None if self.true_map is None else len(self.true_map), cutoff_m=self.options.cutoff,
-            estimates=[document(EvaluatedDocument, each) for each in self.estimates],
-        )  # fmt: skip
+        landmarks = None if self.true_map is None else len(self.true_map)
+        return jsonable(
+            EvaluateDocument(
+                self.truth.name, len(self.truth.times), landmarks, self.options.cutoff, self.estimates, self.notes
+            )
+        )
+
+
+@dataclass(frozen=True)
+class EvaluateDocument:
+    """The JSON of `slam-compare evaluate`.
+
+    Attributes:
+        truth: name of the ground truth.
+        true_poses: number of true poses.
+        true_landmarks: number of true landmarks; null without a true map.
+        cutoff_m: `--cutoff` [m].
+        estimates: one for each estimate, in the order of the command.
+        notes: remarks of the readers.
+    """
+
+    truth: str
+    true_poses: Count
+    true_landmarks: Count | None
+    cutoff_m: float
+    estimates: tuple[Evaluated, ...]
+    notes: tuple[str, ...]
 
 
 def evaluate(

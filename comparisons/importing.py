@@ -6,11 +6,11 @@ A log before it is solved: times and rates, sightings of each landmark, histogra
 from __future__ import annotations
 
 import warnings
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
@@ -30,8 +30,13 @@ from graphslam.se2 import Array
 from .display import Displayed
 from .options import ImportOptions, ReadingOptions
 from .options.reading import read_log
-from .results.documents import ImportDocument, ShowDocument, describe, document
+from .results.documents import Count, LogDocument, Numbers, describe, one_of
 from .results.exchange import elapsed_of
+from .results.saving import jsonable
+
+#: what a table or topic holds
+Kind = Annotated[str, one_of("odometry", "sightings", "truth")]
+Possible = Annotated[str, one_of("odometry", "sightings", "truth", "")]
 
 
 @dataclass(frozen=True)
@@ -39,17 +44,17 @@ class FoundStream:
     """A table or topic that was read.
 
     Attributes:
-        kind: odometry, sightings or truth.
+        kind: what it holds.
         source: its file or topic.
         rows: their number.
-        begin, end: of its clock [s].
-        rate: rows per second; of sightings, of different times.
-        columns: which column was taken for what.
+        begin, end: the first and the last time of its clock [s].
+        rate: different times per second.
+        columns: which column was taken for what, with its unit.
     """
 
-    kind: str
+    kind: Kind
     source: str
-    rows: int
+    rows: Count
     begin: float
     end: float
     rate: float | None
@@ -63,15 +68,15 @@ class FoundTopic:
     Attributes:
         name, type: of the topic and its messages.
         count: the number of messages.
-        could_be: odometry, sightings or truth; empty where it is of no use.
+        could_be: what it could be; empty where it is of no use.
         chosen: for what it is read; empty where it is not.
     """
 
     name: str
     type: str
-    count: int
-    could_be: str
-    chosen: str
+    count: Count
+    could_be: Possible
+    chosen: Possible
 
 
 @dataclass(frozen=True)
@@ -101,16 +106,36 @@ class Import(Displayed):
 
     def to_json(self, file: Path | None = None) -> dict[str, Any]:
         """The import as plain data, and the file that was written."""
-        return document(
-            ImportDocument,
-            source=self.source,
-            topics=[asdict(topic) for topic in self.topics],
-            streams=[asdict(stream) for stream in self.streams],
-            log=None if self.log is None else describe(self.log, self.source),
-            warnings=[finding.message for finding in self.findings],
-            file=file,
-            reason=self.reason,
+        log, warnings = (
+            None if self.log is None else describe(self.log, self.source),
+            [f.message for f in self.findings],
         )
+        return jsonable(
+            ImportDocument(self.source, self.topics, self.streams, log, file, reason=self.reason, warnings=warnings)
+        )
+
+
+@dataclass(frozen=True)
+class ImportDocument:
+    """The JSON of `slam-compare import`.
+
+    Attributes:
+        source: the folder or bag; null where each table was named.
+        topics: the topics of a bag.
+        streams: the tables or topics that were read.
+        log: the log; null where the topics make none.
+        file: the log that was written; null where none was.
+        reason: why there is no log.
+        warnings: what is probably wrong with the log, with the likely cause.
+    """
+
+    source: Path | None
+    topics: tuple[FoundTopic, ...]
+    streams: tuple[FoundStream, ...]
+    log: LogDocument | None
+    file: Path | None
+    reason: str
+    warnings: list[str]
 
 
 def import_log(source: str | PathLike[str] | None = None, **options: Any) -> Import:
@@ -204,10 +229,18 @@ BINS = 12
 
 @dataclass(frozen=True)
 class Rate:
-    """The times of poses, controls or sightings, see `documents.RateDocument`."""
+    """The times of the poses, controls or sightings of a log, in seconds since its first pose.
 
-    name: str
-    count: int
+    Attributes:
+        name: what is counted.
+        count: their number.
+        rate: different times per second, the median.
+        longest_gap: longest time between two [s].
+        gap_at: when it begins [s].
+    """
+
+    name: Annotated[str, one_of("poses", "controls", "sightings")]
+    count: Count
     rate: float | None
     longest_gap: float | None
     gap_at: float | None
@@ -215,10 +248,17 @@ class Rate:
 
 @dataclass(frozen=True)
 class Seen:
-    """The sightings of one landmark: their number, first and last time since the first pose [s], median range [m]."""
+    """The sightings of one landmark.
+
+    Attributes:
+        id: of the landmark.
+        count: number of sightings.
+        first, last: the times of the first and the last one since the first pose [s].
+        range: the median range [m].
+    """
 
     id: int
-    count: int
+    count: Count
     first: float
     last: float
     range: float
@@ -226,18 +266,31 @@ class Seen:
 
 @dataclass(frozen=True)
 class Histogram:
-    """A histogram: edges (n+1,) and counts (n,) of its intervals."""
+    """A histogram.
 
-    edges: Array
-    counts: np.ndarray
+    Attributes:
+        edges: (n+1,) limits of the intervals.
+        counts: (n,) number of values in each interval.
+    """
+
+    edges: Numbers
+    counts: Numbers
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Overview(Displayed):
     """A log in numbers. Times are in seconds since the first pose; without controls they count steps."""
 
-    log: Log
-    source: Path | None = None
+    log: Log = field(repr=False)
+    source: Path | None = field(default=None, repr=False)
+    shown: ClassVar = {
+        name: name for name in ("seconds", "distance", "turned", "rates", "landmarks", "ranges", "bearings")
+    } | {"log": "described", "warnings": "findings"}
+
+    @property
+    def described(self) -> LogDocument:
+        """The log."""
+        return describe(self.log, self.source)
 
     @cached_property
     def times(self) -> Array:
@@ -246,7 +299,7 @@ class Overview(Displayed):
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """Probable mistakes in the log."""
+        """What is probably wrong, with the likely cause."""
         return check_log(self.log)
 
     @cached_property
@@ -323,16 +376,7 @@ class Overview(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The overview as plain data."""
-        return document(
-            ShowDocument,
-            self,
-            log=describe(self.log, self.source),
-            rates=[asdict(each) for each in self.rates],
-            landmarks=[asdict(each) for each in self.landmarks],
-            ranges=vars(self.ranges),
-            bearings=vars(self.bearings),
-            warnings=[asdict(each) for each in self.findings],
-        )
+        return jsonable(self)
 
 
 def inspect_log(log: Log | str | PathLike[str] | None = None, **options: Any) -> Overview:

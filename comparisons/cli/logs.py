@@ -46,7 +46,7 @@ def simulate(
     """
     import graphslam
 
-    from ..results.documents import SimulateDocument, describe, document
+    from ..results.documents import SimulateDocument, describe
     from ..results.saving import check_can_write
 
     check_can_write(out)
@@ -55,7 +55,7 @@ def simulate(
     sizes = f"{log.num_poses} poses, {log.seen}"
     output.say(f"Wrote {out}: {sizes}.")
     output.hint(f"Next: {command('run', out)}")
-    output.json(document(SimulateDocument, file=str(out), log=describe(log, out)))
+    output.json(SimulateDocument(out, describe(log, out)))
 
 
 def calibrate(

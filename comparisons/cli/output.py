@@ -13,7 +13,7 @@ import shutil
 import sys
 import textwrap
 import traceback
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from json import dumps
 from pathlib import Path
@@ -138,7 +138,7 @@ class Output:
         """Whether JSON was asked for."""
         return self._to_stdout or self._file is not None
 
-    def json(self, payload: Mapping[str, Any]) -> None:
+    def json(self, payload: object) -> None:
         """Write the JSON where it was asked for, if anywhere."""
         from ..results.saving import json_text, write_json
 

@@ -156,7 +156,7 @@ def animate(
     options: RunOptions,
 ) -> None:  # fmt: skip
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths."""
-    from ..results.documents import describe
+    from ..results.documents import AnimateDocument, describe
     from ..show.films import animate as film_of
     from ..show.films import check_can_film
 
@@ -170,11 +170,12 @@ def animate(
     seconds, size = time.perf_counter() - begin, out.stat().st_size
     output.say(*film.notes)
     output.hint(f"Wrote {out}: {len(film)} of {film.steps} frames, {film.fps:g} per second, {size / 1e6:.1f} MB.")
-    output.json({
-        "file": str(out), "log": describe(film.log, film.source), "estimator": animation.estimator,
-        "pictures": len(film), "steps": film.steps, "fps": film.fps, "bytes": size, "seconds": seconds,
-        "notes": list(film.notes), "poses": film.frames[-1].poses,
-    })  # fmt: skip
+    output.json(
+        AnimateDocument(
+            file=out, log=describe(film.log, film.source), estimator=animation.estimator, pictures=len(film),
+            steps=film.steps, fps=film.fps, bytes=size, seconds=seconds, notes=film.notes, poses=film.frames[-1].poses,
+        )
+    )  # fmt: skip
 
 
 def log_and_file(words: list[str], form: str) -> tuple[Path | None, Path]:

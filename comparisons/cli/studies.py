@@ -79,7 +79,7 @@ def sweep(
     elif outcome.failed:
         output.hint(f"Repeat the failed runs: {command('sweep', study, options=replace(options, retry=True))}")
     output.hint(f"Next: {command('study', outcome.database)}")
-    output.json({"study": str(study), **outcome.to_json()})
+    output.json(outcome.to_json())
     if outcome.interrupted:
         raise typer.Exit(INTERRUPTED)
     if outcome.failed:
@@ -119,7 +119,7 @@ def study(
         check_can_write(options.summary, endings=(".csv", ".tex"))
     path = Path(words[0])
     with StudyDatabase.reading(read_study(path).database if path.suffix == ".toml" else path) as database:
-        rows, (_, others), about = database.rows(), database.counts(), database.about()
+        rows, (_, others) = database.rows(), database.counts()
         summary = summarise(database, baseline=options.baseline)
     output.show(summary)
     if others:
@@ -134,9 +134,9 @@ def study(
         output.hint(f"Wrote {options.summary}.")
     if rows:
         output.draw(summary, options.figure, metric=options.metric)
-    output.json({"database": str(database.path), "study": about.get("study"), **summary.to_json()})
+    output.json(summary.to_json())
     if missing := summary.planned - summary.done:
-        output.hint(f"To execute the other {missing} runs: {command('sweep', about.get('study'))}")
+        output.hint(f"To execute the other {missing} runs: {command('sweep', summary.study)}")
     elif options.figure is None:
         output.hint(f"Next: {command('study', database.path, '--figure', 'study.png', '--csv', 'runs.csv')}")
 

@@ -6,6 +6,7 @@ from graphslam.lazy import lazy_names
 
 if TYPE_CHECKING:
     from .results import EstimatorResult as EstimatorResult
+    from .results import Figures as Figures
     from .results import dead_reckoning_covariances as dead_reckoning_covariances
     from .results import noted as noted
     from .results import of_expected as of_expected
@@ -13,5 +14,5 @@ if TYPE_CHECKING:
     from .results import typical_costs as typical_costs
 
 # imported at the first use: whoever needs another module of this package does not wait for this one
-_PUBLIC = {"results": "dead_reckoning_covariances EstimatorResult noted of_expected sentence typical_costs"}
+_PUBLIC = {"results": "dead_reckoning_covariances EstimatorResult Figures noted of_expected sentence typical_costs"}
 __getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)

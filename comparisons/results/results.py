@@ -21,10 +21,13 @@ from graphslam.association import Association
 from graphslam.errors import printable
 from graphslam.graph.localization import drifted
 from graphslam.identification.declared import ParameterEstimate
+from graphslam.metrics import Errors
 from graphslam.se2 import Array, compose, inverse, rotation, wrap
 from graphslam.solvers.corrected import motion_edges, sighted_edges
 from graphslam.solvers.uncertainty import Uncertainty
 from graphslam.textbook import TextbookSolution
+
+from .documents import Count
 
 
 def sentence(error: BaseException) -> str:
@@ -239,6 +242,46 @@ class EstimatorResult:
         except np.linalg.LinAlgError:
             return None
         return float(np.mean(np.einsum("ti,ti->t", error[known], weighted)) / 3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figures(Errors):
+    """The numbers of one run of an estimator: columns of tables and of the database of a study; None where not known.
+
+    Attributes:
+        converged: whether the stop rule was met, of particle Gibbs whether its chains have mixed; else None.
+        iterations: their number.
+        cost: J at the end.
+        cost_per_dof: J per degree of freedom: about 1 where the noise models fit, more where they are too small or sightings
+            are wrong, less where they are too large; None where nothing is minimised.
+        seconds: time of the estimation alone.
+    """
+
+    converged: bool | None = None
+    iterations: Count | None = None
+    cost: float | None = None
+    cost_per_dof: float | None = None
+    seconds: float | None = None
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of robot or sensor that was estimated with the poses; see docs/parameters.md.
+
+    Attributes:
+        value, deviation: its estimate and standard deviation.
+        prior: the standard deviation of its prior; None without one.
+    """
+
+    value: float
+    deviation: float
+    prior: float | None
+
+
+def parameters_of(estimate: ParameterEstimate) -> dict[str, Parameter]:
+    """Estimated parameters by name."""
+    priors = {name: deviation for name, (_, deviation) in estimate.priors.items()}
+    return {n: Parameter(estimate[n], deviation, priors.get(n)) for n, deviation in estimate.deviations.items()}
 
 
 def of_expected(cost: float, graph: Graph) -> float | None:

@@ -10,6 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import is_dataclass
 from datetime import datetime
 from itertools import count
 from pathlib import Path
@@ -19,6 +20,8 @@ import numpy as np
 
 from graphslam import FormatError, OptionError
 from graphslam.files import check_path, check_place, write_whole
+
+from .documents import shown_by
 
 #: the default folder of the results folders
 RESULTS = Path("results")
@@ -31,7 +34,7 @@ class Numbers(list[Any]):
 
 
 def jsonable(value: Any) -> Any:
-    """The value as JSON can hold it: arrays as lists, keys as text, and what is not a finite number as null."""
+    """The value as JSON can hold it: results as `documents` says, keys as text, NaN and infinity as null."""
     # the types of most values first: a long log has millions of numbers
     if isinstance(value, (str, int, Numbers)) or value is None:
         return value
@@ -53,10 +56,12 @@ def jsonable(value: Any) -> Any:
         return {str(key): jsonable(entry) for key, entry in value.items()}
     if isinstance(value, Path):
         return str(value)
+    if is_dataclass(kind := type(value)):
+        return {name: jsonable(getattr(value, part)) for name, part in shown_by(kind).items()}
     return value
 
 
-def json_text(payload: Mapping[str, Any]) -> str:
+def json_text(payload: object) -> str:
     """A JSON document: numbers to their last digit, each pose or other row on a line, never NaN or Infinity."""
     return _laid_out(jsonable(payload), "\n") + "\n"
 
@@ -92,7 +97,7 @@ def json_line(value: Any) -> str:
     return _one_line(jsonable(value))
 
 
-def write_json(payload: Mapping[str, Any], path: Path) -> None:
+def write_json(payload: object, path: Path) -> None:
     """Write a JSON document whole or not at all.
 
     Raises:

@@ -7,28 +7,23 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graphslam import Log
 from graphslam.association import AssociationScore
+from graphslam.association.ambiguity import Ambiguity
+from graphslam.association.associate import Verdict
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import Session
-from graphslam.metrics import Metrics, evaluate, position_errors
+from graphslam.metrics import METRICS, Errors, Metrics, evaluate, position_errors
 from graphslam.se2 import Array
 
-from .documents import (
-    AssociationDocument,
-    DoubtDocument,
-    SessionDocument,
-    SessionErrorsDocument,
-    VerdictDocument,
-    document,
-)
+from .documents import Count
 from .results import EstimatorResult
 
 if TYPE_CHECKING:
@@ -89,39 +84,91 @@ def sightings_text(log: Log, result: EstimatorResult) -> str:
     return text.getvalue()
 
 
-def association_document(log: Log, result: EstimatorResult, scores: AssociationScore | None) -> dict[str, Any] | None:
-    """The ids that an estimator gave sightings itself, as plain data; None where it used those of the log."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundIds:
+    """The ids that an estimator gave sightings itself; what needs true ids is None where there are none.
+
+    Attributes:
+        landmarks: landmarks that some sighting was given to.
+        clutter: sightings that are of no landmark.
+        precision, recall, found, missed, doubled, invented, matches: see `graphslam.association.AssociationScore`.
+        classes: the class that most sightings of a landmark show, by id; None where none is known.
+        unconfirmed: sightings for which another landmark, or clutter, is nearly as likely, or a filter's is not confirmed.
+        evidence: logarithm of the evidence for the ids; compares associations of one log; None for filters.
+        doubts: places that may be others; None for filters.
+        verdict: whether the map can be relied on; None for filters.
+    """
+
+    landmarks: Count
+    clutter: Count
+    precision: float | None = None
+    recall: float | None = None
+    found: Count | None = None
+    missed: Count | None = None
+    doubled: Count | None = None
+    invented: Count | None = None
+    matches: Mapping[int, int] | None = None
+    classes: Mapping[int, int | str | None] | None = None
+    unconfirmed: Count | None = None
+    evidence: float | None = None
+    doubts: tuple[Ambiguity, ...] | None = None
+    verdict: Verdict | None = None
+
+
+def found_ids(log: Log, result: EstimatorResult, scores: AssociationScore | None) -> FoundIds | None:
+    """The ids that an estimator gave sightings itself; None where it used those of the log."""
     if result.association is None:
         return None
     given, found = result.association != UNIDENTIFIED, result.found
-    of_truth = dict.fromkeys(AssociationScore.__dataclass_fields__) if scores is None else asdict(scores)
     classes = {each.landmark: each.of_class for each in sightings_of(log, result.association)}
-    return document(
-        AssociationDocument,
-        **of_truth,
+    return FoundIds(
         landmarks=len(classes),
         clutter=int(np.sum(~given)),
         classes=None if log.classes is None else classes,
         unconfirmed=None if result.unconfirmed is None else int(np.sum(result.unconfirmed & given)),
         evidence=None if found is None else found.evidence,
-        doubts=None if found is None else [document(DoubtDocument, each) for each in found.ambiguities],
-        verdict=None if found is None else document(VerdictDocument, found.verdict),
+        doubts=None if found is None else found.ambiguities,
+        verdict=None if found is None else found.verdict,
+        **({} if scores is None else vars(scores)),
     )
 
 
-@dataclass(frozen=True)
-class SessionErrors:
-    """The errors of an estimator in one of the logs.
+@dataclass(frozen=True, kw_only=True)
+class SessionErrors(Errors):
+    """The errors of an estimator in one of several logs, aligned alone; None where the ground truth is not known.
 
     Attributes:
-        alone: after the alignment of this log alone to its ground truth.
-        together_m: the ATE [m] of its poses after the common alignment of all logs; None where their truth is not known.
+        together_m: the ATE of its poses after the common alignment of all logs [m].
+        poses_counted: number of poses that the metrics are of.
     """
 
-    session: Session
-    estimator: str
-    alone: Metrics
+    session: Session = field(repr=False)
+    estimator: str = field(repr=False)
     together_m: float | None
+    poses_counted: Count | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolvedSession(Session):
+    """One of several logs of a place that were solved as one.
+
+    Attributes:
+        file: file or folder it was read from.
+        name: of the log.
+        start: its first step among those of all logs.
+        start_time: the time of that by its own clock [s].
+        poses, sightings: their numbers.
+        landmarks: number of landmarks it has seen.
+        shared: number of these that another log has seen, too.
+        estimators: the errors of every estimator, by name.
+    """
+
+    file: Path | None
+    poses: Count
+    sightings: Count
+    landmarks: Count
+    shared: Count
+    estimators: Mapping[str, SessionErrors]
 
 
 def errors_of_sessions(comparison: Comparison) -> Iterator[SessionErrors]:
@@ -141,7 +188,8 @@ def errors_of_sessions(comparison: Comparison) -> Iterator[SessionErrors]:
                 alone = evaluate(truth[drive], None, estimates[r.name][drive], {}, mask=r.estimated[drive])
             if r.name in off and np.isfinite(off[r.name][drive]).any():
                 together = float(np.sqrt(np.nanmean(off[r.name][drive] ** 2)))
-            yield SessionErrors(session, r.name, alone, together)
+            errors = {name: getattr(alone, name) for name in (*METRICS, "poses_counted")}
+            yield SessionErrors(session=session, estimator=r.name, together_m=together, **errors)
 
 
 def shared_landmarks(log: Log) -> list[tuple[int, int]]:
@@ -160,19 +208,19 @@ def parted(rows: Array, ends: np.ndarray | list[int]) -> Array:
     return np.insert(rows, ends, np.nan, axis=0)
 
 
-def documents_of_sessions(comparison: Comparison) -> list[dict[str, Any]] | None:
-    """The logs and their errors for JSON; None where there is one log."""
+def solved_sessions(comparison: Comparison) -> list[SolvedSession] | None:
+    """The logs and their errors; None where there is one log."""
     log = comparison.log
     if not log.sessions:
         return None
-    errors: dict[Session, dict[str, Any]] = {each: {} for each in log.sessions}
+    errors: dict[Session, dict[str, SessionErrors]] = {each: {} for each in log.sessions}
     for each in errors_of_sessions(comparison):
-        errors[each.session][each.estimator] = document(SessionErrorsDocument, each, each.alone)
+        errors[each.session][each.estimator] = each
     source = comparison.source
     files = source if isinstance(source, tuple) else (source,) * len(log.sessions)
     return [
-        document(
-            SessionDocument, session, file=None if file is None else str(Path(file)), poses=drive.stop - drive.start,
+        SolvedSession(
+            **vars(session), file=file, poses=drive.stop - drive.start,
             sightings=int(np.sum((log.steps >= drive.start) & (log.steps < drive.stop))), landmarks=seen, shared=shared,
             estimators=errors[session],
         )

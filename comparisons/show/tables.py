@@ -30,9 +30,8 @@ from .canvas import placement_of_result
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 
 if TYPE_CHECKING:
-    from graphslam.association import AssociationScore
-
     from ..comparison import Comparison, ResultTable
+    from ..results.sightings import FoundIds
     from ..studies.backends import BackendComparison
     from ..studies.solvers import SolverComparison
 
@@ -165,7 +164,7 @@ def result_tables(results: ResultTable) -> Tables:
     known = any(row.nees is not None for row in results)
     proofs = any(row.certificate is not None and row.certificate.applicable for row in results)
     headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *["optimum"] * proofs]
-    scored = any(row.association is not None for row in results)
+    scored = any(row.association is not None and row.association.found is not None for row in results)
     last = [*["NEES"] * known, *["precision,\nrecall", "landmarks"] * scored]
     table = LeanTable(results.title, ["estimator"], [*headings, *metrics.values(), *last])
     for row in results:
@@ -178,14 +177,14 @@ def result_tables(results: ResultTable) -> Tables:
     return [table], []
 
 
-def _precision_recall(association: AssociationScore | None) -> str:
-    if association is None:
+def _precision_recall(association: FoundIds | None) -> str:
+    if association is None or association.found is None:
         return NOTHING
     return ", ".join(NOTHING if v is None else f"{v:.3f}" for v in (association.precision, association.recall))
 
 
-def _counts(association: AssociationScore | None) -> str:
-    if association is None:
+def _counts(association: FoundIds | None) -> str:
+    if association is None or association.found is None:
         return NOTHING
     return f"{association.found} {association.missed} {association.doubled} {association.invented}"
 
@@ -232,9 +231,7 @@ def comparison_tables(comparison: Comparison) -> Tables:
 def session_tables(comparison: Comparison) -> list[Table]:
     """A table for each of several logs that were solved together: its errors, alone and after the common alignment."""
     errors = list(errors_of_sessions(comparison))
-    metrics = {
-        n: title for n, title in metric_headings().items() if any(getattr(e.alone, n) is not None for e in errors)
-    }
+    metrics = {n: title for n, title in metric_headings().items() if any(getattr(e, n) is not None for e in errors)}
     if not metrics and all(each.together_m is None for each in errors):
         return []
     log, tables = comparison.log, dict[Session, LeanTable]()
@@ -245,7 +242,7 @@ def session_tables(comparison: Comparison) -> list[Table]:
         )
         tables[session] = LeanTable(title, ["estimator"], [*metrics.values(), "ATE in the\ncommon frame [m]"])
     for each in errors:
-        alone = (number(getattr(each.alone, metric)) for metric in metrics)
+        alone = (number(getattr(each, metric)) for metric in metrics)
         tables[each.session].add_row(each.estimator, *alone, number(each.together_m))
     return list(tables.values())
 

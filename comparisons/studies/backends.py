@@ -14,13 +14,13 @@ import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, ClassVar
 
 import gtsam
 import numpy as np
@@ -38,7 +38,7 @@ from ..display import Displayed
 from ..estimators.attempt import too_long
 from ..options import BackendOptions
 from ..results import of_expected
-from ..results.documents import certificate_document
+from ..results.documents import Count
 from ..results.saving import jsonable
 
 
@@ -280,26 +280,39 @@ class BackendRow:
         native: whether all factors are evaluated by the backend itself. False where GTSAM calls factors in Python, so that
             the time is mostly that of the callbacks.
         certificate: whether the state is proven to be the global minimum of chi2; None if the backend gave up.
+        ratio: the time of graphslam over this time, where both reached the best chi2; only in the JSON.
     """
 
     file: str
     backend: str
     chi2: float
-    iterations: int
+    iterations: Count
     seconds: float
     converged: bool
     reason: str
     trace: tuple[tuple[float, float], ...] = field(default=(), repr=False)
     chi2_per_dof: float | None = None
     native: bool = True
-    certificate: Certificate | None = field(default=None, repr=False)
+    certificate: Certificate | None = None
+    ratio: float | None = None
 
 
 @dataclass(frozen=True)
 class BackendComparison(Displayed):
-    """The outcome of `compare_backends`."""
+    """The outcome of `compare_backends`.
+
+    Attributes:
+        rows: one for each file and solver.
+    """
 
     rows: tuple[BackendRow, ...]
+    shown: ClassVar = {"geometric_means": "geometric_means"}
+
+    @property
+    def geometric_means(self) -> dict[str, float | None]:
+        """The geometric mean of `ratio` over the files, `native` rows only."""
+        names = dict.fromkeys(row.backend for row in self.rows if row.backend != "graphslam")
+        return {name: self.geometric_mean(name) for name in names}
 
     def best(self, file: str) -> float:
         """The lowest chi2 that any backend reached on a file."""
@@ -324,13 +337,7 @@ class BackendComparison(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as plain data: {"rows": [fields of `BackendRow` and "ratio"], "geometric_means"}."""
-        rows = [
-            {k: v for k, v in asdict(row).items() if k != "trace"}
-            | {"ratio": self.ratio(row), "certificate": certificate_document(row.certificate)}
-            for row in self.rows
-        ]
-        names = dict.fromkeys(row.backend for row in self.rows if row.backend != "graphslam")
-        return jsonable({"rows": rows, "geometric_means": {name: self.geometric_mean(name) for name in names}})
+        return jsonable(replace(self, rows=tuple(replace(row, ratio=self.ratio(row)) for row in self.rows)))
 
 
 def compare_backends(

@@ -13,9 +13,9 @@ Source: Bar-Shalom, Li and Kirubarajan, *Estimation with applications to trackin
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -30,6 +30,7 @@ from ..display import Displayed
 from ..estimators.attempt import results
 from ..estimators.filters import FILTERS, particle_filter
 from ..options import ConsistencyOptions, RunOptions
+from ..results.documents import Band, Count, Numbers, one_of
 from ..results.saving import jsonable
 
 #: the graphs that can be tested, by name: keywords of `Graph.from_log`
@@ -56,28 +57,32 @@ class Consistency:
     """
 
     name: str
-    per_step: Array
-    joint: Array | None
+    per_step: Array = field(repr=False)
+    joint: Array | None = field(repr=False)
+    shown: ClassVar = {
+        "logs": "logs", "failed": "failed", "anees": "anees", "band": "joint_band", "consistent": "consistent",
+        "anees_per_step": "steps", "step_band": "step_band", "steps_inside": "steps_inside",
+    }  # fmt: skip
 
     @property
-    def logs(self) -> int:
+    def logs(self) -> Count:
         """The number of logs that were solved."""
         return int(np.count_nonzero(np.isfinite(self.per_step[:, 0])))
 
     @property
-    def failed(self) -> int:
+    def failed(self) -> Count:
         """The number of logs on which the estimator failed, or did not converge."""
         return len(self.per_step) - self.logs
 
     @property
-    def steps(self) -> Array:
+    def steps(self) -> Numbers:
         """ANEES / 3 of each step, (T,)."""
         if self.logs == 0:
             return np.full(self.per_step.shape[1], np.nan)
         return np.asarray(np.nanmean(self.per_step, axis=0))
 
     @property
-    def step_band(self) -> tuple[float, float]:
+    def step_band(self) -> Band:
         """The 95 % band of `steps`."""
         return band(3 * self.logs)
 
@@ -95,7 +100,7 @@ class Consistency:
         return None if self.joint is None else float(np.nanmean(self.joint))
 
     @property
-    def joint_band(self) -> tuple[float, float]:
+    def joint_band(self) -> Band:
         """The 95 % band of `anees`."""
         return band(3 * self.per_step.shape[1] * self.logs)
 
@@ -105,31 +110,33 @@ class Consistency:
         low, high = self.joint_band
         return None if self.anees is None else bool(low <= self.anees <= high)
 
-    def to_json(self) -> dict[str, Any]:
-        """The figures of this estimator as plain data."""
-        return {
-            "name": self.name, "logs": self.logs, "failed": self.failed, "anees": self.anees,
-            "band": list(self.joint_band), "consistent": self.consistent, "anees_per_step": self.steps,
-            "step_band": list(self.step_band), "steps_inside": self.steps_inside,
-        }  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class ConsistencyStudy(Displayed):
-    """The simulated logs and the NEES of every estimator."""
+    """The simulated logs and the NEES of every estimator.
 
-    logs: int
+    Attributes:
+        logs: number of simulated logs.
+        noise: factor on the book's noise.
+        steps: motions of each log.
+        dimensions: columns of a sighting: 2 without, 3 with orientation psi.
+        seed: random seed of the first log.
+        sightings_per_landmark: mean over the logs.
+        results: the estimators that were tested.
+    """
+
+    logs: Count
     noise: float
-    steps: int
-    dimensions: int
-    seed: int
+    steps: Count
+    dimensions: Annotated[int, one_of(2, 3)]
+    seed: Count
     sightings_per_landmark: float
-    results: tuple[Consistency, ...]
+    results: tuple[Consistency, ...] = field(repr=False)
+    shown: ClassVar = {"estimators": "results"}
 
     def to_json(self) -> dict[str, Any]:
         """The study as plain data; see docs/consistency.md."""
-        simulated = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "results"}
-        return jsonable({**simulated, "estimators": [result.to_json() for result in self.results]})
+        return jsonable(self)
 
 
 def study_consistency(*, progress: Callable[[int], None] | None = None, **options: Any) -> ConsistencyStudy:

@@ -30,7 +30,7 @@ from .plan import Run, Study
 APPLICATION = 0x534C414D
 VERSION = 4
 
-_TYPES = {"int | None": "INTEGER", "bool | None": "INTEGER", "float | None": "REAL"}
+_TYPES = {"Count | None": "INTEGER", "bool | None": "INTEGER", "float | None": "REAL"}
 _FIGURES = [(f.name, _TYPES.get(str(f.type), "TEXT")) for f in fields(Outcome) if f.name != "key"]
 #: the columns of the table ``runs``
 COLUMNS = ("key", "log", "source", "seed", "estimator", "method", "options", *(name for name, _ in _FIGURES))

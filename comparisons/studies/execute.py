@@ -25,14 +25,13 @@ from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Log, LogError, OptionError
 from graphslam.identification.declared import CORRECTIONS
-from graphslam.metrics import Errors
 
 from ..comparison import compare
 from ..estimators.attempt import add_estimators, default_jobs, how_it_ended, processes
 from ..options import NoiseOptions, ReadingOptions, RunOptions
 from ..options.option import options_of
 from ..options.reading import read_log, sha256_of
-from ..results import sentence
+from ..results import Figures, sentence
 from .plan import Run, simulated_log
 
 #: a run ended well, raised (or its process died), or took longer than the limit
@@ -40,16 +39,14 @@ DONE, ERROR, TIMEOUT = "done", "error", "timeout"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome(Errors):
-    """The outcome of a run with its errors; a figure that does not exist or cannot be known is None.
+class Outcome(Figures):
+    """The outcome of a run with its figures; one that does not exist or cannot be known is None.
 
     Attributes:
         key: of the run, see `plan.Run.key`.
         status: `DONE`, `ERROR` or `TIMEOUT`.
         error: one sentence where the status is not `DONE`.
-        converged, iterations, cost, cost_per_dof: as in `comparisons.comparison.Row`.
         proven: whether the end is proven to be the global minimum of J; None where no proof applies.
-        seconds: the estimation alone.
         total_seconds: the whole run, with reading the log, setting up and computing the errors.
         poses_sha256: the first 16 digits of the digest of the estimated poses, equal where the poses are exactly equal.
         process: host and process that did it.
@@ -59,12 +56,7 @@ class Outcome(Errors):
     key: str
     status: str = DONE
     error: str | None = None
-    converged: bool | None = None
-    iterations: int | None = None
-    cost: float | None = None
-    cost_per_dof: float | None = None
     proven: bool | None = None
-    seconds: float | None = None
     total_seconds: float | None = None
     poses_sha256: str | None = None
     process: str = field(default_factory=lambda: f"{platform.node()}:{os.getpid()}")

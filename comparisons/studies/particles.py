@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from os import PathLike
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from ..estimators.attempt import default_jobs, results
 from ..estimators.filters import Announce, announce_memory
 from ..options import ParticleStudyOptions, RunOptions
 from ..options.reading import prepare
+from ..results.documents import Count, Numbers
+from ..results.saving import jsonable
 from .summary import quartiles
 
 #: the figures of a run: field of `ParticleRun` -> label of its axis
@@ -51,23 +53,44 @@ class ParticleRun:
     """
 
     name: str
-    particles: int
-    seed: int
+    particles: Count
+    seed: Count
     ate_m: float | None
     mean_ate_m: float | None
     landmark_rmse_m: float | None
     ess_share: float
-    ancestors: int
+    ancestors: Count
     seconds: float
 
 
 @dataclass(frozen=True, eq=False)
+class Quartiles:
+    """Quartiles (3,) over the seeds of one filter and number of particles; None where a figure is not known."""
+
+    name: str
+    particles: Count
+    ate_m: Numbers | None
+    mean_ate_m: Numbers | None
+    landmark_rmse_m: Numbers | None
+    ess_share: Numbers | None
+    ancestors: Numbers | None
+    seconds: Numbers | None
+
+
+@dataclass(frozen=True, eq=False)
 class ParticleStudy(Displayed):
-    """All runs of a study, the name of the log, and a note on each run that was stopped."""
+    """All runs of a study.
+
+    Attributes:
+        log: the name of the log.
+        runs: every run.
+        notes: runs that were stopped at the time limit, one sentence each.
+    """
 
     log: str
     runs: tuple[ParticleRun, ...]
     notes: tuple[str, ...] = ()
+    shown: ClassVar = {"bands": "quartiles"}
 
     def names(self) -> list[str]:
         """The filters in the order in which they ran."""
@@ -88,23 +111,26 @@ class ParticleStudy(Displayed):
     def rows(self) -> list[dict[str, Any]]:
         """One row per filter and number of particles: the medians over seeds, None where unknown."""
         return [
-            {key: value if key in ("name", "particles") or value is None else value[1] for key, value in row.items()}
-            for row in self._quartiles()
+            {
+                key: value if key in ("name", "particles") or value is None else value[1]
+                for key, value in vars(row).items()
+            }
+            for row in self.quartiles
         ]
 
     def to_json(self) -> dict[str, Any]:
         """The study as JSON holds it: every run, and the quartiles over seeds."""
-        runs = [asdict(run) for run in self.runs]
-        return {"log": self.log, "runs": runs, "bands": self._quartiles(), "notes": list(self.notes)}
+        return jsonable(self)
 
-    def _quartiles(self) -> list[dict[str, Any]]:
-        """One row per filter and number of particles: three quartiles of each figure, None where unknown."""
-        rows: list[dict[str, Any]] = []
+    @property
+    def quartiles(self) -> list[Quartiles]:
+        """Quartiles over the seeds, one entry per filter and number of particles."""
+        rows: list[Quartiles] = []
         for name in self.names():
             bands = {figure: self.bands(name, figure) for figure in FIGURES}
             columns = {figure: dict(zip(n.tolist(), q.T.tolist(), strict=True)) for figure, (n, q) in bands.items()}
             rows += [
-                {"name": name, "particles": n, **{figure: column.get(n) for figure, column in columns.items()}}
+                Quartiles(name, n, **{figure: column.get(n) for figure, column in columns.items()})
                 for n in columns["seconds"]
             ]
         return rows

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import product
 from os import PathLike
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from ..options import GraphOptions, SolverCheckOptions
 from ..options.option import options_of
 from ..options.reading import prepare
 from ..results import of_expected
-from ..results.documents import certificate_document
+from ..results.documents import Count
 from ..results.saving import jsonable
 
 #: what two solvers may differ by: any x, y [m] or heading [rad], and J relative to itself
@@ -66,7 +66,7 @@ class VariantResult:
         pose_difference: the largest difference in any x, y [m] or heading [rad] (wrapped).
         cost_difference: |J - J_gtsam| / max(J, J_gtsam).
         cost, cost_per_dof: J of the hand-written solver, and J per degree of freedom (`results.of_expected`).
-        iterations, gtsam_iterations; seconds, gtsam_seconds; converged, gtsam_converged: of each.
+        iterations, gtsam_iterations, seconds, gtsam_seconds, converged, gtsam_converged: of each.
         certificate, gtsam_certificate: whether the end of each is proven to be the global minimum of J.
         failure: the error of a solver that failed where the other did not; the figures are NaN or 0 then.
     """
@@ -75,8 +75,8 @@ class VariantResult:
     pose_difference: float
     cost_difference: float
     cost: float
-    iterations: int
-    gtsam_iterations: int
+    iterations: Count
+    gtsam_iterations: Count
     seconds: float
     gtsam_seconds: float
     converged: bool
@@ -85,6 +85,12 @@ class VariantResult:
     cost_per_dof: float | None = None
     certificate: Certificate | None = None
     gtsam_certificate: Certificate | None = None
+    shown: ClassVar = {"agree": "agree"}
+
+    @property
+    def agree(self) -> bool:
+        """Whether poses differ by less than 1e-6, J by less than 1e-9 of it, and both solvers converged."""
+        return self.problem is None
 
     @property
     def problem(self) -> str | None:
@@ -112,7 +118,12 @@ class SkippedVariant:
 
 @dataclass(frozen=True)
 class SolverComparison(Displayed):
-    """The outcome of `compare_solvers`."""
+    """The outcome of `compare_solvers`.
+
+    Attributes:
+        variants: the graphs that were solved.
+        skipped: the graphs that the log does not determine, or that took too long.
+    """
 
     variants: tuple[VariantResult, ...]
     skipped: tuple[SkippedVariant, ...] = ()
@@ -124,16 +135,7 @@ class SolverComparison(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as plain data: {"variants": [...], "skipped": [{"name", "reason"}]}."""
-        variants = [
-            asdict(v)
-            | {
-                "agree": v.problem is None,
-                "certificate": certificate_document(v.certificate),
-                "gtsam_certificate": certificate_document(v.gtsam_certificate),
-            }
-            for v in self.variants
-        ]
-        return jsonable({"variants": variants, "skipped": [asdict(s) for s in self.skipped]})
+        return jsonable(self)
 
 
 def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Variant]:

@@ -14,7 +14,7 @@ import csv
 import json
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from statistics import median
@@ -30,7 +30,8 @@ from graphslam.metrics import METRICS as ERRORS
 from graphslam.se2 import Array
 
 from ..display import Displayed
-from ..results.saving import json_line
+from ..results.documents import Count
+from ..results.saving import json_line, jsonable
 from .database import COLUMNS, StudyDatabase
 from .execute import DONE, TIMEOUT
 
@@ -117,7 +118,9 @@ class MethodSummary:
 
     Attributes:
         log, method: which.
-        runs: the number of rows; ``failed`` of them raised, ``timeouts`` took too long.
+        runs: the number of rows.
+        failed: the number of runs that failed.
+        timeouts: the number of runs that exceeded the time limit.
         converged: the share of runs that converged; None where nothing is iterated.
         proven: the share of runs proven to end at the global minimum of J; None where no proof applies.
         figures: the median of each of `METRICS`; None where it is not known.
@@ -125,9 +128,9 @@ class MethodSummary:
 
     log: str
     method: str
-    runs: int
-    failed: int
-    timeouts: int
+    runs: Count
+    failed: Count
+    timeouts: Count
     converged: float | None
     figures: Mapping[str, Median | None]
     proven: float | None = None
@@ -149,7 +152,7 @@ class PairedDifference:
     method: str
     baseline: str
     figures: Mapping[str, Median | None]
-    lower: Mapping[str, int]
+    lower: Mapping[str, Count]
 
 
 @dataclass(frozen=True)
@@ -157,22 +160,27 @@ class Summary(Displayed):
     """A study summarised.
 
     Attributes:
-        planned: the number of runs of the study; ``done`` of them have a row.
+        planned: the number of runs of the study.
+        done: the number of runs that have a row.
+        database: the SQLite file.
+        study: the study file.
         baseline: the method that others are compared with.
         methods, differences: log by log, and last for all logs where there are several.
         errors: the sentence of each error or timeout, and how many runs ended with it.
     """
 
-    planned: int
-    done: int
+    planned: Count
+    done: Count
     baseline: str | None
     methods: tuple[MethodSummary, ...]
     differences: tuple[PairedDifference, ...]
-    errors: Mapping[str, int]
+    errors: Mapping[str, Count]
+    database: Path | None = None
+    study: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The summary as plain data."""
-        return asdict(self)
+        return jsonable(self)
 
 
 def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, baseline: str | None = None) -> Summary:
@@ -190,8 +198,10 @@ def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, bas
     if isinstance(study, (str, PathLike)):
         with StudyDatabase.reading(Path(study)) as database:
             return summarise(database, baseline=baseline)
+    of: dict[str, Any] = {}
     if isinstance(study, StudyDatabase):
         rows, (planned, _) = study.rows(), study.counts()
+        of = {"database": study.path, "study": study.about().get("study")}
     else:
         rows, planned = list(map(dict, study)), len(study)
     names = list(dict.fromkeys(row["method"] for row in rows))
@@ -212,7 +222,7 @@ def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, bas
             if baseline in by_name and name != baseline:
                 differences.append(_difference(log, name, baseline, group, by_name[baseline]))
     errors = Counter(row["error"] for row in rows if row["status"] != DONE)
-    return Summary(planned, len(rows), baseline, tuple(methods), tuple(differences), dict(errors.most_common()))
+    return Summary(planned, len(rows), baseline, tuple(methods), tuple(differences), dict(errors.most_common()), **of)
 
 
 def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:

@@ -16,14 +16,14 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 from os import PathLike
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Lock
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import urlsplit
 
 from pebble import ProcessPool
@@ -36,6 +36,7 @@ from ..estimators.attempt import added_estimators, default_jobs, process_pool
 from ..estimators.filters import FILTERS, Announce, announce_memory
 from ..options import RunOptions, SweepOptions
 from ..results import sentence
+from ..results.documents import Count
 from ..results.saving import jsonable
 from .database import StudyDatabase
 from .execute import (
@@ -206,20 +207,21 @@ class SweepOutcome:
 
     study: Path
     database: Path
-    planned: int
-    before: int
-    ran: int
-    failed: int
+    planned: Count
+    before: Count
+    ran: Count
+    failed: Count
     interrupted: bool
+    shown: ClassVar = {"missing": "missing"}
 
     @property
-    def missing(self) -> int:
+    def missing(self) -> Count:
         """The number of runs without a row."""
         return self.planned - self.before - self.ran
 
     def to_json(self) -> dict[str, Any]:
         """The outcome as plain data: the attributes, and "missing"."""
-        return jsonable(asdict(self) | {"missing": self.missing})
+        return jsonable(self)
 
 
 #: called with (number of rows, runs planned, the run and its outcome) after each row, and once before the first

@@ -8,7 +8,8 @@ import pytest
 from comparisons.comparison import compare
 from comparisons.estimators import ESTIMATORS, Estimator, default_estimators, make_graph, pair_count
 from comparisons.options import RunOptions
-from comparisons.results.documents import parameters_document
+from comparisons.results.results import parameters_of
+from comparisons.results.saving import jsonable
 from comparisons.show.tables import as_text
 from graphslam import Log, MotionModel, OptionError, SensorModel, SlamError, simulate, solve, textbook
 from graphslam.graph import EDGES
@@ -335,7 +336,7 @@ def test_parameters_are_estimated_and_told(log: Log) -> None:
     assert result.parameters is not None and expected is not None
     np.testing.assert_array_equal(result.parameters.values, expected.values)
     assert any(expected.sentence in note for note in result.notes)
-    told = parameters_document(result.parameters)
+    told = jsonable(parameters_of(result.parameters))
     assert told is not None and told["turn_scale"]["prior"] is None and told["bearing_bias"]["prior"] == 0.1
     assert told["turn_scale"]["deviation"] == expected.deviations["turn_scale"]
     assert ESTIMATORS["isam2"].run(log, options).parameters is None

@@ -7,7 +7,6 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from rich.console import Console
@@ -20,7 +19,8 @@ from comparisons.evaluation import Evaluated
 from comparisons.options import SummaryOptions
 from comparisons.options.option import options_of
 from comparisons.results import EstimatorResult
-from comparisons.results.documents import EstimatorDocument, SessionErrorsDocument
+from comparisons.results.documents import shown_by
+from comparisons.results.sightings import SessionErrors
 from comparisons.show.cells import LeanTable, number, seconds
 from comparisons.show.tables import as_html, as_text, tables_of
 from comparisons.studies.backends import BackendComparison, BackendRow
@@ -335,7 +335,7 @@ def test_html_has_all_cells_and_escapes_them() -> None:
 def test_a_metric_is_declared_once():
     """Rows, studies, JSON, options and tables take their metrics from `graphslam.metrics.Errors`."""
     rows, columns, properties = ({f.name for f in fields(cls)} for cls in (Row, Outcome, Evaluated))
-    in_json = [{f.name for f in msgspec.structs.fields(model)} for model in (EstimatorDocument, SessionErrorsDocument)]
+    in_json = [shown_by(kind) for kind in (Row, SessionErrors, Evaluated)]
     choices = options_of(SummaryOptions)["metric"].choices
     table = as_text(ResultTable("", (Row(name="graph", **dict.fromkeys(ERRORS, 0.125)),)), width=200)
     for name, about in ERRORS.items():

@@ -1,0 +1,153 @@
+"""The JSON of result objects: what a class shows of itself, and the objects that exist only for the JSON.
+
+A result is declared once. Its JSON has its fields under their names, without those that have ``repr=False``, and what its
+class attribute ``shown`` names, {name in the JSON: property}. The schema (docs/schema.json) has the types from the
+annotations and the sentences from the docstring: fields from "Attributes:", properties from their own docstrings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from graphslam import Log
+
+
+@cache
+def shown_by(kind: type) -> dict[str, str]:
+    """{name in the JSON: attribute} of a class of results."""
+    return {f.name: f.name for f in fields(kind) if f.repr} | dict(getattr(kind, "shown", {}))
+
+
+class Entry(dict[str, Any]):
+    """An entry of the schema, which stands beside a type in `Annotated`."""
+
+    __hash__ = object.__hash__  # type: ignore[assignment]
+
+
+def one_of(*values: str | int) -> Entry:
+    """The entry of a value that is one of a few."""
+    return Entry({"enum": list(values)})
+
+
+def _list_of(items: dict[str, Any], **more: Any) -> Entry:
+    """The entry of a list."""
+    return Entry({"type": "array", "items": items} | more)
+
+
+def _numbers(description: str = "", **limits: int) -> Entry:
+    """The entry of a list of numbers, null where unknown."""
+    return _list_of({"anyOf": [{"type": "number"}, {"type": "null"}]}, description=description, **limits)
+
+
+#: types with what the schema says of them
+Count = Annotated[int, Entry({"type": "integer", "minimum": 0})]
+Numbers = Annotated[np.ndarray, _numbers()]
+Flags = Annotated[np.ndarray, _list_of({"type": "boolean"})]
+Poses = Annotated[
+    np.ndarray, _list_of(_numbers("x [m], y [m], heading [rad]; null where unknown", minItems=3, maxItems=3))
+]
+Position = Annotated[
+    np.ndarray, _numbers("x, y [m] and, where the landmark has one, heading [rad]", minItems=2, maxItems=3)
+]
+Covariance = Annotated[
+    np.ndarray,
+    _list_of(_numbers(), minItems=2, maxItems=3, description="n rows of n numbers, n as long as the mean"),
+]
+Band = Annotated[tuple[float, float], _numbers("lower and upper end", minItems=2, maxItems=2)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogDocument:
+    """The log that the estimators worked on.
+
+    Attributes:
+        name: of the log.
+        file: file or folder it was read from.
+        poses, sightings: their numbers.
+        landmarks: number of landmarks seen.
+        dimensions: columns of a sighting: 2 without, 3 with orientation psi.
+        classes: number of sightings of each class; null without classes.
+        simulated: whether `simulate` made it; all others count as real data.
+        has_controls: whether there is odometry.
+        controls: number of controls.
+        poses_covered: number of poses whose ground truth is known.
+        true_poses: the true trajectory.
+        truth_offset: the point of the robot that `true_poses` are of: ahead and to the left of its pose [m].
+        true_landmarks: the true map, by id.
+        notes: remarks of the reader.
+    """
+
+    name: str
+    file: Path | None
+    poses: Count
+    sightings: Count
+    landmarks: Count
+    dimensions: Annotated[int, one_of(2, 3)]
+    classes: dict[str, int] | None
+    simulated: bool
+    has_controls: bool
+    controls: Count | None
+    poses_covered: Count
+    true_poses: Poses | None
+    truth_offset: Numbers
+    true_landmarks: Mapping[int, Position] | None
+    notes: tuple[str, ...]
+
+
+def describe(log: Log, source: Path | None = None) -> LogDocument:
+    """A log in a few numbers and with its ground truth, for JSON."""
+    same = ("name", "simulated", "true_poses", "truth_offset", "true_landmarks", "notes")
+    names, counts = np.unique(() if log.classes is None else log.classes[log.classified], return_counts=True)
+    return LogDocument(
+        file=source, poses=log.num_poses, sightings=len(log.steps), landmarks=len(log.landmark_ids),
+        dimensions=log.sightings.shape[1], has_controls=log.controls is not None,
+        classes=None if log.classes is None else dict(zip(map(str, names.tolist()), counts.tolist())),
+        controls=None if log.controls is None else len(log.controls), poses_covered=int(np.count_nonzero(log.covered)),
+        **{name: getattr(log, name) for name in same},
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SimulateDocument:
+    """A simulated log.
+
+    Attributes:
+        file: the file written.
+    """
+
+    file: Path
+    log: LogDocument
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnimateDocument:
+    """An animation.
+
+    Attributes:
+        file: the file written.
+        estimator: the estimator that is animated.
+        pictures: number of frames.
+        steps: number of iterations or steps, the start included.
+        fps: frames per second.
+        bytes: size of the file.
+        seconds: time of estimation and drawing [s].
+        notes: remarks of the estimator.
+        poses: the trajectory in the last frame.
+    """
+
+    file: Path
+    log: LogDocument
+    estimator: str
+    pictures: Count
+    steps: Count
+    fps: float
+    bytes: Count
+    seconds: float
+    notes: tuple[str, ...]
+    poses: Poses
