@@ -11,6 +11,9 @@ import pytest
 
 from graphslam import Log, load, simulate
 
+# messages are English wherever the tests run
+os.environ["LC_ALL"] = "C.UTF-8"
+
 # one fixed profile: the same examples in every run, no deadline on shared machines
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=100)
 hypothesis.settings.load_profile("repeatable")

@@ -37,12 +37,15 @@ class Advance(Protocol):
 
 
 @contextmanager
-def sentences(verbose: bool, advice: Callable[[str], str | None] = lambda _: None) -> Iterator[None]:
+def sentences(
+    verbose: bool, advice: Callable[[str], str | None] = lambda _: None, lang: str | None = None
+) -> Iterator[None]:
     """Turn user errors into one sentence and exit status 2, and Ctrl-C into 130; other errors keep their traceback.
 
     Args:
         verbose: also the traceback of user errors.
         advice: of the text of a user error, what to add to it.
+        lang: the language that was asked for; None for that of the environment.
     """
     try:
         yield
@@ -63,7 +66,7 @@ def sentences(verbose: bool, advice: Callable[[str], str | None] = lambda _: Non
         if verbose:
             traceback.print_exc()
         more = advice(str(error))
-        text = f"error: {error}" if more is None else f"error: {error}. {more}"
+        text = _in_language(f"error: {error}" if more is None else f"error: {error}. {more}", lang, sys.stderr)
         typer.echo(text if not sys.stderr.isatty() else _wrapped(text), err=True)
         raise typer.Exit(WRONG_INPUT) from None
 
@@ -73,6 +76,17 @@ def _wrapped(text: str) -> str:
     return textwrap.fill(
         text, shutil.get_terminal_size().columns, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "
     )
+
+
+def _in_language(text: str, lang: str | None, stream: Any) -> str:
+    """The text in the language, or in English where the stream has no codes for its letters or there is no such language."""
+    from ..show.language import language_of, translated
+
+    try:
+        found = translated(text, language_of(lang))
+    except SlamError:
+        return text
+    return found if _encodable(found, stream) else text
 
 
 def _by_interrupt(error: BaseException | None) -> bool:
@@ -89,21 +103,29 @@ class Output:
         json: the file of the JSON; "-" for standard output, which then carries nothing else; None for no JSON.
         quiet: results only: no progress, no hints.
         verbose: also each step of the work, and the traceback of errors.
+        lang: the language of tables and sentences; None for that of the environment.
 
     Raises:
         FormatError: the JSON file could not be written later.
+        OptionError: there is no such language.
     """
 
-    def __init__(self, json: str | None, *, quiet: bool = False, verbose: bool = False) -> None:
+    def __init__(
+        self, json: str | None, *, quiet: bool = False, verbose: bool = False, lang: str | None = None
+    ) -> None:
         from rich.console import Console
 
         from ..results.saving import check_can_write
+        from ..show.language import language_of
 
         self._to_stdout, self._file = json == "-", None if json in (None, "-") else Path(str(json))
         self.quiet, self.verbose = quiet, verbose
         if self._file is not None:
             check_can_write(self._file)
         stream = sys.stderr if self._to_stdout else sys.stdout
+        language = language_of(lang)
+        #: English where the stream has no codes for the letters of the language
+        self.language = language if _encodable("日本", stream) else "en"
         # without a terminal the width is that of the variable COLUMNS, if it is set
         width = None if stream.isatty() or "COLUMNS" in os.environ else WIDTH
         self.console = Console(file=stream, width=width, highlight=False)
@@ -111,11 +133,12 @@ class Output:
 
     def show(self, result: Any, **options: Any) -> None:
         """Write the tables of a result and the remarks below them."""
+        from ..show.language import translated_table
         from ..show.tables import tables_of
 
         tables, remarks = tables_of(result, **options)
         for table in tables:
-            self.console.print(table)
+            self.console.print(translated_table(table, self.language))
         self.say(*remarks)
 
     def draw(self, result: Any, path: Path | None, **options: Any) -> None:
@@ -127,8 +150,13 @@ class Output:
     def say(self, *lines: str) -> None:
         """Write sentences without markup; a terminal gets them broken between words, anything else one a line."""
         for line in lines:
-            text = printable(line)
+            text = self._translated(printable(line))
             self._line(_wrapped(text) if self.console.is_terminal else text)
+
+    def _translated(self, text: str) -> str:
+        from ..show.language import translated
+
+        return translated(text, self.language)
 
     def _line(self, text: str) -> None:
         self.console.print(text, markup=False, soft_wrap=True)
@@ -157,8 +185,10 @@ class Output:
         if not self.quiet:
             for line in lines:
                 # commands are not broken, so that they can be copied
-                write = self._line if "slam-compare " in line else self.say
-                write(printable(line.replace("slam-compare ", f"{program()} ")))
+                if "slam-compare " in line:
+                    self._line(self._translated(printable(line)).replace("slam-compare ", f"{program()} "))
+                else:
+                    self.say(line)
 
     def detail(self, line: str) -> None:
         """A line on standard error about a step of the work, with --verbose."""
@@ -168,7 +198,7 @@ class Output:
     def progress(self, line: str) -> None:
         """A line on standard error about work that takes a while; not with --quiet."""
         if not self.quiet:
-            self._errors.print(printable(line), markup=False, soft_wrap=True)
+            self._errors.print(self._translated(printable(line)), markup=False, soft_wrap=True)
 
     @contextmanager
     def picture(self) -> Iterator[tuple[Callable[[list[str]], None], tuple[int, int]]]:
@@ -219,10 +249,10 @@ class Output:
             yield advance
 
 
-def _encodable(text: str) -> bool:
-    """Whether standard output has a code for every letter of a text."""
+def _encodable(text: str, stream: Any = None) -> bool:
+    """Whether a stream, standard output by default, has a code for every letter of a text."""
     try:
-        text.encode(sys.stdout.encoding or "utf-8")
+        text.encode(getattr(stream or sys.stdout, "encoding", None) or "utf-8")
     except (UnicodeEncodeError, LookupError):
         return False
     return True

@@ -260,5 +260,5 @@ def _recordings(saving: OutputOptions) -> dict[str, tuple[Path, Callable[[Compar
 def _write_page(output: Output, outcome: Comparison, page: Path) -> None:
     from ..show.report.page import write_report
 
-    write_report(outcome, page)
+    write_report(outcome, page, language=output.language)
     output.hint(f"Wrote the interactive report {page}: open it in a browser.")

@@ -2,7 +2,7 @@
 
 A parameter of the function that is annotated with a dataclass of `comparisons.options` becomes all the options of that
 dataclass; the function receives the dataclass, checked. ``output`` is the verb's `Output`. Other parameters are arguments of
-typer. Every verb has --json, --quiet and --verbose; a verb that reads a log has --config, too.
+typer. Every verb has --json, --quiet, --verbose and --lang; a verb that reads a log has --config, too.
 """
 
 from __future__ import annotations
@@ -59,15 +59,17 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
     arguments = [p.replace(annotation=hints[p.name]) for p in parameters if p.name not in groups]
     configurable = any(issubclass(group, declared.ReadingOptions) for group in groups.values())
 
-    def command(ctx: typer.Context, quiet: bool, verbose: bool, config: Path | None = None, **values: Any) -> None:
-        with sentences(verbose, lambda text: hint_of_import(text, options)):
+    def command(
+        ctx: typer.Context, quiet: bool, verbose: bool, lang: str | None, config: Path | None = None, **values: Any
+    ) -> None:
+        with sentences(verbose, lambda text: hint_of_import(text, options), lang):
             values = _without_outranked(ctx, values, options)
             if config is not None:
                 _check_logs(ctx, [values.get("log"), *(values.get("others") or ())])
                 if "log" in ctx.meta[_META] and len(values.get("words") or ()) == 1:
                     # of the words [LOG] OUT
                     values["words"] = [str(ctx.meta[_META]["log"]), *values["words"]]
-            output = Output(values.pop("json"), quiet=quiet, verbose=verbose)
+            output = Output(values.pop("json"), quiet=quiet, verbose=verbose, lang=lang)
             for name, group in groups.items():
                 values[name] = group.of(**{o: values.pop(o) for o in options_of(group) if o in values})
             _interruptible()
@@ -144,6 +146,20 @@ def _flag(name: str, short: str, text: str) -> inspect.Parameter:
 _VERBOSITY = [
     _flag("quiet", "-q", "Results only: no progress, no hints."),
     _flag("verbose", "-v", "Also report each step of the work, and the traceback of an error."),
+    inspect.Parameter(
+        "lang",
+        inspect.Parameter.KEYWORD_ONLY,
+        default=None,
+        annotation=Annotated[
+            str | None,
+            typer.Option(
+                "--lang",
+                metavar="en|ja",
+                show_default="that of LC_ALL or LANG, else en",
+                help="Language of tables, messages and reports. What has no translation appears in English.",
+            ),
+        ],
+    ),
 ]
 
 

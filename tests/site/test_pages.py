@@ -34,6 +34,9 @@ TRANSLATED = [
         "online",
         "studies",
         "results",
+        "maps",
+        "other_sensors",
+        "unknown_robot",
     )
 ]
 MARKER = re.compile(r"^[ \t]*\{\{ (code|cell|output|figure|ask|live) (.+?) \}\}$", re.MULTILINE)

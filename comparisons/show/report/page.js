@@ -6,6 +6,11 @@
   const facts = JSON.parse(element("facts").textContent);
   const column = Object.fromEntries(facts.columns.map((name, k) => [name, k]));
   const CORNERS = 24;
+  // a sentence in the language of the page: values in the places {} of its English template
+  const say = (template, ...values) => {
+    let next = 0;
+    return (facts.words[template] ?? template).replace(/\{(\d*)\}/g, (_, k) => values[k === "" ? next++ : Number(k)]);
+  };
   const settings = { responsive: true, displaylogo: false, scrollZoom: false,
     modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"] };
 
@@ -87,14 +92,14 @@
   // the text of hovering over a pose
   function hoverText(name, path, k) {
     const known = path.customdata[k], at = (what) => known[column[what]];
-    const lines = [`<b>${name}</b>, step ${at("step")}`];
-    if (at("time") !== null) lines.push(`time ${figure(at("time"), 2)} s`);
+    const lines = [`<b>${name}</b>, ${say("step")} ${at("step")}`];
+    if (at("time") !== null) lines.push(`${say("time")} ${figure(at("time"), 2)} s`);
     lines.push(`x ${figure(path.x[k], 3)} m, y ${figure(path.y[k], 3)} m, θ ${figure(at("theta"), 3)} rad`);
-    const error = facts.measured_from === "truth" ? "error" : `distance from ${facts.measured_from}`;
-    if (facts.measured_from !== null) lines.push(at("error") === null ? `${error} not known` : `${error} ${figure(at("error"), 3)} m`);
-    if (at("sigma_x") === null) lines.push("covariance not known");
+    const error = facts.measured_from === "truth" ? say("error") : say("distance from {}", facts.measured_from);
+    if (facts.measured_from !== null) lines.push(at("error") === null ? say("{} not known", error) : `${error} ${figure(at("error"), 3)} m`);
+    if (at("sigma_x") === null) lines.push(say("covariance not known"));
     else {
-      lines.push(`covariance: σx ${figure(at("sigma_x"), 4)} m, σy ${figure(at("sigma_y"), 4)} m,`);
+      lines.push(`${say("covariance")}: σx ${figure(at("sigma_x"), 4)} m, σy ${figure(at("sigma_y"), 4)} m,`);
       lines.push(`  ρxy ${figure(at("rho_xy"), 2)}, σθ ${figure(at("sigma_theta"), 4)} rad`);
     }
     return lines.join("<br>");
@@ -103,10 +108,10 @@
 
   function describe(k) {
     const seen = facts.sightings[k].map(([, , id]) => Number.isSafeInteger(id) ? id : "?");
-    const time = facts.times === null ? "" : `, ${facts.times[k].toFixed(2)} s`;
+    const time = facts.times === null ? "" : say(", {} s", facts.times[k].toFixed(2));
     const ids = seen.some((id) => id !== "?") ? `: ${seen.join(", ")}` : "";
-    const sightings = seen.length ? `${seen.length} sightings${ids}` : "no sightings";
-    const text = `step ${facts.steps[k]} of ${facts.last}${time}, ${sightings}`;
+    const sightings = seen.length ? say("{} sightings{}", seen.length, ids) : say("no sightings");
+    const text = say("step {} of {}{}, {}", facts.steps[k], facts.last, time, sightings);
     element("moment").textContent = text;
     element("moment").title = text;
     element("step").setAttribute("aria-valuetext", text);
@@ -163,12 +168,12 @@
   function showMatches(name, id, x, y) {
     const known = facts.matches.associations[facts.matches.of[name]]?.[id];
     if (!known) return;
-    const words = [`${name}, landmark ${id}: ${known.steps.length} sightings in steps ${ranges(known.steps)}`];
-    if (known.doubtful.length) words.push(`uncertain in steps ${ranges(known.doubtful)}`);
-    if (known.class !== null) words.push(`class ${known.class}`);
+    const words = [say("{}, landmark {}: {} sightings in steps {}", name, id, known.steps.length, ranges(known.steps))];
+    if (known.doubtful.length) words.push(say("uncertain in steps {}", ranges(known.doubtful)));
+    if (known.class !== null) words.push(say("class {}", known.class));
     if (known.true !== undefined) {
-      words.push(known.true === null ? "matches no true landmark"
-        : `${(100 * known.share).toFixed(1)} % of them are of the true landmark ${known.true}`);
+      words.push(known.true === null ? say("matches no true landmark")
+        : say("{} % of them are of the true landmark {}", (100 * known.share).toFixed(1), known.true));
     }
     element("match").textContent = `${words.join("; ")}.`;
     element("match").hidden = false;

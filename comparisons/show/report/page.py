@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
@@ -21,6 +22,7 @@ from ...estimators.config import versions
 from ...results import sentence
 from ...results.saving import check_can_write, jsonable
 from ..canvas import MATRIX, colour_of, reference_of
+from ..language import catalogue, language_of, translated, translated_table
 from ..tables import landmark_table, table_as_html, tables_of
 from .curves import convergence_figure, costs_figure, errors_figure, iterations, remarks
 from .matches import ENTRY, FILL, association_table, description, matches_of, matrix_figure, pictures
@@ -58,13 +60,18 @@ def check_page(path: Path) -> None:
 
 
 def write_report(
-    comparison: Comparison | Log | str | PathLike[str] | None, path: str | PathLike[str], **options: Any
+    comparison: Comparison | Log | str | PathLike[str] | None,
+    path: str | PathLike[str],
+    *,
+    language: str = "en",
+    **options: Any,
 ) -> None:
     """Write the interactive report of a comparison, one HTML file that works offline, whole or not at all.
 
     Args:
         comparison: what `comparisons.run` has returned; or a log, its file, or None for the sample log, which is run first.
         path: the HTML file.
+        language: of the page, "en" or "ja".
         options: of `comparisons.run`, where a log is run.
 
     Raises:
@@ -72,20 +79,27 @@ def write_report(
         SlamError: see `comparisons.run`.
     """
     check_page(Path(path))
+    language = language_of(language)
     if not isinstance(comparison, Comparison):
         comparison = run(comparison, **options)
     elif options:
         raise OptionError(
             f"the comparison has been run: it takes no options ({', '.join(options)}); give the log instead"
         )
-    text = page_of(comparison)
+    text = page_of(comparison, language)
     with write_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def page_of(comparison: Comparison) -> str:
+def page_of(comparison: Comparison, language: str = "en") -> str:
     """The HTML text of the report of a comparison; needs the extra ``report``."""
     from plotly.offline import get_plotlyjs, get_plotlyjs_version
+
+    def say(text: str) -> str:
+        return escape(translated(text, language))
+
+    def items(texts: Sequence[str]) -> str:
+        return "\n".join(f"<li>{say(text)}</li>" for text in texts)
 
     view = view_of(comparison)
     matrix, matrix_note = _matrix(comparison)
@@ -102,39 +116,71 @@ def page_of(comparison: Comparison) -> str:
     table.title = None
     part = {
         "title": escape(comparison.log.name),
-        "summary": escape(_summary(view)),
-        "table": table_as_html(table),
-        "remarks": _items(sentences),
-        "landmarks": _landmarks(comparison),
+        "language": language,
+        "summary": say(_summary(view)),
+        "table": table_as_html(translated_table(table, language)),
+        "remarks": items(sentences),
+        "landmarks": _landmarks(comparison, language),
         "estimators": "\n".join(
             f'<label><input type="checkbox" checked data-estimator="{escape(e.name)}">{_sample(e.name)}{escape(e.name)}'
             "</label>"
             for e in view.estimates
         ),
         "layers": "\n".join(
-            f'<label><input type="checkbox"{" checked" * on} data-layer="{name}">{label}</label>'
+            f'<label><input type="checkbox"{" checked" * on} data-layer="{name}">{say(label)}</label>'
             for name, label, on in LAYERS
             if name != "pose-ellipses" or any(e.covariances is not None for e in view.estimates)
         ),
         "last": str(len(view.steps) - 1),
-        "error_heading": escape(error_heading),
-        "map_note": escape(_map_note(view)),
-        "errors_note": escape(errors_note),
+        "error_heading": say(error_heading),
+        "map_note": say(_map_note(view)),
+        "errors_note": say(errors_note),
         **{f"{name}_hidden": "hidden" if figure is None else "" for name, figure in figures.items()},
-        "convergence_note": escape(convergence_note),
-        "convergence_remarks": _items(endings),
-        "matrix_note": escape(matrix_note),
+        "convergence_note": say(convergence_note),
+        "convergence_remarks": items(endings),
+        "matrix_note": say(matrix_note),
         "entry": MATRIX[ENTRY],
         "fill": MATRIX[FILL],
         "configuration": escape(comparison.config),
-        "versions": _items([*versions(), f"plotly.js {get_plotlyjs_version()}", platform.platform()]),
-        "figures": embedded({name: figure for name, figure in figures.items() if figure is not None}),
-        "facts": embedded(_facts(view) | {"matches": matches_of(comparison)}),
+        "versions": items([*versions(), f"plotly.js {get_plotlyjs_version()}", platform.platform()]),
+        "figures": embedded(
+            {name: _translated_figure(figure, language) for name, figure in figures.items() if figure is not None}
+        ),
+        "facts": embedded(_facts(view) | {"matches": matches_of(comparison), "words": _words(language)}),
         "style": _resource("page.css"),
         "behaviour": _resource("page.js"),
         "plotly": get_plotlyjs(),
     }
-    return Template(_resource("page.html")).substitute(part)
+    return Template(_translated_page(_resource("page.html"), language)).substitute(part)
+
+
+#: texts between the marks of a page, and those of its labels
+_TEXTS = re.compile(r'(?<=>)[^<>]*[a-z][^<>]*(?=<)|(?<=aria-label=")[^"]*(?=")')
+#: keys of a figure that hold texts
+_TITLES = ("text", "name", "hovertemplate")
+
+
+def _translated_page(html: str, language: str) -> str:
+    """The template with its texts, but not its style, in a language."""
+    return _TEXTS.sub(lambda text: translated(text[0], language), html)
+
+
+def _translated_figure(figure: Any, language: str) -> Any:
+    """A figure with its titles, names and hover texts in a language."""
+    if isinstance(figure, dict):
+        return {
+            key: translated(value, language)
+            if key in _TITLES and isinstance(value, str)
+            else _translated_figure(value, language)
+            for key, value in figure.items()
+        }
+    return [_translated_figure(each, language) for each in figure] if isinstance(figure, list) else figure
+
+
+def _words(language: str) -> dict[str, str]:
+    """The translations of the templates that the script of the page has."""
+    script = _resource("page.js")
+    return {} if language == "en" else {k: v for k, v in catalogue(language).items() if f'say("{k}"' in script}
 
 
 def embedded(value: Any) -> str:
@@ -181,11 +227,12 @@ def _map_note(view: View) -> str:
     return note
 
 
-def _landmarks(comparison: Comparison) -> str:
+def _landmarks(comparison: Comparison, language: str) -> str:
     """The errors of the landmarks, and what was matched to them, to be unfolded; empty where nothing is known."""
     parts = []
     for table in (landmark_table(comparison), *(association_table(comparison, each) for each in comparison.results)):
         if table is not None:
+            table = translated_table(table, language)
             title, table.title = str(table.title), None
             parts.append(
                 f'<details><summary>{escape(title)}</summary><div class="wide">{table_as_html(table)}</div></details>'
@@ -235,10 +282,6 @@ def _sample(name: str) -> str:
         f'<svg width="34" height="16" aria-hidden="true"><line x1="0" y1="8" x2="34" y2="8" stroke="{colour}" '
         f'stroke-width="{line["width"]:.1f}"{dash}/>{mark}</svg>'
     )
-
-
-def _items(sentences: Sequence[str]) -> str:
-    return "\n".join(f"<li>{escape(sentence)}</li>" for sentence in sentences)
 
 
 def _resource(name: str) -> str:

@@ -1,0 +1,127 @@
+"""What is shown, in another language: a finished sentence is looked up by its English template.
+
+English is the source. Code below this module makes English sentences and knows of no other language; where text is printed
+or drawn, `translated` looks for the template of the catalogue (`japanese.toml`) that the sentence has, and translates what
+stands in its places likewise. What has no template stays English. JSON, files and names of estimators are not translated.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from graphslam import OptionError
+
+#: code of a language -> its catalogue
+CATALOGUES = {"ja": "japanese.toml"}
+LANGUAGES = ("en", *CATALOGUES)
+#: a place for a value in a template, and one for a number
+PLACE, NUMBER = "{}", "{#}"
+
+
+def language_of(given: str | None = None, environment: Mapping[str, str] = os.environ) -> str:
+    """The language that is asked for, else that of the first variable that is set: LC_ALL, LC_MESSAGES, LANG; else English.
+
+    Raises:
+        OptionError: there is no catalogue of the language that is asked for.
+    """
+    if given is not None:
+        if given not in LANGUAGES:
+            raise OptionError(f"lang must be one of {', '.join(LANGUAGES)}, not {given!r}")
+        return given
+    local = next((value for name in ("LC_ALL", "LC_MESSAGES", "LANG") if (value := environment.get(name))), "")
+    return local[:2] if local[:2] in CATALOGUES else "en"
+
+
+def key_of(template: str) -> str:
+    """A template as the catalogue has it: without the space around it, and without its full stop."""
+    return " ".join(template.split()).removesuffix(".")
+
+
+@cache
+def catalogue(language: str) -> dict[str, str]:
+    """{English template: translation}; the places of a translation may have numbers, {0}, {1}."""
+    text = files("comparisons.show").joinpath(CATALOGUES[language]).read_text(encoding="utf-8")
+    return {key_of(k): v for group in tomllib.loads(text).values() for k, v in group.items()}
+
+
+@cache
+def _patterns(language: str) -> list[tuple[re.Pattern[str], str]]:
+    """The templates with places as patterns, with their translations."""
+    found = []
+    for template, translation in catalogue(language).items():
+        if PLACE in template or NUMBER in template:
+            pattern = re.escape(template).replace(r"\{\}", "(.*?)").replace(r"\{\#\}", r"([-+\d.,e]+)")
+            found.append((re.compile(pattern, re.IGNORECASE), translation))
+    return found
+
+
+def translated(text: str, language: str) -> str:
+    """The text in a language, unchanged where the catalogue has no template for it."""
+    return text if language not in CATALOGUES else _translated(text, language)[0]
+
+
+#: what is between sentences, and between a name and a sentence, in English and in the other language
+_BETWEEN = ((re.compile(r"(?<=[a-z)\]%])\. "), "。"), (re.compile("; "), "。"), (re.compile(": "), ": "))
+
+
+@cache
+def _translated(text: str, language: str) -> tuple[str, int]:
+    """The translation that covers the most letters of the text, and how many these are.
+
+    Short templates may match by chance: "{} of {}" has a place for half of all sentences.
+    """
+    key, stop, best = key_of(text), "。" if text.rstrip().endswith(".") else "", (text, 0)
+    for candidate in (key, key[:1].lower() + key[1:]):
+        if candidate in catalogue(language):
+            return catalogue(language)[candidate] + stop, len(key)
+    for pattern, translation in _patterns(language):
+        if (match := pattern.fullmatch(key)) is not None:
+            values = [_translated(part, language) for part in match.groups()]
+            covered = len(key) - sum(len(part) for part in match.groups()) + sum(score for _, score in values)
+            if covered > best[1]:
+                best = _filled(translation, [value for value, _ in values]) + stop, covered
+    for separator, between in _BETWEEN:
+        if len(parts := separator.split(text, maxsplit=1)) > 1:
+            values = [_translated(part, language) for part in parts]
+            if (covered := sum(score for _, score in values)) > best[1]:
+                best = between.join(value for value, _ in values), covered
+    return best
+
+
+def _filled(translation: str, values: list[str]) -> str:
+    """A translation with values in its places, by their numbers or one after another."""
+    following = iter(values)
+    return re.sub(r"\{(\d*)\}", lambda m: values[int(m[1])] if m[1] else next(following), translation)
+
+
+def translated_table(table: Table, language: str) -> Table:
+    """The table with its title, headings and cells in a language; it is changed in place."""
+    if language not in CATALOGUES:
+        return table
+    table.title = None if table.title is None else _cell(table.title, language)
+    table.columns = [
+        replace(column, header=_cell(column.header, language), _cells=[_cell(cell, language) for cell in column.cells])
+        for column in table.columns
+    ]
+    return table
+
+
+def _cell(cell: Any, language: str) -> Any:
+    """A cell whose texts are translated; a text of several styles is translated part by part."""
+    if not isinstance(cell, Text):
+        return translated(cell, language) if isinstance(cell, str) else cell
+    ends = {end for span in cell.spans for end in (span.start, span.end)} - {0, len(cell)}
+    made = Text(justify=cell.justify, style=cell.style)
+    for part in cell.divide(sorted(ends)):
+        made.append(translated(part.plain, language), part.spans[0].style if part.spans else None)
+    return made
