@@ -213,7 +213,7 @@ def _with_places(recipe: Recipe, named: dict[str, str]) -> Recipe:
     for table, place in named.items():
         # of a table of a folder its file, of a bag its topic
         places.setdefault(table, {}).update({"file": place, "topic": place})
-    return Recipe(recipe.options, places)
+    return replace(recipe, places=places)
 
 
 def _stream(kind: str, stream: Timed) -> FoundStream:

@@ -21,21 +21,23 @@ does not use it, and corrects it like the others.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from .association.across_logs import joined_without_ids
 from .errors import GraphError, LogError, OptionError
 from .graph import Graph
 from .graph.localization import first_fix
 from .identification.robot import known_robot
 from .log import Log
 from .log.continuous_time import CLOCK, nearest_of, with_poses_at
-from .log.measurements import MEASURED, Measured, PoseRelations, Session
+from .log.end_to_end import end_to_end, joined_rows
+from .log.measurements import PoseRelations
 from .log.rows import robot_class
-from .models import ANYWHERE, MotionModel, SensorModel, additional_variances
+from .models import MotionModel, SensorModel
 from .se2 import Array, between, compose
 from .solvers.solve import solve
 
@@ -57,12 +59,14 @@ class Sessions:
         return np.split(np.asarray(rows), self.starts[1:-1])
 
 
-def join_logs(logs: Sequence[Log]) -> Sessions:
+def join_logs(logs: Sequence[Log], *, mean_noise: bool = False) -> Sessions:
     """One log of several drives in one place; ``Graph.from_log(join_logs(logs).log)`` solves them together.
 
     Args:
-        logs: with controls, and ids that mean the same landmarks in all of them. Noise models must be the same in all, or
-            be given to `Graph.from_log`. Their ground truth is in one frame, and unknown where a log has none.
+        logs: with controls, and ids that mean the same landmarks in all of them. Where one has sightings without ids, each
+            log is associated, and their maps are matched (`association.across_logs`). Noise models must be the same in all,
+            or be given to `Graph.from_log`. Their ground truth is in one frame, and unknown where a log has none.
+        mean_noise: the noise of each log is found as in `Graph.from_log`, and all get the means (`with_common_noise`).
 
     Raises:
         OptionError: there is no log, or something else than logs.
@@ -73,15 +77,20 @@ def join_logs(logs: Sequence[Log]) -> Sessions:
         raise OptionError("join_logs takes a list of logs: join_logs([first, second])")
     if not logs:
         raise OptionError("join_logs needs at least one log")
+    if mean_noise:
+        logs = with_common_noise([known_robot(each)[0] for each in logs])
     for each in logs:
         _check(each, logs[0])
+    if len(logs) > 1 and not all(each.identified for each in logs):
+        joined, starts = joined_without_ids(logs)
+        return Sessions(joined, (*starts, joined.num_poses))
     joined, starts = logs[0], [0]
     if len(logs) > 1:
         known = known_robot(logs[0])[0]
         models = {"motion": known.motion or MotionModel(), "sensor": known.sensor or SensorModel()}
     for each in logs[1:]:
         starts.append(joined.num_poses)
-        joined = _joined(joined, _placed(each, joined, models))
+        joined = end_to_end(joined, _placed(each, joined, models))
     return Sessions(joined, (*starts, joined.num_poses))
 
 
@@ -131,12 +140,8 @@ def _check(log: Log, first: Log) -> None:
             raise LogError(
                 f"{log.name} and {first.name} differ in {name}: {getattr(log, name)} and {getattr(first, name)}. One graph "
                 f"has one; make them the same with Log.replace({name}=...)"
-                + (", or take graphslam.sessions.with_common_noise(logs)" if name != "truth_offset" else "")
+                + (", or join_logs(logs, mean_noise=True) takes the means" if name != "truth_offset" else "")
             )
-    if not log.identified:
-        raise LogError(
-            f"{log.name} has sightings without ids, and drives are joined by landmarks that are the same in all of them"
-        )
 
 
 def _placed(log: Log, before: Log, models: dict[str, Any]) -> Log:
@@ -153,79 +158,9 @@ def _placed(log: Log, before: Log, models: dict[str, Any]) -> Log:
     return log.replace(initial_poses=initial, notes=(*log.notes, f"joined where {fix.sentence}"))
 
 
-def _joined(first: Log, second: Log) -> Log:
-    """Two logs as one, the second already in the frame of the first."""
-    a, b = first, second
-    assert a.controls is not None and b.controls is not None and a.dt is not None and b.dt is not None
-    poses, pieces = a.num_poses, len(a.controls) + 1
-    of_first, of_second = (additional_variances(each.control_variances, len(each.controls)) for each in (a, b))  # type: ignore[arg-type]
-
-    def both(name: str) -> Array | None:
-        one, other = getattr(a, name), getattr(b, name)
-        return None if one is None or other is None else np.concatenate([one, other])
-
-    def with_unknown(name: str, sizes: Sequence[int]) -> Array | None:
-        """Rows of both, NaN for the one that has none."""
-        rows = [getattr(each, name) for each in (a, b)]
-        if all(each is None for each in rows):
-            return None
-        return np.concatenate([np.full((n, 3), np.nan) if each is None else each for each, n in zip(rows, sizes)])
-
-    recorded = [each.dt if each.recorded_dt is None else each.recorded_dt for each in (a, b)]
-    truth = with_unknown("true_poses", (poses, b.num_poses))
-    known = [each for each in (a, b) if each.true_poses is not None]
-    path = (
-        with_unknown("true_path", (pieces, len(b.controls) + 1))
-        if all(e.true_path is not None for e in known)
-        else None
-    )
-    return a.replace(
-        dt=np.concatenate([a.dt, [1.0], b.dt]),
-        controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
-        control_starts=np.concatenate([a.control_starts, pieces + b.control_starts]),
-        control_variances=np.concatenate([of_first, [ANYWHERE], of_second]),
-        recorded_dt=np.concatenate([recorded[0], [1.0], recorded[1]]),
-        steps=np.concatenate([a.steps, poses + b.steps]),
-        landmarks=both("landmarks"),
-        sightings=both("sightings"),
-        classes=both("classes"),
-        initial_poses=both("initial_poses"),
-        true_poses=truth,
-        true_path=path,
-        true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
-        **{name: _shifted(getattr(a, name), getattr(b, name), poses) for name in MEASURED},
-        notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
-        doubts=(*a.doubts, *b.doubts),
-        sessions=(
-            *(a.sessions or (Session(a.name, 0, a.start_time),)),
-            *(
-                replace(each, start=poses + each.start)
-                for each in b.sessions or (Session(b.name, 0, b.start_time),)
-            ),
-        ),
-        name=f"{a.sessions[0].name} and {len(a.sessions)} more" if a.sessions else f"{a.name} and {b.name}",
-    )  # fmt: skip
-
-
 def _listed(names: Sequence[str]) -> str:
     """Names in a sentence: A, B and C."""
     return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
-
-
-def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
-    """Remarks about a log, with its name; those about logs that were joined have it already."""
-    yield from remarks if log.sessions else (f"{log.name}: {remark}" for remark in remarks)
-
-
-def _shifted(first: Measured | None, second: Measured | None, poses: int) -> Measured | None:
-    """The measurements of two logs, the steps of the second counted from ``poses`` on."""
-    if second is None:
-        return first
-    later = second.moved({end: getattr(second, end) + poses for end in second.ENDS})
-    if first is None:
-        return later
-    rows = {f.name: np.concatenate([getattr(first, f.name), getattr(later, f.name)]) for f in fields(later)}
-    return replace(later, **rows)  # type: ignore[arg-type]
 
 
 def join_robots(robots: Mapping[int, Log]) -> Sessions:
@@ -269,15 +204,11 @@ def join_robots(robots: Mapping[int, Log]) -> Sessions:
         return joined
     first, second, sightings = (np.concatenate(column) for column in zip(*found))
     relations = relations_of(first, second, sightings, joined.log.sensor or SensorModel())
-    if joined.log.relations is not None:
-        both = joined.log.relations
-        relations = PoseRelations(
-            first=np.concatenate([both.first, relations.first]), second=np.concatenate([both.second, relations.second]),
-            motions=np.concatenate([both.motions, relations.motions]),
-            covariances=np.concatenate([both.covariances, relations.covariances]),
-        )  # fmt: skip
     note = f"{len(first):,} sightings of other robots are relations between two poses of one instant"
-    return replace(joined, log=joined.log.replace(relations=relations, notes=(*joined.log.notes, note)))
+    return replace(
+        joined,
+        log=joined.log.replace(relations=joined_rows(joined.log.relations, relations), notes=(*joined.log.notes, note)),
+    )
 
 
 def relations_of(first: np.ndarray, second: np.ndarray, sightings: Array, sensor: SensorModel) -> PoseRelations:

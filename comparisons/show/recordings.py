@@ -9,6 +9,8 @@ Topics of each estimate, NAME with underscores (and of the ground truth, truth):
     /NAME/landmarks   vision_msgs/Detection3DArray              ids, places and covariances of the map, at its beginning
     /NAME/markers     visualization_msgs/MarkerArray            the same with ellipses of three standard deviations
     /tf               tf2_msgs/TFMessage                        map -> base_link of the first estimate
+    /positions        geometry_msgs/PoseWithCovarianceStamped   absolute positions; headings not measured: variance 1e6
+    /relations        geometry_msgs/PoseWithCovarianceStamped   relations: a pose in the frame "base_link@T", T its time [ns]
 
 Stamps are by the clock of the log, so that the file can be opened beside the bag that the log came from.
 
@@ -31,8 +33,9 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import OptionError, control_path
+from graphslam import Log, OptionError, control_path
 from graphslam.files import write_whole
+from graphslam.log.measurements import NO_HEADING
 from graphslam.metrics import position_errors
 from graphslam.se2 import Array
 
@@ -71,10 +74,7 @@ class Track:
 def tracks(comparison: Comparison) -> Iterator[Track]:
     """The ground truth where it is known, and every estimate. In a log without times a step counts as a second."""
     log = comparison.log
-    seconds = elapsed_of(log)
-    # added as whole numbers: seconds since 1970 are not exact to a nanosecond
-    whole, part = divmod(log.start_time, 1)
-    clock = int(whole) * 1_000_000_000 + round(part * 1e9) + np.rint(seconds * 1e9).astype(np.int64)
+    seconds, clock = elapsed_of(log), _clock(log)
     if log.true_poses is not None:
         known = np.asarray(np.isfinite(log.true_poses).all(axis=1))
         poses = log.true_poses[known]
@@ -95,6 +95,13 @@ def tracks(comparison: Comparison) -> Iterator[Track]:
             result.landmarks,
             result.landmark_covariances,
         )
+
+
+def _clock(log: Log) -> np.ndarray:
+    """The time of each pose (T+1,) [ns], by the clock of the log."""
+    # added as whole numbers: seconds since 1970 are not exact to a nanosecond
+    whole, part = divmod(log.start_time, 1)
+    return int(whole) * 1_000_000_000 + round(part * 1e9) + np.rint(elapsed_of(log) * 1e9).astype(np.int64)
 
 
 INSTALL_MCAP = "MCAP files are written by the packages mcap and rosbags: pip install -e '.[ros]' in the clone"
@@ -195,9 +202,9 @@ class _Ros:
                 values[key] = np.zeros(kind[1] if node == 3 else 0, dtype=kind[0][1][0].replace("octet", "uint8"))
         return self._store.types[full](**values)
 
-    def header(self, ns: int) -> Any:
+    def header(self, ns: int, frame: str = FRAME) -> Any:
         stamp = self.make("builtin_interfaces/Time", sec=int(ns // 10**9), nanosec=int(ns % 10**9))
-        return self.make("std_msgs/Header", stamp=stamp, frame_id=FRAME)
+        return self.make("std_msgs/Header", stamp=stamp, frame_id=frame)
 
     def pose(self, pose: Array) -> Any:
         x, y, theta = (*map(float, pose), 0.0)[:3]
@@ -214,6 +221,7 @@ class _Ros:
 
 def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, str, Any]]:
     """(time [ns], topic, type, message)."""
+    yield from _measured(comparison.log, ros)
     moving: str | None = None
     for track in tracks(comparison):
         if len(track.poses) == 0:
@@ -236,6 +244,30 @@ def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, str
             moving = track.name
             for pose, ns in zip(track.poses, track.nanoseconds.tolist()):
                 yield ns, "/tf", "tf2_msgs/msg/TFMessage", _transform(ros, pose, ns)
+
+
+def _measured(log: Log, ros: _Ros) -> Iterator[tuple[int, str, str, Any]]:
+    """The relations and absolute positions of the log, as `graphslam.io.bag_poses` reads them."""
+    clock = _clock(log).tolist()
+    rows: list[tuple[int, str, str, Array, Array]] = []
+    if (relations := log.relations) is not None:
+        ends = zip(relations.first.tolist(), relations.second.tolist())
+        rows += [
+            (clock[b], "/relations", f"base_link@{clock[a]}", z, C)
+            for (a, b), z, C in zip(ends, relations.motions, relations.covariances)
+        ]
+    if (positions := log.positions) is not None:
+        open_ = ~positions.oriented
+        places, covariances = positions.places.copy(), positions.covariances.copy()
+        places[open_, 2] = covariances[open_, 2] = covariances[open_, :, 2] = 0.0
+        covariances[open_, 2, 2] = NO_HEADING
+        rows += [
+            (clock[k], "/positions", FRAME, z, C) for k, z, C in zip(positions.steps.tolist(), places, covariances)
+        ]
+    for ns, topic, frame, z, C in rows:
+        pose = ros.pose_with_covariance(z, C)
+        stamped = ros.make("geometry_msgs/PoseWithCovarianceStamped", header=ros.header(ns, frame), pose=pose)
+        yield ns, topic, "geometry_msgs/msg/PoseWithCovarianceStamped", stamped
 
 
 def _transform(ros: _Ros, pose: Array, ns: int) -> Any:

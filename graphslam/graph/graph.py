@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from os import PathLike
 from typing import Any
 
@@ -59,8 +60,7 @@ class Graph:
         steps: (P,) the row of the trajectory that each pose node belongs to, increasing.
         trajectory: (T+1, 3) the initial guess of all poses, including those that are no nodes.
         pose_ids: (P,) the ids of the poses: the steps of a log, or the ids of a file.
-        landmark_ids: (L,) the ids of the landmarks.
-        landmark_dimension: 2, or 3 where landmarks have a heading.
+        landmark_ids, landmark_dimension: (L,) the ids of the landmarks; 2, or 3 where these have a heading.
         fixed: (F,) nodes that do not move.
         log, sensor: what the graph was made from, where it was made from a log.
         notes: what the user should know, one sentence each.
@@ -144,7 +144,6 @@ class Graph:
             estimate: parameters of vehicle and sensor to estimate with the poses, names of `declared.PARAMETERS`:
                 ["wheel_scale", "range_bias"]. "wheel_scale:0.1" gives a prior with this standard deviation about the
                 ideal value; {"wheel_scale": 0.1, "range_bias": None} is the same for both. Default: none is estimated.
-
             noise: "auto": estimate noise and biases of the robot and misread ids from the log, and take them out of it
                 (`graphslam.estimate_robot`); "book": the values of the lectures. Default: the models of the log, the book's
                 for logs of `simulate`, and else "auto" where the log determines them. Not used where models are given.
@@ -209,6 +208,12 @@ class Graph:
         if note:
             parts["notes"] = (*parts.get("notes", ()), note)
         return cls(**parts, parameters=parameters, held=held)
+
+    @classmethod
+    def from_logs(cls, logs: Sequence[Log], **options: Any) -> Graph:
+        """The graph of several logs of one place, as `join_logs` joins them, with the ``options`` of `from_log`."""
+        # by its public name: joining needs the maps of graphs, so that its module is above this one
+        return cls.from_log(import_module("graphslam").join_logs(logs, mean_noise=True).log, **options)
 
     @classmethod
     def from_g2o(

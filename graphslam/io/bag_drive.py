@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import FormatError, LogError, named, quoted
 from ..errors.checks import suggestion
 from ..log import Log
-from ..log.drive import map_of, odometry_of, sightings_of, truth_of
+from ..log.drive import Timed, map_of, odometry_of, sightings_of, truth_of
 from ..log.join import Drive, check_overlap, positions_of, relations_of
 from ..log.rows import ReadOptions
 from ..log.table import Columns
@@ -26,6 +26,7 @@ from ..log.text_table import table_of
 from ..se2 import Array, wrap
 from .bag import Bag, Topic, is_bag, open_bag
 from .bag_messages import Collector, Frames, clean, rotation_of
+from .bag_poses import Poses, positions_table, relations_table
 from .bag_topics import TF, Candidate, candidates, plan_of
 from .base import Format
 from .tables import Recipe, read_recipe
@@ -36,6 +37,8 @@ _BASES = ("base_link", "base_footprint", "base", "robot", "chassis")
 _TAGS = ("tag*", "*tag36*", "marker*", "fiducial*", "aruco*", "landmark*")
 #: twist and poses of odometry should drive the same distance, within this share
 _DIFFER = 0.2
+#: streams that other sensors measure, from topics that the user names
+MEASURED_TOPICS = ("relations", "positions")
 #: from the axes of a sensor to forward, left, up
 _TURNS = {
     "forward-left": np.eye(3),
@@ -81,38 +84,54 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
     """
     recipe = recipe or Recipe()
     with open_bag(path) as bag:
-        choices = {choice.kind: choice for choice in _choices(bag, candidates(bag), recipe)}
+        found = candidates(bag)
+        choices = {choice.kind: choice for choice in _choices(bag, found, recipe)}
         for kind in ("odometry", "sightings"):
             if kind not in choices:
                 topics = named(f"{topic.name} ({topic.type})" for topic in bag.topics)
                 raise FormatError(
                     path, None, f"no topic gives {kind}: there are {topics or 'no topics'}; name one: --{kind} TOPIC"
                 )
-        collectors = {kind: _collector(bag, choice, recipe.options) for kind, choice in choices.items()}
+        measured = {
+            kind: Poses(f"{path}: {choices[kind].topic.name}", kind, choices[kind].topic.type)
+            for kind in MEASURED_TOPICS
+            if kind in choices
+        }
+        collectors = {
+            kind: _collector(bag, choice, recipe.options) for kind, choice in choices.items() if kind not in measured
+        }
         frames = Frames()
-        by_topic: dict[str, list[Collector]] = {}
-        for kind, choice in choices.items():
-            by_topic.setdefault(choice.topic.name, []).append(collectors[kind])
+        by_topic: dict[str, list[Collector | Poses]] = {}
+        every: dict[str, Collector | Poses] = {**collectors, **measured}
+        for kind, each in every.items():
+            by_topic.setdefault(choices[kind].topic.name, []).append(each)
         static = [topic.name for topic in bag.topics if topic.type in TF and "static" in topic.name]
         for topic, time, message in bag.messages([*by_topic, *static]):
             for collector in by_topic.get(topic, ()):
                 collector.add(time, message)
             if topic in static:
                 frames.add(message.transforms, static=True)
-        for kind, collector in collectors.items():
-            if len(collector) == 0:
+        for kind, each in every.items():
+            if len(each) == 0:
                 raise FormatError(path, None, f"{choices[kind].topic.name} has no message that gives {kind}")
         seen = collectors["sightings"]
         base = _base(collectors["odometry"], recipe, frames)
         if seen.plan.places and frames.between(base, seen.frame) is None and not _stated(recipe.options):
             for _, _, message in bag.messages([t.name for t in bag.topics if t.type in TF and t.name not in static]):
                 frames.add(message.transforms, static=False)
-    return _drive(path, recipe, choices, collectors, frames, base)
+    drive = _drive(path, recipe, choices, collectors, measured, frames, base)
+    if "positions" in choices or recipe.place("positions", "file") is not None:
+        return drive
+    unused = [each.topic.name for each in found if each.could_be == "positions" and each.topic.count]
+    offers = (
+        f"{name} has absolute positions, which are used where they are named: --positions {name}" for name in unused
+    )
+    return replace(drive, notes=(*drive.notes, *offers))
 
 
 def _drive(
-    path: Path, recipe: Recipe, choices: Mapping[str, Choice], collectors: Mapping[str, Collector], frames: Frames,
-    base: str,
+    path: Path, recipe: Recipe, choices: Mapping[str, Choice], collectors: Mapping[str, Collector],
+    measured: Mapping[str, Poses], frames: Frames, base: str,
 ) -> Drive:  # fmt: skip
     # fields are named by path, and times are stamps; open questions are units, clocks and axes
     options = replace(recipe.options, columns=None, time="ns", axes="forward-left")
@@ -130,22 +149,38 @@ def _drive(
                 raise
             notes.append(f"the truth was left out: {error}")
             truth = None
-    for kind, collector in collectors.items():
-        if collector.unstamped > 0:
-            which = "its messages have" if collector.unstamped == len(collector) else "some of its messages have"
+    every: dict[str, Collector | Poses] = {**collectors, **measured}
+    for kind, each in every.items():
+        if each.unstamped > 0:
+            which = "its messages have" if each.unstamped == len(each) else "some of its messages have"
             notes.append(f"{kind} {choices[kind].topic.name}: {which} no stamp, the time of their recording was taken")
     named = recipe.place("map", "file")
     landmarks = None if named is None else map_of(table_of(path.parent / named, "map"), recipe.options, sightings.names)
     place = recipe.options.sensor_offset or offset
-    # a bag gives relations and positions as tables beside it: messages of poses do not say whose frames they are in
     relations, positions = (
-        None if file is None else read(table_of(path.parent / file, kind), recipe.options)
-        for kind, read in (("relations", relations_of), ("positions", positions_of))
-        for file in (recipe.place(kind, "file"),)
+        _stream_of(path, kind, measured.get(kind), recipe, options, frames, base, notes) for kind in MEASURED_TOPICS
     )
     return Drive(
         odometry, sightings, truth, landmarks, place, tuple(notes), recipe.options.truth_offset, relations, positions
     )
+
+
+def _stream_of(
+    path: Path, kind: str, found: Poses | None, recipe: Recipe, options: TableOptions, frames: Frames, base: str,
+    notes: list[str],
+) -> Timed | None:  # fmt: skip
+    """The relations or the positions, from their topic or from a table beside the bag; None where neither is named."""
+    read = relations_of if kind == "relations" else positions_of
+    if found is None:
+        file = recipe.place(kind, "file")
+        return None if file is None else read(table_of(path.parent / file, kind), recipe.options)
+    numbers = recipe.numbers.get(kind, {})
+    if kind == "relations":
+        table, remarks = relations_table(found, frames, base, numbers.get("std"))
+    else:
+        table, remarks = positions_table(found, frames, base, numbers.get("std"), numbers.get("lever"))
+    notes += remarks
+    return read(table, options)
 
 
 def _choices(bag: Bag, found: Sequence[Candidate], recipe: Recipe) -> list[Choice]:
@@ -154,8 +189,11 @@ def _choices(bag: Bag, found: Sequence[Candidate], recipe: Recipe) -> list[Choic
     best = {each.chosen: each.topic for each in found if each.chosen}
     transforms = next((topic for topic in bag.topics if topic.type in TF and "static" not in topic.name), None)
     choices = []
-    for kind in ("odometry", "sightings", "truth"):
+    for kind in ("odometry", "sightings", "truth", *MEASURED_TOPICS):
         name = recipe.place(kind, "topic")
+        if kind in MEASURED_TOPICS and (name is None or (bag.path.parent / name).is_file()):
+            # only where they are named: a message does not say whether its pose is a measurement of its own
+            continue
         parent, child = recipe.place(kind, "parent") or "", recipe.place(kind, "child") or ""
         if name is not None:
             name = name if name in by_name or f"/{name}" not in by_name else f"/{name}"

@@ -88,6 +88,7 @@ _KNOWN = {
     "geometry_msgs/msg/Twist": ("odometry", 2.0),
     "geometry_msgs/msg/PoseStamped": ("truth", 2.0),
     "geometry_msgs/msg/PoseWithCovarianceStamped": ("truth", 1.0),
+    "sensor_msgs/msg/NavSatFix": ("positions", 0.0),
     "geometry_msgs/msg/TransformStamped": ("truth", 1.5),
     "vision_msgs/msg/Detection3DArray": ("sightings", 4.0),
     "visualization_msgs/msg/MarkerArray": ("sightings", 2.0),

@@ -18,13 +18,13 @@ from ..log import Log, check_is_log
 from ..log.continuous_time import with_poses_every
 from ..log.rows import ReadOptions
 from . import bag_drive as bag
-from . import huang, lnpr, lost_in_the_woods, mrclam, npz, tables, victoria_park
+from . import huang, lnpr, lost_in_the_woods, mrclam, npz, pyfg, tables, victoria_park
 from .base import Format
 from .mat import is_mat
 
 FORMATS: dict[str, Format] = {
     module.FORMAT.name: module.FORMAT
-    for module in (npz, lnpr, mrclam, huang, lost_in_the_woods, victoria_park, bag, tables)
+    for module in (npz, pyfg, lnpr, mrclam, huang, lost_in_the_woods, victoria_park, bag, tables)
 }
 
 

@@ -36,14 +36,21 @@ from .toml_file import TomlFile
 #: keys of the table of a stream that are not its columns
 _UNITS = ("time", "angles", "lengths")
 _WHERE = ("file", "topic", "child", "parent", "use")
+#: of topics of relations and positions: standard deviations [m, rad] instead of those of the messages, and the point of the
+#: robot that is measured, forward and left [m]
+_NUMBERS = {"relations": ("std",), "positions": ("std", "lever")}
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """Options, and for each table where it is: {"odometry": {"file": "wheels.csv"}, ...}; of a bag topics and frames."""
+    """Options, and for each table where it is: {"odometry": {"file": "wheels.csv"}, ...}; of a bag topics and frames.
+
+    ``numbers`` are those of topics of relations and positions, {"positions": {"std": [0.5], "lever": [0.3, 0.0]}}.
+    """
 
     options: TableOptions = field(default_factory=TableOptions)
     places: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    numbers: Mapping[str, Mapping[str, list[float]]] = field(default_factory=dict)
 
     def place(self, table: str, what: str) -> str | None:
         """The place of a table in the recipe: its file, topic, frames; None where there is none."""
@@ -75,11 +82,15 @@ def read_recipe(path: Path) -> Recipe:
     columns: dict[str, dict[str, Any]] = {table: dict(stated.columns_of(table)) for table in TABLES}
     clocks = stated.by_table("clocks")
     places: dict[str, dict[str, str]] = {}
+    numbers: dict[str, dict[str, list[float]]] = {}
     for table in TABLES:
         content = file.value(file.table, table, dict) or {}
-        file.check_keys(content, (*_WHERE, *_UNITS, "clock", *ROLES[table]), table)
+        of_topic = _NUMBERS.get(table, ())
+        file.check_keys(content, (*_WHERE, *_UNITS, "clock", *of_topic, *ROLES[table]), table)
         for key in content:
-            if key in _WHERE:
+            if key in of_topic:
+                numbers.setdefault(table, {})[key] = _list_of(file, content, key, table)
+            elif key in _WHERE:
                 places.setdefault(table, {})[key] = file.value(content, key, str, where=table)
             elif key in _UNITS:
                 units.setdefault(key, {})[table] = file.value(content, key, str, where=table)
@@ -90,7 +101,18 @@ def read_recipe(path: Path) -> Recipe:
     for name, value in (*units.items(), ("columns", columns), ("clocks", clocks)):
         if value:
             values[name] = value
-    return Recipe(file.attempt(lambda: TableOptions(**values)), places)
+    return Recipe(file.attempt(lambda: TableOptions(**values)), places, numbers)
+
+
+def _list_of(file: TomlFile, content: dict[str, Any], key: str, table: str) -> list[float]:
+    """One or two numbers, of which standard deviations are positive."""
+    value = file.value(content, key, list, where=table)
+    wanted = "[METRES] or [METRES, RADIANS]" if key == "std" else "[FORWARD, LEFT]"
+    numbers = [float(each) for each in value if type(each) in (int, float)]
+    fits = len(numbers) == len(value) and len(value) in ((1, 2) if key == "std" else (2,))
+    if not fits or (key == "std" and not min(numbers) > 0):
+        raise file.error(f"{table}.{key}", f"{key} should be {wanted}, not {quoted(value)}")
+    return numbers
 
 
 def _value(file: TomlFile, name: str) -> Any:
@@ -118,7 +140,7 @@ def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
             raise OptionError(f"there is no option {quoted(name)} of tables; they are {', '.join(old)}")
     defaults = {f.name: f.default for f in fields(TableOptions) if f.default is not MISSING}
     kept = {name: value for name, value in old.items() if value != defaults[name]}
-    return Recipe(TableOptions(**kept | given), recipe.places)
+    return replace(recipe, options=TableOptions(**kept | given))
 
 
 RECIPE = "import.toml"

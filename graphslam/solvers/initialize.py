@@ -44,6 +44,8 @@ DOUBTED = 2 * np.log(1000.0)
 SWEEPS = 5
 #: a landmark that ends nearer to its place than this part of the way to the other one has come back
 BACK = 0.1
+#: a motion with less information [1/m²] says nothing, as from the end of one drive to the start of the next
+NOTHING = 1e-4
 #: the poses of the first graph, and how much larger the next one is
 FIRST, GROWTH = 10, 1.25
 
@@ -82,8 +84,9 @@ def grown_from_single_numbers(graph: Graph) -> Array:
             break
         larger = min(max(count + 3, int(count * GROWTH)), poses)
         for t in range(count, larger):
-            # the motion edges lead on from the last pose
-            state[t] = compose(state[t - 1], motions.measured[t - 1])
+            # the motion edges lead on from the last pose, except into another drive, which begins where the log says
+            leads = motions.information[t - 1, 0, 0] > NOTHING
+            state[t] = compose(state[t - 1], motions.measured[t - 1]) if leads else graph.initial[t]
         count = larger
     return _with_lowest_images(graph, state)
 

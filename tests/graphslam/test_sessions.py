@@ -16,15 +16,20 @@ from graphslam import (
     MotionModel,
     OptionError,
     PoseRelations,
+    SensorModel,
     join_logs,
     simulate,
     solve,
     solve_with_gtsam,
 )
+from graphslam.association import score
+from graphslam.association.map_states import session_states
+from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.se2 import between
 
 QUIET = MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05)
+SENSOR = SensorModel(range_rate=0.02, bearing_std=0.01)
 
 
 @cache
@@ -81,6 +86,70 @@ def test_measurements_of_a_later_log_keep_their_poses() -> None:
     assert log.relations.first.tolist() == [0, n]
     assert log.relations.second.tolist() == [4, n + 4]
     assert log.positions.steps.tolist() == [n + 3]
+
+
+def bare(log: Log) -> Log:
+    return log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+
+
+def scattered(seed: int) -> np.ndarray:
+    """Landmarks in 16 m x 16 m, at least 0.8 m apart."""
+    places = np.random.default_rng(seed).uniform(-8, 8, (40, 2))
+    away = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+    return places[~np.any(np.triu(away < 0.8, 1), axis=0)]
+
+
+@cache
+def visits() -> list[Log]:
+    """Three drives of one place from other starts, each in a frame of its own."""
+    places = scattered(3)
+    starts = ((0.0, 0.0, 0.0), (2.0, 1.0, 2.0), (-1.0, 2.0, -1.0))
+    logs = [
+        simulate(
+            seed=20 + k, steps=60, clean=True, start=start, landmarks=places, orientation=False, motion=QUIET, sensor=SENSOR,
+            max_range=6.0, name=f"visit {k}",
+        )
+        for k, start in enumerate(starts)
+    ]  # fmt: skip
+    models = {"motion": QUIET, "sensor": SENSOR}
+    return [log.replace(initial_poses=between(log.initial_poses[0], log.initial_poses), **models) for log in logs]
+
+
+def test_logs_without_ids_are_joined_by_their_maps() -> None:
+    with_ids = join_logs(visits()).log
+    joined = join_logs([bare(log) for log in visits()])
+    assert joined.starts == join_logs(visits()).starts
+    log = joined.log
+    assert log.true_poses is not None and log.identified
+    found, best = solve(graph(log)), solve(graph(with_ids))
+    assert ate(log.true_poses, found.poses) < 1.1 * ate(log.true_poses, best.poses)
+    # the ids are those of the truth, but for their numbers: sightings that were kept keep their order
+    kept = np.flatnonzero([bool(np.any(np.all(z == log.sightings, axis=1))) for z in with_ids.sightings])
+    agreement = score(log.landmarks, with_ids.landmarks[kept])
+    assert agreement.precision is not None and agreement.precision > 0.995
+    assert agreement.missed == 0 and agreement.doubled == 0
+    assert len(kept) > 0.97 * len(with_ids.steps)
+    states = [each.sentence for each in session_states(log)]
+    assert all("agree" in sentence and "moved" not in sentence for sentence in states)
+
+
+def test_a_log_without_ids_of_another_place_is_refused() -> None:
+    other = simulate(
+        seed=5, steps=20, clean=True, landmarks=scattered(8), orientation=False, motion=QUIET, max_range=6.0, name="other",
+        sensor=SENSOR,
+    ).replace(motion=QUIET, sensor=SENSOR)  # fmt: skip
+    with pytest.raises(GraphError, match="other"):
+        join_logs([bare(visits()[0]), bare(other)])
+
+
+def test_the_graph_of_several_logs_has_their_steps_and_the_means_of_their_noise() -> None:
+    parts = cut(drive(), 2)
+    parts[1] = parts[1].replace(motion=MotionModel(nn=0.07, no=0.001, on=0.03, oo=0.05))
+    built = Graph.from_logs(parts, edges="landmark+motion")
+    assert built.log is not None and built.log.motion is not None
+    assert [each.start for each in built.log.drives] == [0, parts[0].num_poses]
+    # the first log brings no model, and counts with the book's
+    assert built.log.motion.nn == pytest.approx(np.sqrt((0.19**2 + 0.07**2) / 2))
 
 
 def test_one_log_is_itself() -> None:

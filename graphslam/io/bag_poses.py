@@ -1,0 +1,340 @@
+"""Topics of poses as relations and absolute positions: PoseWithCovarianceStamped, Odometry, PoseStamped and NavSatFix.
+
+**Absolute positions.** Each message is one. Latitude and longitude become metres east and north in the plane that touches
+the Earth (WGS 84) at the first fix, the datum: with a the half axis, e² the eccentricity and N = a / sqrt(1 - e² sin² lat),
+
+    p = ((N + h) cos lat cos lon, (N + h) cos lat sin lon, (N (1 - e²) + h) sin lat),
+    east = (-sin lon_0, cos lon_0, 0) (p - p_0),
+    north = (-sin lat_0 cos lon_0, -sin lat_0 sin lon_0, cos lat_0) (p - p_0).
+
+**Relations.** Poses of a second odometry at least `APART` seconds apart become relations from each to the next one, z =
+x_k^-1 x_{k+1}. Where the covariances P_k of the poses grow as those of dead reckoning do, that of a relation is what they
+grow by, J Q J' = P_{k+1} - F P_k F'. Otherwise those of the speeds count, Q = V dt² for each message. Relations across a
+pause longer than `GAP`, or across a jump, are left out. A message whose frame is "base_link@T" is a relation from the
+pose at the time T itself; `slam-compare run --mcap` writes such.
+
+Source: Torge and Müller, *Geodesy*, 4th edition, section 4.1.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError
+from ..log.measurements import not_positive
+from ..log.table import COVARIANCES, Columns
+from ..se2 import Array, between, compose, turn_matrix
+from .bag_messages import Frames, clean, rotation_of
+
+#: the types that are read, and where their poses and covariances are
+_POSES = {
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose",
+    "nav_msgs/msg/Odometry": "pose",
+    "geometry_msgs/msg/PoseStamped": "",
+}
+_FIX = "sensor_msgs/msg/NavSatFix"
+#: the time between the poses of relations, the longest pause that one may span [s], and how many times faster than nearly all
+#: others a jump is
+APART, GAP, JUMP = 1.0, 2.0, 5.0
+#: the standard deviation of a fix whose covariance is not known [m]: that of a receiver without corrections, in the open
+FIX = 5.0
+#: variances from here on say that something was not measured [m², rad²]
+UNKNOWN = 1e4
+#: the half axis [m] and the eccentricity squared of WGS 84
+_AXIS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
+_UPPER = ((0, 0), (0, 1), (0, 5), (1, 1), (1, 5), (5, 5))
+
+
+class Poses:
+    """Collects the messages of a topic of poses, or of fixes.
+
+    Args:
+        source: bag and topic, for messages.
+        kind: relations or positions.
+        type: of the messages.
+
+    Attributes:
+        frame, child: names of the frames of the first message.
+        unstamped: the number of messages that have the time of their recording.
+
+    Raises:
+        FormatError: the type gives no poses.
+    """
+
+    def __init__(self, source: str, kind: str, type: str) -> None:
+        fits = [*_POSES, _FIX] if kind == "positions" else list(_POSES)
+        if type not in fits:
+            known = ", ".join(each.partition("/msg/")[2] for each in fits)
+            raise FormatError(source, None, f"its messages, {type}, give no {kind}; {known} do")
+        self.source, self.kind, self.type, self.unstamped = source, kind, type, 0
+        self.frame = self.child = ""
+        self._times, self._from = array("q"), array("q")
+        self._rows: list[tuple[float, ...]] = []
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def add(self, time: int, message: Any) -> None:
+        """Take over a message that was recorded at a time [ns]."""
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if not self._times:
+            self.frame, self.child = clean(message.header.frame_id), clean(getattr(message, "child_frame_id", ""))
+        self.unstamped += stamp == 0
+        self._times.append(stamp or time)
+        self._from.append(_time_of(message.header.frame_id))
+        if self.type == _FIX:
+            C = message.position_covariance
+            known = message.position_covariance_type if message.status.status >= 0 else -1
+            self._rows.append((message.latitude, message.longitude, message.altitude, C[0], C[1], C[4], known))
+            return
+        inner = message.pose if self.type != "geometry_msgs/msg/PoseStamped" else message
+        at, q = inner.pose.position, inner.pose.orientation
+        speeds = message.twist.covariance if hasattr(message, "twist") else None
+        covariances = [
+            C[6 * i + j] if C is not None else 0.0
+            for C in (getattr(inner, "covariance", None), speeds)
+            for i, j in _UPPER
+        ]
+        self._rows.append((at.x, at.y, q.x, q.y, q.z, q.w, *covariances))
+
+    @property
+    def times(self) -> np.ndarray:
+        """The time of each message (N,) [ns]."""
+        return np.array(self._times, dtype=np.int64)
+
+    def poses(self) -> tuple[Array, Array, Array]:
+        """Poses (N, 3), headings NaN where the quaternion is none, and covariances (N, 3, 3) of poses and of speeds."""
+        rows = np.array(self._rows)
+        turns, known = rows[:, 2:6], np.linalg.norm(rows[:, 2:6], axis=1) > 0.5
+        headings = np.full(len(rows), np.nan)
+        R = rotation_of(turns[known])
+        headings[known] = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+        C = np.zeros((2, len(rows), 3, 3))
+        for k, (i, j) in enumerate(zip(*np.triu_indices(3))):
+            C[:, :, i, j] = C[:, :, j, i] = rows[:, [6 + k, 12 + k]].T
+        return np.column_stack([rows[:, :2], headings]), C[0], C[1]
+
+    def fixes(self) -> tuple[Array, Array, np.ndarray]:
+        """Latitude, longitude [degrees], altitude [m] (N, 3), covariances (N, 2, 2), and their types (N,), -1 for no fix."""
+        rows = np.array(self._rows)
+        C = rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
+        return rows[:, :3], C, rows[:, 6].astype(int)
+
+    @property
+    def explicit(self) -> np.ndarray:
+        """The times [ns] (N,) of the poses that relations are measured from; -1 where the message does not say it."""
+        return np.array(self._from, dtype=np.int64)
+
+
+def _time_of(frame: str) -> int:
+    """The time T [ns] of a frame "base_link@T", -1 for others."""
+    _, at, time = frame.partition("@")
+    return int(time) if at and time.isdigit() else -1
+
+
+def positions_table(
+    found: Poses, frames: Frames, base: str, std: Sequence[float] | None, lever: Sequence[float] | None
+) -> tuple[Columns, list[str]]:
+    """The table of absolute positions, and notes.
+
+    Args:
+        base: the frame of the robot; where TF leads from there to the frame of a receiver, that is the lever.
+        std: standard deviations that the user states, of x and y [m] and of the heading [rad].
+        lever: the point of the robot that is measured, as the user states it [m].
+
+    Raises:
+        FormatError: no message has a position, or no covariance and none is stated.
+    """
+    notes: list[str] = []
+    if found.type == _FIX:
+        places, C, notes = _on_plane(found, std)
+        kept = np.asarray(np.isfinite(places[:, 0]))
+        if lever is None and (mounted := frames.between(base, found.frame)) is not None:
+            lever = mounted[0][:2].tolist()
+    else:
+        places, C, _ = found.poses()
+        kept = np.asarray(np.isfinite(places[:, :2]).all(axis=1))
+        if std is not None:
+            C = np.tile(np.diag([std[0], std[0], std[1] if len(std) > 1 else np.inf]) ** 2, (len(C), 1, 1))
+        blind = ~(C[:, 2, 2] > 0) | ~(C[:, 2, 2] < UNKNOWN)
+        places[blind, 2] = np.nan
+        C[blind, 2], C[blind, :, 2] = 0.0, 0.0
+        C[blind, 2, 2] = 1.0
+        silent = not_positive(C) | (C[:, 0, 0] >= UNKNOWN)
+        if silent[kept].all():
+            raise FormatError(found.source, None, f"{_no_noise(C)}, [positions] std = [0.05] in the recipe")
+        if silent.any():
+            notes.append(
+                f"{np.sum(silent & kept):,} of {len(kept):,} messages of {found.source} have no covariance: left out"
+            )
+        kept &= ~silent
+        C[np.isnan(places[:, 2]), 2] = np.nan
+    if not kept.any():
+        raise FormatError(found.source, None, "none of its messages has a position")
+    columns: dict[str, Any] = {"t": found.times, "x": places[:, 0], "y": places[:, 1]}
+    if C.shape[1] == 3 and np.isfinite(places[kept, 2]).any():
+        columns["theta"] = places[:, 2]
+        entries = list(zip(COVARIANCES, zip(*np.triu_indices(3))))
+        # a heading that is not measured has no covariances
+        columns |= {name: np.where(np.isnan(places[:, 2]) & (j == 2), np.nan, C[:, i, j]) for name, (i, j) in entries}
+    else:
+        columns |= {"cov_xx": C[:, 0, 0], "cov_xy": C[:, 0, 1], "cov_yy": C[:, 1, 1]}
+    if lever is not None:
+        columns |= {"lever_x": np.full(len(kept), lever[0]), "lever_y": np.full(len(kept), lever[1])}
+    return Columns(found.source, {name: values[kept] for name, values in columns.items()}, rows="message"), notes
+
+
+def _on_plane(found: Poses, std: Sequence[float] | None) -> tuple[Array, Array, list[str]]:
+    """The places (N, 2) of fixes, NaN where there was none, and their covariances."""
+    fixes, C, known = found.fixes()
+    good = (known >= 0) & np.isfinite(fixes[:, :2]).all(axis=1) & (np.abs(fixes[:, 0]) <= 90)
+    notes = []
+    if not good.any():
+        raise FormatError(found.source, None, f"none of its {len(good)} messages has a fix")
+    if not good.all():
+        notes.append(f"{np.sum(~good):,} of {len(good):,} messages of {found.source} have no fix: left out")
+    datum = fixes[np.argmax(good)]
+    height = datum[2] if math.isfinite(datum[2]) else 0.0
+    places = np.full((len(good), 2), np.nan)
+    places[good] = local_plane(fixes[good, :2], datum[:2], height)
+    vague = good & ((known == 0) | not_positive(C))
+    if std is not None:
+        C = np.tile(std[0] ** 2 * np.eye(2), (len(good), 1, 1))
+    elif vague.any():
+        C[vague] = FIX**2 * np.eye(2)
+        notes.append(
+            f"{np.sum(vague):,} of {np.sum(good):,} fixes of {found.source} have no covariance: a standard deviation of "
+            f"{FIX:g} m is assumed; [positions] std = [METRES] in the recipe states it"
+        )
+    C[~good] = np.eye(2)
+    notes.append(
+        f"positions are metres east and north of latitude {datum[0]:.8f}, longitude {datum[1]:.8f} degrees (WGS 84), the "
+        f"first fix of {found.source}"
+    )
+    return places, C, notes
+
+
+def local_plane(fixes: Array, datum: Array, height: float = 0.0) -> Array:
+    """East and north (N, 2) [m] of fixes (N, 2), latitude and longitude [degrees], in the plane that touches at the datum."""
+
+    def earth(latitude: Array, longitude: Array) -> Array:
+        N = _AXIS / np.sqrt(1 - _ECCENTRICITY * np.sin(latitude) ** 2)
+        along = (N + height) * np.cos(latitude)
+        up = (N * (1 - _ECCENTRICITY) + height) * np.sin(latitude)
+        return np.stack([along * np.cos(longitude), along * np.sin(longitude), up], axis=-1)
+
+    phi, lam = np.radians(datum)
+    axes = np.array([
+        [-np.sin(lam), np.cos(lam), 0.0],
+        [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)],
+    ])  # fmt: skip
+    return np.asarray((earth(*np.radians(fixes).T) - earth(phi, lam)) @ axes.T)
+
+
+def _no_noise(C: Array) -> str:
+    which = "are zero" if not np.any(C[:, 0, 0]) else "are no covariances"
+    return f"the covariances of its messages {which}, which says nothing of their noise; state the standard deviations"
+
+
+def relations_table(found: Poses, frames: Frames, base: str, std: Sequence[float] | None) -> tuple[Columns, list[str]]:
+    """The table of relations, and notes.
+
+    Args:
+        base: the frame of the robot; where the poses are of another frame that is fixed to it, those of the robot are taken.
+        std: standard deviations of a relation that the user states, of x and y [m] and of the heading [rad].
+
+    Raises:
+        FormatError: there are no two poses, or no covariances and none are stated.
+    """
+    times, explicit = found.times, found.explicit
+    x, P, V = found.poses()
+    notes: list[str] = []
+    if not np.isfinite(x).all():
+        raise FormatError(
+            found.source, None, "its poses have no orientation; a relation needs the heading of both poses"
+        )
+    if np.any(explicit >= 0):
+        kept = explicit >= 0
+        return _relations(found, explicit[kept], times[kept], x[kept], P[kept]), notes
+    order = np.argsort(times, kind="stable")
+    times, x, P, V = times[order], x[order], P[order], V[order]
+    if found.child not in ("", base) and (mounted := frames.between(base, found.child)) is not None:
+        turn = float(np.arctan2(mounted[1][1, 0], mounted[1][0, 0]))
+        x = compose(x, between(np.array([*mounted[0][:2], turn]), np.zeros(3)))
+    elif found.child not in ("", base):
+        notes.append(
+            f"the poses of {found.source} are of {found.child}, and no fixed transform leads there from "
+            f"{base}: taken as the robot's"
+        )
+    if len(times) < 2:
+        raise FormatError(found.source, None, "it has one pose, and a relation takes two")
+    seconds = (times - times[0]) / 1e9
+    rows = [0]
+    for k, t in enumerate(seconds.tolist()):
+        if t - seconds[rows[-1]] >= APART:
+            rows.append(k)
+    rows_ = np.array(rows)
+    first, second = rows_[:-1], rows_[1:]
+    spent = np.diff(seconds)
+    way = np.hypot(*np.diff(x[:, :2], axis=0).T)
+    speed = way / np.maximum(spent, 1e-9)
+    bad = (spent > GAP) | ((speed > JUMP * np.quantile(speed, 0.95)) & (way > 0.1))
+    spans = np.add.reduceat(bad, first) > 0 if len(first) else np.zeros(0, dtype=bool)
+    if spans.any():
+        pauses, jumps = np.sum(spent > GAP), np.sum(bad & (spent <= GAP))
+        notes.append(
+            f"{found.source}: {spans.sum()} relations are left out because of {pauses} pauses and {jumps} jumps"
+        )
+    first, second = first[~spans], second[~spans]
+    if not len(first):
+        raise FormatError(
+            found.source, None, f"no two of its poses are {APART:g} s apart without a pause or a jump between them"
+        )
+    motions = between(x[first], x[second])
+    if std is not None:
+        C = np.tile(np.diag([std[0], std[0], std[1] if len(std) > 1 else std[0]]) ** 2, (len(first), 1, 1))
+    else:
+        grown, how = _growth(x, P, V, spent, first, second)
+        if grown is None:
+            raise FormatError(
+                found.source, None, f"{_no_noise(P)} of a relation, [relations] std = [METRES, RADIANS] in the recipe"
+            )
+        C = grown
+        notes.append(f"the noise of the relations of {found.source} is {how}")
+    return _relations(found, times[first], times[second], motions, C), notes
+
+
+def _growth(
+    x: Array, P: Array, V: Array, spent: Array, first: np.ndarray, second: np.ndarray
+) -> tuple[Array | None, str]:
+    """The covariances of motions in the axes of the first pose, by the growth of those of the poses or by those of speeds."""
+    a, b = x[first], x[second]
+    F = np.tile(np.eye(3), (len(a), 1, 1))
+    F[:, 0, 2], F[:, 1, 2] = a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]
+    J = turn_matrix(-a[:, 2])
+    grown = J @ (P[second] - F @ P[first] @ np.swapaxes(F, 1, 2)) @ np.swapaxes(J, 1, 2)
+    if not not_positive(grown).any():
+        return grown, "what the covariances of its poses grow by"
+    each = V[1:] * spent[:, None, None] ** 2
+    total = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(each, axis=0)])
+    driven = total[second] - total[first]
+    # some programs leave out the speed sideways
+    driven[:, 1, 1] = np.where(driven[:, 1, 1] > 0, driven[:, 1, 1], driven[:, 0, 0])
+    if not not_positive(driven).any() and (V[:, 0, 0] < UNKNOWN).all():
+        return driven, "that of its speeds"
+    return None, ""
+
+
+def _relations(found: Poses, begin: np.ndarray, end: np.ndarray, motions: Array, C: Array) -> Columns:
+    entries = zip(COVARIANCES, zip(*np.triu_indices(3)))
+    return Columns(
+        found.source,
+        {"t1": begin, "t2": end, **dict(zip(("dx", "dy", "dtheta"), motions.T))}
+        | {name: C[:, i, j] for name, (i, j) in entries},
+        rows="relation",
+    )
