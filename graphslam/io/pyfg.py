@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from ..errors import FormatError, OptionError, quoted
 from ..files import read_text
@@ -326,9 +325,12 @@ def _sensor(file: _File, ranges: list[_Row], seen: list[_Row]) -> tuple[SensorMo
     values: dict[str, Any] = {}
     ratios = [np.ones(1)]
     if len(lengths):
-        rate, constant = nnls(
-            np.column_stack([lengths**2, np.ones_like(lengths)]) / variances[:, None], np.ones(len(lengths))
-        )[0]
+        A = np.column_stack([lengths**2, np.ones_like(lengths)]) / variances[:, None]
+        rate, constant = np.linalg.lstsq(A, np.ones(len(A)), rcond=None)[0]
+        if min(rate, constant) < 0:
+            # none is negative: one part alone
+            alone = A.sum(axis=0) / np.sum(A**2, axis=0)
+            rate, constant = (alone[0], 0.0) if constant < 0 else (0.0, alone[1])
         # what one part adds to every range less than rounding does is zero
         rate, constant = (
             0.0 if part * scale < 1e-5 * variances.min() else part
