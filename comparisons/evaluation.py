@@ -116,7 +116,7 @@ class Evaluation(Displayed):
         return (*self.truth.notes, *(note for each in self.estimates for note in each.notes))
 
     def to_json(self) -> dict[str, Any]:
-        """The errors as plain data, see docs/json.md."""
+        """The errors as plain data, see docs/schema.json."""
         landmarks = None if self.true_map is None else len(self.true_map)
         return jsonable(
             EvaluateDocument(

@@ -1,4 +1,4 @@
-"""Write docs/schema.json and docs/json.md from the classes of results: ``python docs/make_json.py``.
+"""Write docs/schema.json from the classes of results: ``python docs/make_json.py``. The site makes the page json.md of it.
 
 What a class shows is said in `comparisons.results.documents`.
 """
@@ -205,4 +205,3 @@ def kind(entry: dict[str, Any]) -> str:
 
 if __name__ == "__main__":
     (DOCS / "schema.json").write_text(json.dumps(schema(), indent=1) + "\n", encoding="utf-8")
-    (DOCS / "json.md").write_text(page(), encoding="utf-8")

@@ -12,6 +12,7 @@ book = solve(Graph.from_log(log, noise="book", edges="landmark+motion"))
 print(
     f"ATE {ate(log.true_poses, book.poses):.2f} m, J per degree of freedom {book.cost / book.graph.degrees_of_freedom:.2f}"
 )
+assert ate(log.true_poses, book.poses) > 5 and abs(book.cost / book.graph.degrees_of_freedom - 1) < 0.2
 
 # %% estimate
 found = estimate_robot(log)
@@ -27,6 +28,7 @@ for given, true, names in (
     for name in names:
         values = [getattr(model, name) for model in (given, true, book_model)]
         print(f"{name:12} estimated {values[0]:.4f}, true {values[1]:.4f}, book {values[2]:.4f}")
+        assert values[0] < values[2] / 5 or name == "slip"
 
 # %% ids
 wrong, named = truth.misread | truth.clutter, found.ids.changed | found.ids.dropped

@@ -22,6 +22,7 @@ import shlex
 import shutil
 import sys
 import tomllib
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,8 @@ WORDS = {
 #: weights of pages in the search: a word in a chapter counts more than in the pages that name everything
 BOOST = {"api/": 0.02, "json": 0.1, "index": 0.3, "method/": 2, "beyond/": 2, "tutorials/": 2}
 SEARCHED_WORDS = tomllib.loads((cells.DOCS / "_site" / "questions.toml").read_text())["words"]
+#: what the index has of each section of the reference of names [characters]
+SHOWN = 200
 #: where the search divides text into words; Japanese, which has no spaces, also where the script changes and after each
 #: kanji, but not before the star that the search itself adds
 SEPARATOR = {
@@ -75,7 +78,11 @@ class PageError(PluginError):
 
 
 def on_pre_build(config: Any) -> None:
-    """Run the cells of all pages."""
+    """Run the cells of all pages, and write the page of JSON from the schema's classes."""
+    sys.path.insert(0, str(cells.DOCS))
+    text, page = import_module("make_json").page(), cells.DOCS / "json.md"
+    if not page.exists() or page.read_text(encoding="utf-8") != text:
+        page.write_text(text, encoding="utf-8")
     try:
         cells.run_all()
     except cells.CellError as error:
@@ -184,7 +191,11 @@ def _split_index(site: Path) -> None:
     pages: dict[str, list[dict[str, str]]] = {"en": [], "ja": []}
     for section in index["docs"]:
         language = "ja" if section["location"].startswith("ja/") else "en"
-        pages[language].append({**section, "location": section["location"].removeprefix("ja/")})
+        location, text = section["location"].removeprefix("ja/"), section["text"]
+        # every page loads the index: names are found by their titles, so that the begin of what is said of them suffices
+        if location.startswith(("api/", "json/")) and len(text) > SHOWN:
+            text = text[:SHOWN].rsplit(" ", 1)[0] + " ..."
+        pages[language].append({**section, "location": location, "text": text})
     translated = {section["location"].split("#")[0] for section in pages["ja"]}
     pages["ja"] += [section for section in pages["en"] if section["location"].split("#")[0] not in translated]
     for language, place in (("en", site), ("ja", site / "ja")):

@@ -18,6 +18,7 @@ for name, nu in (("candidate A", np.array([0.9, 0.0])), ("candidate B", np.array
     d2 = nu @ np.linalg.solve(S, nu)
     print(f"{name}: {np.hypot(*nu):.1f} m away, squared Mahalanobis distance {d2:5.1f}")
 print("gate of 99.9 % in two dimensions:", chi2.ppf(0.999, 2).round(1))
+assert 0.9**2 / 0.50 < chi2.ppf(0.999, 2) < 0.4**2 / 0.01  # A is a candidate, although it is farther away
 
 # %% joint
 cross = 0.48  # both residuals share the error of the pose
@@ -26,11 +27,13 @@ for nu in (np.array([0.9, 0.9]), np.array([0.9, -0.9])):
     one_by_one = (nu**2 / 0.50).sum()
     print(f"residuals {nu}: one by one {one_by_one:.1f}, jointly {nu @ np.linalg.solve(joint, nu):5.1f}")
 print("gate of 99.9 % for two residuals:", chi2.ppf(0.999, 2).round(1))
+assert nu @ np.linalg.solve(joint, nu) > chi2.ppf(0.999, 2) > one_by_one  # plausible one by one, not jointly
 
 # %% associate
 found = associate(hidden, sensor=sensor)
 print(found)
 print(score(found.ids, log.landmarks))
+assert score(found.ids, log.landmarks).recall == 1
 
 # %% figure
 fig, axes = plt.subplots(1, 2, figsize=(9, 4))
@@ -54,6 +57,7 @@ for share in (0.9, 0.99, 0.999):
     print(
         f"gate {share:.1%}: squared distance below {chi2.ppf(share, 3):.1f}, {lost:.0f} of 1000 correct sightings lost"
     )
+assert round(lost) == 1
 
 # %% clutter
 rng = np.random.default_rng(0)
@@ -67,6 +71,7 @@ for part in (0.0, 0.1, 0.3):
         f"{part:.0%} clutter: {result.landmarks} landmarks, precision {judged.precision:.2f}, recall {judged.recall:.2f},"
         f" {result.clutter} of {wrong.sum()} called clutter"
     )
+    assert judged.recall > 0.99 and result.clutter >= 0.9 * wrong.sum()
 
 # %% nearer
 S_inv = np.linalg.inv(np.diag([0.36, 0.01]))

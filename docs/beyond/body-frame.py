@@ -25,6 +25,7 @@ def landmark_axes(z):
 x, z = np.array([1.0, 2.0, 0.7]), np.array([3.0, -0.4, 1.9])
 gamma = x[2] + z[1] - z[2]
 print(np.abs(textbook.sighting_derivative(x, z) - turn(gamma) @ landmark_axes(z)).max())
+assert np.allclose(textbook.sighting_derivative(x, z), turn(gamma) @ landmark_axes(z), atol=1e-12)
 
 # %% steps
 anchored = {frame: Graph.from_log(log, edges="virtual", frame=frame) for frame in ("world", "body")}
@@ -53,6 +54,8 @@ for (name, values), line in zip(norms.items(), ("o-", "s--", "^-"), strict=True)
     ax.semilogy(range(1, len(values) + 1), values, line, ms=4, label=name)
 ax.set(xlabel="iteration", ylabel="norm of the correction", ylim=(1e-12, 1e2))
 ax.legend()
+assert norms["body frame"][9] < 1e-2 * norms["body frame"][7]
+assert norms["world frame, anchor in xi"][29] > 0.5 * norms["world frame, anchor in xi"][28]
 
 # %% gradient
 ends = {frame: solve(graph).state for frame, graph in anchored.items()}
@@ -70,12 +73,14 @@ def slope(graph, state, h=1e-5):
 
 for frame, graph in anchored.items():
     print(f"{frame}: largest dJ/dtheta at the end of the iteration {slope(graph, ends[frame]):.1e}")
+assert slope(anchored["body"], ends["body"]) < 1e-5 < slope(anchored["world"], ends["world"])
 
 # %% rotated
 state = solve(anchored["body"]).state
 rotated = state @ turn(0.5).T + [0, 0, 0.5]
 sightings = next(family for family in anchored["body"].families if hasattr(family, "sightings"))
 print("before:", sightings.cost(state, state), " after:", sightings.cost(rotated, rotated))
+assert np.isclose(sightings.cost(state, state), sightings.cost(rotated, rotated), rtol=1e-12)
 
 # %% accelerated
 for frame, graph in anchored.items():
@@ -90,12 +95,14 @@ for name, pose in (("first pose", x), ("moved pose", moved)):
     print(f"{name}: R Q R' =", (R @ sighting_covariance(z, sensor) @ R.T)[0, :2].round(4), "(first row)")
 L = landmark_axes(z)
 print("either pose: L Q L' =", (L @ sighting_covariance(z, sensor) @ L.T)[0, :2].round(4))
+assert not np.allclose(*(textbook.sighting_derivative(pose, z)[:2, 0] for pose in (x, moved)))
 
 # %% apart
 difference = ends["world"] - ends["body"]
 print("the two ends differ by at most", np.abs(difference[:, :2]).max().round(4), "m")
 for frame, graph in anchored.items():
     print(f"J of the {frame} frame:", {name: round(graph.cost(end), 3) for name, end in ends.items()})
+assert all(graph.cost(ends["body"]) < graph.cost(ends["world"]) for graph in anchored.values())
 
 # %% axes_of_landmark
 sight = np.array([2.0, 0.3, np.pi / 2])

@@ -19,6 +19,7 @@ best = solve(graph)
 for cost, converged, status in sorted(ends)[::3]:
     print(f"random headings: J {cost:10.2f}  {'converged' if converged else 'not converged':14} {status}")
 print(f"auto:            J {best.cost:10.2f}  {best.reason}; {best.certificate.status}")
+assert best.certificate.proven and best.cost < min(ends)[0]
 
 # %% minorant
 u = np.linspace(-np.pi, np.pi, 400)
@@ -59,6 +60,7 @@ assert least > -1e-9
 proof = best.certificate
 print(proof.status, "-", proof.reason)
 print(f"J = {best.cost:.9f}, no state below {proof.lower_bound:.9f}")
+assert best.cost - proof.lower_bound < 1e-9 * best.cost
 
 # %% shaken
 for metres in (0.0, 0.001, 0.1):
@@ -66,11 +68,13 @@ for metres in (0.0, 0.001, 0.1):
     moved[1:, :2] += metres * rng.standard_normal((len(moved) - 1, 2))
     proof = certify(graph, moved)
     print(f"moved by {metres} m: J {graph.cost(moved):9.3f}, {proof.status}, lower bound {proof.lower_bound:.3f}")
+    assert proof.proven == (metres == 0.0)
 
 # %% outside
 for name, options in (("world frame", {"frame": "world"}), ("Cauchy kernel", {"kernel": "cauchy"})):
     proof = solve(Graph.from_log(log, **options)).certificate
     print(f"{name}: {proof.status}: {proof.reason}")
+    assert proof.status == {"world frame": "not applicable", "Cauchy kernel": "global for its weights"}[name]
 
 # %% tangent
 worst = np.inf

@@ -22,6 +22,7 @@ print("variance of the estimate:", round(estimate.var(), 4), " 1/K:", 1 / K)
 # the pairs (a, b), each with variance 2, seen as measurements of the position of the first pose relative to the others
 pair_information = (K - 1) / 2
 print("information of one sighting among the pairs:", pair_information, " right:", round((K - 1) / K, 2))
+assert abs(estimate.var() * K - 1) < 5 * np.sqrt(2 / trials)
 
 # %% nees
 joint = {name: [] for name in variants}
@@ -52,6 +53,10 @@ for name, solution in end.items():
     print(
         f"{name:15} J {solution.cost:8.2f}  {1000 * apart:5.1f} mm from landmark nodes  std of pose 30: {std.round(4)}"
     )
+assert np.isclose(end["marginal"].cost, exact.cost) and np.allclose(
+    end["marginal"].covariance(30), exact.covariance(30)
+)
+assert np.all(np.diag(end["pairs"].covariance(30)) < 0.5**2 * np.diag(exact.covariance(30)))
 
 # %% accuracy
 for weight in ("pairs", "marginal"):

@@ -25,12 +25,14 @@ P = np.linalg.inv(Omega)
 rows = slice(3 * 30, 3 * 31)  # pose 30
 print("Omega has", Omega.shape, "entries,", f"{np.mean(Omega != 0):.0%} of them not zero")
 print("largest difference to solution.covariance(30):", np.abs(P[rows, rows] - solution.covariance(30)).max())
+assert np.allclose(P[rows, rows], solution.covariance(30), atol=1e-12)
 
 # %% marginal
 alone = np.sqrt(np.diag(P[rows, rows]))
 others_known = np.sqrt(np.diag(np.linalg.inv(Omega[rows, rows])))
 print("standard deviations of pose 30 (x, y, theta):", alone.round(4))
 print("if all other poses and landmarks were known: ", others_known.round(4))
+assert np.all(others_known < 0.5 * alone)
 
 # %% growth
 by_odometry = np.zeros((log.num_poses, 3, 3))
@@ -58,6 +60,7 @@ both = solution.covariance([30, 31], joint=True)  # of both poses together, (6, 
 C = both[:3, 3:]
 scale = np.sqrt(np.outer(np.diag(both[:3, :3]), np.diag(both[3:, 3:])))
 print("correlation of pose 30 and pose 31:", np.diag(C / scale).round(3))
+assert np.all(np.diag(C / scale) > 0.8)
 
 # %% landmark
 for j, covariance in list(solution.landmark_covariances.items())[:3]:
@@ -74,12 +77,15 @@ for seed in range(40):
     claimed.append(np.diag(other.covariance(30)))
 print("standard deviation of the errors:", np.std(errors, axis=0).round(4))
 print("mean claimed standard deviation: ", np.sqrt(np.mean(claimed, axis=0)).round(4))
+ratio = np.std(errors, axis=0) / np.sqrt(np.mean(claimed, axis=0))
+assert np.all(np.abs(ratio - 1) < 3 / np.sqrt(2 * 40))  # three times 11 %
 
 # %% difference
 both = solution.covariance(30) + solution.covariance(31)
 right_one = both - C - C.T
 print("std of x_31 - x_30 with the correlation:   ", np.sqrt(np.diag(right_one)).round(4))
 print("std of x_31 - x_30 as if they were independent:", np.sqrt(np.diag(both)).round(4))
+assert np.all(np.diag(right_one) < 0.2 * np.diag(both))
 
 # %% two_numbers
 W = np.array([[4.0, 2.0], [2.0, 2.0]])

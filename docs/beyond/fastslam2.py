@@ -91,6 +91,7 @@ m, s = gain * (z_line - 2), prior_std * np.sqrt(1 - gain * H_line)
 x = m + s * rng.standard_normal(5)
 w = normal(z_line, 2 - x, noise) * normal(x, 0, prior_std) / normal(x, m, s)
 print("exact weights:", w.round(6), " N(z; h(m), H P H' + V):", normal(z_line, 2, np.hypot(prior_std, noise)).round(6))
+assert np.allclose(w, normal(z_line, 2, np.hypot(prior_std, noise)))
 
 # %% number
 needed = {noise: 100 * ess2 / ess1 for noise, (ess1, ess2) in sizes.items()}

@@ -27,6 +27,7 @@ h = 1e-6
 numeric = (residual(p, theta + h, m) - residual(p, theta - h, m)) / (2 * h)
 v = R(theta).T @ (m - p)
 print("de/dtheta:", numeric.round(6), " formula (v_y, -v_x):", np.array([v[1], -v[0]]).round(6))
+assert np.allclose(numeric, [v[1], -v[0]], atol=1e-8)
 
 # %% information
 z = np.array([range_, phi])
@@ -36,6 +37,7 @@ x = np.array([*p, theta])
 derivative = textbook.sighting_derivative(x, z)
 difference = R(theta) @ L @ Q @ L.T @ R(theta).T - derivative @ Q @ derivative.T
 print("R(theta) L Q L' R(theta)' - R Q R':", np.abs(difference).max())
+assert np.allclose(difference, 0, atol=1e-12)
 
 # %% matrix
 system, _ = graph.linearize(graph.initial)
@@ -57,6 +59,7 @@ xi = system.xi.ravel()
 whole = np.linalg.solve(Omega[np.ix_(used, used)], xi[used])
 reduced = np.linalg.solve(schur, xi[inside] - B @ np.linalg.solve(C, xi[outside]))
 print("largest difference of the corrections of the poses:", np.abs(whole[: len(inside)] - reduced).max())
+assert np.allclose(whole[: len(inside)], reduced, atol=1e-9)
 
 # %% count
 for K in (10, 100, 1000):
@@ -66,6 +69,7 @@ for K in (10, 100, 1000):
 nodes, marginal = solve(graph), solve(Graph.from_log(log, sensor=sensor, weight="marginal"))
 apart = np.abs(nodes.poses - marginal.poses)[:, :2].max()
 print(f"J {nodes.cost:.4f} (nodes), {marginal.cost:.4f} (marginal), positions differ by {apart:.4f} m at most")
+assert np.isclose(nodes.cost, marginal.cost) and apart < 1e-6
 
 
 # %% order
@@ -76,6 +80,7 @@ def filled(order):
 
 print("poses first, landmarks last:", filled(used))
 print("landmarks first, poses last:", filled(np.concatenate([outside, inside])))
+assert 2 * filled(used) < filled(np.concatenate([outside, inside]))
 
 # %% single
 once = np.sort([np.flatnonzero(log.landmarks == j)[0] for j in np.unique(log.landmarks)])
@@ -83,6 +88,7 @@ reduced_log = log.replace(steps=log.steps[once], landmarks=log.landmarks[once], 
 with_once = solve(Graph.from_log(reduced_log, edges="landmark+motion", sensor=sensor))
 moved = np.abs(with_once.poses - reduced_log.dead_reckoning())[:, :2].max()
 print(f"every landmark seen once: J {with_once.cost:.1e}; the poses move by at most {moved:.1e} m")
+assert with_once.cost < 1e-12 and moved < 1e-9
 
 # %% by_hand
 p, theta, m, z = np.array([1.0, 1.0]), np.pi / 2, np.array([1.0, 4.0]), np.array([2.8, 0.1])

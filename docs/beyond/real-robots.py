@@ -11,6 +11,7 @@ log = load("examples/own_robot")
 print(log)
 print(f"{len(log.controls)} controls for {log.num_poses - 1} motions; composite motions: {log.composite}")
 print("times of the first poses [s]:", log.times[:6].round(3))
+assert log.composite
 
 # %% biases
 steady = MotionFaults(velocity_bias_std=0.0)  # the wheels still slip on pebbles
@@ -44,6 +45,7 @@ drive = true.replace(sightings=measured, controls=controls, initial_poses=None)
 found = calibrate(drive)
 for name in ("range_scale", "wheel_scale", "turn_rate_bias"):
     print(f"{name:15} {found.numbers[name]:.4f} +- {found.errors.get(name, np.nan):.4f}")
+assert abs(found.numbers["range_scale"] - 1.05) < 0.005 and abs(found.numbers["turn_rate_bias"] - 0.02) < 0.005
 
 # %% corrected
 for name, used in (("as recorded", drive), ("corrected", found.apply(drive))):
@@ -63,6 +65,7 @@ for rho in correlations:
         errors[:, k] = rho * errors[:, k - 1] + np.sqrt(1 - rho**2) * rng.normal(0, std, trials)
     nees.append(np.mean(errors.mean(axis=1) ** 2 / (std**2 / K)))  # claimed variance of the mean: std² / K
     print(f"correlation {rho:4}: NEES of the mean {nees[-1]:5.2f}")
+assert np.isclose(nees[0], 1, atol=5 * np.sqrt(2 / trials)) and np.all(np.diff(nees) > 0)
 
 # %% figure
 fig, ax = plt.subplots(figsize=(6.4, 3.2))

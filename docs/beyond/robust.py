@@ -69,11 +69,13 @@ h = 1e-6
 for value in (0.5, 2.0, 8.0):
     slope = (kernel.loss((value + h) ** 2) - kernel.loss((value - h) ** 2)) / (4 * h)  # d rho / dr
     print(f"r = {value}: rho'(r) / r = {slope / value:.6f}, w(r) = {float(kernel.weight(value**2)):.6f}")
+    assert np.isclose(slope / value, float(kernel.weight(value**2)), rtol=1e-6)
 
 # %% missed
 found = trusted.trust < 0.5
 print("phantoms rejected:", int(found[wrong].sum()), "of", len(wrong))
 print("correct sightings rejected:", int(found.sum() - found[wrong].sum()), "of", len(found) - len(wrong))
+assert found[wrong].all()
 
 # %% location
 numbers = np.concatenate([rng.normal(0, 1, 20), [12.0, 15.0]])  # twenty good measurements of 0, and two wrong ones
@@ -90,12 +92,14 @@ def estimate(values, kernel=None, rounds=50):
 
 for name, kernel in (("mean", None), ("Huber", Huber()), ("Cauchy", Cauchy()), ("Geman-McClure", GemanMcClure())):
     print(f"{name:14} {estimate(numbers, kernel):6.3f}")
+assert estimate(numbers) > 1 > 3 * estimate(numbers, Huber()) > 3 * estimate(numbers, GemanMcClure())
 
 # %% efficiency
 samples = rng.normal(0, 1, (2000, 40))
 plain = np.var([estimate(row) for row in samples])
 for name, kernel in (("Huber", Huber()), ("Cauchy", Cauchy())):
     print(f"{name:7} efficiency {plain / np.var([estimate(row, kernel, 15) for row in samples]):.3f}")
+    assert abs(plain / np.var([estimate(row, kernel, 15) for row in samples]) - 0.95) < 0.03
 
 # %% three_weights
 c, r = 2.0, 4.0

@@ -66,6 +66,7 @@ print(
     "distinct poses among 500 trajectories, at every eighth step:",
     [len(np.unique(drawn[:, t])) for t in range(0, T, 8)],
 )
+assert len(np.unique(drawn[:, 0])) > 30
 
 
 # %% gibbs
@@ -128,6 +129,7 @@ for step in (10, 30, 60):
     by_graph = np.sqrt(np.diag(graph.covariance(step)))
     by_samples = np.sqrt(np.diag(smoother.covariance(step)))
     print(f"std of pose {step}: graph {by_graph.round(3)}, samples {by_samples.round(3)}")
+    assert np.allclose(by_graph, by_samples, rtol=0.15)
 
 # %% filter
 filtered = FastSLAM2(log, particles=200, seed=0, sensor=sensor, smoothing=100).run()
@@ -146,6 +148,7 @@ for sampling in (False, True):
         kept = sweep(kept, N=10, ancestor_sampling=sampling)
         firsts.append(kept[5])
     print(f"ancestor sampling {sampling}: {len(np.unique(firsts))} different values of step 5 in 300 sweeps")
+    assert (len(np.unique(firsts)) > 100) == sampling
 
 # %% early
 first, late = {}, {}

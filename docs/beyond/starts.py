@@ -64,6 +64,7 @@ def error(values):
 print(f"dead reckoning {error(log.initial_poses[:, 2]):.3f} rad")
 print(f"linear system  {error(headings):.3f} rad")
 print(f"solution       {error(best.poses[:, 2]):.3f} rad")
+assert error(headings) < 0.1 * error(log.initial_poses[:, 2])
 
 # %% figure
 states = {name: solve(graph, initialize=name, max_iterations=1).poses for name in ("given", "rotation-first")}

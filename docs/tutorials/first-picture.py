@@ -6,6 +6,8 @@ comparison = comparisons.run(
 )
 for row in comparison.table:
     print(f"{row.name:15} ATE {row.ate_m:.3f} m")
+errors = {row.name: row.ate_m for row in comparison.table}
+assert errors["graph"] == min(errors.values())
 
 # %% picture
 comparison.figure()

@@ -27,6 +27,7 @@ print(len(study.runs), "runs")
 # %% sweep
 outcome = comparisons.sweep(study, jobs=1)
 print(f"{outcome.ran} runs, {outcome.failed} of them failed")
+assert outcome.failed == 0
 
 # %% summary
 summary = comparisons.summarise(study.database)

@@ -5,7 +5,9 @@
 #include <cstdlib>
 #include <map>
 #include <numeric>
+#include <tuple>
 
+#include "proof.hpp"
 #include "vmslam/edges/marginal.hpp"
 #include "vmslam/edges/virtual_motion.hpp"
 #include "vmslam/online/system.hpp"
@@ -36,45 +38,117 @@ edges::Sighting sighting_of(const double* row) { return {row[1], row[2], row[3]}
 std::int64_t landmark_of(const double* row) { return static_cast<std::int64_t>(row[0]); }
 
 /// The graph of a log whose edges are members of their own, so that each has its cost: the anchor, the motion edges if wanted,
-/// and a virtual-motion edge for each pair of sightings given. A negative number of pairs is the graph of `graph_of`, with one
-/// member for all motion edges and one for all landmarks.
+/// and a virtual-motion edge for each pair of sightings given, or a marginal edge for each landmark. A negative number of pairs
+/// is the graph of `graph_of`, with one member for all motion edges and one for all landmarks.
 struct LogGraph {
+    struct Options {
+        edges::Kernel kernel;
+        bool motions, body, marginal;
+    };
     Log log;
+    Robot robot;
+    Options options;
+    std::vector<int> pairs;
     solve::Graph graph, plain;  ///< with the kernel and without
     edges::MarginalEdges map;
 
-    LogGraph(Log log, const Robot& robot, const edges::Kernel& kernel, bool motions, const int* pairs, int count)
+    LogGraph(Log log, const Robot& robot, const Options& options, std::vector<int> listed, int count)
         : log(std::move(log)),
-          graph(made(robot, kernel, motions, pairs, count)),
-          plain(made(robot, {}, motions, pairs, count)),
-          map(landmarks(robot, kernel)) {}
+          robot(robot),
+          options(options),
+          pairs(std::move(listed)),
+          graph(made(options.kernel, count)),
+          plain(made({}, count)),
+          map(landmarks(options.kernel)) {}
+
+    /// Whether edges have constant information in the axes of a pose, without which there is no proof.
+    bool constant() const { return options.body && (robot.oriented || options.marginal); }
+
+    /// A lower bound on J of all states, and J; with a kernel on the cost with its weights held at those of the poses.
+    std::pair<double, double> proof(std::span<const double> poses) const {
+        certificate::EdgeList list;
+        std::vector<double> state(poses.begin(), poses.end());
+        list.add(-1, 0, {log.start[0], log.start[1], log.start[2]}, {}, log.start[2], true, {1e6, 0.0, 1e6, 0.0, 0.0, 1e6});
+        const auto size = static_cast<solve::Place>(log.poses());
+        for (solve::Place t = 0; options.motions && t + 1 < size; ++t) {
+            const auto [z, omega] = measured(log.motion(t), robot.motion);
+            list.add(t, t + 1, z, {}, z.t, true, omega);
+        }
+        const std::vector<double> squares = plain.costs(poses);
+        double cost = std::accumulate(squares.begin(), squares.end(), 0.0);
+        if (options.marginal) {
+            const auto around = map.around_means({poses.data(), poses.data()});
+            const auto seen = solve::by_landmark(log, robot.sensor, options.kernel);
+            for (const edges::Vector& m : around.means) state.insert(state.end(), {m.x, m.y, robot.oriented ? m.t : 0.0});
+            const auto first = squares.size() - around.means.size();
+            cost = std::accumulate(squares.begin(), squares.begin() + static_cast<std::ptrdiff_t>(first), 0.0);
+            for (std::size_t g = 0, k = 0; g < around.means.size(); ++g)
+                for (; k < static_cast<std::size_t>(seen.starts[g + 1]); ++k) {
+                    const auto [z, omega] = measured(seen.sightings.z[k], robot.oriented, robot.sensor);
+                    const edges::AroundMean& each = around.sightings[k];
+                    list.add(seen.nodes[k], size + static_cast<solve::Place>(g), z, {}, z.t, robot.oriented,
+                             each.factor * omega);
+                    const edges::Vector pull = each.W * each.e;
+                    cost +=
+                        each.factor * (each.e.x * pull.x + each.e.y * pull.y + (robot.oriented ? each.e.t * pull.t : 0.0));
+                }
+        } else {
+            const auto before = squares.size() - pairs.size() / 2;
+            cost = std::accumulate(squares.begin(), squares.begin() + static_cast<std::ptrdiff_t>(before), 0.0);
+            for (std::size_t k = 0; k < pairs.size() / 2; ++k) {
+                const double weight = options.kernel.weight(squares[before + k]);
+                add_pair(list, log.sightings[pairs[2 * k]], log.sightings[pairs[2 * k + 1]], weight);
+                cost += weight * squares[before + k];
+            }
+        }
+        return {certificate::best_bound(state, list, cost), cost};
+    }
 
    private:
-    solve::Graph made(const Robot& robot, const edges::Kernel& kernel, bool motions, const int* pairs, int count) const {
+    void add_pair(certificate::EdgeList& list, const LandmarkSighting& a, const LandmarkSighting& b, double weight) const {
+        const edges::Vector first = measured(a.z, true, robot.sensor).z, second = measured(b.z, true, robot.sensor).z;
+        // in the axes of the first pose, in which the landmark has the heading first.t
+        const edges::Rotation from_a(a.z.bearing), from_b(b.z.orientation + first.t);
+        const edges::Symmetric C = edges::landmark_covariance(robot.sensor, a.z.range, from_a, true) +
+                                   edges::landmark_covariance(robot.sensor, b.z.range, from_b, true);
+        list.add(place(a), place(b), first, second, edges::wrap(first.t - second.t), true, weight * edges::inverse(C, true));
+    }
+
+    solve::Graph made(const edges::Kernel& kernel, int count) const {
         if (count < 0) return solve::graph_of(log, robot.motion, robot.sensor, kernel);
         solve::Graph graph(static_cast<solve::Place>(log.poses()));
         graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
-        for (solve::Place t = 0; motions && t + 1 < static_cast<solve::Place>(log.poses()); ++t) {
+        for (solve::Place t = 0; options.motions && t + 1 < static_cast<solve::Place>(log.poses()); ++t) {
             const auto [z, omega] = measured(log.motion(t), robot.motion);
             graph.add_relative({{t, t + 1, z, omega}});
         }
-        for (int k = 0; k < count; ++k) {
+        if (options.marginal) {
+            const auto [starts, nodes, seen] = solve::by_landmark(log, robot.sensor, kernel);
+            for (std::size_t g = 0; g + 1 < starts.size(); ++g) {
+                const auto begin = starts[g], end = starts[g + 1];
+                const std::vector<edges::Place> ends{0, end - begin}, of(nodes.begin() + begin, nodes.begin() + end);
+                const std::vector<edges::Sighting> z(seen.z.begin() + begin, seen.z.begin() + end);
+                edges::Sightings own{z, z, std::vector(z.size(), 1.0), robot.sensor, kernel, robot.oriented};
+                graph.add_groups(std::make_unique<edges::MarginalEdges>(ends, of, std::move(own), options.body), ends, of);
+            }
+        }
+        for (int k = 0; !options.marginal && k < count; ++k) {
             const LandmarkSighting &a = log.sightings[pairs[2 * k]], &b = log.sightings[pairs[2 * k + 1]];
             const std::vector<edges::Place> starts{0, 2}, nodes = {place(a), place(b)};
             edges::Sightings seen{{a.z, b.z}, {a.z, b.z}, {1.0, 1.0}, robot.sensor, kernel, robot.oriented};
             graph.add_groups(
-                std::make_unique<edges::VirtualMotionEdges>(starts, nodes, std::move(seen), std::vector{1.0}, true), starts,
-                nodes);
+                std::make_unique<edges::VirtualMotionEdges>(starts, nodes, std::move(seen), std::vector{1.0}, options.body),
+                starts, nodes);
         }
-        graph.state_dependent = !robot.oriented;
+        graph.state_dependent = !constant();
         graph.reweighted = static_cast<bool>(kernel);
         return graph;
     }
     static edges::Place place(const LandmarkSighting& sighting) { return static_cast<edges::Place>(sighting.step); }
 
-    edges::MarginalEdges landmarks(const Robot& robot, const edges::Kernel& kernel) const {
+    edges::MarginalEdges landmarks(const edges::Kernel& kernel) const {
         auto [starts, nodes, sightings] = solve::by_landmark(log, robot.sensor, kernel);
-        return {std::move(starts), std::move(nodes), std::move(sightings), true};
+        return {std::move(starts), std::move(nodes), std::move(sightings), options.body};
     }
 };
 
@@ -135,7 +209,8 @@ VMSLAM_EXPORT(vm_allocate) double* vm_allocate(int numbers) {
 }
 VMSLAM_EXPORT(vm_free) void vm_free(double* numbers) { std::free(numbers); }
 
-/// The graph of a log, whose motion t consists of the controls from starts[t] on. `options`: whether orientations are measured, whether motion edges are used, kernel, its width.
+/// The graph of a log, whose motion t consists of the controls from starts[t] on. `options`: whether orientations are measured,
+/// whether motion edges are used, kernel, its width, whether the frame is the landmark's, whether edges are marginal.
 VMSLAM_EXPORT(vm_graph)
 LogGraph* vm_graph(const double* start, const double* controls, const double* starts, int poses, const double* sightings,
                    int count, const double* noise, const double* options, const double* pairs, int pair_count) {
@@ -150,7 +225,8 @@ LogGraph* vm_graph(const double* start, const double* controls, const double* st
     std::vector<int> listed;  // JavaScript gives doubles
     for (int k = 0; k < 2 * pair_count; ++k) listed.push_back(static_cast<int>(pairs[k]));
     const edges::Kernel kernel{static_cast<edges::Robust>(options[2]), options[3]};
-    return new LogGraph(std::move(log), robot, kernel, options[1] != 0, listed.data(), pair_count);
+    const LogGraph::Options chosen{kernel, options[1] != 0, options[4] != 0, options[5] != 0};
+    return new LogGraph(std::move(log), robot, chosen, std::move(listed), pair_count);
 }
 VMSLAM_EXPORT(vm_graph_free) void vm_graph_free(LogGraph* graph) { delete graph; }
 /// Write the poses (T + 1, 3) that follow from the controls alone.
@@ -175,6 +251,13 @@ VMSLAM_EXPORT(vm_graph_solve) int vm_graph_solve(const LogGraph* graph, double* 
     std::copy(run.state.begin(), run.state.end(), poses);
     summary[0] = run.norms.empty() ? 0.0 : run.norms.back(), summary[1] = run.steps();
     return run.converged ? 1 : run.end == solve::End::not_determined ? 2 : 0;
+}
+/// Write a lower bound on the cost of all poses, and the cost at these poses: J, with a kernel that with its weights held.
+/// Returns 0 where the edges have no constant information, so that there is no proof.
+VMSLAM_EXPORT(vm_graph_proof) int vm_graph_proof(const LogGraph* graph, const double* poses, double* bound) {
+    if (!graph->constant()) return 0;
+    std::tie(bound[0], bound[1]) = graph->proof({poses, 3 * graph->log.poses()});
+    return 1;
 }
 /// Write the covariances (T + 1, 3, 3) at the poses; returns 0 where the edges do not determine the poses.
 VMSLAM_EXPORT(vm_graph_covariances) int vm_graph_covariances(const LogGraph* graph, const double* poses, double* blocks) {

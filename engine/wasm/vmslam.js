@@ -69,18 +69,22 @@ class Engine {
 /**
  * The graph of a log. With `pairs`, a list of [sighting, sighting] of one landmark by their numbers in the log, the step of the
  * first one before that of the second, each pair is a virtual-motion edge, and motion edges are added if `motions` is true.
- * Without `pairs` each sighting counts once. Motions may consist of several controls: `starts` has the first control of each, and
+ * With `weight: "marginal"` each landmark is one edge instead. `frame`: "body", the landmark's axes, or "world". Without `pairs`
+ * each sighting counts once, in the frame "body". Motions may consist of several controls: `starts` has the first control of each, and
  * in the end the number of all controls. `kernel`: "none", "huber", "cauchy" or "geman-mcclure", with its width.
  */
 class Graph {
   constructor(engine, log) {
-    const { start, controls, sightings, oriented = true, noise = {}, pairs, motions = true, kernel = "none", width = 1 } = log;
+    const { start, controls, sightings, oriented = true, noise = {}, pairs, motions = true, kernel = "none", width = 1, weight = "pairs",
+            frame = "body" } = log;
     const starts = log.starts ?? [...controls.keys(), controls.length];
     this.engine = engine;
     this.size = starts.length;
-    this.members = pairs ? 1 + motions * (starts.length - 1) + pairs.length : 3;
     this.landmarks = [...new Set(sightings.map((row) => row[1]))].sort((a, b) => a - b);
-    const options = [+oriented, +motions, ["none", "huber", "cauchy", "geman-mcclure"].indexOf(kernel), width];
+    const marginal = weight === "marginal", seen = marginal ? this.landmarks : pairs;
+    this.members = pairs ? 1 + motions * (starts.length - 1) + seen.length : 3;
+    this.weighted = kernel !== "none";
+    const options = [+oriented, +motions, ["none", "huber", "cauchy", "geman-mcclure"].indexOf(kernel), width, +(frame === "body"), +marginal];
     if (options[2] < 0) throw new Error(`there is no kernel "${kernel}"`);
     const rows = [start, controls.flat(), starts, flat(sightings, 5), numbersOf(noise), options, (pairs ?? []).flat()];
     this.own = engine.with(rows, (x, u, s, z, n, o, p) =>
@@ -108,6 +112,15 @@ class Graph {
       const end = this.engine.exports.vm_graph_solve(this.own, x, mostSteps, out);
       const [norm, steps] = this.engine.view(out, 2);
       return { poses: triples(this.engine.view(x, 3 * this.size)), norm, steps, converged: end === 1, determined: end !== 2 };
+    });
+  }
+  /** What is proven of poses: `status` "global" (no poses have a lower J), "global for its weights" (the same of the cost with the
+   *  weights of the kernel held), "not proven" or "not applicable", and the relative `gap` to a lower bound on all costs. */
+  proof(poses) {
+    return this.engine.with([poses.flat(), [0, 0]], (x, out) => {
+      if (!this.engine.exports.vm_graph_proof(this.own, x, out)) return { status: "not applicable", gap: NaN };
+      const [bound, J] = this.engine.view(out, 2), gap = J > 0 ? (J - bound) / J : 0;
+      return { status: !(gap <= 1e-6) ? "not proven" : this.weighted ? "global for its weights" : "global", gap };
     });
   }
   /** The covariance of each pose, by rows, at poses; null where the edges leave a pose free. */

@@ -117,7 +117,7 @@ def test_page(page: str, address: str, browser: Chromium) -> None:
     browser.wait_for("document.readyState === 'complete' && document.querySelector('article') !== null")
     assert browser.evaluate("document.documentElement.lang") == ("ja" if page.split("/")[0] == "ja" else "en")
     # the phone last: on the way back to a wide window the theme moves its navigation for a while
-    for width, height in ((1280, 900), (390, 844)):
+    for width, height in ((1300, 900), (390, 844)):
         browser.resize(width, height)
         for scheme in ("light", "dark"):
             browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])

@@ -23,6 +23,7 @@ from fastslam import FastSLAM1, FastSLAM2
 from fastslam.options import draw_key
 from graphslam import Graph, Log, MotionModel, SensorModel, load, solve, textbook
 from graphslam.se2 import wrap
+from graphslam.solvers.certificate import prove
 
 ROOT = Path(__file__).parents[2]
 SITE = ROOT / "docs" / "_site"
@@ -163,6 +164,81 @@ def test_the_graph_has_the_numbers_of_python(open_page: Open, name: str) -> None
         switch(page, "motions")
     switch(page, "ellipses")
     assert page.evaluate("document.querySelectorAll('.live-stage .ellipse').length") == log.num_poses
+    assert page.complaints() == []
+
+
+@pytest.mark.parametrize("name", ["three_poses", "loop"])
+def test_frame_and_weight_are_those_of_python(open_page: Open, name: str) -> None:
+    import live
+
+    log = live.log(name)
+    page = open_page("graph", name)
+    agrees(page, log)
+    switch(page, "world")
+    agrees(page, log, frame="world")
+    page.click("figure.live button[data-name=all]")
+    agrees(page, log, frame="world")
+    switch(page, "marginal")
+    agrees(page, log, frame="world", weight="marginal")
+    switch(page, "world")
+    page.click("figure.live button[data-name=all]")
+    best = agrees(page, log, weight="marginal")
+    options = {"edges": "virtual+motion", "weight": "marginal", "kernel": "none"}
+    assert best == pytest.approx(solve(Graph.from_log(log, **options)).cost, rel=1e-9)
+    # as the pages say: J is smaller than with pairs, and the ellipses are larger
+    pairs = solve(Graph.from_log(log, **(options | {"weight": "pairs"})))
+    marginal = solve(Graph.from_log(log, **options))
+    assert best < pairs.cost
+    assert np.trace(pairs.covariance(log.num_poses - 1)) < np.trace(marginal.covariance(log.num_poses - 1))
+    # one member for each landmark, drawn as rays to its mean
+    squares = page.evaluate(f"{FIGURE}.live.costs().squares")
+    assert len(squares) == 1 + (log.num_poses - 1) + len(set(log.landmarks.tolist()))
+    switch(page, "wrong")
+    switch(page, "kernel")
+    agrees(page, log, weight="marginal", kernel="cauchy")
+    switch(page, "psi")
+    agrees(page, log, weight="marginal", kernel="cauchy", dimensions=2)
+    assert page.complaints() == []
+
+
+@pytest.mark.parametrize("name", ["three_poses", "loop"])
+@pytest.mark.parametrize("weight", ["pairs", "marginal"])
+def test_the_certificate_is_that_of_python(open_page: Open, name: str, weight: str) -> None:
+    import live
+
+    log = live.log(name)
+    page = open_page("graph", name, *(["marginal=yes"] if weight == "marginal" else []))
+    said = f"[{FIGURE}.dataset.proof, document.querySelector('.live-status').textContent]"
+
+    def expected(**options: Any) -> str:
+        poses = np.array(page.evaluate(f"{FIGURE}.live.state.poses"))
+        return prove(graph_of(log, page.evaluate(f"{FIGURE}.live.log()"), weight=weight, **options), poses).status
+
+    switch(page, "certificate")
+    # dead reckoning is no minimum
+    assert page.evaluate(said)[0] == expected() == "not proven"
+    page.click("figure.live button[data-name=all]")
+    status, text = page.evaluate(said)
+    assert status == expected() == "global"
+    assert "Proven: no poses have a lower J" in text
+    # all poses moved together are as good, and only the anchor says where they are
+    switch(page, "anchor")
+    page.evaluate(f"""{{ const {{ live }} = {FIGURE};
+        live.state.poses = live.state.poses.map(([x, y, heading]) => [x + 1, y, heading]); live.draw(); }}""")
+    assert page.evaluate(said)[0] == "global"
+    page.evaluate(f"{{ const {{ live }} = {FIGURE}; live.state.poses[1][0] += 0.3; live.draw(); }}")
+    assert page.evaluate(said)[0] == "not proven"
+    switch(page, "anchor")
+    switch(page, "world")
+    assert page.evaluate(said)[0] == expected(frame="world") == "not applicable"
+    switch(page, "world")
+    # as the pages say: a wrong sighting raises J, and the minimum is proven all the same
+    switch(page, "wrong")
+    page.click("figure.live button[data-name=all]")
+    assert page.evaluate(said)[0] == expected() == "global"
+    switch(page, "kernel")
+    page.click("figure.live button[data-name=all]")
+    assert page.evaluate(said)[0] == expected(kernel="cauchy") == "global for its weights"
     assert page.complaints() == []
 
 

@@ -16,7 +16,8 @@ export function make(figure, engine, log, words) {
   const state = {
     sightings: log.sightings.map((row) => [...row]), poses: [],
     oriented: on("psi", true), motions: on("motions", true), wrong: on("wrong", false), kernel: on("kernel", false),
-    ellipses: on("ellipses", false), anchor: on("anchor", true),
+    ellipses: on("ellipses", false), anchor: on("anchor", true), world: on("world", false), marginal: on("marginal", false),
+    certificate: on("certificate", false),
   };
   const pairs = pairsOf(log.sightings), mistaken = Number(given.mistaken ?? log.sightings.length - 1);
   const stage = new Stage(figure, words.graphLabel, draw);
@@ -30,7 +31,8 @@ export function make(figure, engine, log, words) {
   function build() {
     graph?.free();
     const kernel = state.kernel ? { kernel: "cauchy", width: log.widths[state.oriented ? 1 : 0] } : {};
-    graph = engine.graph({ ...log, sightings: measured(), pairs, oriented: state.oriented, motions: state.motions, ...kernel });
+    graph = engine.graph({ ...log, sightings: measured(), pairs, oriented: state.oriented, motions: state.motions, ...kernel,
+                           frame: state.world ? "world" : "body", weight: state.marginal ? "marginal" : "pairs" });
   }
 
   // the minimum with everything measured is where the landmarks stand
@@ -53,11 +55,15 @@ export function make(figure, engine, log, words) {
     build();
     draw();
   }
+  /** The poses; without the anchor all of them moved together, so that the first one is where the anchor would hold it. */
+  function inAnchor() {
+    return state.anchor ? state.poses : state.poses.map((pose) => carried(pose, state.poses[0], log.start));
+  }
   function solve(most) {
     // without the anchor nothing changes if all poses move together: the first one is held where it is
-    const held = state.poses[0], carry = state.anchor ? (poses) => poses : (poses, from, to) => poses.map((pose) => carried(pose, from, to));
-    const end = graph.solve(carry(state.poses, held, log.start), most);
-    if (end.poses.every((pose) => pose.every(Number.isFinite))) state.poses = carry(end.poses, log.start, held);
+    const held = state.poses[0], end = graph.solve(inAnchor(), most);
+    if (end.poses.every((pose) => pose.every(Number.isFinite)))
+      state.poses = state.anchor ? end.poses : end.poses.map((pose) => carried(pose, log.start, held));
     message = !end.determined ? words.free
       : `${most === 1 ? "" : `${words.steps(end.steps)}, `}${words.norm}: ${end.norm.toPrecision(2)}`
         + (most > 1 && !end.converged ? `, ${words.notConverged}` : "") + (state.anchor ? "" : `. ${words.noAnchor}`);
@@ -74,7 +80,8 @@ export function make(figure, engine, log, words) {
   controls.button("step", words.step, () => solve(1));
   controls.button("all", words.all, () => solve(100));
   controls.button("reset", words.reset, () => { state.poses = graph.deadReckoning(); message = ""; draw(); });
-  for (const [name, key] of [["psi", "oriented"], ["motions", "motions"], ["wrong", "wrong"], ["kernel", "kernel"], ["anchor", "anchor"], ["ellipses", "ellipses"]])
+  for (const [name, key] of [["psi", "oriented"], ["motions", "motions"], ["wrong", "wrong"], ["kernel", "kernel"], ["anchor", "anchor"],
+    ["marginal", "marginal"], ["world", "world"], ["ellipses", "ellipses"], ["certificate", "certificate"]])
     controls.toggle(name, words[name], state[key], (value) => change(key, value));
   const status = html("p", { class: "live-status", role: "status" }, figure);
   const legend = html("p", { class: "live-legend" }, figure);
@@ -120,7 +127,10 @@ export function make(figure, engine, log, words) {
     const J = state.anchor ? whole : whole - squares[0];
     const places = sightings.map((row) => engine.place(state.poses[row[0]], row.slice(2)).landmark);
     const motions = state.motions ? log.controls.map((_, t) => stage.path([state.poses[t], state.poses[t + 1]])) : [];
-    const edges = [...motions, ...pairs.map(([a, b]) => {
+    const means = state.marginal ? graph.map(state.poses) : [], meanOf = (row) => means[names.indexOf(row[1])];
+    const rayOf = (row, at) => stage.path([state.poses[row[0]], at]);
+    const edges = state.marginal ? [...motions, ...names.map((name, k) =>
+      sightings.filter((row) => row[1] === name).map((row) => rayOf(row, means[k])).join(""))] : [...motions, ...pairs.map(([a, b]) => {
       const [p, q] = [a, b].map((k) => state.poses[sightings[k][0]]), at = places[a];
       // bent towards the landmark, so that the edges of different landmarks differ
       return stage.curve(p, [0, 1].map((c) => 0.65 * (p[c] + q[c]) / 2 + 0.35 * at[c]), q);
@@ -131,8 +141,9 @@ export function make(figure, engine, log, words) {
       buckets[Math.round(COLOURS * Math.min(distance / REDDEST, 1))] += path;
     });
     fill(stage, "edges", buckets, (path, k) => ({ d: path, class: "edge", style: `--part:${100 * k / COLOURS}%` }));
-    const residuals = pairs.map(([a, b]) => stage.path([places[a], places[b]])).join("");
-    const rays = sightings.map((row, k) => stage.path([state.poses[row[0]], places[k]])).join("");
+    const residuals = state.marginal ? sightings.map((row, k) => stage.path([places[k], meanOf(row)])).join("")
+      : pairs.map(([a, b]) => stage.path([places[a], places[b]])).join("");
+    const rays = sightings.map((row, k) => rayOf(row, places[k])).join("");
     fill(stage, "rays", [rays, residuals], (path, k) => ({ d: path, class: k ? "residual" : "ray" }));
     fill(stage, "places", places.map((at) => stage.at(at)), ([x, y]) => ({ d: `M${x} ${y}h.01`, class: "place" }));
     const blocks = state.ellipses && state.anchor ? graph.covariances(state.poses) : null;
@@ -141,7 +152,10 @@ export function make(figure, engine, log, words) {
     landmarks.forEach((m, k) => place(stage, handles.landmarks[k], m, 0, `${words.landmark} ${names[k]}`, words.moveLandmark));
     state.poses.forEach((x, t) => place(stage, handles.poses[t], x, x[2], `${words.pose} ${t}`, words.move));
     status.innerHTML = `<strong>J = ${J < 1e4 ? J.toFixed(3) : J.toExponential(3)}</strong> <span></span>`;
-    status.lastChild.textContent = state.ellipses && !blocks ? words.ellipsesFree : message;
+    const proof = state.certificate ? graph.proof(inAnchor()) : null;
+    status.lastChild.textContent = [message, state.ellipses && !blocks ? words.ellipsesFree : "", proof ? words.proofs[proof.status](proof.gap) : ""]
+      .filter((sentence) => sentence).join(" ");
+    if (proof) figure.dataset.proof = proof.status;
     figure.dataset.cost = J;
   }
   const drawn = log.sightings.map((row) => engine.place(state.poses[row[0]], row.slice(2)).landmark);

@@ -15,6 +15,7 @@ first = textbook.initialize_landmark(pose, z, sensor)
 R = np.array([[np.cos(0.7), -3.0 * np.sin(0.7), 0], [np.sin(0.7), 3.0 * np.cos(0.7), 0], [0, 1, -1]])
 print("mean:", np.round(first.mean, 3))
 print("(H' Q^-1 H)^-1 = R Q R':", np.allclose(first.covariance, R @ sensor.Q(z) @ R.T))
+assert np.allclose(first.covariance, R @ sensor.Q(z) @ R.T)
 
 # %% film
 # no weights, no resampling: every particle keeps its own map, and they drift apart
@@ -51,6 +52,7 @@ slider("step", list(states), draw)  # noqa: F821  # given by the site: one figur
 # %% errors
 error = [np.hypot(*(p.map[j].mean - m)[:2]) for p in particles for j, m in log.true_landmarks.items() if j in p.map]
 print(f"landmarks of all particles: {np.mean(error):.2f} m off on average, without weights")
+assert np.mean(error) > 2
 
 # %% distance
 for length in (0.5, 2.0, 8.0):
@@ -60,6 +62,7 @@ for length in (0.5, 2.0, 8.0):
         )
     )
     print(f"{length} m away: {std.max():.3f} m along the line of sight, {std.min():.3f} m across")
+    assert np.isclose(std.max(), 0.14 * length) and np.isclose(std.min(), 0.05 * length)
 
 # %% place
 pose, z = np.array([1.0, 1.0, np.pi / 2]), np.array([2.0, -np.pi / 2, 0.0])

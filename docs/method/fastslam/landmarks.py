@@ -24,6 +24,7 @@ for k in range(1, 6):
     estimate = textbook.update_landmark(pose, estimate, z, sensor)
     std = np.sqrt(np.diag(estimate.covariance))
     print(f"after {k + 1} sightings: mean {np.round(estimate.mean, 2)}, standard deviations {np.round(std, 3)}")
+    assert np.all(std > 0.025)
 
 # %% figure
 fig, ax = plt.subplots()
@@ -68,6 +69,7 @@ z = sensor.h(pose, landmark)
 after, H = textbook.update_landmark(pose, prior, z, sensor), sensor.H(pose, prior.mean)
 information = np.linalg.inv(prior.covariance) + H.T @ np.linalg.inv(sensor.Q(z)) @ H
 print("equal:", np.allclose(np.linalg.inv(after.covariance), information))
+assert np.allclose(np.linalg.inv(after.covariance), information)
 
 # %% derivative
 x, m = np.zeros(3), np.array([3.0, 4.0])

@@ -65,6 +65,7 @@ z, j = log.sightings[log.steps == 8][0], int(log.landmarks[log.steps == 8][0])
 full = textbook.update_landmark(particles[0].pose, particles[0].map[j], z, sensor)
 again = textbook.update_landmark(short.pose, short.map[j], z, sensor)
 print("the same map without the history:", np.array_equal(full.mean, again.mean))
+assert np.array_equal(full.mean, again.mean)
 
 # %% drawn
 pose, drawn = np.array([0.0, 0.0, np.pi / 2]), np.array([0.35, 0.0])  # the control with its noise

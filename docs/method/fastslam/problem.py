@@ -52,6 +52,7 @@ for _ in range(2000):
 known, unknown = np.array(known), np.array(unknown)
 print(f"correlation of the two landmarks, pose known:        {abs(np.corrcoef(known.T)[0, 1]):.2f}")
 print(f"correlation of the two landmarks, heading uncertain: {np.corrcoef(unknown.T)[0, 1]:.2f}")
+assert abs(np.corrcoef(known.T)[0, 1]) < 5 / np.sqrt(2000) and np.corrcoef(unknown.T)[0, 1] > 0.8
 
 # %% figure
 fig, axes = plt.subplots(1, 2, figsize=(7, 3.4), sharex=True, sharey=True)
@@ -79,6 +80,7 @@ for _ in range(400):
 print(
     f"standard deviation of the estimate: landmark sampled {np.std(sampled):.3f}, landmark computed {np.std(exact):.3f}"
 )
+assert np.std(exact) < np.std(sampled)
 
 # %% size
 N, marks = 100, 8

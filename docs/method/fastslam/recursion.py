@@ -33,6 +33,7 @@ posterior = prior * likelihood
 posterior /= posterior.sum()
 mean = (m * posterior).sum()
 print(f"posterior mean {mean:.3f}, Kalman filter {2.5 + 0.25 / (0.25 + 0.0784) * (2.0 - 2.5):.3f}")
+assert np.isclose(mean, 2.5 + 0.25 / (0.25 + 0.0784) * (2.0 - 2.5), atol=1e-3)
 
 # %% order
 # sightings of one step can be processed in any order, because each multiplies the belief by its likelihood
@@ -41,6 +42,7 @@ z1, z2 = np.array([2.1, 0.12, 0.02]), np.array([1.9, 0.05, -0.01])
 ab = textbook.update_landmark(np.zeros(3), textbook.update_landmark(np.zeros(3), start, z1, sensor), z2, sensor)
 ba = textbook.update_landmark(np.zeros(3), textbook.update_landmark(np.zeros(3), start, z2, sensor), z1, sensor)
 print("means:", np.round(ab.mean, 3), np.round(ba.mean, 3))
+assert np.allclose(ab.mean, ba.mean, atol=0.01) and not np.array_equal(ab.mean, ba.mean)
 
 # %% two_places
 prior, likelihood = np.array([0.6, 0.4]), np.array([0.2, 0.5])

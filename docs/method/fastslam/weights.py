@@ -20,6 +20,7 @@ e = z - predicted
 likelihoods = np.exp(-0.5 * np.sum(e**2 / Q, axis=1)) / np.sqrt((2 * np.pi) ** 3 * np.prod(Q))
 print(f"mean of the likelihoods {likelihoods.mean():.4f}")
 print(f"formula                 {np.exp(textbook.log_likelihood(pose, landmark, z, sensor)):.4f}")
+assert np.isclose(likelihoods.mean(), np.exp(textbook.log_likelihood(pose, landmark, z, sensor)), rtol=0.03)
 
 # %% figure
 # the likelihood of a range, for a landmark that is known well and for one that is not
@@ -54,6 +55,7 @@ assert weights[0] > weights[1]
 # %% logarithms
 # 400 sightings with a density of 0.1 each
 print("product:", 0.1**400, " sum of logarithms:", round(400 * np.log(0.1), 1))
+assert 0.1**400 == 0
 
 # %% density
 V = 0.05 + 0.04

@@ -41,6 +41,7 @@ e, Omega, B1, B2 = textbook.virtual_motion_edge(x1, z1, x2, z2, SensorModel())
 print("from pose 1 the landmark is at", np.round(textbook.inverse_observation(x1, z1), 3))
 print("from pose 2 the landmark is at", np.round(textbook.inverse_observation(x2, z2), 3))
 print("residual", np.round(e, 3))
+assert np.allclose(e, [0.1, 0, 0])
 
 # %% three
 three = load("examples/three_poses.txt")
@@ -56,6 +57,7 @@ x2, z2 = np.array([0.0, 0.0, -3.1]), np.array([1.0, 0.0, 0.0])
 difference = textbook.inverse_observation(x2, z2) - textbook.inverse_observation(x1, z1)
 e, *_ = textbook.virtual_motion_edge(x1, z1, x2, z2, SensorModel())
 print("difference", np.round(difference[2], 3), " normalised", np.round(e[2], 3))
+assert abs(difference[2]) > np.pi > abs(e[2])
 
 
 # %% turned

@@ -69,12 +69,14 @@ def sample(x, z, count=20_000):
 sampled = np.cov((sample(x2, z2) - sample(x1, z1)).T)
 print("sampled:", np.round(np.diag(sampled), 3))
 print("formula:", np.round(np.diag(C1 + C2), 3))
+assert np.allclose(np.diag(sampled), np.diag(C1 + C2), rtol=5 * np.sqrt(2 / 20_000))
 
 # %% wrong
 R1, R2 = textbook.sighting_derivative(x1, z1), textbook.sighting_derivative(x2, z2)
 Q1, Q2 = textbook.sighting_covariance(z1, sensor), textbook.sighting_covariance(z2, sensor)
 slide = R1 @ Q1 @ R1.T + R1 @ Q2 @ R1.T  # as printed
 print("variance of y, as printed:", round(slide[1, 1], 3), " right:", round((C1 + C2)[1, 1], 3))
+assert slide[1, 1] < 0.9 * (C1 + C2)[1, 1]
 
 # %% left
 x, z = np.zeros(3), np.array([2.0, np.pi / 2, 0.0])

@@ -40,6 +40,7 @@ print(
     " with motion edges:",
     textbook.solve(log, edges="virtual+motion").estimated.sum(),
 )
+assert solution.estimated.sum() == log.num_poses - np.sum(~seen)
 
 # %% three
 from graphslam import load
@@ -64,6 +65,7 @@ from graphslam import Graph, solve
 for frame in ("world", "body"):
     fast = solve(Graph.from_log(log, edges="virtual+motion", kernel="none", frame=frame), initialize="given")
     print(f"{frame}: {fast.iterations} iterations, last step {fast.step_norms[-1]:.1e}, converged: {fast.converged}")
+    assert fast.converged
 
 # %% newton
 theta, steps = 0.0, []

@@ -49,6 +49,7 @@ def numerical(which, step=1e-6):
 
 print("agrees with B_1:", np.abs(numerical(1) - B1).max() < 1e-8)
 print("agrees with B_2:", np.abs(numerical(2) - B2).max() < 1e-8)
+assert np.abs(numerical(1) - B1).max() < 1e-8 and np.abs(numerical(2) - B2).max() < 1e-8
 
 # %% range
 wrong = []

@@ -46,6 +46,7 @@ for pose, colour in ((np.array([0.0, 0.0, 0.3]), "C0"), (np.array([2.5, -1.2, 1.
         label=f"l = {length:.2f} m, phi = {phi:.2f}, psi = {psi:.2f}",
     )
     print("h^-1:", np.round(textbook.inverse_observation(pose, np.array([length, phi, psi])), 6))
+    assert np.allclose(textbook.inverse_observation(pose, np.array([length, phi, psi])), landmark)
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 ax.legend()
 

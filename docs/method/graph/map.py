@@ -14,6 +14,7 @@ for j, m in solution.landmarks.items():
     print(
         f"landmark {j}: ({m[0]:6.2f}, {m[1]:6.2f}), true ({log.true_landmarks[j][0]:6.2f}, {log.true_landmarks[j][1]:6.2f})"
     )
+    assert np.hypot(*(m - log.true_landmarks[j])[:2]) < 0.5
 
 # %% figure
 j = max(solution.landmarks, key=lambda j: np.sum(log.landmarks == j))
@@ -85,6 +86,7 @@ print(
     " smaller than at 1000 places around it:",
     all(cost(best + d) > cost(best) for d in rng.normal(0, 0.1, (1000, 2))),
 )
+assert all(cost(best + d) > cost(best) for d in rng.normal(0, 0.1, (1000, 2)))
 
 # %% two
 places, stds = np.array([2.0, 2.6]), np.array([0.1, 0.2])

@@ -14,6 +14,7 @@ x1, u, dt = np.zeros(3), np.array([0.5, 0.3]), 3.0
 print("A M A' (its rank is 2):")
 print(np.round(motion.A(x1, u, dt) @ motion.M(u, dt) @ motion.A(x1, u, dt).T, 4))
 print("eigenvalues:", np.round(np.linalg.eigvalsh(motion.A(x1, u, dt) @ motion.M(u, dt) @ motion.A(x1, u, dt).T), 6))
+assert np.linalg.matrix_rank(motion.A(x1, u, dt) @ motion.M(u, dt) @ motion.A(x1, u, dt).T, tol=1e-9) == 2
 
 # %% banana
 # motions with noisy controls, and the Gaussian of the edge; 4 m with wheels that turn more by chance than those of the book
@@ -60,6 +61,7 @@ for name, model in (("without slip", motion), ("with slip", slipping)):
     print(f"{name:13} standard deviations: x {x:.3f} m, y {y:.3f} m, theta {theta:.3f} rad")
 S = slipping.sideways(x1, u, dt)
 print("F S F' = S:", np.allclose(motion.F(x1, u, dt) @ S @ motion.F(x1, u, dt).T, S))
+assert np.allclose(motion.F(x1, u, dt) @ S @ motion.F(x1, u, dt).T, S)
 
 # %% three
 from graphslam import Graph, load, solve
@@ -85,6 +87,7 @@ assert abs(errors[1e-4] - errors[1e-6]) < 0.005 < errors[1e-2] - errors[1e-4]
 # %% without
 e, Omega, B1, B2 = textbook.motion_edge(x1, motion.f(x1, u, dt), u, dt, MotionModel(epsilon=1e-12))
 print("largest and smallest eigenvalue of Omega:", [float(f"{v:.3g}") for v in np.linalg.eigvalsh(Omega)[[-1, 0]]])
+assert np.isclose(np.linalg.eigvalsh(Omega)[-1], 1e12, rtol=0.01)  # 1 / epsilon
 
 # %% variances
 nu, omega, seconds = 0.5, 0.2, 2.0

@@ -24,12 +24,14 @@ bent[:, 1] += 0.02 * np.arange(len(bent))  # the same trajectory, shifted more a
 candidates = {"dead reckoning": log.initial_poses, "x*, bent to the left": bent, "x*": best.poses}
 for name, poses in candidates.items():
     print(f"{name:22} J = {graph.cost(poses):14.1f}")
+assert graph.cost(best.poses) < graph.cost(bent) < graph.cost(log.initial_poses)
 
 # %% count
 poses, landmarks = log.num_poses - 1, len(log.landmark_ids)
 print(f"unknown: {poses} poses and {landmarks} landmarks, {3 * (poses + landmarks)} numbers")
 print(f"without the landmarks: {3 * poses} numbers")
 print(f"measured: {log.controls.size + log.sightings.size} numbers")
+assert log.controls.size + log.sightings.size > 3 * (poses + landmarks)
 
 # %% strain
 # ten poses on a circle with four landmarks: where each sighting puts its landmark, before and after the solution

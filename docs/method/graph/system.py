@@ -76,6 +76,7 @@ def cost(poses):
 for s in (0.0, 0.5, 1.0, 1.5):
     polynomial = s**2 * Delta @ Omega @ Delta - 2 * s * Delta @ xi + J
     print(f"{s:3} Delta: J = {cost(x + s * Delta.reshape(3, 3)):.5f}, polynomial {polynomial:.5f}")
+assert abs(cost(x + Delta.reshape(3, 3))) < 1e-3 * J  # not quite zero, the minimum of the polynomial
 
 # %% minimum
 change = np.random.default_rng(0).normal(0, 1e-3, 9)
@@ -83,10 +84,12 @@ best = Delta @ Omega @ Delta - 2 * Delta @ xi
 other = (Delta + change) @ Omega @ (Delta + change) - 2 * (Delta + change) @ xi
 print("higher after any change:", other > best)
 print("by change' Omega change:", np.isclose(other - best, change @ Omega @ change))
+assert np.isclose(other - best, change @ Omega @ change)
 
 # %% eigenvalues
 print("without the anchor:", np.round(np.linalg.eigvalsh(Omega - np.diag([1e6] * 3 + [0] * 6))[:4], 6))
 print("with the anchor:   ", np.round(np.linalg.eigvalsh(Omega)[:4], 1))
+assert np.sum(np.linalg.eigvalsh(Omega - np.diag([1e6] * 3 + [0] * 6)) < 1e-6) == 3
 
 # %% line
 # x_0 = 0 is known; e = x_1 - 1 with the information 4, and e = x_1 - 1.3 with the information 1; x_1 is 0 at first

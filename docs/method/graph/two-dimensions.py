@@ -70,6 +70,7 @@ assert odometry[100] < odometry[10] < odometry[1]
 # %% rank
 # the information of one edge about pose 2, with pose 1 fixed: rank 2 of 3
 print("rank:", np.linalg.matrix_rank(B2.T @ Omega @ B2))
+assert np.linalg.matrix_rank(B2.T @ Omega @ B2) == 2
 
 # %% rows_of_four
 K = 4
