@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import re
 import textwrap
+import tomllib
+from functools import cache
 from typing import Any
 
 import cells
@@ -36,8 +38,34 @@ def listing(path: str, *names: str, language: str) -> str:
         node = nodes[0]
         first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
         title = f"{path}, {LINES[language]} {first}-{node.end_lineno}"
-        made += [f'```python title="{title}"', *lines[first - 1 : node.end_lineno], "```", ""]
+        shown = lines[first - 1 : node.end_lineno]
+        if language == "ja":
+            shown = in_japanese(path, name, node, shown, first)
+        made += [f'```python title="{title}"', *shown, "```", ""]
     return "\n".join(made)
+
+
+@cache
+def docstrings() -> dict[str, dict[str, str]]:
+    """{file: {name: Japanese docstring}}, and {English comment: Japanese comment} under "comments"."""
+    return tomllib.loads((cells.DOCS / "_site" / "docstrings.toml").read_text())
+
+
+def in_japanese(path: str, name: str, node: Any, lines: list[str], first: int) -> list[str]:
+    """The lines of a function or class from line ``first`` on, with Japanese docstrings and comments where there are some."""
+    lines, known = list(lines), docstrings().get(path, {})
+    inner = [(name, node), *((f"{name}.{each.name}", each) for each in node.body if isinstance(each, ast.FunctionDef))]
+    # from the end, so that the numbers of the lines before do not change
+    for its, each in reversed(inner):
+        string = each.body[0]
+        if its in known and ast.get_docstring(each) is not None:
+            indent = " " * string.col_offset
+            text = [indent + line if line else "" for line in known[its].strip().splitlines()]
+            text[0] = f'{indent}"""{text[0].strip()}'
+            text = [*text, f'{indent}"""'] if len(text) > 1 else [f'{text[0]}"""']
+            lines[string.lineno - first : string.end_lineno - first + 1] = text
+    comments = docstrings()["comments"]
+    return [re.sub(r"# (.*)$", lambda found: f"# {comments.get(found[1], found[1])}", line) for line in lines]
 
 
 def _in_cxx(path: str, lines: list[str], name: str, language: str) -> str:

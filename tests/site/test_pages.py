@@ -1,5 +1,6 @@
 """The sources of the site: every formula of the lectures has its place, and both languages have the same content."""
 
+import ast
 import re
 import sys
 import tomllib
@@ -129,6 +130,37 @@ def test_the_code_that_a_page_shows_exists(page):
     for kind, arguments in markers(page):
         if kind == "code":
             assert listings.listing(*arguments.split(), language="en")
+
+
+@pytest.mark.parametrize("path", ["graphslam/textbook.py", "fastslam/textbook.py"])
+def test_the_textbook_programs_have_japanese_docstrings(path):
+    listings = import_module("listings")
+    tree = ast.parse((ROOT / path).read_text())
+    inside = [(each, node) for each in tree.body if isinstance(each, ast.ClassDef) for node in each.body]
+    nodes = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    nodes |= {f"{each.name}.{node.name}": node for each, node in inside if isinstance(node, ast.FunctionDef)}
+    explained = {name for name, node in nodes.items() if ast.get_docstring(node)}
+    assert set(listings.docstrings()[path]) == explained
+    for name in explained:
+        english, japanese = ast.get_docstring(nodes[name]), listings.docstrings()[path][name]
+        # the same equations: each product and each number of the slides stands in both
+        for part in re.findall(r"[A-Z]\w*' [A-Z]\w*(?:\^-1)?|h\^-1\(\w+, \w+\)|\(T\+1,[ 3]*\)", english):
+            assert part in japanese, (name, part)
+        if "." not in name:
+            shown = listings.listing(path, name, language="ja")
+            assert japanese.strip().splitlines()[0] in shown
+            code = shown.split("\n", 1)[1].rsplit("```", 1)[0]
+            plain = listings.listing(path, name, language="en").split("\n", 1)[1].rsplit("```", 1)[0]
+            assert same_program(code) == same_program(plain)
+
+
+def same_program(code):
+    """The program without docstrings and comments."""
+    tree = ast.parse(code)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node):
+            node.body[0].value = ast.Constant("")
+    return ast.dump(tree)
 
 
 @pytest.mark.parametrize("package", ["graphslam", "graphslam.factors", "fastslam", "comparisons"])

@@ -53,13 +53,14 @@ export class Stage {
   path(points) { return points.map((p, k) => `${k ? "L" : "M"}${this.text(p)}`).join(""); }
   /** A curve that bends towards the second point. */
   curve(p, to, q) { return `M${this.text(p)}Q${this.text(to)} ${this.text(q)}`; }
-  /** The ellipse of so many standard deviations: the points mean + factor L (cos, sin), where L L' is the covariance. */
+  /** The ellipse of so many standard deviations as two arcs: its half axes are the roots of the eigenvalues of the covariance. */
   ellipse([x, y], [xx, xy, yy], factor = 2) {
-    const l = Math.sqrt(xx), m = xy / l, n = Math.sqrt(Math.max(yy - m * m, 0));
-    return this.path(Array.from({ length: 49 }, (_, k) => {
-      const c = factor * Math.cos(k * Math.PI / 24), s = factor * Math.sin(k * Math.PI / 24);
-      return [x + l * c, y + m * c + n * s];
-    })) + "Z";
+    const middle = (xx + yy) / 2, apart = Math.hypot((xx - yy) / 2, xy), angle = Math.atan2(2 * xy, xx - yy) / 2;
+    const [a, b] = [middle + apart, Math.max(middle - apart, 0)].map((value) => factor * Math.sqrt(value));
+    const dx = a * Math.cos(angle), dy = a * Math.sin(angle), round = (length) => Math.round(100 * this.scale * length) / 100;
+    const axes = `A${round(a)} ${round(b)} ${Math.round(-10 * angle * 180 / Math.PI) / 10} 1 0 `;
+    const [from, to] = [[x + dx, y + dy], [x - dx, y - dy]].map((p) => this.text(p));
+    return `M${from}${axes}${to}${axes}${from}Z`;
   }
 }
 
@@ -87,13 +88,20 @@ export function fill(stage, name, rows, attributes) {
   const layer = stage.layer(name);
   while (layer.childElementCount < rows.length) element("path", {}, layer);
   while (layer.childElementCount > rows.length) layer.lastChild.remove();
-  rows.forEach((row, k) => { for (const [key, value] of Object.entries(attributes(row, k))) layer.children[k].setAttribute(key, value); });
+  let path = layer.firstElementChild;
+  rows.forEach((row, k) => {
+    for (const [key, value] of Object.entries(attributes(row, k))) path.setAttribute(key, value);
+    path = path.nextElementSibling;
+  });
 }
 
 /** Put a handle at a point, and say what it is and how it is moved. */
 export function place(stage, handle, [x, y], heading, name, how) {
   const [px, py] = stage.at([x, y]);
-  handle.setAttribute("transform", `translate(${px.toFixed(1)} ${py.toFixed(1)}) rotate(${(-heading * 180 / Math.PI).toFixed(1)})`);
+  const turned = `translate(${px.toFixed(1)} ${py.toFixed(1)}) rotate(${(-heading * 180 / Math.PI).toFixed(1)})`;
+  // most handles stay where they are while one is dragged
+  if (handle.getAttribute("transform") === turned) return;
+  handle.setAttribute("transform", turned);
   handle.setAttribute("aria-label", `${name}: ${x.toFixed(2)}, ${y.toFixed(2)}; ${how}`);
 }
 
