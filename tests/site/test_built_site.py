@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import threading
 import tomllib
@@ -11,9 +12,12 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from chromium import Chromium, find_browser
+from matplotlib.image import imread
 
 SITE = Path(__file__).parents[2] / "site"
 BROWSER = find_browser()
@@ -194,3 +198,68 @@ def test_labels_of_figures_are_japanese_on_japanese_pages() -> None:
     missing = {label: figure.name for figure in figures for label in labels.missing(figure.read_text())}
     assert missing == {}
     assert "真値" in (SITE / "figures" / "method" / "graph" / "problem" / "trajectories-0.ja.svg").read_text()
+
+
+#: each formula in sight: its HTML, the size of its letters, and the places of its parts on the page, as far as they show [px]
+FORMULAS = """((selector) => [...document.querySelectorAll(selector)].filter((f) => f.checkVisibility()).map((formula) => {
+    const right = formula.closest("div.formula")?.getBoundingClientRect().right ?? Infinity;
+    const boxes = [...formula.querySelectorAll(".base")].map((part) => {
+        const box = part.getBoundingClientRect();
+        return [box.x + scrollX, box.y + scrollY, Math.min(box.width, right - box.x), box.height];
+    });
+    return [formula.outerHTML, getComputedStyle(formula).fontSize, boxes];
+}))"""
+#: the same formulas with the style sheet of KaTeX alone, one below the other
+REFERENCE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,"><link rel="stylesheet" href="{katex}">
+<style>body {{ margin: 20px; background: white; color: black }} p {{ margin: 0 0 24px; white-space: nowrap }}</style>
+{lines}"""
+
+
+def ink(picture: Any, box: Any) -> Any:
+    """Where a picture (height, width) is dark, in a box and a margin of two pixels around it."""
+    x, y, width, height = (round(number) for number in box)
+    return picture[max(y - 2, 0) : y + height + 2, max(x - 2, 0) : x + width + 2] < 0.65
+
+
+def uncovered(ink: Any, other: Any) -> float:
+    """The part of the ink that has none of the other one within two pixels."""
+    rows, columns = (min(a, b) for a, b in zip(ink.shape, other.shape))
+    near = np.zeros((rows, columns), dtype=bool)
+    for dy in range(-2, 3):
+        for dx in range(-2, 3):
+            near |= np.roll(other[:rows, :columns], (dy, dx), (0, 1))
+    own = ink[:rows, :columns]
+    return float(np.sum(own & ~near) / max(np.sum(own), 1))
+
+
+@pytest.mark.parametrize("chapter", ["method/graph", "method/fastslam", "beyond"])
+def test_formulas_look_as_katex_draws_them_alone(chapter: str, address: str, browser: Chromium, tmp_path: Path) -> None:
+    def look(page: str, selector: str) -> tuple[list[Any], Any]:
+        browser.send("Page.navigate", url=f"{address}/{page}")
+        browser.wait_for(f"document.readyState === 'complete' && document.querySelector({selector!r}) !== null")
+        browser.evaluate("document.fonts.ready")
+        shown = browser.evaluate(f"{FORMULAS}({selector!r})")
+        browser.screenshot(tmp_path / "page.png")
+        return shown, imread(tmp_path / "page.png")[:, :, :3].mean(axis=2)
+
+    browser.resize(1300, 900)
+    browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "light"}])
+    wrong, compared = [], 0
+    for page in [page for page in PAGES if page.rsplit("/", 1)[0] == chapter]:
+        shown, picture = look(f"{page}/", "article .formula .katex")
+        sized = (html.replace("<span", f'<span style="font-size: {size}"', 1) for html, size, _ in shown)
+        lines = "".join(f"<p>{html}</p>" for html in sized)
+        text = REFERENCE.format(katex=f"{address}/_site/katex/katex.min.css", lines=lines)
+        (SITE / "reference.html").write_text(text)
+        alone, reference = look("reference.html", "p .katex")
+        for (html, _, ours), (_, _, theirs) in zip(shown, alone, strict=True):
+            for box, place in zip(ours, theirs, strict=True):
+                if box[2] < 2:  # out of sight
+                    continue
+                inks = ink(picture, box), ink(reference, [*place[:2], min(place[2], box[2]), place[3]])
+                compared += 1
+                if abs(box[3] - place[3]) > 1 or max(uncovered(*inks), uncovered(*inks[::-1])) > 0.02:
+                    wrong.append((page, re.sub("<.*?>", "", html)[-60:], [round(v) for v in box]))
+    (SITE / "reference.html").unlink()
+    assert compared > 100
+    assert wrong == []
