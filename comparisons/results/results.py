@@ -19,7 +19,7 @@ from fastslam.particles import FilterResult, Samples
 from graphslam import Certificate, FormatError, Graph, Log, MotionModel, SlamError, Solution, certify
 from graphslam.association import Association
 from graphslam.errors import printable
-from graphslam.graph.localization import drifted
+from graphslam.graph.stretch import drifted
 from graphslam.identification.declared import ParameterEstimate
 from graphslam.metrics import Errors
 from graphslam.se2 import Array, compose, inverse, rotation, wrap

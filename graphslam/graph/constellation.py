@@ -18,14 +18,14 @@ approach*, ICRA 2000; MacKay, *Information Theory, Inference, and Learning Algor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..se2 import Array, rotation, wrap
+from ..se2 import Array, rotation, transform, wrap
 from .landmark_map import LandmarkMap
-from .registration import GATE, RIGHT, Match, Points, refined, through
+from .registration import GATE, RIGHT, Match, Points, distinct, refined, those_that_differ, through, volume
 
 #: the pairs of measurements that make hypotheses, how often each measurement is in one, and the most matches of a pair
 PAIRS, USED, MATCHES = 16, 3, 5_000
@@ -36,7 +36,9 @@ WIDE = 2.5
 #: the landmarks of the map that a measurement may be of
 NEAR = 8
 #: cells of the table of the nearest landmark
-CELLS = 160_000
+CELLS = 40_000
+#: how often partners are chosen again
+ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +157,10 @@ def merged(y: Array, sensed: Array, drift: Array, steps: np.ndarray) -> Merged:
 
 
 def match(landmarks: Merged, known: Constellations) -> list[tuple[Match, np.ndarray]]:
-    """The poses T that differ, by decreasing evidence, each with the number (K,) in the map of each landmark's partner."""
+    """The poses T that differ, by decreasing evidence, each with the landmarks (K,) that have none of the map nearby.
+
+    A landmark that neither agrees nor contradicts is a second one at the same place.
+    """
     order = np.argsort(-landmarks.counts, kind="stable")[:SCORED]
     y, C = landmarks.places[order], landmarks.covariances[order]
     variance = np.trace(C[:, :2, :2], axis1=1, axis2=2) / 2
@@ -163,25 +168,12 @@ def match(landmarks: Merged, known: Constellations) -> list[tuple[Match, np.ndar
     poses = _hypotheses(y[:, :2], variance, known)
     if not len(poses):
         return []
-    moved = np.einsum("hij,kj->hki", rotation(poses[:, 2]), y[:, :2]) + poses[:, None, :2]
+    moved = transform(poses[:, None], y)
     near = known.near(moved)
     squares = np.sum((moved - known.places[near, :2]) ** 2, axis=2) / variance
-    gain = np.maximum(0.0, GATE - squares).sum(axis=1)
-    found: list[tuple[Match, np.ndarray]] = []
-    left, tried = REFINED, list[np.ndarray]()
-    for k in np.argsort(-gain, kind="stable").tolist():
-        partners = np.where(squares[k] <= GATE, near[k], -1)
-        # the same partners lead to the same place
-        if any(2 * np.sum((partners == each) & (partners >= 0)) > np.sum(partners >= 0) for each in tried):
-            continue
-        tried.append(partners)
-        result = _refined(landmarks, known, poses[k])
-        if result is not None and all(result[0].differs(other) for other, _ in found):
-            found.append(result)
-        left -= 1
-        if left == 0:
-            break
-    return sorted(found, key=lambda each: -each[0].evidence)
+    first = distinct(squares, np.where(squares <= GATE, near + 1, 0), REFINED)
+    matches, alone = _refined(landmarks, known, poses[first])
+    return [(each, alone[k]) for k, each in those_that_differ(matches)]
 
 
 def _hypotheses(y: Array, variance: Array, known: Constellations) -> Array:
@@ -209,34 +201,44 @@ def _hypotheses(y: Array, variance: Array, known: Constellations) -> Array:
     return np.concatenate(chosen) if chosen else np.zeros((0, 3))
 
 
-def _refined(landmarks: Merged, known: Constellations, pose: Array) -> tuple[Match, np.ndarray] | None:
-    """A hypothesis after Gauss-Newton with the nearest landmark for each measurement, and these partners."""
-    result: Match | None = None
-    for _ in range(3):
-        moved = landmarks.places[:, :2] @ rotation(pose[2]).T + pose[:2]
+def _refined(landmarks: Merged, known: Constellations, poses: Array) -> tuple[list[Match | None], np.ndarray]:
+    """Hypotheses (H, 3) after Gauss-Newton with the nearest landmark for each measurement, and (H, K) those without one."""
+    matches: list[Match | None] = []
+    count = len(landmarks.places)
+    for _ in range(ROUNDS):
+        moved = transform(poses[:, None], landmarks.places)
         distance, partner = known.tree.query(moved)
         # one landmark is seen once: the nearest measurement has it
         order = np.lexsort((distance, partner))
-        again = np.zeros(len(partner), dtype=bool)
-        again[order[1:]] = partner[order[1:]] == partner[order[:-1]]
-        places = known.places[partner].copy()
+        in_order = np.take_along_axis(partner, order, axis=1)
+        again = np.zeros(partner.shape, dtype=bool)
+        np.put_along_axis(again, order[:, 1:], in_order[:, 1:] == in_order[:, :-1], axis=1)
+        places = known.places[partner]
         places[again, :2] += 1e6
-        points = Points(
-            landmarks.places, landmarks.covariances, places, known.covariances[partner], known.ids[partner], known.area
+        matches = refined(
+            Points(
+                landmarks.places,
+                landmarks.covariances,
+                places,
+                known.covariances[partner],
+                np.arange(count),
+                known.area,
+            ),
+            poses,
         )
-        result = refined(points, pose)
-        if result is None:
-            return None
-        pose = result.pose
-    assert result is not None
-    moved = landmarks.places[:, :2] @ rotation(pose[2]).T + pose[:2]
-    _, partners = known.tree.query(moved, k=min(NEAR, len(known.ids)))
-    partners = partners.reshape(len(moved), -1)
-    turn = rotation(pose[2])
-    V = turn @ landmarks.covariances[:, :2, :2] @ turn.T
-    V = V[:, None] + known.covariances[partners][:, :, :2, :2]
-    e = moved[:, None] - known.places[partners][:, :, :2]
-    squares = np.einsum("kni,knij,knj->kn", e, np.linalg.inv(V), e)
+        poses = np.array([pose if match is None else match.pose for match, pose in zip(matches, poses)])
+    moved = transform(poses[:, None], landmarks.places)
+    partners = known.tree.query(moved, k=np.arange(1, min(NEAR, len(known.ids)) + 1))[1]
+    turn = rotation(poses[:, 2])[:, None]
+    V = turn @ landmarks.covariances[:, :2, :2] @ np.swapaxes(turn, 2, 3)
+    V = V[:, :, None] + known.covariances[partners][..., :2, :2]
+    e = moved[:, :, None] - known.places[partners][..., :2]
+    squares = np.einsum("hkni,hknij,hknj->hkn", e, np.linalg.inv(V), e, optimize=True)
     densities = np.exp(-squares / 2) / (2 * np.pi * np.sqrt(np.linalg.det(V)))
-    seen = np.log(RIGHT * densities.sum(axis=1) * known.area / len(known.ids) + 1 - RIGHT)
-    return Match(result.pose, result.covariance, result.agree, float(seen.sum() + result.volume(known.area))), partner
+    seen = np.log(RIGHT * densities.sum(axis=2) * known.area / len(known.ids) + 1 - RIGHT)
+    # two that were not merged, but are at one landmark, are one sighting of it
+    seen = np.where(again, np.minimum(seen, 0.0), seen).sum(axis=1)
+    return [
+        None if match is None else replace(match, evidence=float(s + volume(match.covariance, known.area)))
+        for match, s in zip(matches, seen)
+    ], squares.min(axis=2) > GATE

@@ -18,10 +18,11 @@ from ..errors import GraphError
 from ..errors.checks import check_type, listed
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, rotation, turn_matrix, wrap
+from ..se2 import Array, between, compose, turn_matrix, wrap
 from .constellation import Constellations, Merged, match, merged
 from .landmark_map import LandmarkMap, as_map
 from .registration import STEPS, Match, Points, linear, register
+from .stretch import Drift, Stretch
 
 #: odds from which a fix is taken at once, and below which there is none even after all sightings
 SURE, LEAST = 1e3, 1.0
@@ -35,6 +36,8 @@ GROWTH = 1.5
 BEGIN, LONGEST, FEWEST = 8, 400, 4
 #: windows that begin later on the way, and the sightings between their beginnings
 WINDOWS, LATER = 16, 40
+#: odds from which a place is as likely as others
+ALIKE = 0.05
 #: attempts with more sightings and less evidence after which no more are taken
 PATIENCE = 3
 
@@ -77,7 +80,7 @@ class Fix:
 
 
 def first_fix(
-    log: Log,
+    log: Log | Stretch,
     landmarks: LandmarkMap | Mapping[int, Array] | str | PathLike[str],
     *,
     motion: MotionModel | None = None,
@@ -86,8 +89,8 @@ def first_fix(
     """The first pose of a log in the frame of a map, from sightings of its landmarks; the log's own first pose is not used.
 
     Args:
-        log: with ids of the map's landmarks; sightings of other landmarks are not used. Without ids the constellation of the
-            first sightings says where the log begins, see `possible_fixes`.
+        log: with ids of the map's landmarks, or a `Stretch` of one; sightings of other landmarks are not used. Without ids
+            the constellation of the first sightings says where the log begins, see `possible_fixes`.
         landmarks: the map, in any form that `Graph.from_log` takes.
         motion, sensor: the noise models; default: those of the log, else the book's.
 
@@ -95,15 +98,11 @@ def first_fix(
         GraphError: the log sees no landmark of the map or too few, or no place in the map fits what it sees, or several do;
             the message names the likely cause, or the places and their odds.
     """
-    check_is_log(log)
-    check_type(MotionModel, motion=motion)
-    check_type(SensorModel, sensor=sensor)
-    landmarks = as_map(landmarks)
+    landmarks, log, sensor = as_map(landmarks), *_stretch(log, motion, sensor)
     if not log.identified:
-        return _sure(log, possible_fixes(log, landmarks, motion=motion, sensor=sensor))
+        return _sure(log, possible_fixes(log, landmarks, sensor=sensor))
     rows = _rows(log, landmarks)
-    sensor = sensor or log.sensor or SensorModel()
-    count, drift = 1, _Drift(log, motion)
+    count, drift = 1, Drift(log)
     while True:
         count = min(max(count + 1, int(count * GROWTH)), len(rows))
         step = int(log.steps[rows[count - 1]])
@@ -130,7 +129,7 @@ def first_fix(
 
 
 def possible_fixes(
-    log: Log,
+    log: Log | Stretch,
     landmarks: LandmarkMap | Mapping[int, Array] | str | PathLike[str],
     *,
     motion: MotionModel | None = None,
@@ -152,28 +151,34 @@ def possible_fixes(
     Raises:
         GraphError: the map or the log is empty.
     """
-    landmarks, sensor = as_map(landmarks), sensor or log.sensor or SensorModel()
+    landmarks, log, sensor = as_map(landmarks), *_stretch(log, motion, sensor)
     _check_not_empty(log, landmarks)
     known = Constellations.of(landmarks, float(np.quantile(log.sightings[:, 0], 0.98)))
-    first, drift = list[Fix](), _Drift(log, motion)
+    best, drift = list[Fix](), Drift(log)
     in_order = np.sort(log.steps)
     for begin in range(0, min(WINDOWS * LATER, len(in_order)), LATER):
         step = int(in_order[begin]) if begin else 0
-        fixes = _fixes_here(log.at_steps(np.arange(step, log.num_poses)), known, motion, sensor)
+        fixes = _fixes_here(log.after(step), known, sensor)
         drift.go_to(step)
         fixes = [_carried_back(fix, step, drift, np.flatnonzero(log.steps >= step)) for fix in fixes]
+        # each window is another chance for a place that only looks right
+        fixes = [replace(fix, odds=fix.odds / (1 + begin // LATER)) for fix in fixes]
         if fixes and fixes[0].odds > SURE:
             return fixes
-        first = first or fixes
         # two places that are alike: other sightings are unlikely to tell them apart
-        if sum(fix.odds / (1 + fix.odds) for fix in fixes) > 1 - 1 / SURE:
+        if (
+            sum(fix.odds > ALIKE for fix in fixes) > 1
+            and sum(fix.odds / (1 + fix.odds) for fix in fixes) > 1 - 1 / SURE
+        ):
             return fixes
-    return first
+        if fixes and (not best or fixes[0].odds > best[0].odds):
+            best = fixes
+    return best
 
 
-def _fixes_here(log: Log, known: Constellations, motion: MotionModel | None, sensor: SensorModel) -> list[Fix]:
+def _fixes_here(log: Stretch, known: Constellations, sensor: SensorModel) -> list[Fix]:
     """The same from the first step of a log on alone."""
-    drift, count = _Drift(log, motion), BEGIN
+    drift, count = Drift(log), BEGIN
     whole = min(LONGEST, len(log.steps))
     attempts: list[tuple[float, np.ndarray, int, Merged, list[tuple[Match, np.ndarray]]]] = []
     order = np.argsort(log.steps, kind="stable")
@@ -189,8 +194,8 @@ def _fixes_here(log: Log, known: Constellations, motion: MotionModel | None, sen
         best = found[0][0] if found else None
         sure = False
         if best is not None and _odds([each for each, _ in found]) > SURE:
-            fits = int(np.sum(best.agree))
-            sure = fits >= max(FEWEST, np.sum(seen.counts[~best.agree] > 1) + 1) and 2 * fits > len(best.agree)
+            fits, against = int(np.sum(best.agree)), found[0][1]
+            sure = fits >= max(FEWEST, np.sum(seen.counts[against] > 1) + 1) and fits > np.sum(against)
         attempts.append((best.evidence if best else -np.inf, rows, step, seen, found))
         # the errors of a long way hide a constellation
         since = len(attempts) - 1 - int(np.argmax([each[0] for each in attempts]))
@@ -200,16 +205,15 @@ def _fixes_here(log: Log, known: Constellations, motion: MotionModel | None, sen
     if not sure:
         _, rows, step, seen, found = max(attempts, key=lambda each: each[0])
     evidence, fixes = np.array([each.evidence for each, _ in found]), []
-    for k, (each, _) in enumerate(found):
+    for k, (each, against) in enumerate(found):
         others = float(np.logaddexp.reduce([0.0, *np.delete(evidence, k)]))
         odds = float(np.exp(np.clip(each.evidence - others, -700.0, 700.0)))
-        near = each.agree[seen.which]
-        agree, disagree = rows[near], rows[~near]
+        agree, disagree = rows[each.agree[seen.which]], rows[against[seen.which]]
         fixes.append(Fix(each.pose, each.covariance, step, agree, disagree, odds if sure else min(odds, SURE)))
     return fixes
 
 
-def _carried_back(fix: Fix, step: int, drift: _Drift, rows: np.ndarray) -> Fix:
+def _carried_back(fix: Fix, step: int, drift: Drift, rows: np.ndarray) -> Fix:
     """The fix of a pose on the way as one of the first pose; ``rows`` are those of the log's sightings from there on."""
     if step == 0:
         return fix
@@ -224,7 +228,7 @@ def _carried_back(fix: Fix, step: int, drift: _Drift, rows: np.ndarray) -> Fix:
     )  # fmt: skip
 
 
-def _sure(log: Log, fixes: list[Fix]) -> Fix:
+def _sure(log: Stretch, fixes: list[Fix]) -> Fix:
     """The first of the places where a log may begin.
 
     Raises:
@@ -264,62 +268,17 @@ def registered(
     return moved
 
 
-def drifted(start: Array, motions: Array, noise: Array, covariance: Array | None = None) -> tuple[Array, Array]:
-    """The poses (T+1, 3) after motions (T, 3), and their covariances (T+1, 3, 3), in world axes.
-
-    Sigma_{t+1} = F Sigma F' + J Q J', where m is the motion in the axes of pose t, Q (T, 3, 3) its covariance,
-    F = d compose(x, m) / dx and J = d compose(x, m) / dm.
-    """
-    poses, covariances = [start], [np.zeros((3, 3)) if covariance is None else covariance]
-    for m, Q in zip(motions, noise):
-        before, after = poses[-1], compose(poses[-1], m)
-        F = np.array([[1, 0, before[1] - after[1]], [0, 1, after[0] - before[0]], [0, 0, 1]])
-        J = np.eye(3)
-        J[:2, :2] = rotation(before[2])
-        poses.append(after)
-        covariances.append(F @ covariances[-1] @ F.T + J @ Q @ J.T)
-    return np.array(poses), np.array(covariances)
+def _stretch(log: Log | Stretch, motion: MotionModel | None, sensor: SensorModel | None) -> tuple[Stretch, SensorModel]:
+    """The motions and sightings of a log, and the model of its sensor."""
+    check_type(MotionModel, motion=motion)
+    check_type(SensorModel, sensor=sensor)
+    if isinstance(log, Stretch):
+        return log, sensor or SensorModel()
+    check_is_log(log)
+    return Stretch.of(log, motion), sensor or log.sensor or SensorModel()
 
 
-class _Drift:
-    """Poses (T+1, 3) seen from the first one, and their covariances (T+1, 3, 3), as far as they are asked for."""
-
-    def __init__(self, log: Log, motion: MotionModel | None) -> None:
-        self.poses, self.covariances = np.zeros((1, 3)), np.zeros((1, 3, 3))
-        self._motions = None
-        if log.controls is not None:
-            self._motions = log.motions(motion)
-        else:
-            # without odometry the initial poses are all there is
-            self.poses = between(log.initial_poses[0], log.initial_poses)
-            self.covariances = np.zeros((log.num_poses, 3, 3))
-
-    def go_to(self, step: int) -> None:
-        """Compute them up to a step, or farther."""
-        done = len(self.poses) - 1
-        if self._motions is None or step <= done:
-            return
-        motions, noise = (part[done : max(step, 2 * done)] for part in self._motions)
-        more = drifted(self.poses[-1], motions, noise, self.covariances[-1])
-        self.poses = np.concatenate([self.poses, more[0][1:]])
-        self.covariances = np.concatenate([self.covariances, more[1][1:]])
-
-    def between(self, steps: np.ndarray) -> Array:
-        """The covariances (K, K, 3, 3) between the poses at steps (K,), not decreasing.
-
-        The errors of an earlier pose s move a later pose t by [[1, 0, y_s - y_t], [0, 1, x_t - x_s], [0, 0, 1]].
-        """
-        x, own = self.poses[steps], self.covariances[steps]
-        moved = np.tile(np.eye(3), (len(x), len(x), 1, 1))
-        moved[:, :, 0, 2] = x[:, None, 1] - x[None, :, 1]
-        moved[:, :, 1, 2] = x[None, :, 0] - x[:, None, 0]
-        # rows are the earlier poses
-        upper = own[:, None] @ np.swapaxes(moved, 2, 3)
-        later = np.arange(len(x))[:, None] > np.arange(len(x))
-        return np.where(later[:, :, None, None], np.transpose(upper, (1, 0, 3, 2)), upper)
-
-
-def _check_not_empty(log: Log, landmarks: LandmarkMap) -> None:
+def _check_not_empty(log: Stretch, landmarks: LandmarkMap) -> None:
     for missing, name in (
         (not landmarks, "the map has no landmarks"),
         (not len(log.steps), f"{log.name} has no sightings"),
@@ -328,12 +287,12 @@ def _check_not_empty(log: Log, landmarks: LandmarkMap) -> None:
             raise GraphError(f"{name}, so that the robot cannot be found in the map")
 
 
-def _rows(log: Log, landmarks: LandmarkMap) -> np.ndarray:
+def _rows(log: Stretch, landmarks: LandmarkMap) -> np.ndarray:
     """The rows of the sightings of landmarks of the map."""
     _check_not_empty(log, landmarks)
     rows = np.flatnonzero(np.isin(log.landmarks, list(landmarks)))
     if len(rows) == 0:
-        seen, known = (listed("landmark", sorted(ids), most=4) for ids in (log.landmark_ids.tolist(), landmarks))
+        seen, known = (listed("landmark", sorted(ids), most=4) for ids in (set(log.landmarks.tolist()), landmarks))
         raise GraphError(
             f"{log.name} sees no landmark of the map: it sees {seen}, and the map has {known}; is it the map of another "
             "place, or are the ids numbered otherwise?"
@@ -341,14 +300,14 @@ def _rows(log: Log, landmarks: LandmarkMap) -> np.ndarray:
     return rows
 
 
-def _points(log: Log, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, drift: _Drift) -> Points:
+def _points(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, drift: Drift) -> Points:
     at = log.steps[rows]
     seen = _seen(drift.poses[at], log.sightings[rows], sensor)
     return _of(seen, drift.covariances[at], log.landmarks[rows], landmarks)
 
 
 def _noise(
-    log: Log, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, drift: _Drift
+    log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, drift: Drift
 ) -> tuple[Array, Array]:
     """The covariances (K, K, 3, 3) of sightings from one another: of the drive and the sensor, and of the map.
 
@@ -438,7 +397,7 @@ def _odds(matches: list[Match]) -> float:
     return float(np.exp(np.minimum(matches[0].evidence - others, 700.0)))
 
 
-def _no_fix(log: Log, points: Points, matches: list[Match]) -> GraphError:
+def _no_fix(log: Stretch, points: Points, matches: list[Match]) -> GraphError:
     """The reason why no place in the map fits, with the likely cause."""
     count = len(np.unique(points.ids))
     if count == 1 and not points.oriented.any():

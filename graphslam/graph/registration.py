@@ -18,11 +18,11 @@ MacKay, *Information Theory, Inference, and Learning Algorithms*, chapter 28.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
+from ..se2 import Array, perpendicular, rotation, transform, turn_matrix, wrap
 
 #: the probability that a measurement belongs to the landmark that its id says
 RIGHT = 0.8
@@ -30,6 +30,8 @@ RIGHT = 0.8
 GATE = 9.21
 #: the most measurements that make hypotheses, the hypotheses that are refined, and the steps of each
 MOST, REFINED, STEPS = 60, 8, 8
+#: the condition number of the information of a pose from which it is not determined
+ALONE = 1e14
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class Points:
 
     Attributes:
         measured, covariances: (K, 3) and (K, 3, 3) where they are in the frame of the measurements; headings may be NaN.
-        places, place_covariances: the same in the map, zero covariances where it is exact.
+        places, place_covariances: the same in the map, zero covariances where it is exact; or of each hypothesis, (H, K, 3).
         ids: (K,) of the landmarks.
         area: of the map [m²].
     """
@@ -60,7 +62,7 @@ class Points:
     @property
     def oriented(self) -> np.ndarray:
         """Whether both headings are known (K,)."""
-        return np.isfinite(self.measured[:, 2]) & np.isfinite(self.places[:, 2])
+        return np.asarray(np.isfinite(self.measured[:, 2]) & np.isfinite(self.places[..., 2]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,17 +74,6 @@ class Match:
     agree: np.ndarray
     evidence: float
 
-    def volume(self, area: float) -> float:
-        """log of the share of the poses in a map of this area [m²] that the covariance leaves; see the module."""
-        # the poses in the map are all that there are, however open the measurements leave T
-        return min(0.0, float(np.linalg.slogdet(2 * np.pi * self.covariance)[1] / 2 - np.log(2 * np.pi * area)))
-
-    def differs(self, other: Match) -> bool:
-        """Whether another hypothesis is another place, and not the same one refined from elsewhere."""
-        way = self.pose - other.pose
-        way[2] = wrap(way[2])
-        return float(way @ np.linalg.solve(self.covariance + other.covariance, way)) > GATE
-
 
 def register(points: Points) -> list[Match]:
     """The hypotheses that differ, by decreasing evidence; none where no two landmarks agree with any."""
@@ -93,21 +84,41 @@ def register(points: Points) -> list[Match]:
     if not len(poses):
         return []
     squares = _squares(chosen, poses, _variances(chosen))
+    first = distinct(squares, squares <= GATE, REFINED)
+    return [match for _, match in those_that_differ(refined(points, poses[first]))]
+
+
+def distinct(squares: Array, near: np.ndarray, most: int) -> np.ndarray:
+    """The numbers of the best of H hypotheses, at most so many, that have different measurements near.
+
+    Args:
+        squares: (H, K) squared Mahalanobis distances.
+        near: (H, K) what each measurement is near to, 0 for nothing. The same measurements lead to the same place.
+    """
     gain = np.maximum(0.0, GATE - squares).sum(axis=1)
-    found: list[Match] = []
-    left = REFINED
-    for k in np.argsort(-gain, kind="stable").tolist():
-        near = squares[k] <= GATE
-        # the same measurements lead to the same place
-        if any(2 * np.sum(near & match.agree[rows]) > np.sum(near) for match in found):
-            continue
-        match = refined(points, poses[k])
-        if match is not None and all(match.differs(other) for other in found):
-            found.append(match)
-        left -= 1
-        if left == 0:
-            break
-    return sorted(found, key=lambda match: -match.evidence)
+    best = np.argsort(-gain, kind="stable")[: 40 * most]
+    near, left, kept = near[best], np.ones(len(best), dtype=bool), list[int]()
+    count = np.sum(near > 0, axis=1)
+    while left.any() and len(kept) < most:
+        kept.append(int(np.argmax(left)))
+        left &= 2 * np.sum((near == near[kept[-1]]) & (near > 0), axis=1) <= count
+        left[kept[-1]] = False
+    return np.asarray(best[kept])
+
+
+def those_that_differ(matches: list[Match | None]) -> list[tuple[int, Match]]:
+    """The matches by decreasing evidence, with their numbers, each place once."""
+    found: list[tuple[int, Match]] = []
+    known = [(k, match) for k, match in enumerate(matches) if match is not None]
+    for k, match in sorted(known, key=lambda each: -each[1].evidence):
+        if found:
+            way = match.pose - np.array([other.pose for _, other in found])
+            way[:, 2] = wrap(way[:, 2])
+            V = match.covariance + np.array([other.covariance for _, other in found])
+            if (np.einsum("ki,ki->k", way, np.linalg.solve(V, way[..., None])[..., 0]) <= GATE).any():
+                continue
+        found.append((k, match))
+    return found
 
 
 def _variances(points: Points) -> Array:
@@ -137,7 +148,7 @@ def through(theta: Array, y: Array, m: Array) -> Array:
 
 def _squares(points: Points, poses: Array, variance: Array) -> Array:
     """The squared distances (H, K) of all measurements under all hypotheses, over their variance."""
-    moved = np.einsum("hij,kj->hki", rotation(poses[:, 2]), points.measured[:, :2]) + poses[:, None, :2]
+    moved = transform(poses[:, None], points.measured)
     squares = np.sum((moved - points.places[:, :2]) ** 2, axis=2) / variance
     oriented = points.oriented
     if oriented.any():
@@ -146,48 +157,58 @@ def _squares(points: Points, poses: Array, variance: Array) -> Array:
     return squares
 
 
-def linear(points: Points, pose: Array) -> tuple[Array, Array, Array]:
-    """Residuals (K, 3), information (K, 3, 3) without headings that are not known, and Jacobians (K, 3, 3) by T = pose."""
-    count = len(points.ids)
-    turn = turn_matrix(np.full(count, pose[2]))
-    moved = np.einsum("kij,kj->ki", turn[:, :2, :2], points.measured[:, :2])
-    e = np.zeros((count, 3))
-    e[:, :2] = moved + pose[:2] - points.places[:, :2]
-    known = points.oriented
-    e[known, 2] = wrap(points.measured[known, 2] + pose[2] - points.places[known, 2])
-    C = turn @ points.covariances @ np.swapaxes(turn, 1, 2) + points.place_covariances
-    W = np.zeros((count, 3, 3))
-    W[:, :2, :2] = np.linalg.inv(C[:, :2, :2])
+def linear(points: Points, poses: Array) -> tuple[Array, Array, Array]:
+    """Residuals (..., K, 3) at poses T (..., 3), information without headings that are unknown, Jacobians (..., K, 3, 3)."""
+    turn = turn_matrix(poses[..., 2])[..., None, :, :]
+    moved = (turn[..., :2, :2] @ points.measured[:, :2, None])[..., 0]
+    e, known = np.zeros((*moved.shape[:-1], 3)), np.broadcast_to(points.oriented, moved.shape[:-1])
+    e[..., :2] = moved + poses[..., None, :2] - points.places[..., :2]
+    off = points.measured[:, 2] + poses[..., None, 2] - points.places[..., 2]
+    e[known, 2] = wrap(off[known])
+    C = turn @ points.covariances @ np.swapaxes(turn, -1, -2) + points.place_covariances
+    W = np.zeros(C.shape)
+    W[..., :2, :2] = np.linalg.inv(C[..., :2, :2])
     W[known] = np.linalg.inv(C[known])
-    J = np.tile(np.eye(3), (count, 1, 1))
-    J[:, :2, 2] = perpendicular(moved)
+    J = np.tile(np.eye(3), (*moved.shape[:-1], 1, 1))
+    J[..., :2, 2] = perpendicular(moved)
     return e, W, J
 
 
-def refined(points: Points, pose: Array) -> Match | None:
-    """A hypothesis after Gauss-Newton over the measurements that agree with it; None where too few do."""
-    agree = np.zeros(len(points.ids), dtype=bool)
+def refined(points: Points, poses: Array) -> list[Match | None]:
+    """Hypotheses (H, 3) after Gauss-Newton over the measurements that agree with them; None where too few do.
+
+    The places of ``points`` may be those of each hypothesis (H, K, 3).
+    """
+    of_landmark = points.ids[:, None] == np.unique(points.ids)
+    agree = np.zeros((len(poses), len(points.ids)), dtype=bool)
+    enough = np.ones(len(poses), dtype=bool)
     for _ in range(STEPS):
-        e, W, J = linear(points, pose)
-        squares = np.einsum("ki,kij,kj->k", e, W, e)
+        e, W, J = linear(points, poses)
+        squares = np.einsum("hki,hkij,hkj->hk", e, W, e, optimize=True)
         before, agree = agree, squares <= GATE
-        if not (len(np.unique(points.ids[agree])) > 1 or np.any(agree & points.oriented)):
-            return None
-        WJ = W[agree] @ J[agree]
-        omega = np.einsum("kji,kjl->il", J[agree], WJ)
-        try:
-            step = -np.linalg.solve(omega, np.einsum("kji,kj->i", WJ, e[agree]))
-        except np.linalg.LinAlgError:
-            return None
-        pose = pose + step
-        if np.array_equal(agree, before) and float(step @ omega @ step) < 1e-12:
+        enough &= (np.sum(agree @ of_landmark, axis=1) > 1) | np.any(agree & points.oriented, axis=1)
+        JW = np.where(agree[..., None, None], np.swapaxes(J, 2, 3) @ W, 0.0)
+        omega = (JW @ J).sum(axis=1)
+        enough &= np.linalg.cond(omega) < ALONE
+        omega[~enough] = np.eye(3)
+        step = -np.linalg.solve(omega, (JW @ e[..., None]).sum(axis=1))[..., 0]
+        step[~enough] = 0.0
+        poses = poses + step
+        still = np.all(agree == before, axis=1) & (np.einsum("hi,hij,hj->h", step, omega, step) < 1e-12)
+        if np.all(still | ~enough):
             break
     P = np.linalg.inv(omega)
-    pose[2] = wrap(pose[2])
-    W, turned = W[agree], points.oriented[agree]
-    densities = np.linalg.slogdet(W[:, :2, :2])[1] / 2 - np.log(2 * np.pi) - squares[agree] / 2
+    poses[:, 2] = wrap(poses[:, 2])
+    densities = np.linalg.slogdet(W[..., :2, :2])[1] / 2 - np.log(2 * np.pi) - squares / 2
     # a wrong heading is anywhere in the circle
-    densities[turned] = (np.linalg.slogdet(W[turned])[1] - np.log(2 * np.pi) - squares[agree][turned]) / 2
-    odds = np.sum(densities + np.log(points.area * RIGHT)) + np.sum(~agree) * np.log(1 - RIGHT)
-    match = Match(pose, P, agree, float(odds))
-    return replace(match, evidence=match.evidence + match.volume(points.area))
+    turned = np.broadcast_to(points.oriented, squares.shape)
+    densities[turned] = (np.linalg.slogdet(W[turned])[1] - np.log(2 * np.pi) - squares[turned]) / 2
+    odds = np.where(agree, densities + np.log(points.area * RIGHT), np.log(1 - RIGHT)).sum(axis=1)
+    evidence = odds + volume(P, points.area)
+    return [Match(poses[h], P[h], agree[h], float(evidence[h])) if enough[h] else None for h in range(len(poses))]
+
+
+def volume(covariances: Array, area: float) -> Array:
+    """log of the share of the poses in a map of this area [m²] that covariances (H, 3, 3) leave; see the module."""
+    # the poses in the map are all that there are, however open the measurements leave T
+    return np.minimum(0.0, np.linalg.slogdet(2 * np.pi * covariances)[1] / 2 - np.log(2 * np.pi * area))

@@ -10,8 +10,12 @@ from numpy.typing import ArrayLike
 
 from ..errors import OptionError, quoted
 from ..errors.checks import real_array
+from ..graph.tracker import Tracker
 from ..linear.precision import inverses
 from ..se2 import Array
+
+#: the variances [m², m², rad²] of a first pose that only a map or absolute positions hold
+ANYWHERE = (1e4, 1e4, 1e2)
 
 #: a measured pose z (3,) of node b in the axes of node a with its information: (a, b, z, Omega)
 Relation = tuple[int, int, Array, Array]
@@ -23,9 +27,11 @@ class Backend(ABC):
     Attributes:
         num_final: the number of poses that cannot change any more, the first ones.
         columns: the number of values of a sighting, 2 or 3; None before the first one.
+        tracker: of the robot in a map, where there is one.
     """
 
     num_final = 0
+    tracker: Tracker | None = None
     columns: int | None
 
     @property

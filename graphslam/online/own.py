@@ -97,7 +97,13 @@ class OwnBackend(Backend):
         self._use_kernel(columns)
         self._landmarks = {j: self.system.add_node() for j in ids}
         nodes = list(self._landmarks.values())
-        self.system.add_prior(nodes, places, np.ascontiguousarray(information), columns == 2)
+        if known.joint is not None:
+            self.system.add_prior(nodes, places, np.ascontiguousarray(information), columns == 2)
+        else:
+            # one prior of all of them would tie them together
+            for k, node in enumerate(nodes):
+                own = np.ascontiguousarray(information[3 * k : 3 * k + 3, 3 * k : 3 * k + 3])
+                self.system.add_prior([node], places[k], own, columns == 2)
         self.system.solve(nodes, self._poses)
 
     def _use_kernel(self, dimension: int | None) -> None:

@@ -13,14 +13,14 @@ from ..edges import CartesianObservationEdges, EdgeFamily, PartialEdges, Positio
 from ..errors import GraphError, OptionError, quoted
 from ..graph import Graph
 from ..graph.defaults import suitable_for_isam2
+from ..graph.integrity import unlocated
+from ..graph.tracker import Tracker
 from ..log import Log
 from ..models import MotionModel
 from ..solvers.corrected import motion_edges
 from ..solvers.solution import Solution, make_solution
+from .backend import ANYWHERE
 from .solver import OnlineSolver, backend_options
-
-#: the variances [m², m², rad²] of a first pose that only a map or absolute positions hold
-ANYWHERE = (1e4, 1e4, 1e2)
 
 
 def replay(log: Log | Graph, *, backend: str = "own", **options: Any) -> Iterator[OnlineSolver]:
@@ -140,8 +140,19 @@ def _by_own(graph: Graph, options: dict[str, Any]) -> Iterator[OnlineSolver]:
     seen = sighted.relative
     relations = _Arriving.of(graph)
 
+    log, noise = graph.log, np.linalg.inv(motions.information)
+    tracker: Tracker | None = None
+    if known and log is not None and graph.sensor is not None:
+        backend.tracker = tracker = unlocated(known, graph.sensor, graph.initial[0])
+
     def add(step: int, now: np.ndarray) -> None:
         motion = (step - 1, step, motions.measured[step - 1], motions.information[step - 1]) if step else None
+        if tracker is not None:
+            if motion:
+                tracker.pose = backend.pose
+                tracker.move(motion[2], noise[step - 1])
+            if len(now) and log is not None:
+                tracker.see(step, now, ids[now], log.sightings[graph.sighting_rows[now]])
         backend.update(motion, step, ids[now].tolist(), seen.measured[now], seen.information[now])
         for edges, row in relations.at(step):
             ends = int(edges.first[row]), int(edges.second[row])

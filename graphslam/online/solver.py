@@ -5,22 +5,28 @@ from __future__ import annotations
 import inspect
 import sys
 from copy import deepcopy
+from functools import partial
 from importlib import import_module
 from numbers import Real
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import expit
 
+from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_choice, check_count, check_positive, check_type, suggestion
+from ..graph.integrity import beyond, inflation
+from ..graph.landmark_map import as_map
 from ..linear.precision import check_model, inverses
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..marginals import ids_of, split
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, wrap
 from .backend import Backend, array_or_none, information_of, numbers
+from .localizer import Localizer
 
 #: the backends; each is a module of this package
 BACKENDS = ("own", "isam2")
@@ -37,8 +43,12 @@ class OnlineSolver:
 
     A call is refused as a whole: with the backend "own", the solver then is as it was before.
 
+    In a map (``map``) the robot need not know where it is: without ``start`` its poses are those from the origin, until its
+    sightings say surely where in the map it began (`located`), and are in the map then. Sightings may have no ids there. A
+    robot that is lifted is found again. `integrity_risk` is the probability that the pose is off by more than a bound.
+
     Args:
-        start: the first pose (3,).
+        start: the first pose (3,); default: the origin, or unknown in a map.
         backend: "own": the project's solver, `online.own.OwnBackend`, whose estimate is a minimum of J after every call.
             "isam2": GTSAM's ISAM2, `online.isam2.Isam2Backend`, which relinearises what moves by more than a threshold.
         motion, sensor: the noise models; default: the book's.
@@ -54,7 +64,7 @@ class OnlineSolver:
 
     def __init__(
         self,
-        start: ArrayLike = (0.0, 0.0, 0.0),
+        start: ArrayLike | None = None,
         *,
         backend: str = "own",
         motion: MotionModel | None = None,
@@ -64,7 +74,7 @@ class OnlineSolver:
         **options: Any,
     ) -> None:
         check_positive(motion_weight=motion_weight)
-        kind = backend_class(backend)
+        kind: Any = backend_class(backend)
         known = backend_options(backend)
         for name in options:
             if name not in known:
@@ -75,7 +85,16 @@ class OnlineSolver:
         self.motion = _model("motion", motion, MotionModel)
         self.sensor = _model("sensor", sensor, SensorModel)
         self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
-        self._backend: Backend = kind(numbers("start", start, (3,)), self.sensor, self.kernel, **options)
+        first = None if start is None else numbers("start", start, (3,))
+        self._backend: Backend
+        if (in_map := options.pop("map", None)) is not None:
+            held = options.pop("start_covariance", None)
+            # without a covariance the start is exact
+            held = np.linalg.inv(ANCHOR_INFORMATION) if held is None else held
+            make = partial(kind, sensor=self.sensor, kernel=self.kernel, **options)
+            self._backend = cast(Backend, Localizer(make, as_map(in_map), self.sensor, first, held))
+        else:
+            self._backend = kind(np.zeros(3) if first is None else first, self.sensor, self.kernel, **options)
         #: the times of the latest call and of the newest pose, not a number where it is unknown
         self._time, self._arrived = -np.inf, np.nan
 
@@ -138,12 +157,12 @@ class OnlineSolver:
         self._time = float(np.fmax(clock, self._arrived))
 
     def observe(
-        self, ids: ArrayLike, sightings: ArrayLike, *, pose: int | None = None, time: float | None = None
+        self, ids: ArrayLike | None, sightings: ArrayLike, *, pose: int | None = None, time: float | None = None
     ) -> None:
         """Add sightings of landmarks.
 
         Args:
-            ids: the landmarks (K,).
+            ids: the landmarks (K,); in a map None, or `graphslam.log.UNIDENTIFIED` for some, where the map has to say it.
             sightings: (K, 2 or 3), what the sensor measures.
             pose: the number of the pose from which they are seen; default: the newest.
             time: of the sightings [s], not before all times so far.
@@ -223,6 +242,11 @@ class OnlineSolver:
         return self._backend.num_poses - 1
 
     @property
+    def located(self) -> bool:
+        """Whether poses are in the frame of the map; without a map, False."""
+        return self._backend.tracker is not None
+
+    @property
     def num_final(self) -> int:
         """The number of poses that are final, the first ones, because they are older than the lag."""
         return self._backend.num_final
@@ -287,6 +311,24 @@ class OnlineSolver:
         matrix = self._backend.covariance(steps, ids)
         return matrix if joint else split(matrix, poses, landmarks)
 
+    def integrity_risk(self, metres: float, radians: float = np.inf) -> float:
+        """The probability that the newest pose is off by more than the bounds, in a map; 1 before the robot is `located`.
+
+        `graph.integrity` has the equations.
+
+        Args:
+            metres: the bound on the position.
+            radians: the bound on the heading.
+
+        Raises:
+            GraphError: there is no map, or the edges do not determine the pose. OptionError: a bound is not positive.
+        """
+        tracker = self._backend.tracker
+        if tracker is None and not isinstance(self._backend, Localizer):
+            raise GraphError("integrity_risk needs a map: without one, poses are known against the first pose only")
+        off = beyond(np.eye(3) if tracker is None else inflation(tracker.squares) * self.covariance(), metres, radians)
+        return 1.0 if tracker is None else float(1 - expit(tracker.log_odds) * (1 - off))
+
     # -- checks ------------------------------------------------------------------------------------------------------
 
     def _checked_time(self, time: float | None, *, later: bool = False) -> float:
@@ -308,7 +350,10 @@ class OnlineSolver:
                 f"{self.num_final} on can be used. Choose a longer lag"
             )
 
-    def _checked(self, ids: ArrayLike, sightings: ArrayLike) -> tuple[list[int], Array]:
+    def _checked(self, ids: ArrayLike | None, sightings: ArrayLike) -> tuple[list[int], Array]:
+        in_map = isinstance(self._backend, Localizer)
+        if ids is None and in_map:
+            ids = np.full(len(np.atleast_2d(np.asarray(sightings))), UNIDENTIFIED)
         try:
             landmarks = np.atleast_1d(np.asarray(ids))
         except ValueError:
@@ -318,7 +363,7 @@ class OnlineSolver:
             return [], np.zeros((0, columns or 2))
         if landmarks.size and (landmarks.dtype.kind not in "iu" or landmarks.ndim != 1):
             raise OptionError(f"ids must be whole numbers, not {quoted(ids)}")
-        if np.any((landmarks == UNIDENTIFIED) | (landmarks == NO_ID)):
+        if np.any((landmarks == UNIDENTIFIED) & (not in_map) | (landmarks == NO_ID)):
             raise OptionError("the solver takes identified landmarks only: leave out what nobody has identified")
         if z is None or z.ndim != 2 or z.shape[1] not in (2, 3) or not np.isfinite(z).all() or np.any(z[:, 0] <= 0):
             raise OptionError(
@@ -328,7 +373,7 @@ class OnlineSolver:
             raise OptionError(
                 f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
             )
-        if columns not in (None, z.shape[1]):
+        if columns not in (None, z.shape[1]) and not (in_map and z.shape[1] == 3):
             raise OptionError(f"the sightings so far have {columns} numbers each, these have {z.shape[1]}")
         return landmarks.tolist(), z
 

@@ -23,7 +23,9 @@ from ..edges import CartesianObservationEdges, MarginalEdges, SightingEdges
 from ..errors import OptionError, quoted
 from ..errors.checks import make_read_only
 from ..graph import Graph
+from ..graph.integrity import beyond, inflation, presence, residual_squares
 from ..graph.landmark_map import LandmarkMap
+from ..graph.stretch import Stretch
 from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
 from ..log import Log
@@ -31,6 +33,7 @@ from ..marginals import ids_of, shaped
 from ..metrics import pose_nees
 from ..se2 import Array, wrap
 from .certificate import Certificate, prove
+from .corrected import motion_edges
 from .uncertainty import Uncertainty, doubts
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -254,6 +257,34 @@ class Solution:
         graph = self._solved_graph
         errors = _errors(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
         return self._uncertainty.joint_square(errors) / errors[1:].size
+
+    def integrity_risk(self, metres: float, radians: float = np.inf) -> Array:
+        """The probability (T+1,) that a pose is off by more than the bounds; NaN where it is not estimated.
+
+        In a map it counts that the robot may have been elsewhere; without one, errors are those against the first pose.
+        Covariances grow where residuals are larger than the noise models say. `graph.integrity` has the equations.
+
+        Args:
+            metres: the bound on the position.
+            radians: the bound on the heading.
+
+        Raises:
+            OptionError: a bound is not positive. GraphError: the edges do not determine the poses.
+        """
+        graph, covariances = self._solved_graph, self.covariance()
+        log, moved, sensor = graph.log, motion_edges(graph), graph.sensor
+        if log is not None and sensor is not None and self.landmarks:
+            rows = graph.sighting_rows
+            at, places = log.steps[rows], np.array([self.landmarks[j][:2] for j in log.landmarks[rows].tolist()])
+            squares = residual_squares(self.poses[at], covariances[at], log.sightings[rows], places, sensor)
+            covariances = inflation(squares) * covariances
+        risk = np.full(len(self.poses), np.nan)
+        risk[self.estimated] = beyond(covariances[self.estimated], metres, radians)
+        if graph.map and log is not None and moved is not None and sensor is not None:
+            noise = np.linalg.inv(moved.information)
+            drive = Stretch(log.name, moved.measured, noise, log.steps, log.landmarks, log.sightings)
+            risk = 1 - presence(drive, self.poses, graph.map, sensor) * (1 - risk)
+        return risk
 
     @cached_property
     def expected_ate(self) -> float:

@@ -1,0 +1,111 @@
+"""`Stretch`: what a robot has measured between two moments, as its search in a map needs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..log import UNIDENTIFIED, Log
+from ..models import MotionModel
+from ..se2 import Array, between, compose, rotation
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Poses 0 to T of a robot: the motions between them, and what was seen from them.
+
+    Attributes:
+        name: of the log, for messages.
+        motions, noise: (T, 3) and (T, 3, 3), each pose measured from the one before, and the covariance of that.
+        steps, landmarks, sightings: (M,), (M,) and (M, 2 or 3), as in a `Log`.
+    """
+
+    name: str
+    motions: Array
+    noise: Array
+    steps: np.ndarray
+    landmarks: np.ndarray
+    sightings: Array
+
+    @classmethod
+    def of(cls, log: Log, motion: MotionModel | None = None) -> Stretch:
+        """A whole log; without controls its initial poses, taken as exact, are all there is."""
+        if log.controls is None:
+            motions = between(log.initial_poses[:-1], log.initial_poses[1:])
+            noise = np.zeros((len(motions), 3, 3))
+        else:
+            motions, noise = log.motions(motion)
+        return cls(log.name, motions, noise, log.steps, log.landmarks, log.sightings)
+
+    @property
+    def num_poses(self) -> int:
+        """T + 1."""
+        return len(self.motions) + 1
+
+    @property
+    def identified(self) -> bool:
+        """Whether every sighting has an id."""
+        return not np.any(self.landmarks == UNIDENTIFIED)
+
+    def after(self, step: int) -> Stretch:
+        """What comes from a pose on, which is then pose 0."""
+        later = self.steps >= step
+        return replace(
+            self, motions=self.motions[step:], noise=self.noise[step:], steps=self.steps[later] - step,
+            landmarks=self.landmarks[later], sightings=self.sightings[later],
+        )  # fmt: skip
+
+
+class Drift:
+    """The poses (n, 3) of a stretch seen from the first one, and their covariances, as far as they are asked for."""
+
+    def __init__(self, stretch: Stretch) -> None:
+        self.poses, self.covariances = np.zeros((1, 3)), np.zeros((1, 3, 3))
+        self._stretch = stretch
+
+    def go_to(self, step: int) -> None:
+        """Compute them up to a step, or farther."""
+        done = len(self.poses) - 1
+        if step <= done:
+            return
+        new = slice(done, max(step, 2 * done))
+        more = drifted(self.poses[-1], self._stretch.motions[new], self._stretch.noise[new], self.covariances[-1])
+        self.poses = np.concatenate([self.poses, more[0][1:]])
+        self.covariances = np.concatenate([self.covariances, more[1][1:]])
+
+    def between(self, steps: np.ndarray) -> Array:
+        """The covariances (K, K, 3, 3) between the poses at steps (K,), not decreasing.
+
+        The errors of an earlier pose s move a later pose t by [[1, 0, y_s - y_t], [0, 1, x_t - x_s], [0, 0, 1]].
+        """
+        x, own = self.poses[steps], self.covariances[steps]
+        moved = np.tile(np.eye(3), (len(x), len(x), 1, 1))
+        moved[:, :, 0, 2] = x[:, None, 1] - x[None, :, 1]
+        moved[:, :, 1, 2] = x[None, :, 0] - x[:, None, 0]
+        # rows are the earlier poses
+        upper = own[:, None] @ np.swapaxes(moved, 2, 3)
+        later = np.arange(len(x))[:, None] > np.arange(len(x))
+        return np.where(later[:, :, None, None], np.transpose(upper, (1, 0, 3, 2)), upper)
+
+
+def drifted(start: Array, motions: Array, noise: Array, covariance: Array | None = None) -> tuple[Array, Array]:
+    """The poses (T+1, 3) after motions (T, 3), and their covariances (T+1, 3, 3), in world axes; see `moved`."""
+    poses, covariances = [start], [np.zeros((3, 3)) if covariance is None else covariance]
+    for m, Q in zip(motions, noise):
+        x, P = moved(poses[-1], covariances[-1], m, Q)
+        poses.append(x)
+        covariances.append(P)
+    return np.array(poses), np.array(covariances)
+
+
+def moved(x: Array, P: Array, motion: Array, noise: Array) -> tuple[Array, Array]:
+    """A pose (3,) and its covariance (3, 3) after a motion m (3,) with covariance Q (3, 3), in the axes of the pose.
+
+    Sigma' = F Sigma F' + J Q J', F = d compose(x, m) / dx, J = d compose(x, m) / dm.
+    """
+    after = compose(x, motion)
+    F = np.array([[1, 0, x[1] - after[1]], [0, 1, after[0] - x[0]], [0, 0, 1]])
+    J = np.eye(3)
+    J[:2, :2] = rotation(x[2])
+    return after, F @ P @ F.T + J @ noise @ J.T

@@ -1,0 +1,138 @@
+"""`Localizer`: a solver for a robot that drives in a map without knowing where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..graph.landmark_map import LandmarkMap
+from ..graph.localization import Fix
+from ..graph.stretch import Stretch
+from ..graph.tracker import Tracker
+from ..graph.tracking import DOUBT, elsewhere, sure_fix
+from ..log import UNIDENTIFIED
+from ..models import SensorModel
+from ..se2 import Array, between
+from .backend import ANYWHERE, Backend, Relation
+
+#: how much more must have been seen until another fix is tried
+GROWTH = 1.5
+
+
+class Localizer:
+    """A backend in a map, which finds where the robot is, says what it sees, and notices when it was lifted.
+
+    Until the robot has been found, the backend has no map, and its first pose is the origin. Then, and when the robot was
+    lifted, a new backend gets all measurements again, from the new place.
+
+    Attributes:
+        tracker: None as long as the robot has not been found.
+        fixes: {pose: fix} of the first pose, and of those at which the robot was put down.
+    """
+
+    def __init__(
+        self, make: Callable[..., Backend], landmarks: LandmarkMap, sensor: SensorModel, start: Array | None,
+        start_covariance: Array,
+    ) -> None:  # fmt: skip
+        self._make, self._landmarks, self._sensor = make, landmarks, sensor
+        self._start = start, start_covariance
+        self.fixes: dict[int, Fix] = {}
+        self._calls: list[tuple[Any, ...]] = []
+        self._begin()
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "_backend":
+            raise AttributeError(name)
+        return getattr(self._backend, name)
+
+    def relate(self, relation: Relation) -> None:
+        """Add a relation between two poses; that of a new pose to the one before is a motion."""
+        first, second, _, information = relation
+        before, new = self._backend.num_poses - 1, self._backend.num_poses
+        fix = self.fixes.get(new) if max(first, second) == new else None
+        if fix is not None:
+            relation = (before, new, between(self._backend.pose, fix.pose), np.diag(1 / np.array(ANYWHERE)))
+        last = self._backend.pose
+        self._backend.relate(relation)
+        self._calls.append((first, second, relation[2], information))
+        if self._backend.num_poses > new:
+            self._motions.append(between(last, self._backend.pose))
+            self._noise.append(np.linalg.inv(information))
+            if self.tracker is not None:
+                self.tracker.move(self._motions[-1], self._noise[-1])
+                if fix is not None:
+                    self.tracker.place(fix.pose, fix.covariance)
+
+    def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
+        """Add sightings, without ids where these are `UNIDENTIFIED`, and look for the robot where that is due."""
+        self._see(pose, ids, sightings)
+        found = self._found() if pose == self._backend.num_poses - 1 else None
+        if found is not None:
+            self.fixes[found[0]] = found[1]
+            calls, self._calls = self._calls, []
+            self._begin()
+            for call in calls:
+                self.relate(call) if len(call) == 4 else self._see(*call)
+
+    def _begin(self) -> None:
+        """A new backend and tracker."""
+        (start, covariance), fix = self._start, self.fixes.get(0)
+        if fix is not None:
+            # the landmarks hold the first pose
+            start, covariance = fix.pose, np.diag(ANYWHERE)
+        held = {} if start is None else {"map": self._landmarks, "start_covariance": covariance}
+        self._backend = self._make(np.zeros(3) if start is None else start, **held)
+        self.tracker: Tracker | None = None
+        if start is not None:
+            self.tracker = Tracker(self._landmarks, self._sensor, start, covariance if fix is None else fix.covariance)
+            if fix is None:
+                self.tracker.place(start, covariance, np.inf)
+        self._motions: list[Array] = []
+        self._noise: list[Array] = []
+        self._rows: list[tuple[int, int, Array]] = []
+        #: the sightings, and the doubt, from which the next search is worth its time
+        self._due, self._tried = 2, DOUBT
+
+    def _see(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
+        backend, landmarks, earlier = self._backend, np.array(ids), dict[int, int]()
+        self._calls.append((pose, ids, sightings))
+        if pose == backend.num_poses - 1:
+            rows = len(self._rows) + np.arange(len(ids))
+            self._rows += [(pose, j, z) for j, z in zip(ids, sightings)]
+            if self.tracker is not None:
+                self.tracker.pose = backend.pose
+                seen = self.tracker.see(pose, rows, landmarks, sightings)
+                landmarks, earlier = seen.landmarks, seen.earlier
+        if (known := landmarks != UNIDENTIFIED).any():
+            backend.observe(pose, landmarks[known].tolist(), self._as_used(sightings[known]))
+        for row, id in earlier.items():
+            step, _, z = self._rows[row]
+            if step >= backend.num_final:
+                backend.observe(step, [id], self._as_used(z[None]))
+
+    def _as_used(self, sightings: Array) -> Array:
+        """Sightings without psi where the map has no headings."""
+        return sightings[:, : self._backend.columns or sightings.shape[1]]
+
+    def _found(self) -> tuple[int, Fix] | None:
+        """A pose that is elsewhere than was known, and where."""
+        tracker = self.tracker
+        if tracker is None:
+            if len(self._rows) < self._due:
+                return None
+            self._due = int(np.ceil(GROWTH * len(self._rows)))
+            fix = sure_fix(self._stretch(), self._landmarks, self._sensor)
+            return None if fix is None else (0, fix)
+        if tracker.doubt < self._tried:
+            self._tried = self._tried if tracker.doubt else DOUBT
+            return None
+        self._tried = int(np.ceil(GROWTH * tracker.doubt))
+        put_down = elsewhere(self._stretch(), tracker, self._landmarks, self._sensor)
+        return None if put_down is None else put_down[:2]
+
+    def _stretch(self) -> Stretch:
+        steps, ids, sightings = map(np.array, zip(*self._rows))
+        motions, noise = np.array(self._motions).reshape(-1, 3), np.array(self._noise).reshape(-1, 3, 3)
+        return Stretch("the drive", motions, noise, steps, ids, sightings)
