@@ -86,7 +86,7 @@ def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> Log:
         for j in own:
             there, count = np.unique(along.landmarks[log.landmarks == j], return_counts=True)
             best_id = int(there[np.argmax(count)])
-            if best_id != UNIDENTIFIED and 2 * count.max() > count.sum() and best_id not in partners.values():
+            if best_id in known and 2 * count.max() > count.sum() and best_id not in partners.values():
                 partners[j] = best_id
         if len(partners) < FEWEST:
             raise GraphError(

@@ -157,9 +157,9 @@ def merged(y: Array, sensed: Array, drift: Array, steps: np.ndarray) -> Merged:
 
 
 def match(landmarks: Merged, known: Constellations) -> list[tuple[Match, np.ndarray]]:
-    """The poses T that differ, by decreasing evidence, each with the landmarks (K,) that have none of the map nearby.
+    """The poses T that differ, by decreasing evidence, each with the number (K,) in the map of each landmark's partner.
 
-    A landmark that neither agrees nor contradicts is a second one at the same place.
+    It is -1 for a landmark that has none nearby. One that has a partner and does not agree is a second one at its place.
     """
     order = np.argsort(-landmarks.counts, kind="stable")[:SCORED]
     y, C = landmarks.places[order], landmarks.covariances[order]
@@ -172,8 +172,8 @@ def match(landmarks: Merged, known: Constellations) -> list[tuple[Match, np.ndar
     near = known.near(moved)
     squares = np.sum((moved - known.places[near, :2]) ** 2, axis=2) / variance
     first = distinct(squares, np.where(squares <= GATE, near + 1, 0), REFINED)
-    matches, alone = _refined(landmarks, known, poses[first])
-    return [(each, alone[k]) for k, each in those_that_differ(matches)]
+    matches, partners = _refined(landmarks, known, poses[first])
+    return [(each, partners[k]) for k, each in those_that_differ(matches)]
 
 
 def _hypotheses(y: Array, variance: Array, known: Constellations) -> Array:
@@ -202,7 +202,7 @@ def _hypotheses(y: Array, variance: Array, known: Constellations) -> Array:
 
 
 def _refined(landmarks: Merged, known: Constellations, poses: Array) -> tuple[list[Match | None], np.ndarray]:
-    """Hypotheses (H, 3) after Gauss-Newton with the nearest landmark for each measurement, and (H, K) those without one."""
+    """Hypotheses (H, 3) after Gauss-Newton with the nearest landmark for each measurement, and these partners (H, K)."""
     matches: list[Match | None] = []
     count = len(landmarks.places)
     for _ in range(ROUNDS):
@@ -241,4 +241,4 @@ def _refined(landmarks: Merged, known: Constellations, poses: Array) -> tuple[li
     return [
         None if match is None else replace(match, evidence=float(s + volume(match.covariance, known.area)))
         for match, s in zip(matches, seen)
-    ], squares.min(axis=2) > GATE
+    ], np.where(squares.min(axis=2) > GATE, -1, partner)

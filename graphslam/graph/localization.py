@@ -194,7 +194,7 @@ def _fixes_here(log: Stretch, known: Constellations, sensor: SensorModel) -> lis
         best = found[0][0] if found else None
         sure = False
         if best is not None and _odds([each for each, _ in found]) > SURE:
-            fits, against = int(np.sum(best.agree)), found[0][1]
+            fits, against = int(np.sum(best.agree)), found[0][1] < 0
             sure = fits >= max(FEWEST, np.sum(seen.counts[against] > 1) + 1) and fits > np.sum(against)
         attempts.append((best.evidence if best else -np.inf, rows, step, seen, found))
         # the errors of a long way hide a constellation
@@ -205,10 +205,10 @@ def _fixes_here(log: Stretch, known: Constellations, sensor: SensorModel) -> lis
     if not sure:
         _, rows, step, seen, found = max(attempts, key=lambda each: each[0])
     evidence, fixes = np.array([each.evidence for each, _ in found]), []
-    for k, (each, against) in enumerate(found):
+    for k, (each, partners) in enumerate(found):
         others = float(np.logaddexp.reduce([0.0, *np.delete(evidence, k)]))
         odds = float(np.exp(np.clip(each.evidence - others, -700.0, 700.0)))
-        agree, disagree = rows[each.agree[seen.which]], rows[against[seen.which]]
+        agree, disagree = rows[each.agree[seen.which]], rows[partners[seen.which] < 0]
         fixes.append(Fix(each.pose, each.covariance, step, agree, disagree, odds if sure else min(odds, SURE)))
     return fixes
 
