@@ -194,8 +194,8 @@ def _fixes_here(log: Stretch, known: Constellations, sensor: SensorModel) -> lis
         best = found[0][0] if found else None
         sure = False
         if best is not None and _odds([each for each, _ in found]) > SURE:
-            fits, against = int(np.sum(best.agree)), found[0][1] < 0
-            sure = fits >= max(FEWEST, np.sum(seen.counts[against] > 1) + 1) and fits > np.sum(against)
+            fits, against = int(np.sum(best.agree)), np.asarray(found[0][1] < 0)
+            sure = fits >= max(FEWEST, int(np.sum(seen.counts[against] > 1)) + 1) and fits > int(np.sum(against))
         attempts.append((best.evidence if best else -np.inf, rows, step, seen, found))
         # the errors of a long way hide a constellation
         since = len(attempts) - 1 - int(np.argmax([each[0] for each in attempts]))
