@@ -64,6 +64,32 @@ FAULTS = """(() => {
     }
     if (/[{]{2} |\\\\\\\\[a-z]+[{]/.test(text.replace(/[`]/g, ""))) faults.push("raw markup is visible");
     return faults; })()"""
+#: texts in sight whose contrast with what is behind them is below 3 (WCAG 2.1, success criterion 1.4.3 for large letters)
+FAINT = """(() => {
+    const numbers = (colour) => {
+        const canvas = (window.probe ??= new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true }));
+        canvas.clearRect(0, 0, 1, 1);
+        canvas.fillStyle = colour;
+        canvas.fillRect(0, 0, 1, 1);
+        return canvas.getImageData(0, 0, 1, 1).data;
+    };
+    const known = new Map(), memo = (colour) => known.get(colour) ?? (known.set(colour, numbers(colour)), known.get(colour));
+    const light = (rgb) => [0.2126, 0.7152, 0.0722].reduce((sum, part, k) => {
+        const v = rgb[k] / 255;
+        return sum + part * (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    }, 0);
+    const faint = new Set();
+    for (const box of document.querySelectorAll("article :is(p, li, td, th, h1, h2, pre code, .katex-html, label)")) {
+        if (!box.checkVisibility() || !box.textContent.trim()) continue;
+        let behind = box;
+        while (behind && memo(getComputedStyle(behind).backgroundColor)[3] < 250) behind = behind.parentElement;
+        const under = behind ? memo(getComputedStyle(behind).backgroundColor) : [255, 255, 255, 255];
+        const own = memo(getComputedStyle(box).color), alpha = own[3] / 255;
+        const mixed = [0, 1, 2].map((k) => (alpha ? own[k] * alpha : 0) + under[k] * (1 - alpha));
+        const [a, b] = [light(mixed), light(under)].sort((p, q) => q - p);
+        if ((a + 0.05) / (b + 0.05) < 3) faint.add(box.tagName + ": " + box.textContent.trim().slice(0, 40));
+    }
+    return [...faint].slice(0, 5); })()"""
 #: exercises whose fields do not accept the right numbers, or that are not visible
 UNANSWERED = """[...document.querySelectorAll("form.ask")].filter((form) => {
     for (let box = form.closest("details"); box; box = box.parentElement.closest("details")) box.open = true;
@@ -115,7 +141,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
 @pytest.mark.parametrize("page", PAGES)
 def test_page(page: str, address: str, browser: Chromium) -> None:
     browser.events.clear()
-    browser.resize(1280, 900)
+    browser.resize(1300, 900)
     browser.send("Network.setCacheDisabled", cacheDisabled=True)
     browser.send("Page.navigate", url=f"{address}/{page}/")
     browser.wait_for("document.readyState === 'complete' && document.querySelector('article') !== null")
@@ -123,9 +149,12 @@ def test_page(page: str, address: str, browser: Chromium) -> None:
     # the phone last: on the way back to a wide window the theme moves its navigation for a while
     for width, height in ((1300, 900), (390, 844)):
         browser.resize(width, height)
-        for scheme in ("light", "dark"):
-            browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        for number, scheme in enumerate(("default", "slate")):
+            # the first visit takes the colours that the system prefers, and keeps them: later only the button changes them
+            browser.evaluate(f"document.querySelectorAll('input[name=__palette]')[{number}].click()")
+            browser.wait_for(f"document.body.dataset.mdColorScheme === {scheme!r}")
             assert browser.evaluate(FAULTS) == [], (scheme, width)
+            assert browser.evaluate(FAINT) == [], (scheme, width)
     if browser.evaluate("document.querySelector('figure.live') !== null"):
         # such a figure loads the engine when it comes into view
         browser.evaluate("document.querySelector('figure.live').scrollIntoView()")
