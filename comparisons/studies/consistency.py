@@ -135,7 +135,7 @@ class ConsistencyStudy(Displayed):
     shown: ClassVar = {"estimators": "results"}
 
     def to_json(self) -> dict[str, Any]:
-        """The study as plain data; see docs/consistency.md."""
+        """The study as plain data; see docs/beyond/consistency.md."""
         return jsonable(self)
 
 
