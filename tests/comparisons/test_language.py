@@ -20,7 +20,7 @@ from comparisons import comparison, run, write_report
 from comparisons.cli import app
 from comparisons.estimators import filters
 from comparisons.results import exchange
-from comparisons.show import tables
+from comparisons.show import log_tables, tables
 from comparisons.show.language import NUMBER, PLACE, catalogue, key_of, language_of, translated
 from comparisons.show.report import curves, matches, page
 from graphslam import OptionError, simulate
@@ -37,7 +37,9 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     comparison.Comparison._noise_findings, exchange.reason_without_graph, filters._one_run, filters.of_several_seeds,
     build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._convergence, page._matrix,
     curves.remarks, matches.description, matches.association_table, defaults.pairs_overweight,
-    RobotEstimate.sentences.fget, RobotEstimate.remarks.fget,
+    RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, tables.solver_tables, tables.backend_tables,
+    log_tables.import_tables, log_tables.overview_tables, log_tables.evaluation_tables, log_tables.particle_tables,
+    log_tables.consistency_tables, log_tables.summary_tables, log_tables.survey_tables, log_tables.calibration_tables,
 )  # fmt: skip
 #: strings of these functions that are no sentences
 NO_SENTENCES = {"bold red", "not bold default", "slam-compare report LOG OUT.html", "too little noise"}
