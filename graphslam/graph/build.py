@@ -34,7 +34,7 @@ from ..edges.base import PairEdges
 from ..edges.robust import Kernel
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import listed
-from ..io.pose_graph import PoseGraphFile
+from ..io.pose_graph import KINDS, FileEdges, PoseGraphFile
 from ..linear.precision import LARGEST, check_magnitudes, check_size, inverses
 from ..log import Log
 from ..models import MotionModel, SensorModel
@@ -218,48 +218,25 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
     Raises:
         GraphError: the graph falls into several pieces, or a number is too large.
     """
-    for name in ("poses", "landmarks", "pose_measured", "point_measured", "prior_measured", "place_measured"):
-        check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name))
-    for name in ("pose_information", "point_information", "prior_information", "place_information"):
-        check_size(f"{path}: {name.replace('_', ' ')}", getattr(data, name), most=LARGEST**2)
-    num_poses = len(data.pose_ids)
-    families: list[RelativePoseEdges | RelativePointEdges] = []
-    priors: list[PositionEdges] = []
-    for measured, information, nodes in (
-        (data.prior_measured, data.prior_information, data.priors),
-        (data.place_measured, data.place_information, data.places),
-    ):
-        if len(nodes):
-            at = np.searchsorted(data.pose_ids, nodes)
-            priors.append(PositionEdges(at, measured, information, np.zeros((len(at), 2))))
-    if len(data.pose_edges):
-        first, second = np.searchsorted(data.pose_ids, data.pose_edges).T
-        families.append(RelativePoseEdges(first, second, data.pose_measured, data.pose_information))
-    if len(data.point_edges):
-        first = np.searchsorted(data.pose_ids, data.point_edges[:, 0])
-        second = num_poses + np.searchsorted(data.landmark_ids, data.point_edges[:, 1])
-        families.append(RelativePointEdges(first, second, data.point_measured, data.point_information))
-    single: list[PartialEdges] = []
-    for kind, ends, measured, information in (
-        (RangeEdges, data.range_edges, data.range_measured, data.range_information),
-        (BearingEdges, data.bearing_edges, data.bearing_measured, data.bearing_information),
-    ):
-        if len(ends):
-            at = np.searchsorted(data.pose_ids, ends[:, 0])
-            seen = num_poses + np.searchsorted(data.landmark_ids, ends[:, 1])
-            single.append(kind(at, seen, measured, information, np.zeros(2)))
+    for name in ("poses", "landmarks"):
+        check_size(f"{path}: {name}", getattr(data, name))
+    for kind, edges in data.edges.items():
+        check_size(f"{path}: {kind} measured", edges.measured)
+        check_size(f"{path}: {kind} information", edges.information, most=LARGEST**2)
+    families = [_family(kind, edges, data) for kind, edges in data.edges.items() if len(edges.ids)]
+    positions = [family for family in families if isinstance(family, PositionEdges)]
     ids = np.concatenate([data.pose_ids, data.landmark_ids])
     fixed, held = np.flatnonzero(np.isin(ids, data.fixed)), list[EdgeFamily]()
-    if not data.fixed and not priors:
+    if not data.fixed and not positions:
         fixed = np.zeros(1, dtype=np.int64)
     elif not data.fixed:
-        held += anchors(data.poses[0], priors)
-    num_nodes = num_poses + len(data.landmark_ids)
-    pairs: list[PairEdges] = [*families, *single]
-    first, second = [family.first for family in pairs], [family.second for family in pairs]
+        held += anchors(data.poses[0], positions)
+    num_nodes = len(ids)
+    pairs = [family for family in families if isinstance(family, PairEdges)]
     # priors and FIX lines tie nodes to the world, one more node
-    to_world = np.concatenate([fixed, *(family.nodes for family in priors)])
-    label = _pieces(num_nodes + 1, [*first, to_world], [*second, np.full(len(to_world), num_nodes)])
+    to_world = np.concatenate([fixed, *(family.nodes for family in positions)])
+    ends = ([family.first for family in pairs], [family.second for family in pairs])
+    label = _pieces(num_nodes + 1, [*ends[0], to_world], [*ends[1], np.full(len(to_world), num_nodes)])
     loose = np.flatnonzero(label[:-1] != label[-1])
     if len(loose):
         names, tied = (node_names(nodes, data.pose_ids, data.landmark_ids) for nodes in (loose, to_world[:1]))
@@ -269,10 +246,22 @@ def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
         )
     return {
         "initial": np.concatenate([data.poses, np.pad(data.landmarks, ((0, 0), (0, 1)))]),
-        "families": (*held, *families, *single, *priors), "steps": np.arange(num_poses), "trajectory": data.poses,
-        "pose_ids": data.pose_ids, "landmark_ids": data.landmark_ids, "fixed": fixed,
-        "notes": data.notes,
+        "families": (*held, *families), "steps": np.arange(len(data.pose_ids)), "trajectory": data.poses,
+        "pose_ids": data.pose_ids, "landmark_ids": data.landmark_ids, "fixed": fixed, "notes": data.notes,
     }  # fmt: skip
+
+
+def _family(kind: str, edges: FileEdges, data: PoseGraphFile) -> EdgeFamily:
+    """The edges of one kind of `io.pose_graph.KINDS`, between numbers of nodes."""
+    first, measured = np.searchsorted(data.pose_ids, edges.ids[:, 0]), (edges.measured, edges.information)
+    if KINDS[kind][0] == 1:
+        return PositionEdges(first, *measured, np.zeros((len(first), 2)))
+    if kind == "pose":
+        return RelativePoseEdges(first, np.searchsorted(data.pose_ids, edges.ids[:, 1]), *measured)
+    ends = first, len(data.pose_ids) + np.searchsorted(data.landmark_ids, edges.ids[:, 1])
+    if kind == "point":
+        return RelativePointEdges(*ends, *measured)
+    return (RangeEdges if kind == "range" else BearingEdges)(*ends, *measured, np.zeros(2))
 
 
 def with_closures(families: Sequence[EdgeFamily], kernel: Kernel | None) -> tuple[EdgeFamily, ...]:
@@ -309,64 +298,51 @@ def file_of_parts(
     if len(np.intersect1d(pose_ids, landmark_ids)):
         landmark_ids = int(pose_ids.max()) + 1 + np.arange(len(landmark_ids))
     ids, held = np.concatenate([pose_ids, landmark_ids]), [fixed]
-    poses: list[EdgeFamily] = []
-    points: list[EdgeFamily] = []
-    priors: dict[int, list[PositionEdges]] = {3: [], 2: []}
-    single: dict[str, list[PartialEdges]] = {"range": [], "bearing": []}
+    groups: dict[str, list[Any]] = {kind: [] for kind in KINDS}
     for family in families:
         if isinstance(family, AnchorEdges) and not isinstance(family, LandmarkPriors):
             if np.all(np.linalg.matrix_rank(family.information) == 3):
                 held.append(family.nodes)
-            else:
-                still = np.zeros((family.count, 2))
-                priors[3].append(PositionEdges(family.nodes, family.values, family.information, still))
-        elif isinstance(family, RelationEdges) and family.kernel is None:
-            poses.append(family.relative)
-        elif isinstance(family, PositionEdges) and family.kernel is None and not family.levers.any():
-            priors[family.dimension].append(family)
-        elif isinstance(family, RelativePoseEdges) and not (
-            family.state_dependent_information or isinstance(family, RelationEdges)
-        ):
-            poses.append(family)
-        elif isinstance(family, RelativePointEdges):
-            points.append(family)
-        elif isinstance(family, PartialEdges) and family.kernel is None and not family.offset.any():
-            single["range" if isinstance(family, RangeEdges) else "bearing"].append(family)
-        elif isinstance(family, PositionEdges) and family.levers.any():
-            raise GraphError(
-                "g2o has no line for the position of a point beside the pose: positions with a lever cannot be written"
-            )
-        else:
-            raise GraphError(
-                f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals, or with a robust "
-                "kernel; graphslam.graph.transform.relative_graph makes relative poses of them where that is possible"
-            )
+                continue
+            family = PositionEdges(family.nodes, family.values, family.information, np.zeros((family.count, 2)))
+        groups[_kind(family)].append(family)
 
-    def columns(kind: str, chosen: list[Any], d: int) -> dict[str, Any]:
-        return {
-            f"{kind}_edges": np.concatenate(
-                [np.zeros((0, 2), dtype=np.int64)] + [ids[np.column_stack([f.first, f.second])] for f in chosen]
-            ),
-            f"{kind}_measured": np.concatenate([np.zeros((0, d))] + [f.measured for f in chosen]),
-            f"{kind}_information": np.concatenate(
-                [np.zeros((0, d, d))] + [getattr(f, "weighed", f.information) for f in chosen]
-            ),
-        }
-
-    def rows(kind: str, nodes: str, chosen: list[PositionEdges], d: int) -> dict[str, Any]:
-        return {
-            nodes: np.concatenate([np.zeros(0, dtype=np.int64)] + [ids[f.nodes] for f in chosen]),
-            f"{kind}_measured": np.concatenate([np.zeros((0, d))] + [f.measured for f in chosen]),
-            f"{kind}_information": np.concatenate([np.zeros((0, d, d))] + [f.weighed for f in chosen]),
-        }
+    def rows(kind: str, chosen: list[Any]) -> FileEdges:
+        num_ids, d = KINDS[kind]
+        ends = [np.column_stack([f.first, f.second] if num_ids == 2 else [f.nodes]) for f in chosen]
+        return FileEdges(
+            ids[np.concatenate([np.zeros((0, num_ids), dtype=np.int64), *ends])],
+            np.concatenate([np.zeros((0, d)), *(f.measured for f in chosen)]),
+            np.concatenate([np.zeros((0, d, d)), *(getattr(f, "weighed", f.information) for f in chosen)]),
+        )
 
     return PoseGraphFile(
-        pose_ids=pose_ids, poses=state[: len(pose_ids)], landmark_ids=landmark_ids,
-        landmarks=state[len(pose_ids) :, :2], fixed=ids[np.unique(np.concatenate(held))].tolist(),
-        **columns("pose", poses, 3), **columns("point", points, 2),
-        **columns("range", single["range"], 1), **columns("bearing", single["bearing"], 1),
-        **rows("prior", "priors", priors[3], 3), **rows("place", "places", priors[2], 2),
+        pose_ids, state[: len(pose_ids)], landmark_ids, state[len(pose_ids) :, :2],
+        ids[np.unique(np.concatenate(held))].tolist(), {kind: rows(kind, chosen) for kind, chosen in groups.items()},
     )  # fmt: skip
+
+
+def _kind(family: EdgeFamily) -> str:
+    """The kind of line of `io.pose_graph.KINDS` that a family has.
+
+    Raises:
+        GraphError: it has none.
+    """
+    if isinstance(family, PositionEdges) and family.levers.any():
+        raise GraphError(
+            "g2o has no line for the position of a point beside the pose: positions with a lever cannot be written"
+        )
+    if getattr(family, "kernel", None) is None and not family.state_dependent_information:
+        if isinstance(family, PositionEdges):
+            return "prior" if family.dimension == 3 else "place"
+        if isinstance(family, PartialEdges) and not family.offset.any():
+            return "range" if isinstance(family, RangeEdges) else "bearing"
+        if isinstance(family, (RelativePoseEdges, RelativePointEdges)):
+            return "pose" if isinstance(family, RelativePoseEdges) else "point"
+    raise GraphError(
+        f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals, or with a robust "
+        "kernel; graphslam.graph.transform.relative_graph makes relative poses of them where that is possible"
+    )
 
 
 def node_names(nodes: np.ndarray, pose_ids: np.ndarray, landmark_ids: np.ndarray) -> str:

@@ -269,7 +269,7 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         # a polar residual becomes the Cartesian one
         seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
         assert isinstance(seen, CartesianObservationEdges)
-        return _weighted(replace(seen.relative, frame="body"), family, state)
+        return _weighted(replace(seen.relative, frame="body", kernel=None), family, state)
     if isinstance(family, PartialEdges):
         weights = family.kernel_weights(state)[:, None, None]
         return replace(family, information=family.weighed * weights, kernel=None, trust=None)

@@ -235,12 +235,12 @@ def test_every_tag_means_what_its_own_dialect_says(tmp_path):
     )  # fmt: skip
     for named in (None, "g2o", "toro", "isam"):
         data = read_pose_graph(written(tmp_path, text), named)
-        np.testing.assert_allclose(data.pose_information[0], 4 * np.eye(3))
-        np.testing.assert_allclose(data.pose_information[1], 16 * np.eye(3))
-        np.testing.assert_allclose(data.point_information, [9 * np.eye(2), 3 * np.eye(2)])
+        np.testing.assert_allclose(data.edges["pose"].information[0], 4 * np.eye(3))
+        np.testing.assert_allclose(data.edges["pose"].information[1], 16 * np.eye(3))
+        np.testing.assert_allclose(data.edges["point"].information, [9 * np.eye(2), 3 * np.eye(2)])
     entries = "EDGE_SE2 0 1 1 0 0 10 1 2 20 3 30\n"
     np.testing.assert_allclose(
-        read_pose_graph(written(tmp_path, entries), "toro").pose_information,
+        read_pose_graph(written(tmp_path, entries), "toro").edges["pose"].information,
         [[[10, 1, 2], [1, 20, 3], [2, 3, 30]]],
     )
 
@@ -249,7 +249,7 @@ def test_an_edge2_that_could_be_either_is_refused(tmp_path):
     text = "VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\nEDGE2 0 1 1 0 0 1 0 1 1 0 0\nODOMETRY 0 1 1 0 0 1 0 0 1 0 1\n"
     with pytest.raises(FormatError, match="name the format"):
         read_pose_graph(written(tmp_path, text))
-    assert len(read_pose_graph(written(tmp_path, text), "toro").pose_edges) == 2
+    assert len(read_pose_graph(written(tmp_path, text), "toro").edges["pose"].ids) == 2
 
 
 @pytest.mark.parametrize(
