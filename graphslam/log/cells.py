@@ -26,16 +26,14 @@ from .text_table import MISSING
 
 #: nanoseconds of each unit
 UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
-#: floating-point numbers hold nanoseconds up to here
-_EXACT = 2.0**53
+#: floating-point numbers of seconds tell nanoseconds up to here, with their rounding and that of the product
+_EXACT = 2.0**51
 #: whole nanoseconds in 64 bits are below this
 _LARGEST = 2.0**63
 #: date and time of day as in ISO 8601, with the hours and minutes by which it is ahead of UTC
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d(?:[.,]\d{1,9})?) ?(?:Z|UTC|([+-]\d\d):?(\d\d))?")
 #: a single time this far [s] outside those of both neighbours is wrong
 STRAY = 10
-#: 64 bits hold powers of ten up to here
-_LARGEST_POWER = 18
 
 
 def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
@@ -51,8 +49,6 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     Raises:
         LogError: a time is neither a finite number nor a date, or has no place in 64 bits (before 1678 or after 2262).
     """
-    if (parts := table.decimals(column)) is not None and (exact := _of_decimals(*parts, unit)) is not None:
-        return exact
     try:
         values = table.numbers([column])[:, 0]
     except LogError:
@@ -76,14 +72,16 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     words = table.texts(column)
     if words.dtype.kind in "iu":
         return words.astype(np.int64) * factor
-    digits = len(str(factor)) - 1
-    whole, _, fraction = np.moveaxis(np.char.partition(words, b"."), -1, 0)
+    digits = len(str(factor))
+    whole, _, fraction = np.moveaxis(np.char.partition(np.char.strip(words, b" +-"), b"."), -1, 0)
     try:
-        beneath = np.char.ljust(fraction, digits, b"0").astype(f"S{digits}") if digits else np.full(len(whole), b"0")
-        return whole.astype(np.int64) * factor + beneath.astype(np.int64)
+        # one digit more than nanoseconds have, which is rounded
+        beneath = np.char.ljust(fraction, digits, b"0").astype(f"S{digits}").astype(np.int64)
+        found = whole.astype(np.int64) * factor + (beneath + 5) // 10
     except (ValueError, OverflowError):
         # with exponents
         return np.rint(values * factor).astype(np.int64)
+    return np.where(values < 0, -found, found)
 
 
 def time_faults(values: np.ndarray, title: str, unit: str | None, stray: float = STRAY) -> list[Fault]:
@@ -172,17 +170,6 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _of_decimals(whole: np.ndarray, places: np.ndarray, unit: str | None) -> np.ndarray | None:
-    """Times (N,) of m / 10^k, rounded to nanoseconds; None where they do not fit into 64 bits."""
-    factor = UNITS[unit or by_size(whole / 10.0**places)]
-    exponents = len(str(factor)) - 1 - places
-    up, down = max(0, int(exponents.max())), max(0, -int(exponents.min()))
-    if down > _LARGEST_POWER or np.abs(whole).max() > (2**63 - 1 - 10**down) // 10**up:
-        return None
-    divisors = 10 ** np.maximum(-exponents, 0)
-    return (whole * 10 ** np.maximum(exponents, 0) + divisors // 2) // divisors
 
 
 def by_size(values: np.ndarray) -> str:

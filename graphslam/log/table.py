@@ -54,10 +54,6 @@ class Table(ABC):
         words = self.words(column)
         return words if words.dtype.kind in "iu" else np.char.encode(words, "ascii", "replace")
 
-    def decimals(self, column: int) -> tuple[np.ndarray, np.ndarray] | None:  # noqa: ARG002  # of tables in text files
-        """A column as whole numbers m (N,) and decimal places k (N,), each number m / 10^k; None where it is none."""
-        return None
-
     @abstractmethod
     def error(self, row: int | None, message: str) -> LogError:
         """The error of a row, counted from 0, or of the whole table."""
@@ -147,10 +143,6 @@ class Kept(Table):
 
     def texts(self, column: int) -> np.ndarray:
         return self._table.texts(column)[self._rows]
-
-    def decimals(self, column: int) -> tuple[np.ndarray, np.ndarray] | None:
-        parts = self._table.decimals(column)
-        return None if parts is None else (parts[0][self._rows], parts[1][self._rows])
 
     def error(self, row: int | None, message: str) -> LogError:
         return self._table.error(None if row is None else int(self._rows[row]), message)
