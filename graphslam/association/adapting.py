@@ -32,8 +32,8 @@ from ..se2 import Array
 from ..solvers.solve import solve
 from ..solvers.uncertainty import Uncertainty
 from .evidence import evidence
-from .map_solution import Backbone, MapSolution
-from .problem import AssociationOptions, Classes, Densities, Field
+from .map_solution import Backbone, MapSolution, Problem
+from .problem import Densities, Field
 from .refining import PROMISING, Refined, SearchResult, refine, search
 
 #: slip is looked for over windows of one part in so many of the log, where such a window has at least so many motions
@@ -65,6 +65,11 @@ class Robot:
     def backbone(self) -> Backbone:
         """The motions and sightings as they enter graphs."""
         return Backbone.of(self.log, self.sensor, self.motion)
+
+    def of(self, problem: Problem) -> Problem:
+        """A problem with this log and this noise."""
+        field = Field.of(self.log, self.sensor)
+        return replace(problem, log=self.log, backbone=self.backbone, field=field)
 
     def settled(self, before: ParameterEstimate | None) -> bool:
         """Whether the parameters are within `FINE` standard deviations of those before."""
@@ -147,9 +152,7 @@ def wanted(estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[s
     }
 
 
-def adapted(
-    robot: Robot, refined: Refined, estimate: Mapping[str, float | None], classes: Classes, options: AssociationOptions
-) -> Robot:  # fmt: skip
+def adapted(robot: Robot, refined: Refined, estimate: Mapping[str, float | None], problem: Problem) -> Robot:
     """The robot with its slip, where the options ask for it, and with estimated parameters; the same if neither is found.
 
     Parameters and ids are found in turn until the parameters settle, at most `FITS` times.
@@ -158,24 +161,21 @@ def adapted(
         GraphError: the log does not determine the parameters.
     """
     given = robot
-    if options.slip:
+    if problem.options.slip:
         robot = slipping(robot, refined.labels, refined.solved.poses)
     poses = refined.solved.poses
     for _ in range(FITS if estimate else 0):
         before = robot.estimate
         robot, poses = fitted(robot, given.log, given.sensor, refined.labels, poses, estimate)
-        if robot.settled(before) or (end := again(robot, refined, classes, options, poses)) is None:
+        if robot.settled(before) or (end := again(robot.of(problem), refined, poses)) is None:
             break
         refined, poses = end, end.solved.poses
     return robot
 
 
-def again(
-    robot: Robot, refined: Refined, classes: Classes, options: AssociationOptions, poses: Array | None = None
-) -> Refined | None:  # fmt: skip
+def again(problem: Problem, refined: Refined, poses: Array) -> Refined | None:
     """Association and solving in turn with another robot, from labels that were found before, and poses (T+1, 3)."""
-    poses, field = refined.solved.poses if poses is None else poses, Field.of(robot.log, robot.sensor)
-    return refine(robot.log, robot.backbone, refined.labels, poses, field, refined.densities, classes, options)
+    return refine(replace(problem, densities=refined.densities), refined.labels, poses)
 
 
 #: a trajectory is another one if, aligned, it is this much of its standard deviation away, root mean square, but at least
@@ -236,28 +236,25 @@ def tolerance(solved: MapSolution, field: Field) -> float:
 
 
 def compete(
-    robot: Robot, starts: Iterable[Start | Callable[[], Start]], names: dict[str, float | None], densities: Densities,
-    classes: Classes, options: AssociationOptions,
-) -> Competition | None:  # fmt: skip
+    robot: Robot, starts: Iterable[Start | Callable[[], Start]], names: dict[str, float | None], problem: Problem
+) -> Competition | None:
     """Compare starts by evidence, the first two in any case; None where all sightings may be clutter.
 
     Args:
         robot: the log and its noise models.
         starts: given, or functions that find them, which are called only where a start is needed.
         names: parameters to estimate.
-        densities, classes: before the log is known.
-        options: the options; once ``options.agreeing`` starts end alike the others are skipped.
+        problem: of this robot; once ``options.agreeing`` starts end alike the others are skipped.
 
     Raises:
         GraphError: the log does not determine the parameters.
     """
-    waiting = list(starts)
-    backbone, field = robot.backbone, Field.of(robot.log, robot.sensor)
+    waiting, options = list(starts), problem.options
 
     def first(start: Start | Callable[[], Start]) -> Refined | None:
         # the noise and the parameters of the robot are by then those of the first starts
         labels, poses = start() if callable(start) else start
-        return refine(robot.log, backbone, labels, poses, field, densities, classes, options)
+        return refine(problem, labels, poses)
 
     firsts: list[Refined] = []
     used = min(options.agreeing or len(waiting), len(waiting))
@@ -271,25 +268,23 @@ def compete(
         return None
     # the robot's parameters from the best of them are used for all
     shared = Densities.mean([end.densities for end in firsts])
-    likely = int(np.argmax([evidence(robot.log, backbone, end.solved, field, shared) for end in firsts]))
-    given, robot = robot, adapted(robot, firsts[likely], names, classes, options)
-
-    log = robot.log
+    likely = int(np.argmax([evidence(replace(problem, densities=shared), end.solved) for end in firsts]))
+    given, robot = robot, adapted(robot, firsts[likely], names, problem)
     if robot is not given:
-        backbone, field = robot.backbone, Field.of(log, robot.sensor)
-        firsts = [end for each in firsts if (end := again(robot, each, classes, options)) is not None] or firsts
+        problem = robot.of(problem)
+        firsts = [end for each in firsts if (end := again(problem, each, each.solved.poses)) is not None] or firsts
     ends: list[SearchResult] = []
     begun: list[Refined] = []
     while True:
         for each in firsts:
             # the same labels lead to the same end
             same = [k for k, other in enumerate(begun) if np.array_equal(other.labels, each.labels)]
-            ends.append(ends[same[0]] if same else search(log, backbone, each, field, classes, options))
+            ends.append(ends[same[0]] if same else search(problem, each))
             begun.append(each)
         shared = Densities.mean([end.refined.densities for end in ends])
-        values = [evidence(log, backbone, end.refined.solved, field, shared) for end in ends]
+        values = [evidence(replace(problem, densities=shared), end.refined.solved) for end in ends]
         best = ends[int(np.argmax(values))].refined.solved
-        near = tolerance(best, field)
+        near = tolerance(best, problem.field)
         alike = [
             value > max(values) - PROMISING and ate(best.poses, end.refined.solved.poses) <= near
             for value, end in zip(values, ends, strict=True)

@@ -29,11 +29,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..engine import engine
-from ..log import Log
 from ..se2 import Array
 from .evidence import log_density
-from .map_solution import Backbone, MapSolution, differences
-from .problem import AssociationOptions, Classes, Densities, Field, agree, id_of_each
+from .map_solution import MapSolution, Problem, differences
+from .problem import agree, id_of_each
 
 #: the second pairs that are tried after each seed
 SECOND = 3
@@ -186,28 +185,28 @@ class Alternative:
 
 
 def all_alternatives(
-    log: Log, backbone: Backbone, solved: MapSolution, field: Field, densities: Densities, classes: Classes,
-    options: AssociationOptions, *, most: int, events: int | None = None,
-) -> list[Alternative]:  # fmt: skip
+    problem: Problem, solved: MapSolution, *, most: int, events: int | None = None
+) -> list[Alternative]:
     """The best alternatives, at most so many each, of the returns and arrivals after the longest absence."""
+    log = problem.log
     labels = np.full(len(log.steps), -1)
     labels[solved.rows] = solved.labels[solved.which]
-    moment = moment_of(backbone, options)
-    times = clock(backbone, field, densities, moment)
+    # at most so many moments in a drive [steps]
+    moment = max(problem.options.window, -(-log.num_poses // MOST_MOMENTS))
+    times = clock(problem, moment)
     at = returns(log.steps, times, labels, moment) + arrivals(log.steps, times, labels, moment)
     found = []
     for back in sorted(at, key=lambda each: times[each.last] - times[each.step])[:events]:
         near = np.abs(times - times[back.step])[log.steps] <= moment
-        found += alternatives(log, backbone, solved, labels, back, near, most, densities, classes)
+        found += alternatives(problem, solved, labels, back, near, most)
     return found
 
 
 def alternatives(
-    log: Log, backbone: Backbone, solved: MapSolution, labels: np.ndarray, back: Return, near: np.ndarray, most: int,
-    densities: Densities, classes: Classes,
-) -> list[Alternative]:  # fmt: skip
+    problem: Problem, solved: MapSolution, labels: np.ndarray, back: Return, near: np.ndarray, most: int
+) -> list[Alternative]:
     """The best alternatives of a return, at most so many, the best first; ``near`` (M,) sightings are of its moment."""
-    after = log.steps >= back.step
+    backbone, after = problem.backbone, problem.log.steps >= back.step
     before_it = np.unique(labels[~after & (labels >= 0)])
     # landmarks that stay in sight tie both parts of the drive together in any alternative
     staying = np.setdiff1d(np.intersect1d(labels[near & after], labels[near & ~after]), back.landmarks)
@@ -226,7 +225,7 @@ def alternatives(
     items = np.array([place[int(j) + fresh] for j in again])
     older = np.array([place[int(j)] for j in before_it])
     found = {place[int(j) + fresh]: place[int(j)] for j in again if j in before_it}
-    pairs, item, other = _pairs(apart, items, older, found, densities, classes)
+    pairs, item, other = _pairs(problem, apart, items, older, found)
     ours = np.flatnonzero([found.get(int(a)) == b for a, b in zip(item, other)])
     of_group = np.isin(apart.labels[item] - fresh, back.landmarks)
     # what ids say is not doubted
@@ -260,12 +259,7 @@ def alternatives(
 
 
 def _pairs(
-    apart: MapSolution,
-    items: np.ndarray,
-    older: np.ndarray,
-    ours: dict[int, int],
-    densities: Densities,
-    classes: Classes,
+    problem: Problem, apart: MapSolution, items: np.ndarray, older: np.ndarray, ours: dict[int, int]
 ) -> tuple[CandidatePairs, np.ndarray, np.ndarray]:
     """All pairs of an item and an older landmark within the gate, and those that were found in any case."""
     S = apart.covariances + apart.slack
@@ -283,8 +277,8 @@ def _pairs(
     covariance = (first[:, :, a] - first[:, :, b] - second[:, :, a] + second[:, :, b]).copy()
     here = np.arange(len(a))
     covariance[here, :, here] += apart.slack_of(item, other)
-    shown = classes.sums(apart.which, apart.rows, len(apart.labels))
-    weights = -densities.new + classes.together(shown[item], shown[other])
+    shown = problem.classes.sums(apart.which, apart.rows, len(apart.labels))
+    weights = -problem.densities.new + problem.classes.together(shown[item], shown[other])
     nu = differences(apart.landmarks[item], apart.landmarks[other])
     return CandidatePairs(item, other, nu, covariance, weights, GATE), item, other
 
@@ -295,19 +289,14 @@ CERTAIN = 1 / 6
 MOST_MOMENTS = 150
 
 
-def moment_of(backbone: Backbone, options: AssociationOptions) -> int:
-    """The length of a moment [steps]."""
-    return max(options.window, -(-backbone.log.num_poses // MOST_MOMENTS))
-
-
-def clock(backbone: Backbone, field: Field, densities: Densities, moment: int) -> np.ndarray:
+def clock(problem: Problem, moment: int) -> np.ndarray:
     """The time (T+1,) of each pose: its step, plus two moments for each blind stretch before it."""
-    log = backbone.log
-    noise = np.linalg.inv(backbone.motions.information)
-    variance = np.linalg.norm(noise[:, :2, :2], 2, axis=(1, 2)) + noise[:, 2, 2] * (field.farthest / 2) ** 2
+    log = problem.log
+    noise = np.linalg.inv(problem.backbone.motions.information)
+    variance = np.linalg.norm(noise[:, :2, :2], 2, axis=(1, 2)) + noise[:, 2, 2] * (problem.field.farthest / 2) ** 2
     total = np.concatenate([[0.0], np.cumsum(variance)])
     scans = np.unique(log.steps)
-    per_area = densities.new + (np.log(2 * np.pi) if log.has_orientation else 0.0)
+    per_area = problem.densities.new + (np.log(2 * np.pi) if log.has_orientation else 0.0)
     blind = np.sqrt(np.diff(total[scans])) > CERTAIN * np.exp(-0.5 * per_area)
     leaps = np.zeros(log.num_poses, dtype=np.int64)
     leaps[scans[1:][blind]] = 2 * moment

@@ -23,7 +23,7 @@ from ..log import UNIDENTIFIED, Log
 from ..models import SensorModel
 from ..se2 import Array, transform, turn_matrix, wrap
 from .evidence import Candidates, gates, log_density, log_volume
-from .map_solution import INDEPENDENT, MapSolution, Places, differences
+from .map_solution import INDEPENDENT, MapSolution, Places, Problem, differences
 from .problem import LEAST, AssociationOptions, Classes, Densities, Field
 
 
@@ -148,18 +148,16 @@ class Merge:
     evidence: float
 
 
-def merges(
-    solved: MapSolution, items: np.ndarray, seen: list[np.ndarray], shown: Array, densities: Densities, classes: Classes,
-    options: AssociationOptions, views: np.ndarray | None = None,
-) -> list[Merge]:  # fmt: skip
+def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.ndarray | None = None) -> list[Merge]:
     """The best joint hypothesis on which of the landmarks ``items`` (places in `MapSolution.landmarks`) are older landmarks.
 
     Args:
-        seen: the steps (sorted) in which each landmark was seen.
-        shown: (L, n) sums of log P(class shown given true), see `Classes`.
         views: (L,) in how many scans each landmark was in the field of view, if poses are known well enough for that.
     """
-    d, probability = solved.landmarks.shape[1], options.gate if views is None else SHARED
+    densities, classes = problem.densities, problem.classes
+    seen = solved.seen(problem.log.steps)
+    shown = classes.sums(solved.which, solved.rows, len(seen))
+    d, probability = solved.landmarks.shape[1], problem.options.gate if views is None else SHARED
     gate = float(gates(probability, d, 1)[1])
     item, other, both = _near(solved, items, seen, gate, 0 if views is None else np.inf)
     if len(item) == 0:

@@ -32,6 +32,7 @@ from ..se2 import Array
 from .adapting import Competition, Robot, Start, compete, spread, tolerance, wanted
 from .ambiguity import Ambiguity, ambiguities, readable
 from .front_end import run_front_end
+from .map_solution import Problem
 from .problem import AssociationOptions, Classes, Densities, Field
 from .problem import names as names_of
 from .refining import ROUNDS
@@ -250,14 +251,14 @@ def associate(
     if log.identified or not options.keep_ids:
         log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
     names, robot = wanted(estimate), Robot(log, motion, sensor)
-    densities = Densities.of(log, Field.of(log, sensor), options.clutter)
-    classes = Classes.of(log, options.confusion)
+    field, classes = Field.of(log, sensor), Classes.of(log, options.confusion)
+    problem = Problem(log, robot.backbone, field, Densities.of(log, field, options.clutter), classes, options)
 
     def driven() -> Start:
-        found = run_front_end(log, motion, sensor, robot.backbone, densities, classes, options)
+        found = run_front_end(problem, motion, sensor)
         return found.labels, found.poses
 
-    competition = compete(robot, _starts(log, start, driven), names, densities, classes, options)
+    competition = compete(robot, _starts(log, start, driven), names, problem)
     if competition is None:
         raise GraphError(
             f"no landmark of {log.name} was seen often enough to be one: all its "

@@ -33,10 +33,9 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from ..engine import engine
-from ..log import Log
 from ..se2 import Array
-from .map_solution import Backbone, MapSolution
-from .problem import INSIDE, Densities, Field
+from .map_solution import MapSolution, Problem
+from .problem import INSIDE, Densities
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +51,14 @@ class Visibility:
     anywhere: np.ndarray
 
     @classmethod
-    def of(cls, log: Log, backbone: Backbone, solved: MapSolution, field: Field) -> Visibility:
+    def of(cls, problem: Problem, solved: MapSolution) -> Visibility:
         """The counts for the landmarks of a solved graph."""
+        log, field = problem.log, problem.field
         scans = np.unique(log.steps)
         limits = np.array(
             [[field.nearest / s, field.farthest * s, np.cos(min(field.bearing * s, np.pi))] for s in (INSIDE, 1.0)]
         )
-        origin = np.asarray(backbone.origin, dtype=float)
+        origin = np.asarray(problem.backbone.origin, dtype=float)
         everywhere = engine.count_views(solved.poses[scans], np.ascontiguousarray(solved.landmarks), origin, limits)
         inside = _inside(solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which], origin, limits)
         seen = [np.bincount(solved.which, each, len(solved.landmarks)).astype(np.int64) for each in inside]
@@ -187,12 +187,12 @@ def log_volume(covariances: Array) -> Array:
     return np.linalg.slogdet(covariances)[1] + d * np.log(2 * np.pi)
 
 
-def evidence(log: Log, backbone: Backbone, solved: MapSolution, field: Field, densities: Densities) -> float:
+def evidence(problem: Problem, solved: MapSolution) -> float:
     """E of a solved graph; only differences between associations of one log, with the same densities, mean anything."""
-    d, count = solved.landmarks.shape[1], len(solved.landmarks)
-    Q = np.asarray(backbone.places.covariances)[solved.rows]
+    d, count, densities = solved.landmarks.shape[1], len(solved.landmarks), problem.densities
+    Q = np.asarray(problem.backbone.places.covariances)[solved.rows]
     sightings = len(solved.rows) * (densities.seen - densities.clutter) - 0.5 * float(np.sum(log_volume(Q)))
     # poses are the same in number for all associations, so their powers of 2 pi are left out
     volume = 0.5 * d * count * np.log(2 * np.pi) - 0.5 * solved.log_determinant
-    misses = float(Visibility.of(log, backbone, solved, field).misses(densities).sum())
+    misses = float(Visibility.of(problem, solved).misses(densities).sum())
     return -0.5 * solved.cost + volume + sightings + count * densities.new + misses

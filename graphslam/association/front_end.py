@@ -14,14 +14,13 @@ import numpy as np
 
 from ..errors import GraphError
 from ..graph import Graph
-from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose, rotation, wrap
 from ..solvers.solve import solve
 from .assignment import merges
 from .evidence import Candidates, gates, log_density
-from .map_solution import Backbone, MapSolution, Places, differences, seen_from
-from .problem import AssociationOptions, Classes, Densities, id_of_each, may_be_one
+from .map_solution import MapSolution, Problem, differences, seen_from
+from .problem import id_of_each, may_be_one
 
 #: a scan compares at most so many hypotheses
 MOST_IN_SCAN = 1_000
@@ -32,20 +31,13 @@ SURE = np.log(5.0)
 class LocalMap:
     """The pose (3,), the tracks (n, d) and their joint covariance; the first pose is known."""
 
-    def __init__(
-        self,
-        pose: Array,
-        places: Places,
-        densities: Densities,
-        classes: Classes,
-        memory: int,
-        options: AssociationOptions,
-    ) -> None:
+    def __init__(self, pose: Array, problem: Problem, memory: int) -> None:
+        places, classes, options = problem.backbone.places, problem.classes, problem.options
         self.pose, self.covariance = np.array(pose, dtype=float), np.zeros((3, 3))
         self.d = places.means.shape[1]
         self.tracks, self.last = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self.landmarks, self._shown = np.zeros((0, self.d)), np.zeros((0, classes.count))
-        self._places, self._densities, self._classes = places, densities, classes
+        self._places, self._densities, self._classes = places, problem.densities, classes
         self._memory, self._options = memory, options
         self._gate = float(gates(options.gate, self.d, 1)[1])
 
@@ -227,15 +219,13 @@ class FrontEndResult:
     deferred: int
 
 
-def run_front_end(
-    log: Log, motion: MotionModel, sensor: SensorModel, backbone: Backbone, densities: Densities, classes: Classes,
-    options: AssociationOptions,
-) -> FrontEndResult:  # fmt: skip
+def run_front_end(problem: Problem, motion: MotionModel, sensor: SensorModel) -> FrontEndResult:
     """Drive along the log once.
 
     Where some sightings have ids, the robot moves as the graph of these alone says: after a long way, where it is decides
     which landmarks the others are of.
     """
+    log, backbone, options = problem.log, problem.backbone, problem.options
     motions, noises = log.motions(motion)
     if np.any(kept := backbone.known >= 0):
         graph = Graph.from_log(
@@ -244,7 +234,7 @@ def run_front_end(
         guide = solve(graph).poses
         motions = between(guide[:-1], guide[1:])
     window = max(options.window, -(-log.num_poses // MOST_WINDOWS))
-    local = LocalMap(log.initial_poses[0], backbone.places, densities, classes, window, options)
+    local = LocalMap(log.initial_poses[0], problem, window)
     first = np.searchsorted(log.steps, np.arange(log.num_poses + 1))
     filtered = np.empty((log.num_poses, 3))
     tracks, fresh = np.full(len(log.steps), -1), 0
@@ -279,7 +269,7 @@ def run_front_end(
                 # the labels contradict the motions so much that solving diverges; `refine` finds it, too
                 break
             poses = solved.poses
-            joined, deferred = _join(log, solved, t - OPEN * window, backbone.known, densities, classes, options)
+            joined, deferred = _join(problem, solved, t - OPEN * window)
             if not joined:
                 break
             for new, old in joined.items():
@@ -305,18 +295,13 @@ def _join_by_ids(root: np.ndarray, tracks: np.ndarray, known: np.ndarray) -> Non
         root[np.isin(root, roots[1:])] = roots[0]
 
 
-def _join(
-    log: Log, solved: MapSolution, since: int, known: np.ndarray, densities: Densities, classes: Classes,
-    options: AssociationOptions,
-) -> tuple[dict[int, int], int]:  # fmt: skip
+def _join(problem: Problem, solved: MapSolution, since: int) -> tuple[dict[int, int], int]:
     """{new: old} labels of landmarks that are one, and how many decisions are left for later because they are ambiguous."""
-    seen = solved.seen(log.steps)
-    items = np.flatnonzero([steps[0] >= since for steps in seen])
-    shown = classes.sums(solved.which, solved.rows, len(seen))
-    found = merges(solved, items, seen, shown, densities, classes, options)
+    seen = solved.seen(problem.log.steps)
+    found = merges(problem, solved, np.flatnonzero([steps[0] >= since for steps in seen]))
     # one landmark may be near an old one by chance; a place that is seen again has several
-    least = np.log(options.factor)
-    ids = id_of_each(solved.which, known[solved.rows], len(seen))
+    least = np.log(problem.options.factor)
+    ids = id_of_each(solved.which, problem.backbone.known[solved.rows], len(seen))
     sure = [m for m in found if m.margin >= least and m.evidence >= 2 * least and may_be_one(ids[m.item], ids[m.into])]
     # chains, of which each member was seen with another one, are joined in several rounds
     taken: set[int] = set()

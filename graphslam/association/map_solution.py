@@ -20,7 +20,7 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array, transform, wrap
 from ..solvers.iteration import Run, gauss_newton
 from ..solvers.uncertainty import Uncertainty
-from .problem import numbered
+from .problem import AssociationOptions, Classes, Densities, Field, numbered
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +121,19 @@ class Backbone:
             np.concatenate([poses, landmarks]), families=families, steps=numbers, trajectory=poses, pose_ids=numbers,
             landmark_ids=ids, landmark_dimension=measured.shape[1],
         ), rows  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A log whose sightings are to be associated, and all that decides how: its backbone, what the sensor sees, densities,
+    classes and options."""
+
+    log: Log
+    backbone: Backbone
+    field: Field
+    densities: Densities
+    classes: Classes
+    options: AssociationOptions
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,13 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import GraphError
-from ..log import Log
 from ..se2 import Array
 from .ambiguity import Alternative, all_alternatives
 from .assignment import PlacedSightings, assign, merges
 from .evidence import Visibility, evidence, gates, log_density, log_volume
-from .map_solution import Backbone, MapSolution, differences
-from .problem import AssociationOptions, Classes, Densities, Field, held, id_of_each, may_be_one
+from .map_solution import MapSolution, Problem, differences
+from .problem import Densities, held, id_of_each, may_be_one
 
 #: chains of landmarks that are one are merged link by link, at most so often in a round
 MERGING = 4
@@ -51,57 +50,49 @@ class Refined:
     densities: Densities
 
 
-def refine(
-    log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, field: Field, densities: Densities, classes: Classes,
-    options: AssociationOptions,
-) -> Refined | None:  # fmt: skip
+def refine(problem: Problem, labels: np.ndarray, poses: Array) -> Refined | None:
     """Association and solving in turn, from labels (M,) and poses (T+1, 3).
 
     None where no landmark is left, or where the labels contradict the motions so much that solving diverges.
     """
     try:
-        return _in_turn(log, backbone, labels, poses, field, densities, classes, options)
+        return _in_turn(problem, labels, poses)
     except GraphError:
         return None
 
 
-def _in_turn(
-    log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, field: Field, densities: Densities, classes: Classes,
-    options: AssociationOptions,
-) -> Refined | None:  # fmt: skip
-    known, steps = backbone.known, log.steps
+def _in_turn(problem: Problem, labels: np.ndarray, poses: Array) -> Refined | None:
+    backbone, steps, known = problem.backbone, problem.log.steps, problem.backbone.known
     labels, settled = _compact(held(labels, known, steps)), False
     margins = np.full(len(labels), np.inf)
     rounds = 0
-    while rounds < options.rounds and not settled:
+    while rounds < problem.options.rounds and not settled:
         rounds, before = rounds + 1, labels
         if not np.any(labels >= 0):
             return None
-        solved = _merged(log, MapSolution.of(backbone, labels, poses), backbone, field, densities, classes, options)
-        world = PlacedSightings.of(backbone.places, solved.poses[log.steps])
-        labels, margins = _assigned(world, log, solved, densities, classes, options)
+        solved = _merged(problem, MapSolution.of(backbone, labels, poses))
+        world = PlacedSightings.of(backbone.places, solved.poses[steps])
+        labels, margins = _assigned(problem, world, solved)
         labels, margins = held(labels, known, steps), np.where(known < 0, margins, np.inf)
-        labels = _born(world, log, labels, options)
-        labels, densities = _kept(log, backbone, solved, field, labels, densities, options)
+        labels = _born(problem, world, labels)
+        labels, densities = _kept(problem, solved, labels)
+        problem = replace(problem, densities=densities)
         poses, labels = solved.poses, _compact(held(labels, known, steps))
         settled = int(np.count_nonzero(labels != before)) <= SETTLED * len(labels)
     if not np.any(labels >= 0):
         return None
-    return Refined(labels, MapSolution.of(backbone, labels, poses), rounds, settled, margins, densities)
+    return Refined(labels, MapSolution.of(backbone, labels, poses), rounds, settled, margins, problem.densities)
 
 
-def unrefined(
-    log: Log, backbone: Backbone, labels: np.ndarray, poses: Array, densities: Densities, classes: Classes,
-    options: AssociationOptions,
-) -> Refined:  # fmt: skip
+def unrefined(problem: Problem, labels: np.ndarray, poses: Array) -> Refined:
     """The graph of given labels (M,); a sighting that another landmark explains better has no margin."""
-    labels = _compact(held(labels, backbone.known, log.steps))
+    backbone, steps = problem.backbone, problem.log.steps
+    labels = _compact(held(labels, backbone.known, steps))
     solved = MapSolution.of(backbone, labels, poses)
-    world = PlacedSightings.of(backbone.places, solved.poses[log.steps])
-    better, margins = _assigned(world, log, solved, densities, classes, options)
+    better, margins = _assigned(problem, PlacedSightings.of(backbone.places, solved.poses[steps]), solved)
     margins = np.where(labels < 0, np.inf, np.where(better == labels, margins, 0.0))
     margins[backbone.known >= 0] = np.inf
-    return Refined(labels, solved, 1, True, margins, densities)
+    return Refined(labels, solved, 1, True, margins, problem.densities)
 
 
 def _compact(labels: np.ndarray) -> np.ndarray:
@@ -114,18 +105,12 @@ def _compact(labels: np.ndarray) -> np.ndarray:
     return number[which]
 
 
-def _merged(
-    log: Log, solved: MapSolution, backbone: Backbone, field: Field, densities: Densities, classes: Classes,
-    options: AssociationOptions,
-) -> MapSolution:  # fmt: skip
+def _merged(problem: Problem, solved: MapSolution) -> MapSolution:
     """The graph after all landmarks that are more likely one than two are merged."""
     for _ in range(MERGING):
-        everyone = np.arange(len(solved.labels))
-        shown = classes.sums(solved.which, solved.rows, len(everyone))
-        views = Visibility.of(log, backbone, solved, field).views
-        found = merges(solved, everyone, solved.seen(log.steps), shown, densities, classes, options, views)
         root = np.arange(len(solved.labels))
-        ids = id_of_each(solved.which, backbone.known[solved.rows], len(root))
+        found = merges(problem, solved, root, Visibility.of(problem, solved).views)
+        ids = id_of_each(solved.which, problem.backbone.known[solved.rows], len(root))
         found = [m for m in found if may_be_one(ids[m.item], ids[m.into])]
         taken: set[int] = set()
         for m in sorted(found, key=lambda m: -m.margin):
@@ -134,34 +119,29 @@ def _merged(
                 taken |= {m.item, m.into}
         if not taken:
             break
-        labels = np.full(len(log.steps), -1)
+        labels = np.full(len(problem.log.steps), -1)
         labels[solved.rows] = root[solved.which]
-        solved = MapSolution.of(backbone, labels, solved.poses)
+        solved = MapSolution.of(problem.backbone, labels, solved.poses)
     return solved
 
 
-def _assigned(
-    world: PlacedSightings,
-    log: Log,
-    solved: MapSolution,
-    densities: Densities,
-    classes: Classes,
-    options: AssociationOptions,
-) -> tuple[np.ndarray, Array]:
+def _assigned(problem: Problem, world: PlacedSightings, solved: MapSolution) -> tuple[np.ndarray, Array]:
     """The label and the margin (M,) of each sighting: the best assignment of every scan."""
+    densities, classes = problem.densities, problem.classes
     shown = classes.sums(solved.which, solved.rows, len(solved.labels))
 
     def weights(item: np.ndarray, landmark: np.ndarray) -> Array:
         return densities.seen - densities.clutter + classes.together(classes.of_sightings(item), shown[landmark])
 
     own = solved.own_covariances + solved.slack
-    chosen, margins = assign(world, log.steps, solved.landmarks, own, options.gate, weights)
+    chosen, margins = assign(world, problem.log.steps, solved.landmarks, own, problem.options.gate, weights)
     return np.where(chosen < 0, -1, solved.labels[chosen]), margins
 
 
-def _born(world: PlacedSightings, log: Log, labels: np.ndarray, options: AssociationOptions) -> np.ndarray:
+def _born(problem: Problem, world: PlacedSightings, labels: np.ndarray) -> np.ndarray:
     """The labels with new ones for sightings that none has, but that agree with each other."""
-    d, gate = world.means.shape[1], float(gates(options.gate, world.means.shape[1], 1)[1])
+    d, steps = world.means.shape[1], problem.log.steps
+    gate = float(gates(problem.options.gate, d, 1)[1])
     labels, rows = labels.copy(), np.flatnonzero(labels < 0)
     if len(rows) < 2:
         return labels
@@ -171,7 +151,7 @@ def _born(world: PlacedSightings, log: Log, labels: np.ndarray, options: Associa
     last, number, count = np.full(len(rows), -1), np.full(len(rows), -1), 0
     for n, k in enumerate(rows):
         away = np.abs(world.means[k, :2] - means[:count, :2]).max(axis=1)
-        near = np.flatnonzero((away <= reach[n]) & (last[:count] != log.steps[k]))
+        near = np.flatnonzero((away <= reach[n]) & (last[:count] != steps[k]))
         best, square = count, np.inf
         if len(near):
             nu = differences(world.means[k], means[near])
@@ -184,26 +164,24 @@ def _born(world: PlacedSightings, log: Log, labels: np.ndarray, options: Associa
         means[best] = differences(
             means[best] + np.linalg.solve(total, own @ differences(world.means[k], means[best])), np.zeros(d)
         )
-        information[best], spread[best], last[best], number[n] = total, np.linalg.inv(total), log.steps[k], best
+        information[best], spread[best], last[best], number[n] = total, np.linalg.inv(total), steps[k], best
     born = np.bincount(number, minlength=count) >= 2
     labels[rows] = np.where(born[number], labels.max() + 1 + number, -1)
     return labels
 
 
-def _kept(
-    log: Log, backbone: Backbone, solved: MapSolution, field: Field, labels: np.ndarray, densities: Densities,
-    options: AssociationOptions,
-) -> tuple[np.ndarray, Densities]:  # fmt: skip
+def _kept(problem: Problem, solved: MapSolution, labels: np.ndarray) -> tuple[np.ndarray, Densities]:
     """The labels of landmarks with enough evidence, -1 for the others; and the densities counted again."""
-    solved = MapSolution.of(backbone, labels, solved.poses)
-    seen = Visibility.of(log, backbone, solved, field)
-    densities = densities.counted(int(seen.within.sum()), int(seen.views.sum()), float(np.mean(labels < 0)))
-    world = PlacedSightings.of(backbone.places, solved.poses[log.steps])
+    solved = MapSolution.of(problem.backbone, labels, solved.poses)
+    seen = Visibility.of(problem, solved)
+    share = float(np.mean(labels < 0))
+    densities = problem.densities.counted(int(seen.within.sum()), int(seen.views.sum()), share)
+    world = PlacedSightings.of(problem.backbone.places, solved.poses[problem.log.steps])
     nu = differences(world.means[solved.rows], solved.landmarks[solved.which])
     each = densities.seen - densities.clutter + log_density(nu, world.covariances[solved.rows])[0]
     total = densities.new + 0.5 * log_volume(solved.own_covariances) + seen.misses(densities)
     total = total + np.bincount(solved.which, each)
-    good = (total > np.log(options.factor)) & (np.bincount(solved.which) > 1)
+    good = (total > np.log(problem.options.factor)) & (np.bincount(solved.which) > 1)
     labels = labels.copy()
     labels[solved.rows] = np.where(good[solved.which], labels[solved.rows], -1)
     return labels, densities
@@ -240,32 +218,27 @@ class SearchResult:
     rivals: list[tuple[float, Array]]
 
 
-def search(
-    log: Log, backbone: Backbone, refined: Refined, field: Field, classes: Classes, options: AssociationOptions
-) -> SearchResult:
-    """Try alternatives while the evidence rises."""
-    events, unsettled = max(LEAST_EVENTS, WORK // log.num_poses), 0
-    densities, brief = refined.densities, replace(options, rounds=min(options.rounds, ROUNDS))
-    best = evidence(log, backbone, refined.solved, field, densities)
+def search(problem: Problem, refined: Refined) -> SearchResult:
+    """Try alternatives while the evidence rises, with the densities of the association that it begins with."""
+    problem, options = replace(problem, densities=refined.densities), problem.options
+    events, unsettled = max(LEAST_EVENTS, WORK // problem.log.num_poses), 0
+    brief = replace(problem, options=replace(options, rounds=min(options.rounds, ROUNDS)))
+    best = evidence(problem, refined.solved)
     tried: set[bytes] = set()
     solved: list[tuple[float, Array]] = []
     while True:
-        found = all_alternatives(
-            log, backbone, refined.solved, field, densities, classes, options, most=MOST, events=events
-        )
+        found = all_alternatives(problem, refined.solved, most=MOST, events=events)
         promising = sorted((a for a in found if a.log_factor < PROMISING), key=lambda a: a.log_factor)
         for alternative in promising:
             if len(tried) == options.tries or (key := alternative.labels.tobytes()) in tried:
                 continue
             tried.add(key)
-            trials = [refine(log, backbone, alternative.labels, alternative.poses, field, densities, classes, brief)]
+            trials = [refine(brief, alternative.labels, alternative.poses)]
             if alternative.log_factor < 0:
                 # refining merges pairs, which may undo what all landmarks of a place together say
-                trials.append(
-                    unrefined(log, backbone, alternative.labels, alternative.poses, densities, classes, brief)
-                )
+                trials.append(unrefined(brief, alternative.labels, alternative.poses))
             unsettled += any(not trial.settled for trial in trials if trial is not None)
-            ends = [(evidence(log, backbone, t.solved, field, densities), t) for t in trials if t is not None]
+            ends = [(evidence(problem, t.solved), t) for t in trials if t is not None]
             solved += [(value, end.solved.poses) for value, end in ends]
             value, end = max(ends, key=lambda each: each[0], default=(-np.inf, refined))
             if value > best + np.log(options.factor):
@@ -276,7 +249,7 @@ def search(
             left = len({alternative.labels.tobytes() for alternative in promising} - tried)
             for alternative in promising[: options.tries]:
                 # refining may end at the association itself, though the alternative is nearly as likely
-                other = MapSolution.of(backbone, alternative.labels, alternative.poses)
-                solved.append((evidence(log, backbone, other, field, densities), other.poses))
+                other = MapSolution.of(problem.backbone, alternative.labels, alternative.poses)
+                solved.append((evidence(problem, other), other.poses))
             rivals = [(best - value, poses) for value, poses in solved if np.isfinite(value)]
             return SearchResult(refined, found, len(tried), unsettled, left, rivals)

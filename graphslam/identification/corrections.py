@@ -125,12 +125,8 @@ def moves(parameters: Parameters, predicted: Array, steps: np.ndarray) -> Array:
 
 def smoothed_controls(parameters: Parameters) -> Array:
     """The corrected controls (S, 2), each averaged for some time before and after its middle; `_smoothing` chooses."""
-    log = parameters.recorded
-    assert log.controls is not None and log.dt is not None
-    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
-    middles = (ends[:-1] + ends[1:]) / 2
-    columns = zip(corrected_controls(parameters).T, _smoothing(log.controls, ends, parameters))
-    return np.column_stack([_means(_summed(each * log.dt), ends, middles, w) for each, w in columns])
+    ends = _ends(parameters.recorded)
+    return _averaged(parameters, ends, (ends[:-1] + ends[1:]) / 2)
 
 
 def controls_at_steps(parameters: Parameters) -> Array:
@@ -139,12 +135,22 @@ def controls_at_steps(parameters: Parameters) -> Array:
     A single control is noisy where odometry is frequent, and a delay that multiplies noise is estimated too small, as in
     every regression on noisy values; a long mean blurs turns. `_smoothing` chooses.
     """
+    ends = _ends(parameters.recorded)
+    return _averaged(parameters, ends, ends[parameters.recorded.control_starts])
+
+
+def _ends(log: Log) -> Array:
+    """The times (S+1,) at which controls end, from that of the first pose on [s]."""
+    assert log.dt is not None
+    return _summed(log.dt)
+
+
+def _averaged(parameters: Parameters, ends: Array, times: Array) -> Array:
+    """The corrected controls (n, 2) around times (n,), averaged as `_smoothing` says."""
     log = parameters.recorded
     assert log.controls is not None and log.dt is not None
-    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
-    windows = _smoothing(log.controls, ends, parameters)
-    columns = zip(corrected_controls(parameters).T, windows)
-    return np.column_stack([_means(_summed(each * log.dt), ends, ends[log.control_starts], w) for each, w in columns])
+    columns = zip(corrected_controls(parameters).T, _smoothing(log.controls, ends, parameters))
+    return np.column_stack([_means(_summed(each * log.dt), ends, times, window) for each, window in columns])
 
 
 def _smoothing(controls: Array, ends: Array, parameters: Parameters) -> list[float]:

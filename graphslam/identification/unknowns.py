@@ -26,12 +26,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..edges import RelativePoseEdges
 from ..errors import GraphError
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, compose, interpolate, inverse, mounted, perpendicular, rotation, wrap
+from ..se2 import Array, compose, interpolate, inverse, perpendicular, rotation, wrap
 from .corrections import corrected_sensor
 from .declared import Parameters, ideal_values
 from .odometry import Edges, Odometry, add_at, near, sensor_parts, with_variances
@@ -102,6 +103,7 @@ class Unknowns:
         self._steps = self.odometry.steps(log)
         self.motion_parts, gaps = self.odometry.parts(self._steps)
         self._least = gaps + LEAST_MOTION * np.eye(3)
+        self._unweighed = np.broadcast_to(np.eye(3), (self.poses - 1, 3, 3))
         self.sensor_parts = sensor_parts(self.sightings)
         self._evaluated: tuple[Array, Array, Array] | None = None
         self.centres = self._centres()
@@ -243,15 +245,8 @@ class Unknowns:
     def motions(self) -> Edges:
         """The edges of all motions."""
         measured, slopes = self._measured()
-        a, b = self.trajectory[:-1], self.trajectory[1:]
-        turn = np.swapaxes(rotation(a[:, 2]), 1, 2)
-        moved = np.einsum("eij,ej->ei", turn, b[:, :2] - a[:, :2])
-        residuals = np.column_stack([moved - measured[:, :2], wrap(b[:, 2] - a[:, 2] - measured[:, 2])])
-        by_first, by_second = np.zeros((len(a), 3, 3)), np.zeros((len(a), 3, 3))
-        by_first[:, :2, :2], by_second[:, :2, :2] = -turn, turn
-        by_first[:, 0, 2], by_first[:, 1, 2] = moved[:, 1], -moved[:, 0]
-        by_first[:, 2, 2], by_second[:, 2, 2] = -1.0, 1.0
-        return Edges(self.before, self.after, residuals, by_first, by_second, -slopes, self.motion_parts)
+        edges = RelativePoseEdges(self.before, self.after, measured, self._unweighed).linearize(self.state, self.state)
+        return Edges(self.before, self.after, edges.residuals, *edges.jacobians, -slopes, self.motion_parts)
 
     def _measured(self) -> tuple[Array, Array]:
         """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters; see `near`."""
@@ -270,58 +265,44 @@ class Unknowns:
         seen = self.seen if seen is None else seen
         parts = self.sensor_parts if sightings is None else sensor_parts(sightings)
         z = self.sightings if sightings is None else sightings
-        p, d = self.parameters.by_name(), z.shape[1]
-        x, m = self.state[steps], self.state[seen]
-        speed = self._speeds[steps]
-        back = -p["sensor_delay"] * speed
-        c, s = np.cos(x[:, 2]), np.sin(x[:, 2])
-        at = x.copy()
-        at[:, 0] += back[:, 0] * c
-        at[:, 1] += back[:, 0] * s
-        at[:, 2] += back[:, 1]
-        arm = mounted(at, (p["sensor_ahead"], p["sensor_left"]))[:, :2] - at[:, :2]
-        offset = m[:, :2] - at[:, :2] - arm
-        r = np.maximum(np.hypot(offset[:, 0], offset[:, 1]), NEAREST)
-        direction = np.arctan2(offset[:, 1], offset[:, 0])
-        predicted = [p["range_scale"] * r + p["range_bias"], direction - at[:, 2] + p["bearing_bias"]]
-        predicted += [direction - m[:, 2]] if d == 3 else []
-        residuals = np.column_stack(predicted) - z
-        residuals[:, 1:] = wrap(residuals[:, 1:])
-        # by the position of the sensor, and from it by everything that moves the sensor
-        of_place = np.zeros((len(z), d, 2))
-        of_place[:, 0] = -p["range_scale"] * offset / r[:, None]
-        of_place[:, 1] = np.column_stack([offset[:, 1], -offset[:, 0]]) / (r * r)[:, None]
-        if d == 3:
-            of_place[:, 2] = of_place[:, 1]
-
-        def by(shift: Array, turn: Array | float = 0.0) -> Array:
-            """The derivative (M, d) of the residuals, when the sensor's position and heading have these."""
-            slope = np.einsum("edi,ei->ed", of_place, shift)
-            slope[:, 1] -= turn
-            return slope
-
-        across_arm = np.column_stack([-arm[:, 1], arm[:, 0]])
-        by_pose, by_landmark = np.zeros((len(z), d, 3)), np.zeros((len(z), d, 3))
-        by_pose[:, :, :2], by_landmark[:, :, :2] = of_place, -of_place
-        by_pose[:, :, 2] = by(np.column_stack([-back[:, 0] * s, back[:, 0] * c]) + across_arm, 1.0)
-        if d == 3:
-            by_landmark[:, 2, 2] = -1.0
+        p, d, sensor = self.parameters.by_name(), z.shape[1], corrected_sensor(self.parameters)
+        at, m, speed = self.state[steps].copy(), self.state[seen][:, :d], self._speeds[steps]
+        # where the sighting was made from, the robot was earlier
         heading = np.column_stack([np.cos(at[:, 2]), np.sin(at[:, 2])])
+        back = -p["sensor_delay"] * speed
+        at[:, :2] += back[:, :1] * heading
+        at[:, 2] += back[:, 1]
+        eyes = sensor.mount(at)[:, :2]
+        near = np.hypot(*(m[:, :2] - eyes).T) < NEAREST
+        m[near, :2] = eyes[near] + [NEAREST, 0.0]
+        residuals, by_at, of_landmark = sensor.h(at, m), sensor.H_pose(at, m), sensor.H(at, m)
+        r = residuals[:, 0].copy()
+        residuals[:, 0] = p["range_scale"] * r + p["range_bias"]
+        residuals[:, 1] += p["bearing_bias"]
+        residuals -= z
+        residuals[:, 1:] = wrap(residuals[:, 1:])
+        by_at[:, 0] *= p["range_scale"]
+        of_landmark[:, 0] *= p["range_scale"]
+        by_landmark = np.zeros((len(z), d, 3))
+        by_landmark[:, :, :d] = of_landmark
+        # a turn of the present pose also turns the way back
+        by_pose = by_at.copy()
+        by_pose[:, :, 2] += np.einsum("edi,ei->ed", by_at[:, :, :2], back[:, :1] * perpendicular(heading))
+        # a parameter of the sensor's place or clock moves the pose of the sighting
+        turned = np.column_stack([np.cos(at[:, 2]), np.sin(at[:, 2])])
+        still = np.zeros((len(z), 1))
+        moves = {
+            "sensor_ahead": np.hstack([turned, still]), "sensor_left": np.hstack([perpendicular(turned), still]),
+            "sensor_delay": -np.hstack([speed[:, :1] * heading, speed[:, 1:]]),
+        }  # fmt: skip
+        numbers = {"range_scale": (0, r), "range_bias": (0, 1.0), "bearing_bias": (1, 1.0)}
         slopes = np.zeros((len(z), d, len(self.parameters)))
         for k, name in enumerate(self.parameters.names):
-            if name == "range_scale":
-                slopes[:, 0, k] = r
-            elif name == "range_bias":
-                slopes[:, 0, k] = 1.0
-            elif name == "bearing_bias":
-                slopes[:, 1, k] = 1.0
-            elif name == "sensor_ahead":
-                slopes[:, :, k] = by(heading)
-            elif name == "sensor_left":
-                slopes[:, :, k] = by(np.column_stack([-heading[:, 1], heading[:, 0]]))
-            elif name == "sensor_delay":
-                driven = -speed[:, :1] * np.column_stack([c, s])
-                slopes[:, :, k] = by(driven - speed[:, 1:] * across_arm, -speed[:, 1])
+            if name in moves:
+                slopes[:, :, k] = np.einsum("edi,ei->ed", by_at, moves[name])
+            elif name in numbers:
+                row, slope = numbers[name]
+                slopes[:, row, k] = slope
         return Edges(steps, seen, residuals, by_pose, by_landmark, slopes, parts)
 
     def covariances(self, edges: Edges) -> Array:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -61,21 +61,22 @@ class TomlFile:
     def line_of(self, key: str) -> int | None:
         """The line on which the statement begins that sets a key, "table.key" or "tables[1].key"; None if there is none.
 
-        Each statement is read on its own, below the header that it stands under.
+        The first lines that have the key are found by bisection, among the numbers of lines that are valid by themselves.
         """
-        path = re.findall(r"[^.\[\]]+", key)
-        place: list[str] = []
-        lengths: Counter[tuple[str, ...]] = Counter()
-        for line, statement in _statements(self.text):
-            content = tomllib.loads(statement)
-            if statement.lstrip().startswith("["):
-                place = _place(content, lengths)
-                found = place[: len(path)] == path
+        path, lines = re.findall(r"[^.\[\]]+", key), self.text.split("\n")
+        if not _holds(self.table, path):
+            return None
+        without, having = 0, len(lines)
+        while True:
+            middle = max((without + having) // 2, without + 1)
+            for end in (*range(middle, having), *range(middle - 1, without, -1)):
+                if (content := _parsed(lines[:end])) is not None:
+                    break
             else:
-                found = path[: len(place)] == place and _holds(content, path[len(place) :])
-            if found:
-                return line
-        return None
+                # one statement, perhaps below comments
+                begins = (k for k in range(without, having) if lines[k].strip() and lines[k].lstrip()[0] != "#")
+                return next(begins) + 1
+            without, having = (without, end) if _holds(content, path) else (end, having)
 
     def check_keys(self, table: Mapping[str, Any], known: Collection[str], where: str = "") -> None:
         """Raise `FormatError` for the first key that is not known; the message names the nearest one that is.
@@ -124,44 +125,11 @@ class TomlFile:
             raise self.error(f"{where}.{name}" if where else name, str(error)) from None
 
 
-#: what decides where a statement ends: texts in quotes, which may hold anything, comments, brackets and line ends
-_TOKENS = re.compile(
-    r'''"""(?:\\.|[^\\])*?"{3,5}|\'{3}.*?\'{3,5}|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]''', re.DOTALL
-)
-
-
-def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """The statements of a valid TOML text, headers and key = value, with the line on which each begins."""
-    begin = depth = 0
-    line = following = 1
-    for token in _TOKENS.finditer(f"{text}\n"):
-        depth += (token[0] in ("[", "{")) - (token[0] in ("]", "}"))
-        following += token[0].count("\n")
-        if token[0] == "\n" and depth == 0:
-            statement = text[begin : token.start()]
-            if statement.strip() and not statement.lstrip().startswith("#"):
-                yield line, statement
-            begin, line = token.end(), following
-
-
-def _place(header: Mapping[str, Any], lengths: Counter[tuple[str, ...]]) -> list[str]:
-    """The path to the table of a header, [a.b] or [[a.b]], with the number of the table in each array of tables.
-
-    Args:
-        header: its content, {"a": {"b": {}}} or {"a": {"b": [{}]}}.
-        lengths: of the arrays of tables so far, by path; counted on by this header.
-    """
-    place: list[str] = []
-    value: Any = header
-    while value:
-        ((name, value),) = value.items()
-        place.append(name)
-        if isinstance(value, list):
-            lengths[tuple(place)] += 1
-            value = {}
-        if length := lengths[tuple(place)]:
-            place.append(str(length - 1))
-    return place
+def _parsed(lines: Sequence[str]) -> dict[str, Any] | None:
+    """The content of some lines; None where a statement goes on below them."""
+    with suppress(tomllib.TOMLDecodeError):
+        return tomllib.loads("\n".join(lines))
+    return None
 
 
 def _holds(value: Any, path: Sequence[str]) -> bool:

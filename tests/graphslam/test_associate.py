@@ -27,8 +27,8 @@ from graphslam import (
 from graphslam.association import score
 from graphslam.association.ambiguity import readable
 from graphslam.association.evidence import Candidates, evidence, log_density
-from graphslam.association.map_solution import Backbone, MapSolution, differences, seen_from
-from graphslam.association.problem import Densities, Field
+from graphslam.association.map_solution import Backbone, MapSolution, Problem, differences, seen_from
+from graphslam.association.problem import AssociationOptions, Classes, Densities, Field
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
 from graphslam.log import UNIDENTIFIED
@@ -107,7 +107,9 @@ def test_evidence_for_one_landmark_instead_of_two_is_that_of_their_distance(psi:
     # no landmark is ever missed, so that only the landmarks count
     densities = Densities(np.log(0.3), np.log(0.01), -50.0, 0.0)
     a, b = (MapSolution.of(backbone, labels, log.dead_reckoning(MotionModel())) for labels in (one, both))
-    gained = evidence(log, backbone, a, field, densities) - evidence(log, backbone, b, field, densities)
+    options = AssociationOptions()
+    problem = Problem(log, backbone, field, densities, Classes.of(log, options.confusion), options)
+    gained = evidence(problem, a) - evidence(problem, b)
     chosen, d = np.array([3, one.max() + 1]), b.landmarks.shape[1]
     P = b.joint_covariance(chosen)
     S = P[0, :, 0] + P[1, :, 1] - P[0, :, 1] - P[1, :, 0]
