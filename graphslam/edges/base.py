@@ -148,9 +148,28 @@ class EdgeFamily(ABC):
     def linearize(self, state: Array, reference: Array) -> Linearization:
         """The edges one by one, for inspection and tests."""
 
-    @abstractmethod
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        """Add the edges to Omega and xi of ``system`` in place, where one is given, and return their cost."""
+        """Add the edges to Omega and xi of ``system`` in place, where one is given, and return their cost.
+
+        Computed from `linearize`, whose arrays of nodes must be the same at every call; with a robust kernel on each edge
+        where the family has a ``kernel``.
+        """
+        edges, kernel = self.linearize(state, reference), getattr(self, "kernel", None)
+        squares = edges.mahalanobis
+        if system is not None:
+            W = edges.information if kernel is None else edges.information * kernel.weight(squares)[:, None, None]
+            ends = list(zip(edges.nodes, edges.jacobians))
+            for k, (node, B) in enumerate(ends):
+                pull = np.swapaxes(B, 1, 2) @ W
+                # several edges may belong to one node
+                np.add.at(system.values, system.diagonal_slots[node], pull @ B)
+                np.add.at(system.xi, node, -np.einsum("eij,ej->ei", pull, edges.residuals))
+                for other, C in ends[k + 1 :]:
+                    block = pull @ C
+                    # the upper block of a pair has the rows of the lower node
+                    block = np.where((node < other)[:, None, None], block, np.swapaxes(block, 1, 2))
+                    np.add.at(system.values, system.slots_of(node, other)[2], block)
+        return float(np.sum(squares if kernel is None else kernel.loss(squares)))
 
     def cost(self, state: Array, reference: Array) -> float:
         """The sum of e' Omega e."""

@@ -38,7 +38,6 @@ import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError
-from ..linear.information import BlockSystem
 from ..models import SensorModel
 from ..se2 import Array, mounted, perpendicular, wrap
 from .base import ConstantEdges, EngineEdges, Linearization, PairEdges, Relations
@@ -179,23 +178,6 @@ class PartialEdges(SingleEdges, PairEdges):
         lever = perpendicular(sensors[:, :2] - poses[:, :2])
         A[:, 0, 2] = by_turn - np.einsum("ei,ei->e", by_landmark, lever)
         return Linearization(e[:, None], self.weighed, (self.first, self.second), (A, B))
-
-    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        edges = self.linearize(state, reference)
-        squares = edges.mahalanobis
-        if system is not None:
-            A, B = (jacobian[:, 0] for jacobian in edges.jacobians)
-            w = edges.information[:, 0, 0]
-            if self.kernel is not None:
-                w = w * self.kernel.weight(squares)
-            first, second, pairs = system.slots_of(self.first, self.second)
-            # landmarks come after poses, so that the upper block of a pair has the pose's rows
-            for slots, left, right in ((first, A, A), (second, B, B), (pairs, A, B)):
-                np.add.at(system.values, slots, w[:, None, None] * left[:, :, None] * right[:, None, :])
-            pull = w * edges.residuals[:, 0]
-            np.add.at(system.xi, self.first, -pull[:, None] * A)
-            np.add.at(system.xi, self.second, -pull[:, None] * B)
-        return float(np.sum(squares if self.kernel is None else self.kernel.loss(squares)))
 
     def constant(self, state: Array) -> ConstantEdges:
         raise GraphError("ranges and bearings alone have no form with constant information")

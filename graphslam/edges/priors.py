@@ -192,19 +192,6 @@ class PositionEdges(SingleEdges):
             residuals[:, 2] = wrap(state[self.nodes, 2] - self.measured[:, 2])
         return Linearization(residuals[:, :d], self.weighed, (self.nodes,), (B[:, :d],))
 
-    def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        edges = self.linearize(state, reference)
-        squares = edges.mahalanobis
-        if system is not None:
-            B, W = edges.jacobians[0], edges.information
-            if self.kernel is not None:
-                W = W * self.kernel.weight(squares)[:, None, None]
-            pull = np.swapaxes(B, 1, 2) @ W
-            # several positions may belong to one pose
-            np.add.at(system.values, system.diagonal_slots[self.nodes], pull @ B)
-            np.add.at(system.xi, self.nodes, -np.einsum("eij,ej->ei", pull, edges.residuals))
-        return float(np.sum(squares if self.kernel is None else self.kernel.loss(squares)))
-
     def constant(self, state: Array) -> ConstantEdges:
         # a relative pose measured from the origin of the world
         information = self.weighed

@@ -131,17 +131,8 @@ def sighted_covariance(theta: float, z: Sequence[float], sensor: SensorModel) ->
 
 
 def sensor_of(sensor: Any) -> SensorModel:
-    """The sensor model given, or the book's for None.
-
-    Raises:
-        OptionError: the argument is neither.
-        GraphError: its numbers are outside of what double precision can hold.
-    """
-    if sensor is None:
-        return _SENSOR
-    check_type(SensorModel, sensor=sensor)
-    check_model(sensor)
-    return sensor
+    """The sensor model given, or the book's for None; errors as of `motion_of`."""
+    return _model_of(SensorModel, _SENSOR, sensor=sensor)
 
 
 def motion_of(motion: Any) -> MotionModel:
@@ -151,11 +142,16 @@ def motion_of(motion: Any) -> MotionModel:
         OptionError: the argument is neither.
         GraphError: its numbers are outside of what double precision can hold.
     """
-    if motion is None:
-        return _MOTION
-    check_type(MotionModel, motion=motion)
-    check_model(motion)
-    return motion
+    return _model_of(MotionModel, _MOTION, motion=motion)
+
+
+def _model_of(kind: Any, default: Any, **given: Any) -> Any:
+    (model,) = given.values()
+    if model is None:
+        return default
+    check_type(kind, **given)
+    check_model(model)
+    return model
 
 
 def frozen_at(at: Any, needed: bool, rows: int | None = None, *, frame: str = "world") -> Array | None:

@@ -295,7 +295,11 @@ class Unknowns:
             "sensor_ahead": np.hstack([turned, still]), "sensor_left": np.hstack([perpendicular(turned), still]),
             "sensor_delay": -np.hstack([speed[:, :1] * heading, speed[:, 1:]]),
         }  # fmt: skip
-        numbers = {"range_scale": (0, r), "range_bias": (0, 1.0), "bearing_bias": (1, 1.0)}
+        numbers: dict[str, tuple[int, Array | float]] = {
+            "range_scale": (0, r),
+            "range_bias": (0, 1.0),
+            "bearing_bias": (1, 1.0),
+        }
         slopes = np.zeros((len(z), d, len(self.parameters)))
         for k, name in enumerate(self.parameters.names):
             if name in moves:

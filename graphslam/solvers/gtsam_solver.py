@@ -115,16 +115,8 @@ def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph
         else:
             for factor in _plain(graph, family, nodes):
                 made.add(factor)
-    priors = np.isfinite(parameters.deviations)
-    if priors.any():
-        root, means = np.diag(1 / parameters.deviations)[priors], parameters.means
-
-        def prior(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Array:
-            if jacobians is not None:
-                jacobians[0] = np.asfortranarray(root)
-            return root @ (values.atVector(key) - means)
-
-        made.add(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(int(priors.sum())), [key], prior))
+    noise = gtsam.noiseModel.Diagonal.Precisions(parameters.weights)
+    made.add(gtsam.PriorFactorVector(key, parameters.means, noise))
     return made
 
 

@@ -26,8 +26,8 @@ from .corrected import undetermined
 
 
 def objective_of(graph: Any) -> Any:
-    """The objective of a `Graph`, or of another object that has ``linearize``, ``cost`` and a ``system`` as a graph does."""
-    objective = _of_graph(graph) if isinstance(graph, Graph) else engine.PythonObjective(_InPython(graph))
+    """The objective of a `Graph`, or of an object with the methods of `joint.JointGraph`."""
+    objective = _of_graph(graph) if isinstance(graph, Graph) else engine.PythonObjective(graph)
     objective.state_dependent, objective.reweighted = graph.state_dependent_information, graph.reweighted
     return objective
 
@@ -57,35 +57,6 @@ def _in_engine(family: EdgeFamily, graph: Graph) -> Any:
 def _accumulate(family: EdgeFamily, system: BlockSystem) -> Callable[[Array, Array, bool], float]:
     """`EdgeFamily.accumulate` of a family that is written in NumPy."""
     return lambda state, reference, add: family.accumulate(state, reference, system if add else None)
-
-
-class _InPython:
-    """The interface of the engine to an objective that is written in Python."""
-
-    def __init__(self, graph: Any) -> None:
-        self._graph = graph
-        self._system: Any = None
-        self._factor: Any = None
-
-    def linearize(self, state: Array, reference: Array) -> float:
-        self._system, cost = self._graph.linearize(state, reference)
-        return cost
-
-    def cost(self, state: Array, reference: Array) -> float:
-        return self._graph.cost(state, reference)
-
-    def factorize(self, damping: float) -> None:
-        self._factor = self._system.factorize(damping)
-
-    def solve(self) -> Array:
-        return self._factor.solve(self._system.xi)
-
-    @property
-    def xi(self) -> Array:
-        return self._system.xi
-
-    def diagonal(self) -> Array:
-        return self._system.diagonal()
 
 
 #: a step shorter than the tolerance ends an iteration only where it promises to lower J by less than this part of it,

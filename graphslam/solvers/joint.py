@@ -40,7 +40,7 @@ from .corrected import corrected, motion_edges, predictions, sighted_edges, unde
 
 
 class JointGraph:
-    """A graph and its parameters in the form that the iterations of `graphslam.solvers` need.
+    """A graph and its parameters as an objective of the engine's iterations, see the module.
 
     The states (n + r, 3) of the iterations have the parameters in their last r rows, three in each.
     """
@@ -53,7 +53,6 @@ class JointGraph:
         _check_pairs(sighted_edges(graph))
         self.graph, self.parameters = graph, graph.parameters
         self.reweighted, self.rows = graph.reweighted, -(-len(self.parameters) // 3)
-        self.system = JointSystem(self)
 
     def joined(self, nodes: Array, values: Array) -> Array:
         """The state (n + r, 3) of nodes (n, 3) and parameters (K,)."""
@@ -78,14 +77,41 @@ class JointGraph:
         held = nodes if reference is None else self.parted(reference)[0]
         return self.at(state, reference).cost(nodes, held)
 
-    def linearize(self, state: Array, reference: Array | None = None) -> tuple[JointSystem, float]:
-        """The system at a state, and its cost."""
-        nodes, _ = self.parted(state)
-        held = nodes if reference is None else self.parted(reference)[0]
-        graph = self.at(state, reference)
-        _, cost = graph.linearize(nodes, held)
-        self.system.fill(graph, nodes, held, self.border(graph, nodes, held))
-        return self.system, cost
+    def linearize(self, state: Array, reference: Array | None = None) -> float:
+        """Evaluate the system at a state; the cost there."""
+        self._nodes, _ = self.parted(state)
+        held = self._nodes if reference is None else self.parted(reference)[0]
+        self._here = self.at(state, reference)
+        _, cost = self._here.linearize(self._nodes, held)
+        self._border = self.border(self._here, self._nodes, held)
+        return cost
+
+    @property
+    def xi(self) -> Array:
+        """The right side (n + r, 3)."""
+        return self.joined(self._here.system.xi, self._border.gradient)
+
+    def diagonal(self) -> Array:
+        """The scalar diagonal, (n + r, 3), 1 where there is no parameter."""
+        last = np.ones(3 * self.rows)
+        last[: len(self.parameters)] = np.diag(self._border.own)
+        return np.concatenate([self._here.system.diagonal(), last.reshape(-1, 3)])
+
+    def factorize(self, damping: float = 0.0) -> None:
+        """Factorise Omega, and S, both with damping times the diagonal.
+
+        Raises:
+            GraphError: the edges leave a direction of the nodes free, or S is not positive definite.
+        """
+        try:
+            factor = self._here.system.factorize(damping)
+        except FactorizationError as error:
+            raise undetermined(self._here, self._nodes, error) from None
+        self._factor = JointFactor(self, factor, self._border, damping)
+
+    def solve(self) -> Array:
+        """The step (n + r, 3)."""
+        return self._factor.solve(self.xi)
 
     def border(self, graph: Graph, nodes: Array, held: Array, scaled: bool = False) -> Border:
         """C, D and g of `at` a state; ``scaled`` as `Graph.information` scales Omega."""
@@ -158,40 +184,6 @@ class Border:
             np.add.at(mixed, node, np.swapaxes(B, 1, 2) @ weighed)
         own = np.einsum("eik,eil->kl", J, weighed)
         return cls(mixed, (own + own.T) / 2, -np.einsum("eik,ei->k", weighed, ends.residuals))
-
-
-class JointSystem:
-    """The bordered system at one state; see the module."""
-
-    def __init__(self, joint: JointGraph) -> None:
-        self._joint = joint
-
-    def fill(self, graph: Graph, nodes: Array, held: Array, border: Border) -> None:
-        """Take over what `Graph.linearize` left in the graph's system, and the border."""
-        self._graph, self._nodes, self._held, self.border = graph, nodes, held, border
-
-    @property
-    def xi(self) -> Array:
-        """(n + r, 3)."""
-        return self._joint.joined(self._graph.system.xi, self.border.gradient)
-
-    def diagonal(self) -> Array:
-        """The scalar diagonal, (n + r, 3), 1 where there is no parameter."""
-        last = np.ones(3 * self._joint.rows)
-        last[: len(self.border.own)] = np.diag(self.border.own)
-        return np.concatenate([self._graph.system.diagonal(), last.reshape(-1, 3)])
-
-    def factorize(self, damping: float = 0.0) -> JointFactor:
-        """The factor of Omega, and of S, both with damping times the diagonal.
-
-        Raises:
-            GraphError: the edges leave a direction of the nodes free, or S is not positive definite.
-        """
-        try:
-            factor = self._graph.system.factorize(damping)
-        except FactorizationError as error:
-            raise undetermined(self._graph, self._nodes, error) from None
-        return JointFactor(self._joint, factor, self.border, damping)
 
 
 class JointFactor:
