@@ -27,8 +27,8 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose
 from ..solvers.solve import solve
 from .associate import associate
-from .map_solution import Backbone
-from .problem import AssociationOptions, Classes, Densities, Field
+from .map_solution import Problem
+from .problem import AssociationOptions
 from .refining import refine
 
 #: so many landmarks of two maps have to agree
@@ -133,23 +133,12 @@ def _names(log: Log) -> str:
 
 def _again(joined: Log, models: dict[str, Any]) -> Log:
     """The joined log after association and solving in turn, without clutter."""
-    options, sensor = AssociationOptions(), models["sensor"]
     bare = joined.replace(landmarks=np.full(len(joined.steps), UNIDENTIFIED), relations=None, positions=None)
-    field = Field.of(bare, sensor)
-    densities, classes = Densities.of(bare, field, options.clutter), Classes.of(bare, options.confusion)
     _, labels = np.unique(joined.landmarks, return_inverse=True)
     # the smallest name is that of clutter
     labels = labels - int(np.any(joined.landmarks == UNIDENTIFIED))
-    found = refine(
-        bare,
-        Backbone.of(bare, sensor, models["motion"]),
-        labels,
-        joined.initial_poses,
-        field,
-        densities,
-        classes,
-        options,
-    )
+    problem = Problem.of(bare, models["motion"], models["sensor"], AssociationOptions())
+    found = refine(problem, labels, joined.initial_poses)
     if found is not None:
         joined = joined.replace(
             landmarks=np.where(found.labels < 0, UNIDENTIFIED, found.labels), initial_poses=found.solved.poses

@@ -33,7 +33,7 @@ from .adapting import Competition, Robot, Start, compete, spread, tolerance, wan
 from .ambiguity import Ambiguity, ambiguities, readable
 from .front_end import run_front_end
 from .map_solution import Problem
-from .problem import AssociationOptions, Classes, Densities, Field
+from .problem import AssociationOptions, Field
 from .problem import names as names_of
 from .refining import ROUNDS
 
@@ -251,8 +251,7 @@ def associate(
     if log.identified or not options.keep_ids:
         log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
     names, robot = wanted(estimate), Robot(log, motion, sensor)
-    field, classes = Field.of(log, sensor), Classes.of(log, options.confusion)
-    problem = Problem(log, robot.backbone, field, Densities.of(log, field, options.clutter), classes, options)
+    problem = Problem.of(log, motion, sensor, options)
 
     def driven() -> Start:
         found = run_front_end(problem, motion, sensor)

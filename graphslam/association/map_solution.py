@@ -135,6 +135,13 @@ class Problem:
     classes: Classes
     options: AssociationOptions
 
+    @classmethod
+    def of(cls, log: Log, motion: MotionModel, sensor: SensorModel, options: AssociationOptions) -> Problem:
+        """The problem of a log, with the densities before its landmarks are known."""
+        field = Field.of(log, sensor)
+        densities, classes = Densities.of(log, field, options.clutter), Classes.of(log, options.confusion)
+        return cls(log, Backbone.of(log, sensor, motion), field, densities, classes, options)
+
 
 @dataclass(frozen=True, eq=False)
 class MapSolution:

@@ -246,7 +246,8 @@ class Unknowns:
         """The edges of all motions."""
         measured, slopes = self._measured()
         edges = RelativePoseEdges(self.before, self.after, measured, self._unweighed).linearize(self.state, self.state)
-        return Edges(self.before, self.after, edges.residuals, *edges.jacobians, -slopes, self.motion_parts)
+        by_first, by_second = edges.jacobians
+        return Edges(self.before, self.after, edges.residuals, by_first, by_second, -slopes, self.motion_parts)
 
     def _measured(self) -> tuple[Array, Array]:
         """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters; see `near`."""

@@ -90,7 +90,6 @@ class TextTable(Table):
         return np.column_stack([self._known[column] for column in columns])
 
     def _column(self, column: int) -> Array:
-        self._check_widths()
         try:
             return self._loaded(column, float)
         except ValueError:
@@ -109,7 +108,7 @@ class TextTable(Table):
             ValueError: a cell is none of this kind.
         """
         return np.loadtxt(
-            [row.replace(",", ".") for row in self._rows] if self._decimal_comma else self._rows,
+            [row.replace(",", ".") for row in self._even] if self._decimal_comma else self._even,
             delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype=kind, comments=None,
         )  # fmt: skip
 
@@ -120,9 +119,8 @@ class TextTable(Table):
                 raise self.error(
                     row, f"{self.title(column)} has {len(cells[column]):,} letters; a word has at most {_LONGEST}"
                 )
-        self._check_widths()
         texts = np.loadtxt(
-            self._rows, delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype=str, comments=None,
+            self._even, delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype=str, comments=None,
         )  # fmt: skip
         return np.char.strip(texts)
 
@@ -182,8 +180,9 @@ class TextTable(Table):
                     above = words
         return above
 
-    def _check_widths(self) -> None:
-        """Raise `FormatError` for the first row with another number of columns than the first line."""
+    @cached_property
+    def _even(self) -> list[str]:
+        """The rows, which all have the same number of columns, or a `FormatError` for the first one that has not."""
         separator, simple = self._separator or " ", self._separator is not None and '"' not in self._text
         for row, line in enumerate(self._rows):
             count = line.count(separator) + 1 if simple else len(self._cells(line))
@@ -195,6 +194,7 @@ class TextTable(Table):
             elif row == len(self._rows) - 1 and count < self.width:
                 message += " in the last line; was the file cut short?"
             raise self.error(row, message)
+        return self._rows
 
     def _refuse(self, column: int) -> None:
         """Raise the error of the first cell of a column that is no number."""

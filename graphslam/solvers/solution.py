@@ -212,9 +212,11 @@ class Solution:
             raise OptionError(
                 f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
             )
-        ends = [(node, 3) for node in nodes]
-        ends += [(first + int(np.searchsorted(graph.landmark_ids, id)), d) for id in ids]
-        return np.block([[self._uncertainty.block(a, b)[:m, :n] for b, n in ends] for a, m in ends])
+        sizes = [3] * len(nodes) + [d] * len(ids)
+        nodes += [first + int(np.searchsorted(graph.landmark_ids, id)) for id in ids]
+        different, places = np.unique(nodes, return_inverse=True)
+        rows = np.concatenate([3 * place + np.arange(size) for place, size in zip(places, sizes)])
+        return self._uncertainty.joint(different)[np.ix_(rows, rows)]
 
     @cached_property
     def landmark_covariances(self) -> dict[int, Array]:

@@ -56,6 +56,13 @@ class Uncertainty:
         border.mixed[graph.fixed] = 0.0
         return JointFactor(joint, self._factor, border)
 
+    @cached_property
+    def _spread(self) -> Array:
+        """A (n, 3, K) with A A' the part of the covariance of the nodes that is due to the parameters."""
+        if self._joint is None:
+            return np.zeros((*self._state.shape, 0))
+        return self._joint.reach @ np.linalg.cholesky(self._joint.covariance)
+
     @property
     def of_parameters(self) -> Array:
         """The covariance (K, K) of the parameters."""
@@ -64,23 +71,9 @@ class Uncertainty:
     @cached_property
     def diagonal(self) -> Array:
         """The covariance of every node, (n, 3, 3), by selected inversion."""
-        blocks = self._factor.diagonal_covariances()
-        if self._joint is not None:
-            reach = self._joint.reach
-            blocks += reach @ self._joint.covariance @ np.swapaxes(reach, 1, 2)
+        blocks = self._factor.diagonal_covariances() + self._spread @ np.swapaxes(self._spread, 1, 2)
         blocks[self._graph.fixed] = 0.0
         return blocks
-
-    def block(self, i: int, j: int) -> Array:
-        """The covariance between nodes i and j, (3, 3): the block of Omega^-1 in row i and column j."""
-        if i == j:
-            return self.diagonal[i].copy()
-        if i in self._graph.fixed or j in self._graph.fixed:
-            return np.zeros((3, 3))
-        block = self._factor.covariance(i, j)
-        if self._joint is not None:
-            block = block + self._joint.reach[i] @ self._joint.covariance @ self._joint.reach[j].T
-        return block
 
     def with_node(self, j: int) -> Array:
         """The covariances (n, 3, 3) between every node and node j, by one solution: the columns of node j in Omega^-1."""
@@ -88,18 +81,14 @@ class Uncertainty:
             return np.zeros((self._graph.num_nodes, 3, 3))
         columns = np.zeros((self._graph.num_nodes, 3, 3))
         columns[j] = np.eye(3)
-        blocks = self.solve(columns)
-        if self._joint is not None:
-            blocks = blocks + self._joint.reach @ self._joint.covariance @ self._joint.reach[j].T
+        blocks = self.solve(columns) + self._spread @ self._spread[j].T
         blocks[self._graph.fixed] = 0.0
         return blocks
 
     def joint(self, nodes: np.ndarray) -> Array:
         """The covariance (3k, 3k) of nodes (k,) together."""
-        whole = self._factor.joint_covariance(nodes)
-        if self._joint is not None:
-            reach = self._joint.reach[nodes].reshape(len(whole), -1)
-            whole = whole + reach @ self._joint.covariance @ reach.T
+        spread = self._spread[nodes].reshape(3 * len(nodes), -1)
+        whole = self._factor.joint_covariance(nodes) + spread @ spread.T
         held = np.repeat(np.isin(nodes, self._graph.fixed), 3)
         whole[held], whole[:, held] = 0.0, 0.0
         return np.asarray(whole)
@@ -119,9 +108,7 @@ class Uncertainty:
         rigid /= np.where(size > 0, size, 1.0)
         rigid[self._graph.fixed] = 0.0
         along = np.einsum("nik,nik->k", rigid, self.solve(rigid))
-        if self._joint is not None:
-            reached = np.einsum("nik,nip->kp", rigid, self._joint.reach)
-            along += np.einsum("kp,pq,kq->k", reached, self._joint.covariance, reached)
+        along += np.sum(np.einsum("nik,nip->kp", rigid, self._spread) ** 2, axis=1)
         total = np.trace(self.diagonal[:poses, :2, :2], axis1=1, axis2=2).sum()
         return float(np.sqrt(max(total - along.sum(), 0.0) / poses))
 
@@ -135,9 +122,7 @@ class Uncertainty:
         by_first, by_second = edges.jacobians
         diagonal = self.diagonal
         crossed = self._factor.covariances_between(first, second)
-        if self._joint is not None:
-            reach = self._joint.reach
-            crossed += reach[first] @ self._joint.covariance @ np.swapaxes(reach[second], 1, 2)
+        crossed = crossed + self._spread[first] @ np.swapaxes(self._spread[second], 1, 2)
         crossed[np.isin(first, self._graph.fixed) | np.isin(second, self._graph.fixed)] = 0.0
         mixed = by_first @ crossed @ np.swapaxes(by_second, 1, 2)
         own = sum(B @ diagonal[k] @ np.swapaxes(B, 1, 2) for B, k in ((by_first, first), (by_second, second)))

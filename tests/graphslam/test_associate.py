@@ -27,8 +27,8 @@ from graphslam import (
 from graphslam.association import score
 from graphslam.association.ambiguity import readable
 from graphslam.association.evidence import Candidates, evidence, log_density
-from graphslam.association.map_solution import Backbone, MapSolution, Problem, differences, seen_from
-from graphslam.association.problem import AssociationOptions, Classes, Densities, Field
+from graphslam.association.map_solution import MapSolution, Problem, differences, seen_from
+from graphslam.association.problem import AssociationOptions, Densities
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
 from graphslam.log import UNIDENTIFIED
@@ -101,14 +101,14 @@ def test_joint_covariance_is_a_part_of_the_inverse() -> None:
 def test_evidence_for_one_landmark_instead_of_two_is_that_of_their_distance(psi: bool) -> None:
     log = load(sample_log_path())
     log = log if psi else log.without_orientation()
-    backbone, field = Backbone.of(log, log.sensor or SensorModel(), MotionModel()), Field.of(log, SensorModel())
+    problem = Problem.of(log, MotionModel(), log.sensor or SensorModel(), AssociationOptions())
+    backbone = problem.backbone
     one = np.unique(log.landmarks, return_inverse=True)[1]
     both = np.where((one == 3) & (np.arange(len(one)) % 2 == 0), one.max() + 1, one)
     # no landmark is ever missed, so that only the landmarks count
     densities = Densities(np.log(0.3), np.log(0.01), -50.0, 0.0)
     a, b = (MapSolution.of(backbone, labels, log.dead_reckoning(MotionModel())) for labels in (one, both))
-    options = AssociationOptions()
-    problem = Problem(log, backbone, field, densities, Classes.of(log, options.confusion), options)
+    problem = replace(problem, densities=densities)
     gained = evidence(problem, a) - evidence(problem, b)
     chosen, d = np.array([3, one.max() + 1]), b.landmarks.shape[1]
     P = b.joint_covariance(chosen)
