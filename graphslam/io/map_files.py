@@ -23,7 +23,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,17 @@ UPPER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 #: means, covariances, classes and joint covariance: the arguments of `LandmarkMap`
 Parts = dict[str, Any]
+
+
+class Content(NamedTuple):
+    """What is written: {id: place}, {id: covariance}, {id: class}, and the joint covariance."""
+
+    means: Mapping[int, Array]
+    covariances: Mapping[int, Array]
+    classes: Mapping[int, Any]
+    joint: Array | None = None
+
+
 #: a mapping with id, x, y and more, its line in the file, and what messages call it
 _Entry = tuple[dict[str, Any], int | None, str]
 
@@ -75,7 +86,7 @@ def write_map(
     if writer is None:
         raise OptionError(f"{path}: maps are not written as {path.suffix}; use .csv, .npz, .yaml or .geojson")
     with write_whole(path) as temporary:
-        temporary.write_bytes(writer(means, covariances, classes, joint))
+        temporary.write_bytes(writer(Content(means, covariances, classes, joint)))
 
 
 def map_text(
@@ -173,9 +184,8 @@ def _archive(path: Path) -> Parts:
     return parts
 
 
-def _archived(
-    means: Mapping[int, Array], covariances: Mapping[int, Array], classes: Mapping[int, Any], joint: Array | None
-) -> bytes:
+def _archived(content: Content) -> bytes:
+    means, covariances, classes, joint = content
     places, C = np.full((len(means), 3), np.nan), np.full((len(means), 3, 3), np.nan)
     for k, (j, place) in enumerate(means.items()):
         places[k, : len(place)] = place
@@ -223,22 +233,19 @@ def _geojson(path: Path) -> Parts:
     return parts
 
 
-def _as_geojson(
-    means: Mapping[int, Array], covariances: Mapping[int, Array], classes: Mapping[int, Any], _: Array | None
-) -> bytes:
+def _as_geojson(content: Content) -> bytes:
     features = [
         {"type": "Feature", "id": entry["id"],
          "geometry": {"type": "Point", "coordinates": [entry.pop("x"), entry.pop("y")]}, "properties": entry}
-        for entry in _entries(means, covariances, classes)
+        for entry in _entries(content)
     ]  # fmt: skip
     text = ",\n".join(json.dumps(feature) for feature in features)
     head = '{"type": "FeatureCollection", "coordinates": "metres of the plane of the map", "features": [\n'
     return f"{head}{text}\n]}}\n".encode()
 
 
-def _entries(
-    means: Mapping[int, Array], covariances: Mapping[int, Array], classes: Mapping[int, Any]
-) -> Iterator[dict[str, Any]]:
+def _entries(content: Content) -> Iterator[dict[str, Any]]:
+    means, covariances, classes, _ = content
     for j, place in means.items():
         entry: dict[str, Any] = {"id": j, "x": float(place[0]), "y": float(place[1])}
         entry |= {"heading": float(place[2])} if len(place) == 3 else {}
@@ -246,11 +253,9 @@ def _entries(
         yield entry | ({"covariance": covariances[j].tolist()} if j in covariances else {})
 
 
-def _as_yaml(
-    means: Mapping[int, Array], covariances: Mapping[int, Array], classes: Mapping[int, Any], _: Array | None
-) -> bytes:
+def _as_yaml(content: Content) -> bytes:
     # JSON within YAML: no package is needed to write it
-    rows = "\n".join(f"- {json.dumps(entry)}" for entry in _entries(means, covariances, classes))
+    rows = "\n".join(f"- {json.dumps(entry)}" for entry in _entries(content))
     # YAML 1.1 takes 1e-07, without a point, for a word
     rows = re.sub(r"(?<=[ \[])(-?\d)e(?=[-+]?\d)", r"\1.0e", rows)
     return f"# metres and radians\ntags:\n{rows}\n".encode()
@@ -360,13 +365,11 @@ def _number(path: Path, line: int | None, where: str, entry: Mapping[str, Any], 
     return float(value)
 
 
-def _as_table(
-    means: Mapping[int, Array], covariances: Mapping[int, Array], classes: Mapping[int, Any], _: Array | None
-) -> bytes:
-    return map_text(means, covariances, classes).encode()
+def _as_table(content: Content) -> bytes:
+    return map_text(*content[:3]).encode()
 
 
-_Writer = Callable[[Mapping[int, Array], Mapping[int, Array], Mapping[int, Any], "Array | None"], bytes]
+_Writer = Callable[[Content], bytes]
 #: readers and writers by the ending of the file
 _FORMATS: dict[str, tuple[Callable[[Path], Parts], _Writer | None]] = {
     **dict.fromkeys((*TEXT, *PARQUET), (_table, None)),
