@@ -25,7 +25,7 @@ from __future__ import annotations
 import operator
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,8 @@ from numpy.typing import ArrayLike
 
 from graphslam.engine import engine
 from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import check_choice, real_array
+from graphslam.errors.checks import option, real_array
+from graphslam.errors.options import check_options
 from graphslam.log import Log
 from graphslam.se2 import Array, wrap
 
@@ -124,91 +125,52 @@ class FilterOptions:
         OptionError: an option has an impossible value.
     """
 
-    particles: int = field(default=1000, metadata={"help": "Number of particles N."})
-    seed: int | np.random.Generator = field(
-        default=0, metadata={"help": "Random seed; the same seed gives the same result."}
+    particles: int = option(1000, "Number of particles N.", minimum=1, maximum=MOST_PARTICLES)
+    seed: int | np.random.Generator = option(0, "Random seed; the same seed gives the same result.", minimum=0)  # noqa: RUF009
+    resampling: str = option("systematic", "Resampling scheme.", choices=RESAMPLING)
+    ess_threshold: float = option(
+        0.5, "Resample when the effective sample size is at most this share of N.", minimum=0, maximum=1
     )
-    resampling: str = field(default="systematic", metadata={"help": "Resampling scheme.", "choices": RESAMPLING})
-    ess_threshold: float = field(
-        default=0.5, metadata={"help": "Resample when the effective sample size is at most this share of N."}
+    threads: int | None = option(None, "Number of threads; by default all cores.", minimum=1)
+    association: str = option(
+        "auto", "Landmarks of sightings. Known takes their ids, maximum-likelihood the most likely landmark. "
+        f"Auto is known, but {WITHOUT_IDS} where a log has no ids.", choices=ASSOCIATIONS,
+    )  # fmt: skip
+    new_landmark_threshold: float = option(
+        1e-6, "Probability that a sighting of a known landmark is taken for a new one.", positive=True, below=1
     )
-    threads: int | None = field(default=None, metadata={"help": "Number of threads; by default all cores."})
-    association: str = field(
-        default="auto",
-        metadata={
-            "help": "Landmarks of sightings. Known takes their ids, maximum-likelihood the most likely landmark. "
-            f"Auto is known, but {WITHOUT_IDS} where a log has no ids.",
-            "choices": ASSOCIATIONS,
-        },
+    merge_interval: int = option(
+        10, "Merge landmarks that are one after every so many scans, 0: never; for unknown ids.", minimum=0
     )
-    new_landmark_threshold: float = field(
-        default=1e-6, metadata={"help": "Probability that a sighting of a known landmark is taken for a new one."}
+    class_confusion: float = option(
+        0.05, "Probability that the class of a sighting is wrong, where a log has classes; for unknown ids.",
+        positive=True, below=1,
+    )  # fmt: skip
+    proposal_weight: str = option(
+        "exact", "Weight of FastSLAM 2.0: exact corrects its linearised proposal, linearised is that of the lectures.",
+        choices=PROPOSAL_WEIGHTS,
+    )  # fmt: skip
+    landmark_update: str = option(
+        "kalman", "Landmarks of FastSLAM: kalman linearises each sighting, joint integrates all sightings of a landmark "
+        "together, with known ids only.", choices=LANDMARK_UPDATES,
+    )  # fmt: skip
+    range_noise: str = option(
+        "measured", "FastSLAM takes the noise of the range at the measured range, or estimated, as in the slides; known "
+        "ids only.", choices=RANGE_NOISES,
+    )  # fmt: skip
+    stage: str = option(
+        "resampling",
+        "Steps of a filter: motion neither weighs nor resamples, weights does not resample.",
+        choices=STAGES,
     )
-    merge_interval: int = field(
-        default=10,
-        metadata={"help": "Merge landmarks that are one after every so many scans, 0: never; for unknown ids."},
-    )
-    class_confusion: float = field(
-        default=0.05,
-        metadata={
-            "help": "Probability that the class of a sighting is wrong, where a log has classes; for unknown ids."
-        },
-    )
-
-    proposal_weight: str = field(
-        default="exact",
-        metadata={
-            "help": "Weight of FastSLAM 2.0: exact corrects its linearised proposal, linearised is that of the lectures.",
-            "choices": PROPOSAL_WEIGHTS,
-        },
-    )
-    landmark_update: str = field(
-        default="kalman",
-        metadata={
-            "help": "Landmarks of FastSLAM: kalman linearises each sighting, joint integrates all sightings of a landmark "
-            "together, with known ids only.",
-            "choices": LANDMARK_UPDATES,
-        },
-    )
-    range_noise: str = field(
-        default="measured",
-        metadata={
-            "help": "FastSLAM takes the noise of the range at the measured range, or estimated, as in the slides; known "
-            "ids only.",
-            "choices": RANGE_NOISES,
-        },
-    )
-    stage: str = field(
-        default="resampling",
-        metadata={
-            "help": "Steps of a filter: motion neither weighs nor resamples, weights does not resample.",
-            "choices": STAGES,
-        },
-    )
-    smoothing: int = field(
-        default=0,
-        metadata={
-            "help": "FastSLAM: trajectories drawn by backward simulation after the run, whose mean is reported; 0 for none, "
-            "else at least 10; known ids only."
-        },
-    )
+    smoothing: int = option(
+        0, "FastSLAM: trajectories drawn by backward simulation after the run, whose mean is reported; 0 for none, "
+        "else at least 10; known ids only.", minimum=0,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "particles", whole("particles", self.particles))
-        if self.particles < 1:
-            raise OptionError(f"particles must be at least 1, not {self.particles}")
-        if self.particles > MOST_PARTICLES:
-            raise OptionError(f"particles must be at most {MOST_PARTICLES}, not {self.particles}")
-        if not isinstance(self.seed, np.random.Generator) and whole("seed", self.seed) < 0:
-            raise OptionError(f"seed must be a whole number, not below 0, not {self.seed}")
-        check_choice("resampling", self.resampling, RESAMPLING)
-        check_choice("proposal_weight", self.proposal_weight, PROPOSAL_WEIGHTS)
-        check_choice("association", self.association, ASSOCIATIONS)
-        check_choice("landmark_update", self.landmark_update, LANDMARK_UPDATES)
-        check_choice("range_noise", self.range_noise, RANGE_NOISES)
-        check_choice("stage", self.stage, STAGES)
-        object.__setattr__(self, "smoothing", whole("smoothing", self.smoothing))
-        if self.smoothing < 0 or 0 < self.smoothing < FEWEST_SMOOTHED:
+        check_options(self)
+        if 0 < self.smoothing < FEWEST_SMOOTHED:
             raise OptionError(
                 f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
             )
@@ -221,20 +183,6 @@ class FilterOptions:
             )
         if self.smoothing and self.stage == "motion":
             raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")
-        if not 0 <= finite("ess_threshold", self.ess_threshold, "a number between 0 and 1", [()]) <= 1:
-            raise OptionError(
-                f"ess_threshold must lie between 0 (never resample) and 1 (always), not {quoted(self.ess_threshold)}"
-            )
-        for name in ("new_landmark_threshold", "class_confusion"):
-            value = getattr(self, name)
-            if not 0 < finite(name, value, "a number between 0 and 1", [()]) < 1:
-                raise OptionError(f"{name} must lie between 0 and 1, not {quoted(value)}")
-        object.__setattr__(self, "merge_interval", whole("merge_interval", self.merge_interval))
-        if self.merge_interval < 0:
-            raise OptionError(f"merge_interval must be a number of scans, or 0 for never, not {self.merge_interval}")
-        expected = "a whole number of at least 1, or None for all"
-        if self.threads is not None and whole("threads", self.threads, expected) < 1:
-            raise OptionError(f"threads must be {expected}, not {quoted(self.threads)}")
 
     @property
     def uses_ids(self) -> bool:
@@ -260,41 +208,22 @@ class GibbsOptions:
         OptionError: an option has an impossible value.
     """
 
-    particles: int = field(
-        default=50, metadata={"help": "Particle Gibbs: number of particles of each conditional SMC."}
-    )
-    iterations: int = field(default=200, metadata={"help": "Particle Gibbs: samples of each chain."})
-    warm_up: int = field(default=100, metadata={"help": "Particle Gibbs: sweeps of each chain before its samples."})
-    chains: int = field(default=4, metadata={"help": "Particle Gibbs: number of independent chains."})
-    block: int = field(default=20, metadata={"help": "Particle Gibbs: poses that are renewed at once."})
-    density: str = field(
-        default="linearised",
-        metadata={
-            "help": "Particle Gibbs: density of the sightings; exact corrects their linearisation by Metropolis steps.",
-            "choices": DENSITIES,
-        },
-    )
-    degrees_of_freedom: float | None = field(
-        default=None,
-        metadata={
-            "help": "Particle Gibbs: degrees of freedom of Student's t distribution of the sightings, such as 4 for real "
-            "data with wrong sightings; by default they are Gaussian."
-        },
-    )
+    particles: int = option(50, "Particle Gibbs: number of particles of each conditional SMC.", minimum=2)
+    iterations: int = option(200, "Particle Gibbs: samples of each chain.", minimum=1)
+    warm_up: int = option(100, "Particle Gibbs: sweeps of each chain before its samples.", minimum=0)
+    chains: int = option(4, "Particle Gibbs: number of independent chains.", minimum=1)
+    block: int = option(20, "Particle Gibbs: poses that are renewed at once.", minimum=1)
+    density: str = option(
+        "linearised", "Particle Gibbs: density of the sightings; exact corrects their linearisation by Metropolis steps.",
+        choices=DENSITIES,
+    )  # fmt: skip
+    degrees_of_freedom: float | None = option(
+        None, "Particle Gibbs: degrees of freedom of Student's t distribution of the sightings, such as 4 for real "
+        "data with wrong sightings; by default they are Gaussian.", positive=True,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        for name, least in (("particles", 2), ("iterations", 1), ("warm_up", 0), ("chains", 1), ("block", 1)):
-            value = whole(name, getattr(self, name))
-            if value < least:
-                raise OptionError(f"{name} must be at least {least}, not {value}")
-            object.__setattr__(self, name, value)
-        check_choice("density", self.density, DENSITIES)
-        if self.degrees_of_freedom is not None:
-            expected = "a number above 0, or None for Gaussian sightings"
-            degrees = float(finite("degrees_of_freedom", self.degrees_of_freedom, expected, [()]))
-            if degrees <= 0:
-                raise OptionError(f"degrees_of_freedom must be {expected}, not {quoted(degrees)}")
-            object.__setattr__(self, "degrees_of_freedom", degrees)
+        check_options(self)
 
 
 def draw_key(rng: np.random.Generator) -> int:

@@ -43,6 +43,11 @@ def simulate(
 
     The robot has the book's faults, each of which can be changed. With --clean the robot has no faults, only the noise of
     the models.
+
+    Examples:
+        slam-compare simulate my.npz --seed 7
+        slam-compare simulate room.npz --way-points '4,-3 4,3 -4,3' --landmarks 20
+        slam-compare simulate clean.npz --clean --no-orientation
     """
     import graphslam
 
@@ -77,6 +82,13 @@ def calibrate(
     """Estimate motion and sensor noise, and scales and biases of sightings and odometry, by maximum likelihood.
 
     Noise for a log without ground truth is best calibrated from the ground truth of other robots of the same kind.
+
+    Examples:
+        slam-compare calibrate LOG --out noise.toml
+        slam-compare calibrate ../shared/data/mrclam6 --robot 1 --out noise.toml
+        slam-compare calibrate LOG1 LOG2 --source truth --out noise.toml
+        slam-compare calibrate LOG --source residuals --json -
+        slam-compare run LOG --noise noise.toml --kernel huber
     """
     from ..options.reading import calibrate as estimate
     from ..options.toml_files import write_noise
@@ -118,12 +130,14 @@ def evaluate(
     A trajectory is a table with columns t, x, y and theta, or a quaternion; TUM files are read as they are. Covariances of
     the poses in the columns var_x, cov_xy, var_y, cov_x_heading, cov_y_heading and var_heading give the NEES. The options of
     tables hold for all of them, or with truth=... and estimates=... for one kind.
+
+    Examples:
+        slam-compare evaluate truth.tum mine.tum theirs.csv --figure errors.png
+        slam-compare evaluate LOG mine.tum --maps mine-map.csv
+        slam-compare evaluate truth.csv mine.csv --angles truth=degrees --json -
     """
     from ..evaluation import evaluate as compare
-    from ..results.saving import FIGURE_FORMATS, check_can_write
 
-    if drawing.figure is not None:
-        check_can_write(drawing.figure, endings=FIGURE_FORMATS)
     found = compare(truth, *estimates, options=options)
     output.show(found)
     output.json(found.to_json())
@@ -139,7 +153,12 @@ def datasets(
         ),
     ] = None,
 ) -> None:
-    """List the known data sets, where they are published and how they must be laid out; find and check local copies."""
+    """List the known data sets, where they are published and how they must be laid out; find and check local copies.
+
+    Examples:
+        slam-compare datasets
+        SLAM_DATA=~/data slam-compare datasets --json -
+    """
     from graphslam import OptionError
     from graphslam.files import check_path
 
@@ -178,6 +197,12 @@ def import_(
     """Make a log of your own tables (CSV, TSV, Parquet) or bag (ROS 1, ROS 2, MCAP): odometry and sightings with times.
 
     Columns and topics are recognised by their names and types; without OUT the choice is only listed.
+
+    Examples:
+        slam-compare import folder drive.npz
+        slam-compare import --odometry wheels.csv --sightings tags.csv --angles degrees drive.npz
+        slam-compare import drive.mcap
+        slam-compare import drive.mcap drive.npz --odometry /odom --sightings /tags
     """
     from graphslam import LogError, save
 
@@ -224,11 +249,8 @@ def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawin
     from ..importing import inspect_log
     from ..options import ReadingOptions
     from ..options.option import options_of
-    from ..results.saving import FIGURE_FORMATS, check_can_write
     from .output import hint_of_import
 
-    if drawing.figure is not None:
-        check_can_write(drawing.figure, endings=FIGURE_FORMATS)
     found = inspect_log(log, **reading.keywords())
     output.show(found)
     output.draw(found, drawing.figure)
@@ -267,12 +289,24 @@ def backends(
     options: BackendOptions,
     drawing: FigureOptions,
 ) -> None:
-    """Time this solver, GTSAM and g2o on pose graphs; the same function computes the chi2 of every solver's result."""
-    from ..results.saving import FIGURE_FORMATS, check_can_write
+    """Time this solver, GTSAM and g2o on pose graphs; the same function computes the chi2 of every solver's result.
+
+    Examples:
+        slam-compare show
+        slam-compare show drive.npz --figure drive.png
+        slam-compare show folder --json -
+
+    Examples:
+        slam-compare solvers
+        slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json
+        slam-compare solvers LOG --kernel none,huber,cauchy
+
+    Examples:
+        slam-compare backends M3500.g2o
+        slam-compare backends *.g2o --figure cost.png --json rows.json
+    """
     from ..studies.backends import BACKENDS, compare_backends
 
-    if drawing.figure is not None:
-        check_can_write(drawing.figure, endings=FIGURE_FORMATS)
     with output.bar("backends", len(files) * len(options.backends or BACKENDS)) as advance:
 
         def progress(row: BackendRow) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,6 +21,14 @@ if TYPE_CHECKING:
     from ..options import AnimationOptions, EstimatorOptions, OutputOptions, RunOptions
     from ..results import EstimatorResult
 
+#: options that name further files of a run: module below ``show``, check of its packages, and the function that writes
+FURTHER = {
+    "html": ("report.page", "check_plotly", "write_report"),
+    "mcap": ("recordings", "check_mcap", "write_mcap"),
+    "rerun": ("recordings", "check_rerun", "write_rerun"),
+}
+PAGE = "Wrote the interactive report {}: open it in a browser."
+
 
 def run(
     output: Output,
@@ -33,31 +42,32 @@ def run(
     options: RunOptions,
     saving: OutputOptions,
 ) -> None:
-    """Run all estimators on one log, or on several logs of one place: a table, a figure and the results as JSON."""
+    """Run all estimators on one log, or on several logs of one place: a table, a figure and the results as JSON.
+
+    Examples:
+        slam-compare run
+        slam-compare run LOG --estimators graph,fastslam1 --particles 5000
+        slam-compare run LOG --edges virtual --frame world --json -
+        slam-compare run LOG --noise noise.toml --kernel huber
+        slam-compare run MONDAY TUESDAY WEDNESDAY
+        slam-compare run --config results/latest/config.toml
+    """
     from ..results import noted
     from ..results.exchange import reason_without_graph
     from ..results.saving import RESULTS, check_can_make
 
     check_can_make(RESULTS if saving.out is None else saving.out)
-    if saving.html is not None:
-        from ..show.report.page import check_page
-
-        check_page(saving.html)
-    writers = _recordings(saving)
+    writers = {kind: (path, _writer(kind)) for kind in FURTHER if (path := getattr(saving, kind)) is not None}
     if saving.live:
         _draw_live(output, [log, *others] if others else log, options)
     outcome = _compared(output, [log, *others] if others else log, chosen, options)
     files = outcome.save(saving.out, figures=saving.figures)
     output.show(outcome)
-    if saving.html is not None:
-        with noted(files.notes, "there is no interactive report"):
-            _write_page(output, outcome, saving.html)
-            files |= {"html": saving.html}
     for kind, (path, write) in writers.items():
-        with noted(files.notes, f"there is no {path}"):
-            write(outcome, path)
+        with noted(files.notes, "there is no interactive report" if kind == "html" else f"there is no {path}"):
+            write(outcome, path, **({"language": output.language} if kind == "html" else {}))
             files |= {kind: path}
-            output.hint(f"Wrote {path}.")
+            output.hint(PAGE.format(path) if kind == "html" else f"Wrote {path}.")
     output.say(*(f"{note[0].upper()}{note[1:]}." for note in files.notes))
     if output.wants_json:
         output.json(outcome.to_json(files))
@@ -65,7 +75,7 @@ def run(
     named = [
         p.name
         for kind, p in files.items()
-        if not kind.endswith((".tum", ".csv", ".g2o", "-map.npz")) and kind not in ("html", "mcap", "rerun")
+        if not kind.endswith((".tum", ".csv", ".g2o", "-map.npz")) and kind not in FURTHER
     ]
     named += ["trajectories (*.tum)", "maps (*-map.csv, *-map.npz)"]
     named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
@@ -130,14 +140,21 @@ def report(
     chosen: EstimatorOptions,
     options: RunOptions,
 ) -> None:  # fmt: skip
-    """Run all estimators on one log and write an interactive report: one HTML file that works offline."""
-    from ..show.report.page import check_page
+    """Run all estimators on one log and write an interactive report: one HTML file that works offline.
+
+    Examples:
+        slam-compare report report.html
+        slam-compare report LOG report.html --estimators graph,fastslam1
+        slam-compare report report.html --config results/latest/config.toml
+    """
+    from ..show.report.page import check_page, write_report
 
     log, page = log_and_file(words, "slam-compare report LOG OUT.html")
     check_page(page)
     outcome = _compared(output, log, chosen, options)
     output.show(outcome)
-    _write_page(output, outcome, page)
+    write_report(outcome, page, language=output.language)
+    output.hint(PAGE.format(page))
     output.json(outcome.to_json({"html": page}))
     output.hint(f"Next: {command('run', log, options=(chosen, options))}")
 
@@ -155,7 +172,15 @@ def animate(
     animation: AnimationOptions,
     options: RunOptions,
 ) -> None:  # fmt: skip
-    """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths."""
+    """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths.
+
+    Examples:
+        slam-compare animate relaxing.gif
+        slam-compare animate LOG particles.mp4 --estimator fastslam1 --particles 200
+        slam-compare animate LOG moving.gif --estimator fastslam1 --stage motion
+        slam-compare animate LOG growing.html --estimator isam2 --max-frames 100
+        slam-compare animate LOG samples.gif --estimator particle-gibbs --gibbs-iterations 60
+    """
     from ..results.documents import AnimateDocument, describe
     from ..show.films import animate as film_of
     from ..show.films import check_can_film
@@ -232,33 +257,14 @@ def _draw_live(output: Output, log: Path | list[Path | None] | None, options: Ru
     output.say(*notes)
 
 
-def _recordings(saving: OutputOptions) -> dict[str, tuple[Path, Callable[[Comparison, Path], None]]]:
-    """The recordings to write: {kind: (path, its writer)}.
+def _writer(kind: str) -> Callable[..., None]:
+    """What writes one of `FURTHER`.
 
     Raises:
-        OptionError: a package is missing, or the name of a file ends otherwise.
-        FormatError: a file cannot be written.
+        OptionError: a package is missing.
     """
-    from ..results.saving import check_can_write
-
-    writers: dict[str, tuple[Path, Callable[[Comparison, Path], None]]] = {}
-    if saving.mcap is not None:
-        from ..show.recordings import check_mcap, write_mcap
-
-        check_can_write(saving.mcap, endings=(".mcap",))
-        check_mcap()
-        writers["mcap"] = saving.mcap, write_mcap
-    if saving.rerun is not None:
-        from ..show.recordings import check_rerun, write_rerun
-
-        check_can_write(saving.rerun, endings=(".rrd",))
-        check_rerun()
-        writers["rerun"] = saving.rerun, write_rerun
-    return writers
-
-
-def _write_page(output: Output, outcome: Comparison, page: Path) -> None:
-    from ..show.report.page import write_report
-
-    write_report(outcome, page, language=output.language)
-    output.hint(f"Wrote the interactive report {page}: open it in a browser.")
+    module, check, write = FURTHER[kind]
+    found = import_module(f"..show.{module}", __package__)
+    getattr(found, check)()
+    writer: Callable[..., None] = getattr(found, write)
+    return writer

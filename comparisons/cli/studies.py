@@ -23,7 +23,6 @@ def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOpti
     """Error, effective sample size, ancestors and time over the number of particles, for many random seeds."""
     from ..studies.particles import study_particles
 
-    check_figure(drawing.figure)
     runs = len(options.filters) * len(options.particles) * options.seeds
     with output.bar("runs", runs) as advance:
 
@@ -42,7 +41,6 @@ def consistency(output: Output, *, options: ConsistencyOptions, drawing: FigureO
     from ..options import ConsistencyOptions
     from ..studies.consistency import study_consistency
 
-    check_figure(drawing.figure)
     with output.bar("logs", options.logs) as advance:
         outcome = study_consistency(progress=lambda _: advance(1), **options.keywords())
     output.show(outcome)
@@ -65,6 +63,20 @@ def sweep(
     """Run a study: logs x simulator settings x seeds x estimators x options, one database row for each run.
 
     It can be stopped at any time, by Ctrl-C or otherwise: the same command continues it. Exit status 1 if runs failed.
+
+    Examples:
+        slam-compare particles --particles 10,100,1000 --seeds 5
+        slam-compare particles LOG --figure particles.png --json particles.json
+
+    Examples:
+        slam-compare consistency
+        slam-compare consistency --noise 1 --figure anees.png --json anees.json
+        slam-compare consistency --estimators 'landmark nodes,fastslam2' --logs 50
+
+    Examples:
+        slam-compare sweep examples/study.toml
+        slam-compare sweep study.toml --jobs 8
+        slam-compare sweep study.toml --dask tcp://head-node:8786
     """
     from ..studies.sweep import sweep as execute
 
@@ -98,10 +110,14 @@ def study(
     """Summarise a study: medians with bootstrap intervals, and paired differences on the same seeds.
 
     Works on a finished study, an interrupted one, and one that is running.
+
+    Examples:
+        slam-compare study study.sqlite
+        slam-compare study study.sqlite --baseline fastslam1 --figure study.pdf
+        slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl
     """
     from graphslam import OptionError
 
-    from ..results.saving import check_can_write
     from ..show.tables import write_latex
     from ..studies.database import StudyDatabase
     from ..studies.plan import read_study
@@ -111,12 +127,6 @@ def study(
         words = words[1:]
     if len(words) != 1:
         raise OptionError("give one database: slam-compare study study.sqlite")
-    check_figure(options.figure)
-    for path in (options.csv, options.jsonl):
-        if path is not None:
-            check_can_write(path)
-    if options.summary is not None:
-        check_can_write(options.summary, endings=(".csv", ".tex"))
     path = Path(words[0])
     with StudyDatabase.reading(read_study(path).database if path.suffix == ".toml" else path) as database:
         rows, (_, others) = database.rows(), database.counts()
@@ -139,14 +149,6 @@ def study(
         output.hint(f"To execute the other {missing} runs: {command('sweep', summary.study)}")
     elif options.figure is None:
         output.hint(f"Next: {command('study', database.path, '--figure', 'study.png', '--csv', 'runs.csv')}")
-
-
-def check_figure(path: Path | None) -> None:
-    """Raise before the study runs if a figure is asked for and cannot be written."""
-    from ..results.saving import FIGURE_FORMATS, check_can_write
-
-    if path is not None:
-        check_can_write(path, endings=FIGURE_FORMATS)
 
 
 def _progress(advance: Advance, output: Output) -> Progress:

@@ -33,14 +33,8 @@ LogFile = Annotated[
 _META = "comparisons.estimators.config"
 
 
-def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) -> None:
-    """Add a function as a verb of its name to the command line.
-
-    Args:
-        app: the command line.
-        function: its docstring is the help.
-        examples: command lines for the end of the help.
-    """
+def add_verb(app: typer.Typer, function: Callable[..., None]) -> None:
+    """Add a function as a verb of its name to the command line; its docstring is the help, with "Examples:" at its end."""
     from ..options import options as declared
     from ..options.option import Options, options_of
     from .output import hint_of_import
@@ -72,6 +66,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
             output = Output(values.pop("json"), quiet=quiet, verbose=verbose, lang=lang)
             for name, group in groups.items():
                 values[name] = group.of(**{o: values.pop(o) for o in options_of(group) if o in values})
+                _check_places(values[name])
             _interruptible()
             function(output=output, **values)
 
@@ -81,10 +76,19 @@ def add_verb(app: typer.Typer, function: Callable[..., None], *examples: str) ->
     signature = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in signature]
     command.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
     command.__annotations__ = {p.name: p.annotation for p in signature}
-    command.__doc__ = function.__doc__
+    command.__doc__, _, examples = inspect.cleandoc(function.__doc__ or "").partition("Examples:\n")
     # blank lines between, because neighbouring lines are joined
-    epilog = "\n\n".join(["Examples:", *(f"  {line}" for line in examples)])
+    epilog = "\n\n".join(["Examples:", *(f"  {line.strip()}" for line in examples.splitlines())])
     app.command(name_of(function), epilog=epilog)(command)
+
+
+def _check_places(options: Options) -> None:
+    """Raise now rather than after minutes of work if a file that the options name cannot be written."""
+    from ..results.saving import check_can_write
+
+    for option, value in options.changed():
+        if option.writes is not None and value is not None:
+            check_can_write(value, endings=option.writes)
 
 
 def _interruptible() -> None:
@@ -108,7 +112,7 @@ def list_verb(app: typer.Typer, function: Callable[..., None]) -> None:
     def listed() -> None:
         pass
 
-    listed.__doc__ = function.__doc__
+    listed.__doc__ = (function.__doc__ or "").partition("Examples:\n")[0]
     app.command(name_of(function))(listed)
 
 

@@ -8,17 +8,17 @@ The options of verbs that read tables or bags of one's own: import and evaluate.
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Self
 
 from fastslam.options import GibbsOptions
 from graphslam.errors import OptionError, quoted
 from graphslam.errors.checks import option, suggestion
+from graphslam.errors.options import Option as Option
+from graphslam.errors.options import check_options, declared_in
 from graphslam.log.table_options import TableOptions
 
 #: fields of components that have another name among the options: (component, field) -> option
@@ -27,134 +27,6 @@ _RENAMED |= {("gibbs", f.name): f"gibbs_{f.name}" for f in fields(GibbsOptions)}
 
 #: the group of the options that say what is written
 OUTPUT = "Output"
-
-
-class Points:
-    """The kind of options that are a list of points, or their number: 'x,y x,y ...' on the command line."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Option:
-    """One option, as the command line, files and Python see it. The metadata of its field may have these attributes.
-
-    Attributes:
-        name: of the option; that of the field, except for some numbers of the noise models (``sensor_offset``).
-        kind: str, int, float, bool or Path; ``tuple`` for several values; `Points` for a list of points.
-        each: the kind of a single value.
-        default: where nothing is given; None where it depends on the log.
-        help, unit: one sentence, and the unit of a number.
-        choices: the values that a text may have.
-        minimum, maximum, positive: limits of a number.
-        default_text: how help names the default, where the value itself says too little.
-        metavar: how help names the value.
-        alias: a second name on the command line.
-        panel: the group in the help of a verb; default: that of the dataclass.
-        only: "python" for a field that is no option of the command line.
-        model: the component that it belongs to ("motion" and "sensor" for the noise models), else "".
-        field: its name there.
-    """
-
-    name: str
-    kind: type
-    each: type
-    default: Any
-    help: str = ""
-    unit: str = ""
-    choices: tuple[str, ...] = ()
-    minimum: float | None = None
-    maximum: float | None = None
-    positive: bool = False
-    default_text: str = ""
-    metavar: str = ""
-    alias: str = ""
-    panel: str = ""
-    only: str = ""
-    model: str = ""
-    field: str = ""
-
-    @property
-    def flag(self) -> str:
-        """The option's name on the command line."""
-        return "--" + self.name.replace("_", "-")
-
-    def checked(self, value: Any) -> Any:
-        """The value in the option's type, from Python, TOML, or the text of the command line ("a,b" for several).
-
-        Raises:
-            OptionError: it has the wrong type, is none of the choices, or is out of range.
-        """
-        if value is None:
-            return None
-        if self.kind is Points:
-            return self._points(value)
-        if self.kind is not tuple:
-            return self._single(value)
-        parts = value
-        if isinstance(value, str):
-            words = [word.strip() for word in value.split(",")]
-            try:
-                parts = [self.each(word) for word in words if word or self.each is not str]
-            except ValueError:
-                raise OptionError(f"{self.name} must be {self._wanted}, not {quoted(value)}") from None
-        if not isinstance(parts, (list, tuple)) or not (parts or self.name == "figures"):
-            raise OptionError(f"{self.name} must be {self._wanted}, at least one, not {quoted(value)}")
-        return tuple(dict.fromkeys(map(self._single, parts)) if self.each is str else map(self._single, parts))
-
-    def _points(self, value: Any) -> Any:
-        if isinstance(value, str):
-            try:
-                rows = [tuple(float(number) for number in word.split(",")) for word in value.split()]
-                value = int(value) if "," not in value else rows
-            except ValueError:
-                raise OptionError(f"{self.name} must be points 'x,y x,y ...', not {quoted(value)}") from None
-        if not isinstance(value, (int, list, tuple)) or isinstance(value, bool):
-            raise OptionError(f"{self.name} must be a list of points, not {quoted(value)}")
-        if isinstance(value, int):
-            return value
-        points = tuple(tuple(row) if isinstance(row, (list, tuple)) else (row,) for row in value)
-        numbers = [number for point in points for number in point]
-        finite = all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers)
-        if len(set(map(len, points))) != 1 or not finite:
-            raise OptionError(f"{self.name} must be points of finite numbers, 'x,y x,y ...', not {quoted(value)}")
-        return points
-
-    def _single(self, value: Any) -> Any:
-        if self.each is float and isinstance(value, int) and not isinstance(value, bool):
-            try:
-                value = float(value)
-            except OverflowError:
-                raise OptionError(f"{self.name} must be a number below 1e308, not {quoted(value)}") from None
-        elif self.each is Path and isinstance(value, str):
-            value = Path(value)
-        elif self.each in (int, float) and hasattr(value, "item"):
-            value = value.item()  # a NumPy number
-        checked: Any = value
-        if not isinstance(value, self.each) or (isinstance(value, bool) and self.each is not bool):
-            raise OptionError(f"{self.name} must be {self._wanted}, not {quoted(value)}")
-        if self.choices and value not in self.choices:
-            message = f"{self.name} must be one of {', '.join(self.choices)}, not {quoted(value)}"
-            raise OptionError(message + suggestion(value, self.choices))
-        if isinstance(value, float) and not math.isfinite(value) and value != self.default:
-            raise OptionError(f"{self.name} must be a finite number, not {quoted(value)}")
-        if self.minimum is not None and checked < self.minimum:
-            raise OptionError(f"{self.name} must be at least {self.minimum:g}, not {quoted(value)}")
-        if self.maximum is not None and checked > self.maximum:
-            raise OptionError(f"{self.name} must be at most {self.maximum:g}, not {quoted(value)}")
-        if self.positive and checked <= 0:
-            raise OptionError(f"{self.name} must be a positive number, not {quoted(value)}")
-        return value
-
-    @property
-    def _wanted(self) -> str:
-        names = {str: "text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path"}
-        several = {str: "names", int: "whole numbers", float: "numbers"}
-        return several[self.each] if self.kind is tuple else names[self.each]
-
-    def text(self, value: Any) -> str:
-        """The value as one word of a command line."""
-        if self.kind is Points and isinstance(value, tuple):
-            return " ".join(",".join(f"{number:g}" for number in row) for row in value)
-        return ",".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,9 +61,7 @@ class Options:
         return cls(**given, numbers=numbers)
 
     def __post_init__(self) -> None:
-        for each in options_of(type(self)).values():
-            if not each.model and each.only != "python":
-                object.__setattr__(self, each.name, each.checked(getattr(self, each.name)))
+        check_options(self)
 
     def changed(self) -> Iterator[tuple[Option, Any]]:
         """The options that differ from their defaults, with their values."""
@@ -222,8 +92,9 @@ def options_of(group: type) -> dict[str, Option]:
 
 @cache
 def _options_of(group: Any) -> dict[str, Option]:
-    hints = get_type_hints(group)
-    options = {f.name: _option(f, hints[f.name], _panel(group, f.name)) for f in fields(group) if "help" in f.metadata}
+    options = {
+        name: replace(each, panel=each.panel or _panel(group, name)) for name, each in declared_in(group).items()
+    }
     for component, (kind, panel) in getattr(group, "components", {}).items():
         for each in options_of(kind).values():
             name = _RENAMED.get((component, each.name), each.name)
@@ -235,16 +106,6 @@ def _options_of(group: Any) -> dict[str, Option]:
 def _panel(group: type, name: str) -> str:
     """The panel of the class that declares a field."""
     return next(getattr(kind, "panel", "") for kind in group.__mro__ if name in inspect.get_annotations(kind))
-
-
-def _option(f: Any, hint: Any, panel: str) -> Option:
-    if get_origin(hint) is UnionType:
-        hint = next(part for part in get_args(hint) if part is not NoneType)
-    kind, each = (tuple, get_args(hint)[0]) if get_origin(hint) is tuple else (hint, hint)
-    if get_origin(each) is tuple:
-        kind = each = Points
-    default = f.default if f.default_factory is MISSING else f.default_factory()
-    return Option(name=f.name, field=f.name, kind=kind, each=each, default=default, **{"panel": panel, **f.metadata})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -214,11 +214,7 @@ class SmootherOptions(Options):
     @property
     def gibbs(self) -> GibbsOptions:
         """The options of the particle smoother."""
-        try:
-            return GibbsOptions(**self.of_component("gibbs"))
-        except OptionError as error:
-            # the filters have particles, too
-            raise OptionError(f"gibbs_{error}") from None
+        return GibbsOptions(**self.of_component("gibbs"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,11 +264,18 @@ class OutputOptions(Options):
     out: Path | None = option(None, "Folder for the results.", metavar="DIR", default_text="results/<time>")
     figures: tuple[str, ...] = option(("png", "pdf"), "Formats of the figure.", choices=("png", "pdf", "svg"))
     live: bool = option(False, "Before the comparison, draw the map in the terminal while the online solver makes it.")
-    html: Path | None = option(None, "Also write the interactive report, one HTML file.", metavar="FILE")
-    mcap: Path | None = option(
-        None, "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.", metavar="FILE"
+    html: Path | None = option(
+        None, "Also write the interactive report, one HTML file.", metavar="FILE", writes=(".html", ".htm")
     )
-    rerun: Path | None = option(None, "Also write poses and maps as a recording of Rerun (.rrd).", metavar="FILE")
+    mcap: Path | None = option(
+        None,
+        "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.",
+        metavar="FILE",
+        writes=(".mcap",),
+    )
+    rerun: Path | None = option(
+        None, "Also write poses and maps as a recording of Rerun (.rrd).", metavar="FILE", writes=(".rrd",)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,7 +294,9 @@ class FigureOptions(Options):
     """The figure of a study."""
 
     panel = OUTPUT
-    figure: Path | None = option(None, "Also write the figure (.png, .pdf, .svg).", metavar="FILE")
+    figure: Path | None = option(
+        None, "Also write the figure (.png, .pdf, .svg).", metavar="FILE", writes=(".png", ".pdf", ".svg")
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -469,9 +474,9 @@ class SummaryOptions(FigureOptions):
         "ate_m", "Metric of the figure.",
         choices=(*ERRORS, "cost_per_dof", "iterations", "seconds"),
     )  # fmt: skip
-    csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", panel=OUTPUT)
+    csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", writes=(), panel=OUTPUT)
     summary: Path | None = option(
         None, "Write the summary, not the runs: .csv with all digits, or .tex with the printed tables.", metavar="FILE",
-        panel=OUTPUT,
+        writes=(".csv", ".tex"), panel=OUTPUT,
     )  # fmt: skip
-    jsonl: Path | None = option(None, "Write every run as a line of JSON.", metavar="FILE", panel=OUTPUT)
+    jsonl: Path | None = option(None, "Write every run as a line of JSON.", metavar="FILE", writes=(), panel=OUTPUT)

@@ -25,8 +25,6 @@ from .documents import shown_by
 
 #: the default folder of the results folders
 RESULTS = Path("results")
-#: what figures can be written as, by suffix
-FIGURE_FORMATS = (".png", ".pdf", ".svg")
 
 
 class Numbers(list[Any]):
@@ -112,7 +110,7 @@ def check_can_write(path: Path, *, endings: tuple[str, ...] = ()) -> None:
 
     Args:
         path: of the file.
-        endings: those that the name may have, such as `FIGURE_FORMATS`; default: any.
+        endings: those that the name may have, such as (".png", ".pdf"); default: any.
 
     Raises:
         OptionError: the name has another ending.

@@ -55,6 +55,11 @@ def check_page(path: Path) -> None:
         OptionError: the name does not end in .html, or the extra ``report`` is not installed.
     """
     check_can_write(path, endings=(".html", ".htm"))
+    check_plotly()
+
+
+def check_plotly() -> None:
+    """Raise `OptionError` with what to install where the optional package is missing."""
     if find_spec("plotly") is None:
         raise OptionError("the interactive report needs the package plotly: pip install -e '.[report]' in the clone")
 
