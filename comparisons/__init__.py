@@ -40,25 +40,7 @@ if TYPE_CHECKING:
     from .studies.summary import summarise
     from .studies.sweep import sweep
 
-#: the public names, by the module that defines them
-_PUBLIC = {
-    "studies.backends": "compare_backends",
-    "comparison": "Comparison run",
-    "studies.consistency": "study_consistency",
-    "datasets": "survey",
-    "evaluation": "evaluate",
-    "importing": "import_log inspect_log",
-    "options": "RunOptions",
-    "studies.particles": "study_particles",
-    "options.reading": "calibrate",
-    "show.films": "animate",
-    "show.report.page": "write_report",
-    "studies.solvers": "compare_solvers",
-    "studies.plan": "read_study",
-    "studies.summary": "summarise",
-    "studies.sweep": "sweep",
-}
-__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
+__getattr__, __dir__, __all__ = lazy_names(__name__)
 
 # the package stands above results and presentation: results ask it for their presentation
-display.load_renderers.append(lambda: import_module(".show", __name__))
+display.presentation.append(lambda: import_module(".show", __name__))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from graphslam import Graph, SlamError, load
 from graphslam.edges import AnchorEdges
@@ -23,7 +23,6 @@ from graphslam.io.formats import FORMATS
 
 from .display import Displayed
 from .results.documents import Count
-from .results.saving import jsonable
 
 #: how many levels of folders are searched, and the size from which on files are not opened for recognition [bytes]
 DEPTH, LARGEST = 3, 200_000_000
@@ -109,10 +108,6 @@ class Survey(Displayed):
     def problems(self) -> tuple[str, ...]:
         """One sentence for each file or folder that cannot be read."""
         return tuple(entry.error for entries in self.found.values() for entry in entries if entry.error is not None)
-
-    def to_json(self) -> dict[str, Any]:
-        """The survey as plain data: {"folder", "exists", "sets": [{"name", ..., "found": [...]}]}."""
-        return jsonable(self)
 
 
 def survey(folder: str | PathLike[str] | None = None, *, progress: Callable[[Path], None] | None = None) -> Survey:

@@ -374,10 +374,6 @@ class Overview(Displayed):
         """The histogram of the bearings [rad]."""
         return _histogram(self.log.sightings[:, 1], -np.pi, np.pi)
 
-    def to_json(self) -> dict[str, Any]:
-        """The overview as plain data."""
-        return jsonable(self)
-
 
 def inspect_log(log: Log | str | PathLike[str] | None = None, **options: Any) -> Overview:
     """Look at a log before it is solved.

@@ -23,12 +23,4 @@ if TYPE_CHECKING:
         effective_sample_size,
     )
 
-#: the public names, by the module that defines them
-_PUBLIC = {
-    "filters": "FastSLAM1 FastSLAM2 MonteCarloLocalization",
-    "gibbs.chains": "ParticleGibbs GibbsResult",
-    "options": "FilterOptions GibbsOptions",
-    "filters.particle_filter": "ParticleFilter VanishedWeightsWarning",
-    "particles": "RESAMPLING_SCHEMES effective_sample_size Samples FilterResult LandmarkEstimate ParticleState",
-}
-__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
+__getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -38,34 +38,4 @@ if TYPE_CHECKING:
     from .solvers.solution import Solution
     from .solvers.solve import solve, solve_many
 
-#: the public names, by the module that defines them; "" lists modules
-_PUBLIC = {
-    "": "edges factors io metrics se2 textbook",
-    "association": "associate",
-    "calibration": "calibrate",
-    "solvers.certificate": "Certificate",
-    "solvers.gtsam_certificate": "certify",
-    "log.continuous_time": "control_path",
-    "edges.robust": "Cauchy GemanMcClure Huber",
-    "errors": "FactorError FormatError GraphError LogError OptionError SlamError",
-    "io.formats": "load save",
-    "graph": "Graph",
-    "identification.robot": "estimate_robot",
-    "graph.localization": "first_fix",
-    "log": "Log",
-    "graph.landmark_map": "LandmarkMap",
-    "graph.mapping": "estimate_map",
-    "log.measurements": "AbsolutePositions PoseRelations",
-    "models": "MotionModel SensorModel",
-    "online": "OnlineSolver solve_online",
-    "solvers.solution": "Solution",
-    "solvers.gtsam_solver": "solve_with_gtsam",
-    "solvers.solve": "solve_many solve",
-    "simulation.drives": "Drive",
-    "simulation.simulator": "simulate",
-    "log.streams": "Stream",
-    "io.base": "synchronize",
-    "sessions": "join_logs",
-    "simulation.worlds": "World sample_log_path",
-}
-__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
+__getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
 
-def lazy_names(
-    package: str, public: Mapping[str, str]
-) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """``__getattr__``, ``__dir__`` and ``__all__`` of a package.
+def lazy_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the imports below ``if TYPE_CHECKING:`` in its source.
+
+    ``from .module import Name`` makes a public name; ``from . import module`` a public module.
 
     Args:
         package: its ``__name__``.
-        public: module below the package -> its public names, separated by spaces; "" -> names of public modules.
     """
-    module_of = {name: module for module, names in public.items() for name in names.split()}
+    source = sys.modules[package].__loader__.get_source(package)  # type: ignore[union-attr]
+    blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
+    imports = (node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom))
+    module_of = {alias.name: node.module or "" for node in imports for alias in node.names}
     namespace = vars(sys.modules[package])
 
     def get(name: str) -> Any:

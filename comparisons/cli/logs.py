@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .output import DIFFERENT, Output
-from .verb import LogFile, command
+from .verb import LogFile, command, places
 
 if TYPE_CHECKING:
     from ..options import (
@@ -138,10 +138,7 @@ def evaluate(
     """
     from ..evaluation import evaluate as compare
 
-    found = compare(truth, *estimates, options=options)
-    output.show(found)
-    output.json(found.to_json())
-    output.draw(found, drawing.figure)
+    output.result(compare(truth, *estimates, options=options), drawing.figure)
 
 
 def datasets(
@@ -175,8 +172,7 @@ def datasets(
             output.detail(f"reading {path}")
 
         outcome = survey(folder, progress=progress)
-    output.show(outcome)
-    output.json(outcome.to_json())
+    output.result(outcome)
     if outcome.problems:
         raise typer.Exit(DIFFERENT)
 
@@ -209,7 +205,12 @@ def import_(
     from ..importing import imported
     from ..results.saving import check_can_write
 
-    source, out = source_and_out(words or [])
+    source: Path | None = None
+    out: Path | None = None
+    if words:
+        source, out = places(words, "a folder or bag, and a log to write: slam-compare import SOURCE OUT.npz")
+        if source is None and out.suffix != ".npz":
+            source, out = out, None
     if out is not None:
         check_can_write(out)
     found = imported(source, options)
@@ -224,24 +225,6 @@ def import_(
         output.say(f"Wrote {out}.")
         output.hint(f"Next: {command('run', out)}")
     output.json(found.to_json(out))
-
-
-def source_and_out(words: list[str]) -> tuple[Path | None, Path | None]:
-    """The folder or bag, or None, and the log to write, or None, of the words '[SOURCE] [OUT]'.
-
-    Raises:
-        OptionError: there are more words, or none of them is a source.
-    """
-    from graphslam import OptionError
-
-    if len(words) > 2:
-        raise OptionError("give at most a folder or bag, and a log to write: slam-compare import SOURCE OUT.npz")
-    places = [Path(word) for word in words]
-    if len(places) == 2:
-        return places[0], places[1]
-    if not places:
-        return None, None
-    return (None, places[0]) if places[0].suffix == ".npz" else (places[0], None)
 
 
 def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawing: FigureOptions) -> None:
@@ -315,6 +298,4 @@ def backends(
             output.progress(f"{Path(row.file).name} {row.backend}: {chi2}{row.reason}")
 
         outcome = compare_backends(files, progress=progress, **options.keywords())
-    output.show(outcome)
-    output.json(outcome.to_json())
-    output.draw(outcome, drawing.figure)
+    output.result(outcome, drawing.figure)

@@ -141,6 +141,12 @@ class Output:
             self.console.print(translated_table(table, self.language))
         self.say(*remarks)
 
+    def result(self, result: Any, figure: Path | None = None) -> None:
+        """Write the tables of a result, its JSON, and its figure, if they are asked for."""
+        self.show(result)
+        self.json(result.to_json())
+        self.draw(result, figure)
+
     def draw(self, result: Any, path: Path | None, **options: Any) -> None:
         """Write the figure of a result, if it is asked for."""
         if path is not None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .output import Advance, Output
-from .verb import LogFile, command
+from .verb import LogFile, command, places
 
 if TYPE_CHECKING:
     from ..comparison import Comparison, Progress
@@ -149,7 +149,7 @@ def report(
     """
     from ..show.report.page import check_page, write_report
 
-    log, page = log_and_file(words, "slam-compare report LOG OUT.html")
+    log, page = places(words, "a log and a file to write: slam-compare report LOG OUT.html")
     check_page(page)
     outcome = _compared(output, log, chosen, options)
     output.show(outcome)
@@ -185,7 +185,7 @@ def animate(
     from ..show.films import animate as film_of
     from ..show.films import check_can_film
 
-    log, out = log_and_file(words, "slam-compare animate LOG OUT")
+    log, out = places(words, "a log and a file to write: slam-compare animate LOG OUT")
     check_can_film(out)
     begin = time.perf_counter()
     with output.bar(animation.estimator) as advance:
@@ -201,19 +201,6 @@ def animate(
             steps=film.steps, fps=film.fps, bytes=size, seconds=seconds, notes=film.notes, poses=film.frames[-1].poses,
         )
     )  # fmt: skip
-
-
-def log_and_file(words: list[str], form: str) -> tuple[Path | None, Path]:
-    """The log, or None, and the file to write, of the words '[LOG] OUT'.
-
-    Raises:
-        OptionError: there are more words; the message shows the form.
-    """
-    from graphslam import OptionError
-
-    if len(words) > 2:
-        raise OptionError(f"give at most a log and a file to write: {form}")
-    return (Path(words[0]) if len(words) == 2 else None), Path(words[-1])
 
 
 def _compared(

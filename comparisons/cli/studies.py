@@ -31,9 +31,7 @@ def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOpti
             output.detail(f"{run.name} N={run.particles} seed {run.seed}: {run.seconds:.2f} s")
 
         outcome = study_particles(log, progress=progress, announce=output.progress, **options.keywords())
-    output.show(outcome)
-    output.json(outcome.to_json())
-    output.draw(outcome, drawing.figure)
+    output.result(outcome, drawing.figure)
 
 
 def consistency(output: Output, *, options: ConsistencyOptions, drawing: FigureOptions) -> None:
@@ -43,9 +41,7 @@ def consistency(output: Output, *, options: ConsistencyOptions, drawing: FigureO
 
     with output.bar("logs", options.logs) as advance:
         outcome = study_consistency(progress=lambda _: advance(1), **options.keywords())
-    output.show(outcome)
-    output.json(outcome.to_json())
-    output.draw(outcome, drawing.figure)
+    output.result(outcome, drawing.figure)
     if options.noise == ConsistencyOptions().noise:
         output.hint(
             f"The effect of the models' curvature: {command('consistency', options=replace(options, noise=0.5))}"

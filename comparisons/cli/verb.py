@@ -221,6 +221,19 @@ def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict
     return {name: value if name not in of_noise or typed(name) else None for name, value in values.items()}
 
 
+def places(words: list[str], form: str) -> tuple[Path | None, Path]:
+    """The first of two places, or None, and the last, of words such as '[LOG] OUT'.
+
+    Raises:
+        OptionError: there are more words; the message shows the form.
+    """
+    from graphslam.errors import OptionError
+
+    if len(words) > 2:
+        raise OptionError(f"give at most {form}")
+    return (Path(words[0]) if len(words) == 2 else None), Path(words[-1])
+
+
 def command(
     verb: str, *words: Path | str | None, options: Options | Sequence[Options] = (), leave_out: Sequence[str] = ()
 ) -> str:

@@ -12,10 +12,11 @@ from __future__ import annotations
 import pickle
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 import cloudpickle  # type: ignore[import-untyped]
 import numpy as np
@@ -38,9 +39,11 @@ def process_pool(jobs: int, estimators: Sequence[str]) -> ProcessPool:
     return local.process_pool(jobs, partial(_warm_up, tuple(estimators), added_estimators()))
 
 
-def processes(jobs: int, estimators: Sequence[str]) -> AbstractContextManager[ProcessPool]:
-    """The same, for a block: `graphslam.processes.processes`."""
-    return local.processes(jobs, partial(_warm_up, tuple(estimators), added_estimators()))
+def processes(
+    jobs: int, estimators: Sequence[str], prepare: Callable[[], object] = list
+) -> AbstractContextManager[ProcessPool]:
+    """The same, for a block: `graphslam.processes.processes`; ``prepare`` is called in each process, too."""
+    return local.processes(jobs, partial(_warm_up, tuple(estimators), added_estimators(), prepare))
 
 
 def added_estimators() -> bytes:
@@ -70,11 +73,12 @@ def add_estimators(added: bytes) -> None:
         ESTIMATORS.update(pickle.loads(added))
 
 
-def _warm_up(estimators: Sequence[str], added: bytes) -> None:
+def _warm_up(estimators: Sequence[str], added: bytes, prepare: Callable[[], object] = list) -> None:
     add_estimators(added)
-    for name in estimators:
+    loads: list[Callable[[], object]] = [*(partial(warm_up, name) for name in estimators), prepare]
+    for load in loads:
         with suppress(Exception):  # it shows again, with its message, in the run
-            warm_up(name)
+            load()
 
 
 def results(
@@ -83,6 +87,7 @@ def results(
     *,
     jobs: int | None,
     estimators: Sequence[str] = (),
+    prepare: Callable[[], object] = list,
     limit: float | None = None,
     instead: Callable[[Task, str], Result] | None = None,
 ) -> Iterator[Result]:
@@ -93,6 +98,7 @@ def results(
         tasks: plain data.
         jobs: how many processes; 0 for this process, None for one on each core.
         estimators: whose modules are loaded before the first task.
+        prepare: called in each process after that.
         limit: of the time of each task [s]; None for no limit.
         instead: makes the result of a task that took longer, or whose process died, from the task and the reason. Without
             it they are errors.
@@ -108,16 +114,23 @@ def results(
             warm_up(name)
         yield from map(function, tasks)
         return
-    with processes(jobs or default_jobs(), estimators) as pool:
+    with processes(jobs or default_jobs(), estimators, prepare) as pool:
         for task, future in [(task, pool.schedule(function, (task,), timeout=limit)) for task in tasks]:
-            try:
-                result: Result = future.result()
-            except (TimeoutError, ProcessExpired) as error:
-                reason = how_it_ended(error) if isinstance(error, ProcessExpired) else too_long(limit)
-                if instead is None:
-                    raise SlamError(reason) from None
-                result = instead(task, reason)
-            yield result
+            yield ended(future, limit, _raised if instead is None else partial(instead, task))
+
+
+def ended(future: Future[Result], limit: float | None, instead: Callable[[str], Result]) -> Result:
+    """The result of a task in a pool, or what ``instead`` makes of the reason: it took longer, or its process died."""
+    try:
+        return future.result()
+    except TimeoutError:
+        return instead(too_long(limit))
+    except ProcessExpired as error:
+        return instead(how_it_ended(error))
+
+
+def _raised(reason: str) -> NoReturn:
+    raise SlamError(reason)
 
 
 def too_long(limit: float | None) -> str:

@@ -13,6 +13,4 @@ if TYPE_CHECKING:
     from .results import sentence as sentence
     from .results import typical_costs as typical_costs
 
-# imported at the first use: whoever needs another module of this package does not wait for this one
-_PUBLIC = {"results": "dead_reckoning_covariances EstimatorResult Figures noted of_expected sentence typical_costs"}
-__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
+__getattr__, __dir__, __all__ = lazy_names(__name__)

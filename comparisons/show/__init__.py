@@ -1,33 +1,44 @@
 """Everything that only shows: tables, figures, the interactive report and animations.
 
-Results do not import this package. They ask `comparisons.display`, with which a renderer is registered here for each
-class of results. The modules that need matplotlib are loaded when the first figure is drawn.
+Results do not import this package; `comparisons.display` calls these functions. The modules that need matplotlib are loaded
+when the first figure is drawn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
+from os import PathLike
 from typing import Any
 
 from graphslam import SlamError
 
-from .. import display
-from .tables import RESULTS, as_html, as_text, function
+from .tables import RESULTS, function, tables_as_html
+from .tables import as_text as as_text
 
 
-def _figure(result: Any, **options: Any) -> Any:
-    return function(RESULTS[type(result).__name__][1])(result, **options)
-
-
-def _html(result: Any) -> str:
-    text = as_html(result)
+def as_html(result: object) -> str:
+    """Tables, sentences and, where there is one, the figure of a result."""
+    text = tables_as_html(result)
     if RESULTS[type(result).__name__][1]:
         # a table without its figure is better than neither
         with suppress(SlamError):
-            text += "\n" + function("canvas.png_as_html")(_figure(result))
+            text += "\n" + function("canvas.png_as_html")(figure_of(result))
     return text
 
 
-for _kind, (_, _drawn) in RESULTS.items():
-    display.register(_kind, display.Renderer(as_text, _html, _figure if _drawn else None))
-display.figure_writers.append(lambda figure, paths: function("canvas.save_figure")(figure, paths))
+def figure_of(result: object, **options: Any) -> Any:
+    """The figure of a result.
+
+    Raises:
+        NotImplementedError: there is no figure of this class of results.
+    """
+    draw = RESULTS[type(result).__name__][1]
+    if not draw:
+        raise NotImplementedError(f"there is no figure of {type(result).__name__}")
+    return function(draw)(result, **options)
+
+
+def save_figure(figure: Any, paths: Sequence[str | PathLike[str]]) -> None:
+    """Write a figure into files, see `canvas.save_figure`."""
+    function("canvas.save_figure")(figure, paths)

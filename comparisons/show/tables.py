@@ -91,7 +91,7 @@ def as_text(result: object, width: int = WIDTH) -> str:
     return "\n".join(line.rstrip() for line in stream.getvalue().rstrip().splitlines())
 
 
-def as_html(result: object) -> str:
+def tables_as_html(result: object) -> str:
     """Tables and sentences as HTML without scripts or styles of the page's own; all text escaped."""
     tables, remarks = tables_of(result)
     return "\n".join([*map(table_as_html, tables), *(f"<p>{escape(remark)}</p>" for remark in remarks)])

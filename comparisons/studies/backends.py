@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import import_module
@@ -24,18 +24,16 @@ from typing import Any, ClassVar
 
 import gtsam
 import numpy as np
-from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Certificate, Graph, GraphError, OptionError, certify, solve
 from graphslam.edges import RelativePointEdges, RelativePoseEdges
 from graphslam.factors import RelativePointFactor
-from graphslam.processes import how_it_ended, processes
 from graphslam.se2 import Array, rotation
 from graphslam.solvers.gtsam_solver import from_values, to_values
 from graphslam.solvers.initialize import starting_state
 
 from ..display import Displayed
-from ..estimators.attempt import too_long
+from ..estimators.attempt import results
 from ..options import BackendOptions
 from ..results import of_expected
 from ..results.documents import Count
@@ -364,61 +362,52 @@ def compare_backends(
     given = BackendOptions.of(**options)
     rows: list[BackendRow] = []
     names = given.backends or BACKENDS
-    with _measurer(names, given) as measure:
-        for path in [files] if isinstance(files, (str, PathLike)) else files:
-            graph, initialize = Graph.from_g2o(path, format=given.format), given.initialize
-            if given.same_start:
-                graph, initialize = graph.with_initial(starting_state(graph, "auto")), "given"
-            for name in names:
-                try:
-                    rows.append(measure(str(path), name, graph, initialize))
-                except OptionError:
-                    if given.backends is None:
-                        continue  # not installed, and not asked for by name
-                    raise
-                if progress is not None:
-                    progress(rows[-1])
+    paths = [files] if isinstance(files, (str, PathLike)) else files
+    graphs = ((str(path), *_graph(path, given)) for path in paths)
+    for row in results(
+        partial(_measured, options=given), ((name, *of_file) for of_file in graphs for name in names),
+        jobs=0 if given.time_limit is None else 1, prepare=partial(_warm_up_all, tuple(names)), limit=given.time_limit,
+        instead=_stopped,
+    ):  # fmt: skip
+        if row is not None:
+            rows.append(row)
+            if progress is not None:
+                progress(row)
     return BackendComparison(tuple(rows))
 
 
-#: makes the row of a backend, given the file, its name, the graph of the file and where graphslam starts
-Measure = Callable[[str, str, Graph, str], BackendRow]
+def _graph(path: str | PathLike[str], options: BackendOptions) -> tuple[Graph, str]:
+    """The graph of a file, and where graphslam starts."""
+    graph = Graph.from_g2o(path, format=options.format)
+    if options.same_start:
+        return graph.with_initial(starting_state(graph, "auto")), "given"
+    return graph, options.initialize
 
 
-@contextmanager
-def _measurer(names: Sequence[str], options: BackendOptions) -> Iterator[Measure]:
-    """`_measured`, or the same in a process that is stopped at the time limit."""
-    if options.time_limit is None:
-        yield partial(_measured, options)
-        return
-    with processes(1, partial(_warm_up_all, tuple(names))) as pool:
-        yield partial(_within, pool, options)
+#: the backend, the file, its graph, and where graphslam starts
+Task = tuple[str, str, Graph, str]
 
 
-def _within(
-    pool: ProcessPool, options: BackendOptions, file: str, name: str, graph: Graph, initialize: str
-) -> BackendRow:
+def _stopped(task: Task, reason: str) -> BackendRow:
+    return BackendRow(task[1], task[0], math.nan, 0, math.nan, False, reason)
+
+
+def _measured(task: Task, options: BackendOptions) -> BackendRow | None:
+    """The row of a backend; None where it is not installed, and not asked for by name."""
+    name, file, graph, initialize = task
     try:
-        row: BackendRow = pool.schedule(
-            _measured, (options, file, name, graph, initialize), timeout=options.time_limit
-        ).result()
-    except TimeoutError:
-        return BackendRow(file, name, math.nan, 0, math.nan, False, too_long(options.time_limit))
-    except ProcessExpired as error:
-        return BackendRow(file, name, math.nan, 0, math.nan, False, how_it_ended(error))
-    return row
-
-
-def _measured(options: BackendOptions, file: str, name: str, graph: Graph, initialize: str) -> BackendRow:
-    """The row of a backend; raises `OptionError` where it is not installed."""
-    run = _backend(name, graph, initialize, options.max_iterations)
+        run = _backend(name, graph, initialize, options.max_iterations)
+    except OptionError:
+        if options.backends is None:
+            return None
+        raise
     _warm_up(name)
     return _row(file, name, graph, [run() for _ in range(options.repeat)])
 
 
 def _warm_up_all(names: Sequence[str]) -> None:
     for name in names:
-        with suppress(Exception):  # it shows again, with its message, in the run
+        with suppress(OptionError):
             _warm_up(name)
 
 

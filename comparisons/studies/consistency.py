@@ -31,7 +31,6 @@ from ..estimators.attempt import results
 from ..estimators.filters import FILTERS, particle_filter
 from ..options import ConsistencyOptions, RunOptions
 from ..results.documents import Band, Count, Numbers, one_of
-from ..results.saving import jsonable
 
 #: the graphs that can be tested, by name: keywords of `Graph.from_log`
 GRAPHS: dict[str, dict[str, Any]] = {
@@ -133,10 +132,6 @@ class ConsistencyStudy(Displayed):
     sightings_per_landmark: float
     results: tuple[Consistency, ...] = field(repr=False)
     shown: ClassVar = {"estimators": "results"}
-
-    def to_json(self) -> dict[str, Any]:
-        """The study as plain data; see docs/beyond/consistency.md."""
-        return jsonable(self)
 
 
 def study_consistency(*, progress: Callable[[int], None] | None = None, **options: Any) -> ConsistencyStudy:

@@ -22,7 +22,6 @@ from ..estimators.filters import Announce, announce_memory
 from ..options import ParticleStudyOptions, RunOptions
 from ..options.reading import prepare
 from ..results.documents import Count, Numbers
-from ..results.saving import jsonable
 from .summary import quartiles
 
 #: the figures of a run: field of `ParticleRun` -> label of its axis
@@ -117,10 +116,6 @@ class ParticleStudy(Displayed):
             }
             for row in self.quartiles
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        """The study as JSON holds it: every run, and the quartiles over seeds."""
-        return jsonable(self)
 
     @property
     def quartiles(self) -> list[Quartiles]:

@@ -44,16 +44,6 @@ def simulated_log(settings: Mapping[str, Any], seed: int, name: str = "simulated
 MOST_RUNS, MOST_COMBINATIONS, MOST_SEEDS = 500_000, 10_000, 1_000_000
 #: so many worlds of a table are tried before a study begins, at 4 ms each; one after them that is impossible fails in its run
 _TRIED = 500
-#: the keys of a study file outside of its tables
-_KEYS = {
-    each.name: each
-    for each in (
-        Option(name="database", kind=Path, each=Path, default=None),
-        Option(name="time_limit", kind=float, each=float, default=600.0, positive=True),
-        Option(name="estimators", kind=tuple, each=str, default=default_estimators(), choices=tuple(ESTIMATORS)),
-        Option(name="logs", kind=tuple, each=str, default=()),
-    )
-}
 #: what [options] may have: every option of a run but its seed
 _OPTIONS = {n: each for n, each in options_of(RunOptions).items() if n != "seed" and each.only != "python"}
 #: those that decide which log the estimators work on

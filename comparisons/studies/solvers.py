@@ -24,7 +24,6 @@ from ..options.option import options_of
 from ..options.reading import prepare
 from ..results import of_expected
 from ..results.documents import Count
-from ..results.saving import jsonable
 
 #: what two solvers may differ by: any x, y [m] or heading [rad], and J relative to itself
 POSE_TOLERANCE, COST_TOLERANCE = 1e-6, 1e-9
@@ -132,10 +131,6 @@ class SolverComparison(Displayed):
     def problems(self) -> tuple[str, ...]:
         """One sentence for each variant in which the solvers do not agree; empty if all is well."""
         return tuple(f"{v.name}: {v.problem}" for v in self.variants if v.problem is not None)
-
-    def to_json(self) -> dict[str, Any]:
-        """The comparison as plain data: {"variants": [...], "skipped": [{"name", "reason"}]}."""
-        return jsonable(self)
 
 
 def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Variant]:

@@ -31,7 +31,7 @@ from graphslam.se2 import Array
 
 from ..display import Displayed
 from ..results.documents import Count
-from ..results.saving import json_line, jsonable
+from ..results.saving import json_line
 from .database import COLUMNS, StudyDatabase
 from .execute import DONE, TIMEOUT
 
@@ -177,10 +177,6 @@ class Summary(Displayed):
     errors: Mapping[str, Count]
     database: Path | None = None
     study: str | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """The summary as plain data."""
-        return jsonable(self)
 
 
 def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, baseline: str | None = None) -> Summary:

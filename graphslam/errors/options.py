@@ -184,6 +184,7 @@ def check_options(owner: Any) -> None:
     Raises:
         OptionError: one has the wrong type, is none of the choices, or is out of range.
     """
-    for option in declared_in(type(owner)).values():
+    kind: Any = type(owner)
+    for option in declared_in(kind).values():
         if option.only != "python":
             object.__setattr__(owner, option.name, option.checked(getattr(owner, option.name)))

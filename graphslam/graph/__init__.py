@@ -11,6 +11,4 @@ if TYPE_CHECKING:
     from .graph import Graph as Graph
     from .graph import check_graph as check_graph
 
-# imported at the first use: whoever needs another module of this package does not wait for this one
-_PUBLIC = {"graph": "check_graph EDGES FRAMES Graph WEIGHTS"}
-__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
+__getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -9,6 +9,4 @@ if TYPE_CHECKING:
     from .log import Log as Log
     from .log import check_is_log as check_is_log
 
-# imported at the first use: whoever needs another module of this package does not wait for this one
-_PUBLIC = {"log": "check_is_log Log UNIDENTIFIED"}
-__getattr__, __dir__, __all__ = lazy_names(__name__, _PUBLIC)
+__getattr__, __dir__, __all__ = lazy_names(__name__)

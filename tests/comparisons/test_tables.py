@@ -22,7 +22,8 @@ from comparisons.results import EstimatorResult
 from comparisons.results.documents import shown_by
 from comparisons.results.sightings import SessionErrors
 from comparisons.show.cells import LeanTable, number, seconds
-from comparisons.show.tables import as_html, as_text, tables_of
+from comparisons.show.tables import as_text, tables_of
+from comparisons.show.tables import tables_as_html as as_html
 from comparisons.studies.backends import BackendComparison, BackendRow
 from comparisons.studies.consistency import Consistency, ConsistencyStudy
 from comparisons.studies.database import COLUMNS

@@ -52,7 +52,7 @@ def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress 
     makers = {
         "graph": graph_film, "association": association_film, "isam2": isam2_film, "particle-gibbs": sample_film,
     }  # fmt: skip
-    make = makers.get(animation.estimator, particle_film)
-    return replace(
-        make(data, run, animation, progress or (lambda: None)), source=None if isinstance(source, tuple) else source
-    )
+    film = makers.get(animation.estimator, particle_film)(data, run, animation, progress or (lambda: None))
+    # iterations are few and worth a look each
+    fps = animation.fps or (2.0 if animation.estimator == "graph" else 10.0)
+    return replace(film, fps=fps, source=None if isinstance(source, tuple) else source)

@@ -21,8 +21,6 @@ from ...results.sightings import CLUTTER, CONFIRMED, UNCONFIRMED, status_of
 from ..canvas import SIGHTINGS, placement_of_result
 from .scene import Film, Frame, Scene, Show, kept
 
-#: steps per second
-FPS = 10.0
 _LABELS = {CONFIRMED: "its landmark", UNCONFIRMED: "uncertain landmark", CLUTTER: "no landmark"}
 
 
@@ -81,8 +79,7 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
         for each, label in _LABELS.items():
             scene.remember(label, Line2D([], [], color=SIGHTINGS[each]))
 
-        def sightings(frame: Frame) -> Sequence[Artist]:
-            assert isinstance(frame, AssociationFrame)
+        def sightings(frame: AssociationFrame) -> Sequence[Artist]:
             ends = scene.moved(frame.ends)
             begin = np.broadcast_to(scene.placed(frame.poses[-1:]), ends.shape)
             lines.set_segments(list(np.stack([begin, ends], axis=1)))
@@ -96,4 +93,4 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
 
     ignored = () if np.all(log.landmarks == UNIDENTIFIED) else ("the ids of the log are not used",)
     notes = (*result.found.notes, *ignored)
-    return Film(title, tuple(frames), log.num_poses, animation.fps or FPS, notes, set_up, log)
+    return Film(title, tuple(frames), log.num_poses, notes, set_up, log)

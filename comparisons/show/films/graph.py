@@ -22,8 +22,6 @@ from ...options import AnimationOptions, RunOptions
 from ..canvas import placement_of
 from .scene import COLORS, Film, Frame, Residuals, Scene, Show, kept
 
-#: iterations per second
-FPS = 2.0
 #: the starts that are tried, and how a note names them
 _STARTS = {
     "given": "",
@@ -84,8 +82,7 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
         )  # fmt: skip
         lines = scene.add_lines(cmap=COLORS, norm=scale, linewidths=0.5)
 
-        def edges(frame: Frame) -> Sequence[Artist]:
-            assert isinstance(frame, GraphFrame)
+        def edges(frame: GraphFrame) -> Sequence[Artist]:
             lines.set_segments(list(scene.moved(frame.edges.reshape(-1, 2)).reshape(-1, 2, 2)))
             lines.set_array(frame.distances)
             return [lines, *scene.known]
@@ -96,7 +93,7 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
         scene.add_curve(np.arange(len(costs)), costs, "iteration", "J", log=True)
         return scene.finish()
 
-    return Film(title, tuple(frames), len(run.states), animation.fps or FPS, (*graph.notes, *notes), set_up, log)
+    return Film(title, tuple(frames), len(run.states), (*graph.notes, *notes), set_up, log)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,6 @@ from ...options import AnimationOptions, RunOptions
 from ..canvas import placement_of
 from .scene import COLORS, Film, Frame, Scene, Show, kept
 
-#: steps per second
-FPS = 10.0
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OnlineFrame(Frame):
@@ -64,8 +61,7 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
         scene.add_path("isam2", linewidth=5.0, alpha=0.3)
         lines = scene.add_lines(cmap=COLORS, norm=scale, linewidths=2.4, capstyle="round")
 
-        def corrections(frame: Frame) -> Sequence[Artist]:
-            assert isinstance(frame, OnlineFrame)
+        def corrections(frame: OnlineFrame) -> Sequence[Artist]:
             places = scene.along(frame.poses)
             motion = scene.between.motions[: len(places) - 1]
             lines.set_segments(list(np.stack([places[:-1], places[1:]], axis=1)))
@@ -81,7 +77,7 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
         scene.add_curve(numbers, visible, "step", "largest [m]", log=True)
         return scene.finish()
 
-    return Film(title, tuple(frames), log.num_poses, animation.fps or FPS, solution.notes, set_up, log)
+    return Film(title, tuple(frames), log.num_poses, solution.notes, set_up, log)
 
 
 def _frame(log: Log, solver: OnlineSolver, before: Array) -> OnlineFrame:

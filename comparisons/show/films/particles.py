@@ -22,8 +22,6 @@ from ...options import AnimationOptions, RunOptions
 from ..canvas import FLASH, PARTICLE, placement_of
 from .scene import Film, Frame, Scene, Show, kept
 
-#: steps per second
-FPS = 10.0
 #: of more particles some are drawn, evenly spread: more points would only cover each other
 MOST_PARTICLES = 2000
 #: opacity of the particles with up to 10 %, up to 50 %, and more of the greatest weight
@@ -93,7 +91,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
         scene.remember("resampled", Line2D([], [], color=FLASH, linestyle="none", marker="|", markersize=6))
         return scene.finish()
 
-    return Film(title, tuple(frames), log.num_poses, animation.fps or FPS, tuple(notes), set_up, log)
+    return Film(title, tuple(frames), log.num_poses, tuple(notes), set_up, log)
 
 
 def _frame(log: Log, filter: ParticleFilter, state: ParticleState, resamplings: int) -> ParticleFrame:
@@ -124,8 +122,7 @@ def _particles(scene: Scene) -> Show:
     ]
     scene.remember("particle", Line2D([], [], color=PARTICLE, linestyle="none", marker=".", markersize=5))
 
-    def move(frame: Frame) -> Sequence[Artist]:
-        assert isinstance(frame, ParticleFrame)
+    def move(frame: ParticleFrame) -> Sequence[Artist]:
         places = scene.placed(frame.particles)
         grades = np.digitize(frame.weights, (0.1, 0.5))
         for grade, dot in enumerate(dots):

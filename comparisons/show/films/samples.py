@@ -18,8 +18,6 @@ from ...options import AnimationOptions, RunOptions
 from ..canvas import PARTICLE, placement_of
 from .scene import Film, Frame, Scene, Show, kept
 
-#: sweeps per second
-FPS = 10.0
 #: the most earlier samples that a picture shows, evenly spread
 MOST_SAMPLES = 100
 
@@ -68,7 +66,7 @@ def sample_film(log: Log, options: RunOptions, animation: AnimationOptions, prog
         scene.add_curve(np.arange(sweeps), numbers[0], f"sweep; {name}, in standard deviations, of all chains", "σ")
         return scene.finish()
 
-    return Film(title, tuple(frames), sweeps, animation.fps or FPS, (result.mixing.statement,), set_up, log)
+    return Film(title, tuple(frames), sweeps, (result.mixing.statement,), set_up, log)
 
 
 def _frame(result: GibbsResult, number: int) -> SampleFrame:
@@ -106,8 +104,7 @@ def _samples(scene: Scene) -> Show:
     scene.remember("earlier samples", Line2D([], [], color=scene.color, linewidth=0.5, alpha=0.5))
     scene.remember("sampled landmark", Line2D([], [], color=scene.color, linestyle="none", marker="o", markersize=3))
 
-    def move(frame: Frame) -> Sequence[Artist]:
-        assert isinstance(frame, SampleFrame)
+    def move(frame: SampleFrame) -> Sequence[Artist]:
         pale.set_segments([scene.along(path) for path in frame.earlier])
         dark.set_segments([scene.along(path) for path in frame.paths])
         dots.set_data(*scene.moved(frame.places).T)

@@ -84,8 +84,8 @@ class Frame:
     flash: str = ""
 
 
-#: brings the artists of a scene up to a frame, and returns those to draw, in this order
-Show = Callable[[Frame], Sequence[Artist]]
+#: brings the artists of a scene up to a frame of its film, and returns those to draw, in this order
+Show = Callable[[Any], Sequence[Artist]]
 
 
 def kept(count: int, most: int) -> np.ndarray:
@@ -143,20 +143,20 @@ class Film:
         title: of the film.
         frames: the data of every picture, first to last.
         steps: the number of iterations or steps, the start included; more than frames where the film leaves some out.
-        fps: frames per second.
         notes: what the viewer should know, one sentence each.
         set_up: draws everything that does not move onto an empty figure.
         log: what the estimator worked on.
+        fps: frames per second.
         source: the file or folder of the log, where there is one.
     """
 
     title: str
     frames: tuple[Frame, ...] = field(repr=False)
     steps: int
-    fps: float
     notes: tuple[str, ...]
     set_up: Callable[[Figure], Show] = field(repr=False)
     log: Log = field(repr=False)
+    fps: float = 10.0
     source: Path | None = None
 
     def __len__(self) -> int:
