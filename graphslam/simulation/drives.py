@@ -15,7 +15,8 @@ from math import pi
 import numpy as np
 
 from ..errors import OptionError
-from ..errors.checks import check_choice, check_count, check_not_negative, check_positive, option
+from ..errors.checks import option
+from ..errors.options import check_options
 from ..identification.declared import PARAMETERS
 from ..io.base import synchronize
 from ..log import Log
@@ -102,45 +103,39 @@ class Drive:
         OptionError: a setting has an impossible value.
     """
 
-    place: str = option("warehouse", f"Place: {', '.join(PLACES)}")
-    seed: int = option(0, "Random seed")
-    duration: float = option(600.0, "Duration of the drive", "s")
-    speed: float = option(1.4, "Highest speed", "m/s")
-    turn_rate: float = option(1.0, "Highest turn rate", "rad/s")
-    landmarks: int = option(40, "Number of landmarks")
+    place: str = option("warehouse", f"Place: {', '.join(PLACES)}", choices=tuple(PLACES))
+    seed: int = option(0, "Random seed", minimum=0)
+    duration: float = option(600.0, "Duration of the drive", "s", positive=True)
+    speed: float = option(1.4, "Highest speed", "m/s", positive=True)
+    turn_rate: float = option(1.0, "Highest turn rate", "rad/s", positive=True)
+    landmarks: int = option(40, "Number of landmarks", minimum=4)
     orientation: bool = option(False, "Sightings have the orientation psi")
-    odometry_rate: float = option(50.0, "Rows of odometry per second", "Hz")
-    sensor_rate: float = option(10.0, "Scans per second", "Hz")
+    odometry_rate: float = option(50.0, "Rows of odometry per second", "Hz", positive=True)
+    sensor_rate: float = option(10.0, "Scans per second", "Hz", positive=True)
     motion: MotionModel = WHEELS
     sensor: SensorModel = SENSORS["camera"]
     parameters: Mapping[str, float] = field(
         default_factory=lambda: {"wheel_scale": 1.02, "turn_rate_bias": 0.004, "sensor_delay": 0.03}
     )
     misread: float = option(
-        0.05, "Part of the sightings that have the id of another landmark, or one that does not exist"
+        0.05,
+        "Part of the sightings that have the id of another landmark, or one that does not exist",
+        minimum=0,
+        below=1,
     )
-    clutter: float = option(0.0, "Part of the sightings that show no landmark")
-    missed: float = option(0.15, "Probability that a visible landmark is not seen")
-    correlated: float = option(0.0, "Part of the variance of sightings whose errors are correlated, per landmark")
-    correlation: float = option(50.0, "Number of scans over which they are correlated")
-    gaps: int = option(0, "Number of times at which the sensor sees nothing")
-    gap: float = option(15.0, "Duration of each of these", "s")
-    silences: int = option(0, "Number of times at which no odometry is recorded")
-    silence: float = option(5.0, "Duration of each of these", "s")
+    clutter: float = option(0.0, "Part of the sightings that show no landmark", minimum=0, below=1)
+    missed: float = option(0.15, "Probability that a visible landmark is not seen", minimum=0, below=1)
+    correlated: float = option(
+        0.0, "Part of the variance of sightings whose errors are correlated, per landmark", minimum=0, below=1
+    )
+    correlation: float = option(50.0, "Number of scans over which they are correlated", positive=True)
+    gaps: int = option(0, "Number of times at which the sensor sees nothing", minimum=0)
+    gap: float = option(15.0, "Duration of each of these", "s", minimum=0)
+    silences: int = option(0, "Number of times at which no odometry is recorded", minimum=0)
+    silence: float = option(5.0, "Duration of each of these", "s", minimum=0)
 
     def __post_init__(self) -> None:
-        check_choice("place", self.place, PLACES)
-        check_count(seed=self.seed, landmarks=self.landmarks, gaps=self.gaps, silences=self.silences)
-        check_positive(
-            duration=self.duration, speed=self.speed, turn_rate=self.turn_rate, odometry_rate=self.odometry_rate,
-            sensor_rate=self.sensor_rate, correlation=self.correlation,
-        )  # fmt: skip
-        check_not_negative(gap=self.gap, silence=self.silence)
-        for name in ("misread", "clutter", "missed", "correlated"):
-            if not 0 <= getattr(self, name) < 1:
-                raise OptionError(f"{name} must be at least 0 and below 1, not {getattr(self, name)!r}")
-        if self.landmarks < 4:
-            raise OptionError(f"landmarks must be at least 4, not {self.landmarks}")
+        check_options(self)
         if self.sensor.max_range == np.inf:
             raise OptionError("sensor needs a max_range: a drive has no other limit of sight")
         if unknown := self.parameters.keys() - PARAMETERS.keys():

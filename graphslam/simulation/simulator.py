@@ -17,6 +17,7 @@ import numpy as np
 
 from ..errors import OptionError, quoted
 from ..errors.checks import check_count, check_not_negative, check_type, option, suggestion
+from ..errors.options import check_options
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, wrap
@@ -56,15 +57,15 @@ class SensorFaults:
     range_bias_rate_std: float = option(0.1, "Standard deviation of the run's range bias per metre of range", "m/m")
     bearing_bias_std: float = option(pi / 90, "Standard deviation of the run's bearing bias", "rad")
     orientation_bias_std: float = option(pi / 90, "Standard deviation of the run's bias of psi", "rad")
-    phantom: float = option(0.0, "Probability that the sensor reports a random position instead of a visible landmark")
-    oversight: float = option(0.1, "Probability that a visible landmark is not seen")
-    occlusion: float = option(0.0, "Probability that a range is too long, uniform up to the greatest range")
+    phantom: float = option(
+        0.0, "Probability that the sensor reports a random position instead of a visible landmark", maximum=1
+    )
+    oversight: float = option(0.1, "Probability that a visible landmark is not seen", maximum=1)
+    occlusion: float = option(0.0, "Probability that a range is too long, uniform up to the greatest range", maximum=1)
 
     def __post_init__(self) -> None:
         check_not_negative(**vars(self))
-        for name in ("phantom", "oversight", "occlusion"):
-            if getattr(self, name) > 1:
-                raise OptionError(f"{name} must be a probability between 0 and 1, not {quoted(getattr(self, name))}")
+        check_options(self)
 
 
 #: the biases that are factors; the others are angles

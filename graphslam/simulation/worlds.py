@@ -19,12 +19,9 @@ from ..errors.checks import (
     array_of,
     check_choice,
     check_count,
-    check_number,
-    check_positive,
-    check_real,
-    check_type,
     option,
 )
+from ..errors.options import check_options
 from ..log import Log
 from ..log.measurements import PartialSightings
 from ..models import MotionModel, SensorModel
@@ -49,9 +46,9 @@ class World:
         OptionError: an option has an impossible value.
     """
 
-    steps: int = option(62, "Number of motions T; the log has T + 1 poses")
-    dt: float = option(3.0, "Duration of each motion", "s")
-    speed: float = option(0.2, "Speed on the circle; with way points, the highest speed", "m/s")
+    steps: int = option(62, "Number of motions T; the log has T + 1 poses", minimum=1, maximum=_MOST)
+    dt: float = option(3.0, "Duration of each motion", "s", positive=True)
+    speed: float = option(0.2, "Speed on the circle; with way points, the highest speed", "m/s", positive=True)
     turn_rate: float = option(pi / 36, "Turn rate on the circle; with way points, the highest turn rate", "rad/s")
     way_points: tuple[tuple[float, ...], ...] | None = option(
         None, "Positions to visit in turn, repeatedly; default: drive a circle", "m"
@@ -60,26 +57,16 @@ class World:
     landmarks: tuple[tuple[float, ...], ...] | int = option(
         BOOK_LANDMARKS, "Landmarks 'x,y x,y ...' ('x,y,heading' also allowed), or how many to place at random", "m"
     )
-    arena: float | None = option(None, "Half the side of the square world; default: as large as needed", "m")
+    arena: float | None = option(
+        None, "Half the side of the square world; default: as large as needed", "m", positive=True
+    )
     min_range: float = option(0.5, "Least range of the camera", "m")
-    max_range: float = option(6.0, "Greatest range of the camera", "m")
-    field_of_view: float = option(2 * pi / 3, "Whole opening angle of the camera", "rad")
+    max_range: float = option(6.0, "Greatest range of the camera", "m", positive=True)
+    field_of_view: float = option(2 * pi / 3, "Whole opening angle of the camera", "rad", positive=True)
     orientation: bool = option(True, "Sightings have the orientation psi; landmarks without a heading face along x")
     clean: bool = option(False, "No faults; the noise follows the estimators' models exactly")
 
     def __post_init__(self) -> None:
-        check_count(steps=self.steps)
-        if not 1 <= self.steps <= _MOST:
-            raise OptionError(f"steps must be at least 1 and at most {_MOST:,}, not {quoted(self.steps)}")
-        check_positive(dt=self.dt, speed=self.speed, max_range=self.max_range, field_of_view=self.field_of_view)
-        check_number(turn_rate=self.turn_rate)
-        if self.arena is not None:
-            check_positive(arena=self.arena)
-        for name in ("orientation", "clean"):
-            check_type(bool, **{name: getattr(self, name)})
-        check_real(min_range=self.min_range)
-        if not 0 <= self.min_range < self.max_range:
-            raise OptionError(f"min_range must lie between 0 and {self.max_range:g} m, not {quoted(self.min_range)}")
         start, route, landmarks = array_of("start", self.start), self.way_points, self.landmarks
         if start.shape != (3,):
             raise OptionError(f"start must be (x, y, theta), not an array of shape {start.shape}")
@@ -96,6 +83,9 @@ class World:
         else:
             rule = "landmarks must be a number or an array of shape (L, 2) or (L, 3)"
             object.__setattr__(self, "landmarks", _places(rule, landmarks, (2, 3)))
+        check_options(self)
+        if not 0 <= self.min_range < self.max_range:
+            raise OptionError(f"min_range must lie between 0 and {self.max_range:g} m, not {quoted(self.min_range)}")
 
 
 def _places(rule: str, value: Any, columns: tuple[int, ...]) -> Places:
