@@ -228,7 +228,13 @@ def import_(
 
 
 def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawing: FigureOptions) -> None:
-    """Look at a log before it is solved: times, rates, landmarks, histograms, and what is probably wrong."""
+    """Look at a log before it is solved: times, rates, landmarks, histograms, and what is probably wrong.
+
+    Examples:
+        slam-compare show
+        slam-compare show drive.npz --figure drive.png
+        slam-compare show folder --json -
+    """
     from ..importing import inspect_log
     from ..options import ReadingOptions
     from ..options.option import options_of
@@ -246,7 +252,13 @@ def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawin
 
 
 def solvers(output: Output, log: LogFile = None, *, options: SolverCheckOptions) -> None:
-    """Check the hand-written solver against GTSAM on every graph that a log allows; exit status 1 if they differ."""
+    """Check the hand-written solver against GTSAM on every graph that a log allows; exit status 1 if they differ.
+
+    Examples:
+        slam-compare solvers
+        slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json
+        slam-compare solvers LOG --kernel none,huber,cauchy
+    """
     from ..studies.solvers import compare_solvers
 
     with output.bar("variants") as advance:
@@ -273,16 +285,6 @@ def backends(
     drawing: FigureOptions,
 ) -> None:
     """Time this solver, GTSAM and g2o on pose graphs; the same function computes the chi2 of every solver's result.
-
-    Examples:
-        slam-compare show
-        slam-compare show drive.npz --figure drive.png
-        slam-compare show folder --json -
-
-    Examples:
-        slam-compare solvers
-        slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json
-        slam-compare solvers LOG --kernel none,huber,cauchy
 
     Examples:
         slam-compare backends M3500.g2o

@@ -20,7 +20,12 @@ if TYPE_CHECKING:
 
 
 def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOptions, drawing: FigureOptions) -> None:
-    """Error, effective sample size, ancestors and time over the number of particles, for many random seeds."""
+    """Error, effective sample size, ancestors and time over the number of particles, for many random seeds.
+
+    Examples:
+        slam-compare particles --particles 10,100,1000 --seeds 5
+        slam-compare particles LOG --figure particles.png --json particles.json
+    """
     from ..studies.particles import study_particles
 
     runs = len(options.filters) * len(options.particles) * options.seeds
@@ -35,7 +40,13 @@ def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOpti
 
 
 def consistency(output: Output, *, options: ConsistencyOptions, drawing: FigureOptions) -> None:
-    """Average normalised errors (ANEES) over many simulated logs, for each estimator and weight, with the 95 % band."""
+    """Average normalised errors (ANEES) over many simulated logs, for each estimator and weight, with the 95 % band.
+
+    Examples:
+        slam-compare consistency
+        slam-compare consistency --noise 1 --figure anees.png --json anees.json
+        slam-compare consistency --estimators 'landmark nodes,fastslam2' --logs 50
+    """
     from ..options import ConsistencyOptions
     from ..studies.consistency import study_consistency
 
@@ -59,15 +70,6 @@ def sweep(
     """Run a study: logs x simulator settings x seeds x estimators x options, one database row for each run.
 
     It can be stopped at any time, by Ctrl-C or otherwise: the same command continues it. Exit status 1 if runs failed.
-
-    Examples:
-        slam-compare particles --particles 10,100,1000 --seeds 5
-        slam-compare particles LOG --figure particles.png --json particles.json
-
-    Examples:
-        slam-compare consistency
-        slam-compare consistency --noise 1 --figure anees.png --json anees.json
-        slam-compare consistency --estimators 'landmark nodes,fastslam2' --logs 50
 
     Examples:
         slam-compare sweep examples/study.toml

@@ -33,7 +33,7 @@ JAPANESE = re.compile("[\u3040-\u30ff\u4e00-\u9fff]")
 #: what makes the sentences of `run` and of its report
 SOURCES: tuple[Callable[..., Any], ...] = (
     tables.result_tables, tables.comparison_tables, tables.session_tables, tables.state_table, tables.landmark_table,
-    tables._exchanged, tables._noise_remarks, verbs.run, verbs.report, verbs._noise_advice, verbs._write_page,
+    tables._exchanged, tables._noise_remarks, verbs.run, verbs.report, verbs._noise_advice,
     comparison.Comparison._noise_findings, exchange.reason_without_graph, filters._one_run, filters.of_several_seeds,
     build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._convergence, page._matrix,
     curves.remarks, matches.description, matches.association_table, defaults.pairs_overweight,
@@ -42,7 +42,12 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     log_tables.consistency_tables, log_tables.summary_tables, log_tables.survey_tables, log_tables.calibration_tables,
 )  # fmt: skip
 #: strings of these functions that are no sentences
-NO_SENTENCES = {"bold red", "not bold default", "slam-compare report LOG OUT.html", "too little noise"}
+NO_SENTENCES = {
+    "bold red",
+    "not bold default",
+    "a log and a file to write: slam-compare report LOG OUT.html",
+    "too little noise",
+}
 
 
 def strings_of(function: Callable[..., Any]) -> Iterator[str]:
