@@ -10,8 +10,6 @@ from collections.abc import Callable, Sequence
 from os import PathLike
 from typing import Any
 
-from .results.saving import jsonable
-
 #: loads the package that presents results; set by `comparisons`
 presentation: list[Callable[[], Any]] = []
 
@@ -21,7 +19,7 @@ class Displayed:
 
     def to_json(self) -> dict[str, Any]:
         """This result as plain data, see docs/json.md."""
-        return dict(jsonable(self))
+                return dict(jsonable(self))
 
     def __str__(self) -> str:
         return str(presentation[0]().as_text(self))
