@@ -19,7 +19,10 @@ class Displayed:
 
     def to_json(self) -> dict[str, Any]:
         """This result as plain data, see docs/json.md."""
-                return dict(jsonable(self))
+        # imported here, because NumPy comes with it, and every import of `comparisons` imports this module
+        from .results.saving import jsonable
+
+        return dict(jsonable(self))
 
     def __str__(self) -> str:
         return str(presentation[0]().as_text(self))
