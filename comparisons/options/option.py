@@ -104,8 +104,10 @@ def _options_of(group: Any) -> dict[str, Option]:
 
 
 def _panel(group: type, name: str) -> str:
-    """The panel of the class that declares a field."""
-    return next(getattr(kind, "panel", "") for kind in group.__mro__ if name in inspect.get_annotations(kind))
+    """The panel of the class that declares a field, or of the first class of options that derives from it."""
+    declares = next(kind for kind in group.__mro__ if name in inspect.get_annotations(kind))
+    heirs = (kind for kind in reversed(group.__mro__) if issubclass(kind, declares))
+    return next((str(heir.panel) for heir in heirs if hasattr(heir, "panel")), "")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,7 @@ from graphslam.errors import OptionError
 from graphslam.errors.checks import option
 from graphslam.graph.landmark_map import USES, LandmarkMap
 from graphslam.identification.declared import PARAMETERS, parsed
+from graphslam.log.rows import ReadOptions
 from graphslam.metrics import METRICS as ERRORS
 from graphslam.models import RESIDUALS, MotionModel, SensorModel
 from graphslam.simulation.simulator import MotionFaults, SensorFaults
@@ -38,24 +39,15 @@ NOISE, FILTER, GIBBS = "Noise models", "Particle filters", "Particle smoother"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReadingOptions(Options):
-    """Options of reading a log, and of the part of it that is kept."""
+class ReadingOptions(Options, ReadOptions):
+    """Options of reading a log, those of `graphslam.load` among them, and of the part of it that is kept."""
 
     panel = "Reading the log"
     format: str | None = option(None, "Format of the log: npz, lnpr, mrclam, huang, ...", default_text="by its content")
-    robot: int | None = option(None, "The robot of a data set that has several.", minimum=0)
-    keep_every: float | None = option(
-        None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
-        default_text="poses only where something was seen",
-    )  # fmt: skip
     truth_offset: tuple[float, ...] | None = option(
         None, "Point of the robot that the ground truth is of, such as a GPS antenna: forward, left.", unit="m",
         default_text="as the reader says",
     )  # fmt: skip
-    strict: bool = option(
-        False,
-        "Refuse a log at the first row that cannot be, such as a negative range, instead of leaving such rows out.",
-    )
     stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N")
     max_range: float | None = option(None, "Leave out sightings from farther away.", unit="m", positive=True)
     dimensions: int | None = option(

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import LogError
-from ..errors.checks import check_count, check_positive, option
+from ..errors.checks import option
+from ..errors.options import check_options
 
 #: the id of a landmark that the sensor could not identify
 UNIDENTIFIED = -(2**63)
@@ -37,21 +38,18 @@ class ReadOptions:
         OptionError: an option has an impossible value.
     """
 
-    robot: int | None = option(None, "Number of the robot, for data sets with several", needs="several_robots")
+    robot: int | None = option(None, "The robot of a data set that has several.", minimum=0, needs="several_robots")
     keep_every: float | None = option(
-        None, "Keep a pose at least this often; default: the poses of the log, or where a landmark was seen", "s"
-    )
-
+        None, "Also keep a pose at least once in this time, even where nothing was seen.", "s", positive=True,
+        default_text="poses only where something was seen",
+    )  # fmt: skip
     strict: bool = option(
         False,
-        "Refuse a log at the first row that cannot be, such as a negative range, instead of leaving such rows out",
+        "Refuse a log at the first row that cannot be, such as a negative range, instead of leaving such rows out.",
     )
 
     def __post_init__(self) -> None:
-        if self.robot is not None:
-            check_count(robot=self.robot)
-        if self.keep_every is not None:
-            check_positive(keep_every=self.keep_every)
+        check_options(self)
 
 
 @dataclass(frozen=True)
