@@ -219,6 +219,33 @@ def test_symbols_explain_themselves(address: str, browser: Chromium) -> None:
         assert not anchor or f'id="{anchor}"' in (SITE / page / "index.html").read_text()
 
 
+#: what a page without JavaScript hides, or shows although it does nothing
+UNREADABLE = """(() => {
+    const faults = [], all = (selector) => [...document.querySelectorAll(selector)];
+    if (all("article p").some((text) => !text.closest("details, .tabbed-block") && !text.checkVisibility()))
+        faults.push("text");
+    if (all("div.formula .katex-html").some((formula) => !formula.closest("details") && !formula.checkVisibility()))
+        faults.push("formulas");
+    if (all("figure.live figcaption").some((text) => !text.checkVisibility() || text.innerText.length < 40))
+        faults.push("live");
+    if (all("figure.slider").some((slider) => !slider.closest("details")
+        && [...slider.querySelectorAll("img")].some((image) => !image.checkVisibility()))) faults.push("slider");
+    if (all("article :is(button, input[type=range], form.ask)").some((control) => control.checkVisibility()))
+        faults.push("controls that do nothing");
+    return faults; })()"""
+
+
+@pytest.mark.parametrize("page", ["", "ja/method/graph/edges/", "beyond/robust/", "ja/beyond/starts/", "own_robot/"])
+def test_pages_can_be_read_without_javascript(page: str, address: str, browser: Chromium) -> None:
+    browser.send("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        browser.send("Page.navigate", url=f"{address}/{page}")
+        browser.wait_for("document.readyState === 'complete' && document.querySelector('article') !== null")
+        assert browser.evaluate(UNREADABLE) == []
+    finally:
+        browser.send("Emulation.setScriptExecutionDisabled", value=False)
+
+
 def test_labels_of_figures_are_japanese_on_japanese_pages() -> None:
     sys.path.insert(0, str(SITE.parent / "docs" / "_site"))
     labels = import_module("labels")
