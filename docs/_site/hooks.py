@@ -121,7 +121,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     if read := literature.section(re.sub(r"(\.ja)?\.md$", "", page.file.src_uri), language):
         made += f"\n\n{read}\n"
     if page.file.url.startswith("ja/") and language == "en":
-        made = f'!!! note "{WORDS["ja"]["untranslated"]}"\n\n{made}'
+        # below the title, which the navigation shows
+        title, _, rest = made.partition("\n")
+        made = f'{title}\n\n!!! note "{WORDS["ja"]["untranslated"]}"\n\n{rest}'
     if source.exists():
         url = get_relative_url(_notebook(source, language), page.file.url)
         links = f'<a href="{url}" download>{WORDS[language]["notebook"]}</a>'

@@ -295,13 +295,14 @@ def test_formulas_look_as_katex_draws_them_alone(chapter: str, address: str, bro
     def look(page: str, selector: str) -> tuple[list[Any], Any]:
         browser.send("Page.navigate", url=f"{address}/{page}")
         browser.wait_for("document.readyState === 'complete' && document.querySelector('article, p') !== null")
+        browser.evaluate("document.querySelector('input[name=__palette]')?.click()")  # light colours
+        browser.wait_for("document.body.dataset.mdColorScheme !== 'slate'")
         browser.evaluate("document.fonts.ready")
         shown = browser.evaluate(f"{FORMULAS}({selector!r})")
         browser.screenshot(tmp_path / "page.png")
         return shown, imread(tmp_path / "page.png")[:, :, :3].mean(axis=2)
 
     browser.resize(1300, 900)
-    browser.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "light"}])
     wrong, compared = [], 0
     for page in [page for page in PAGES if page.rsplit("/", 1)[0] == chapter]:
         shown, picture = look(f"{page}/", "article .formula .katex")
