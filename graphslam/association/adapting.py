@@ -66,7 +66,7 @@ class Robot:
         """The motions and sightings as they enter graphs."""
         return Backbone.of(self.log, self.sensor, self.motion)
 
-    def of(self, problem: Problem) -> Problem:
+    def applied(self, problem: Problem) -> Problem:
         """A problem with this log and this noise."""
         field = Field.of(self.log, self.sensor)
         return replace(problem, log=self.log, backbone=self.backbone, field=field)
@@ -167,7 +167,7 @@ def adapted(robot: Robot, refined: Refined, estimate: Mapping[str, float | None]
     for _ in range(FITS if estimate else 0):
         before = robot.estimate
         robot, poses = fitted(robot, given.log, given.sensor, refined.labels, poses, estimate)
-        if robot.settled(before) or (end := again(robot.of(problem), refined, poses)) is None:
+        if robot.settled(before) or (end := again(robot.applied(problem), refined, poses)) is None:
             break
         refined, poses = end, end.solved.poses
     return robot
@@ -271,7 +271,7 @@ def compete(
     likely = int(np.argmax([evidence(replace(problem, densities=shared), end.solved) for end in firsts]))
     given, robot = robot, adapted(robot, firsts[likely], names, problem)
     if robot is not given:
-        problem = robot.of(problem)
+        problem = robot.applied(problem)
         firsts = [end for each in firsts if (end := again(problem, each, each.solved.poses)) is not None] or firsts
     ends: list[SearchResult] = []
     begun: list[Refined] = []

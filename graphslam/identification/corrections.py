@@ -97,12 +97,12 @@ def corrected_sightings(parameters: Parameters, rows: np.ndarray, d: int) -> Arr
     return z
 
 
-def moves(parameters: Parameters, predicted: Array, steps: np.ndarray) -> Array:
+def moves(parameters: Parameters, predicted: Array, controls: Array) -> Array:
     """How the pose of each sighting moves in its own axes when a parameter changes, (M, 3, K).
 
     Args:
         predicted: (M, d) the sightings that the state predicts.
-        steps: (M,) their steps in the log.
+        controls: (M, 2) the corrected control at the pose of each (`controls_at_steps`), on which the delay depends.
     """
     p, by = parameters.by_name(), np.zeros((len(predicted), 3, len(parameters)))
     l, phi = predicted[:, 0], predicted[:, 1]  # noqa: E741  # the slides' letter for the range
@@ -118,7 +118,6 @@ def moves(parameters: Parameters, predicted: Array, steps: np.ndarray) -> Array:
         elif name in ("sensor_ahead", "sensor_left"):
             by[:, 0 if name == "sensor_ahead" else 1, k] = 1.0
         elif name == "sensor_delay":
-            controls = controls_at_steps(parameters)[steps]
             by[:, 0, k], by[:, 2, k] = -controls[:, 0], -controls[:, 1]
     return by
 

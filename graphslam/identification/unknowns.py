@@ -33,7 +33,7 @@ from ..linear.information import BlockSystem
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, compose, interpolate, inverse, perpendicular, rotation, wrap
-from .corrections import corrected_sensor
+from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
 from .odometry import Edges, Odometry, add_at, near, sensor_parts, with_variances
 
@@ -276,9 +276,9 @@ class Unknowns:
         eyes = sensor.mount(at)[:, :2]
         near = np.hypot(*(m[:, :2] - eyes).T) < NEAREST
         m[near, :2] = eyes[near] + [NEAREST, 0.0]
-        residuals, by_at, of_landmark = sensor.h(at, m), sensor.H_pose(at, m), sensor.H(at, m)
-        r = residuals[:, 0].copy()
-        residuals[:, 0] = p["range_scale"] * r + p["range_bias"]
+        predicted, by_at, of_landmark = sensor.h(at, m), sensor.H_pose(at, m), sensor.H(at, m)
+        residuals = predicted.copy()
+        residuals[:, 0] = p["range_scale"] * residuals[:, 0] + p["range_bias"]
         residuals[:, 1] += p["bearing_bias"]
         residuals -= z
         residuals[:, 1:] = wrap(residuals[:, 1:])
@@ -289,25 +289,14 @@ class Unknowns:
         # a turn of the present pose also turns the way back
         by_pose = by_at.copy()
         by_pose[:, :, 2] += np.einsum("edi,ei->ed", by_at[:, :, :2], back[:, :1] * perpendicular(heading))
-        # a parameter of the sensor's place or clock moves the pose of the sighting
-        turned = np.column_stack([np.cos(at[:, 2]), np.sin(at[:, 2])])
-        still = np.zeros((len(z), 1))
-        moves = {
-            "sensor_ahead": np.hstack([turned, still]), "sensor_left": np.hstack([perpendicular(turned), still]),
-            "sensor_delay": -np.hstack([speed[:, :1] * heading, speed[:, 1:]]),
-        }  # fmt: skip
-        numbers: dict[str, tuple[int, Array | float]] = {
-            "range_scale": (0, r),
-            "range_bias": (0, 1.0),
-            "bearing_bias": (1, 1.0),
-        }
-        slopes = np.zeros((len(z), d, len(self.parameters)))
-        for k, name in enumerate(self.parameters.names):
-            if name in moves:
-                slopes[:, :, k] = np.einsum("edi,ei->ed", by_at, moves[name])
-            elif name in numbers:
-                row, slope = numbers[name]
-                slopes[:, row, k] = slope
+        # a parameter has the effect of a move of the pose from which the sighting was made, in its own axes ...
+        by_own = by_at.copy()
+        by_own[:, :, :2] = by_at[:, :, :2] @ rotation(at[:, 2])
+        slopes = np.einsum("edi,eik->edk", by_own, moves(self.parameters, predicted, speed))
+        if "sensor_delay" in self.parameters.names:
+            # ... but for the delay, which moves it along the heading of the present pose
+            driven = np.einsum("edi,ei->ed", by_at[:, :, :2], speed[:, :1] * heading)
+            slopes[:, :, self.parameters.names.index("sensor_delay")] = -driven - by_at[:, :, 2] * speed[:, 1:]
         return Edges(steps, seen, residuals, by_pose, by_landmark, slopes, parts)
 
     def covariances(self, edges: Edges) -> Array:

@@ -21,7 +21,13 @@ from ..edges import (
 from ..edges import motion_edges as make_motion_edges
 from ..errors import GraphError
 from ..graph import Graph
-from ..identification.corrections import corrected_controls, corrected_log, corrected_sensor, corrected_sightings
+from ..identification.corrections import (
+    controls_at_steps,
+    corrected_controls,
+    corrected_log,
+    corrected_sensor,
+    corrected_sightings,
+)
 from ..identification.declared import PARAMETERS, Parameters
 from ..linear.cholesky import FactorizationError, SingularPivot
 from ..se2 import Array, wrap
@@ -80,6 +86,14 @@ def finished(graph: Graph, values: Array, state: Array) -> Graph:
     finished = replace(found, log=log, sensor=sensor)
     vars(finished)["system"] = graph.system
     return finished
+
+
+def controls_of(graph: Graph) -> Array:
+    """The corrected control (M, 2) at the pose of each sighting; zero where no parameter depends on it."""
+    assert graph.parameters is not None and graph.log is not None
+    if "sensor_delay" not in graph.parameters.names:
+        return np.zeros((len(graph.sighting_rows), 2))
+    return controls_at_steps(graph.parameters)[graph.log.steps[graph.sighting_rows]]
 
 
 def predictions(edges: SightingEdges, state: Array) -> Array:

@@ -32,7 +32,7 @@ from ..graph import Graph, check_graph
 from ..identification.corrections import corrected_controls, motion_slopes, moves
 from ..se2 import Array, rotation, turn_matrix, wrap
 from .auto import DAMPED, best_end
-from .corrected import predictions
+from .corrected import controls_of, predictions
 from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_values
 from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
@@ -131,7 +131,7 @@ def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: 
     parameters = graph.parameters
     assert parameters is not None and graph.log is not None
     z, noisy, trust, sensor = family.sightings, family.noisy, family.trusted.tolist(), family.sensor
-    X = moves(parameters, predictions(family, nodes), graph.log.steps[graph.sighting_rows])
+    X = moves(parameters, predictions(family, nodes), controls_of(graph))
     if isinstance(family, edges.VirtualMotionEdges):
         X = _turned(X, nodes[family.nodes, 2])
         a, b, group = family.pairs()

@@ -36,7 +36,7 @@ from ..identification.declared import PARAMETERS
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..se2 import Array, between, rotation
-from .corrected import corrected, motion_edges, predictions, sighted_edges, undetermined
+from .corrected import controls_of, corrected, motion_edges, predictions, sighted_edges, undetermined
 
 
 class JointGraph:
@@ -161,7 +161,7 @@ class Border:
         copies.clear()
         free.accumulate(at, copied(edges, held, poses)[1], copies)
         moved = np.zeros((len(at), 3, len(parameters)))
-        moved[:count] = moves(parameters, predicted, graph.log.steps[graph.sighting_rows])
+        moved[:count] = moves(parameters, predicted, controls_of(graph))
         moved[:count, :2] = rotation(at[:count, 2]) @ moved[:count, :2]
         weighed = _times(copies, moved)
         mixed = np.zeros((len(nodes), 3, len(parameters)))

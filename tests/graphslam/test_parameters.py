@@ -21,6 +21,7 @@ from graphslam import (
     solve_with_gtsam,
 )
 from graphslam.identification.corrections import (
+    controls_at_steps,
     corrected_controls,
     corrected_sensor,
     corrected_sightings,
@@ -80,7 +81,7 @@ def test_derivatives_are_those_of_the_corrections(biased: Log) -> None:
         ], facing
 
     _, slopes = motion_slopes(p, corrected_controls(p))
-    X = moves(p, corrected_sightings(p, rows, 3), p.recorded.steps)
+    X = moves(p, corrected_sightings(p, rows, 3), controls_at_steps(p)[p.recorded.steps])
     places = evaluated(values)[1]
     for k in range(len(values)):
         h = 1e-6 * np.eye(len(values))[k]
