@@ -97,7 +97,7 @@ def test_classes_and_matches_are_in_tables_files_and_film(log):
     assert [row[4] for row in rows[1:]] == shown.tolist()
     found = comparison["graph"].association
     assert [row[5] for row in rows[1:]] == ["" if j == UNIDENTIFIED else str(j) for j in found]
-    with pytest.raises(OptionError, match="^class_confusion must be below 1, not 2.0"):
+    with pytest.raises(OptionError, match="^class_confusion must lie between 0 and 1, not 2.0"):
         run(with_classes, estimators="graph", association="maximum-likelihood", class_confusion=2.0)
     assert {row[6] for row in rows[1:]} <= {"confirmed", "unconfirmed", "clutter"}
     film = animate(with_classes, estimator="association", association="maximum-likelihood", max_frames=5)

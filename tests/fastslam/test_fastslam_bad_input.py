@@ -26,7 +26,7 @@ def make(cls: type, **options: object) -> FastSLAM1 | FastSLAM2 | MonteCarloLoca
         ({"particles": -3}, "particles must be at least 1"),
         ({"particles": 10.5}, "particles must be a whole number"),
         ({"resampling": "best"}, "resampling must be one of systematic"),
-        ({"ess_threshold": 1.5}, "ess_threshold must be at most 1, not 1.5"),
+        ({"ess_threshold": 1.5}, "ess_threshold must lie between 0 and 1, not 1.5"),
         ({"ess_threshold": float("nan")}, "ess_threshold must be a finite number"),
         ({"ess_threshold": "half"}, "ess_threshold must be a number"),
         ({"seed": -1}, "seed must be at least 0, not -1"),

@@ -254,7 +254,7 @@ def test_whoever_knows_noise_and_ids_finds_the_biases(precise):
     [
         ({"place": "attic"}, "place must be one of"),
         ({"landmarks": 3}, "landmarks must be at least 4"),
-        ({"misread": 1.0}, "misread must be below 1, not 1.0"),
+        ({"misread": 1.0}, "misread must lie between 0 and 1, not 1.0"),
         ({"duration": 0.0}, "duration"),
         ({"parameters": {"wheels": 1.0}}, "there is no 'wheels'"),
         ({"sensor": replace(SENSORS["camera"], max_range=np.inf)}, "sensor needs a max_range"),

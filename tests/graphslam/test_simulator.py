@@ -186,7 +186,7 @@ def test_impossible_options(options, message):
 
 
 def test_impossible_faults():
-    with pytest.raises(OptionError, match="phantom must be at most 1"):
+    with pytest.raises(OptionError, match="phantom must lie between 0 and 1"):
         SensorFaults(phantom=1.5)
     with pytest.raises(OptionError, match="stuck_interval must not be negative"):
         MotionFaults(stuck_interval=-1.0)
