@@ -165,12 +165,12 @@ class FilterOptions:
     )
     smoothing: int = option(
         0, "FastSLAM: trajectories drawn by backward simulation after the run, whose mean is reported; 0 for none, "
-        "else at least 10; known ids only.", minimum=0,
+        "else at least 10; known ids only.",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
         check_options(self)
-        if 0 < self.smoothing < FEWEST_SMOOTHED:
+        if self.smoothing != 0 and self.smoothing < FEWEST_SMOOTHED:
             raise OptionError(
                 f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
             )
