@@ -285,8 +285,8 @@ def uncovered(ink: Any, other: Any) -> float:
     for dy in range(-2, 3):
         for dx in range(-2, 3):
             near |= np.roll(other[:rows, :columns], (dy, dx), (0, 1))
-    # the margin belongs to the neighbours
-    own, near = (each[2 : rows - 2, 2 : columns - 2] for each in (ink, near))
+    # the margin belongs to the neighbours, whose slanted letters reach over it
+    own, near = (each[2 : rows - 2, 5 : columns - 5] for each in (ink, near))
     return float(np.sum(own & ~near) / max(np.sum(own), 1))
 
 
