@@ -54,6 +54,8 @@ class Row(Figures, Metrics):
         estimated: false where a pose is only the initial guess.
         landmarks: the map, by id.
         landmark_covariances: covariances of the map, by id.
+        integrity_risk: in a map, the probability of each pose to be off by more than the bounds [m, degrees] of the options;
+            of online as it was when the robot was there, of others after the drive.
         options: the options that the estimator used.
         certificate: whether the end is proven to be the global minimum of J; null without a graph.
         reason: why it ended, or why it did not run.
@@ -74,6 +76,7 @@ class Row(Figures, Metrics):
     estimated: Flags | None = None
     landmarks: Mapping[int, Position] | None = None
     landmark_covariances: Mapping[int, Covariance] | None = None
+    integrity_risk: Numbers | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     certificate: Certificate | None = None
     reason: str = ""

@@ -186,13 +186,22 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
-    solution = graphslam.solve_online(_online_graph(log, options), lag=options.lag)
-    return replace(_of_solution("online", log, options, solution), converged=None)
+    risks: list[float] = []
+    asked = (lambda solver: risks.append(solver.integrity_risk(*bounds_of(options)))) if options.landmark_map else None
+    solution = graphslam.solve_online(_online_graph(log, options), lag=options.lag, callback=asked)
+    result = _of_solution("online", log, options, solution)
+    return replace(result, converged=None, integrity_risk=np.array(risks) if risks else None)
 
 
 def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineSolver]:
     """The solver of `online` after every step."""
     return replay(_online_graph(log, options), lag=options.lag)
+
+
+def bounds_of(options: RunOptions) -> tuple[float, float]:
+    """The bounds of `graphslam.Solution.integrity_risk` [m, rad]."""
+    metres, degrees = options.bound
+    return metres, float(np.radians(degrees))
 
 
 def _no_map(name: str, options: RunOptions) -> None:
@@ -405,6 +414,11 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         )
     values |= {"name": name, "origin": solution, "notes": tuple(notes), "weighed_down": weighed_down}
     values |= {"parameters": parameters, "options": {name: getattr(options, name) for name in _GRAPH}}
+    if options.landmark_map is not None:
+        values["options"]["bound"] = options.bound
+        with noted(notes, "the probability of being off is not known"):
+            values["integrity_risk"] = solution.integrity_risk(*bounds_of(options))
+        values["notes"] = tuple(notes)
     if found is not None:
         # the notes of the association came with its log
         values |= {

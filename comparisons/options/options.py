@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from fastslam.options import FilterOptions, GibbsOptions
-from graphslam.errors import OptionError
+from graphslam.errors import OptionError, quoted
 from graphslam.errors.checks import option
 from graphslam.graph.landmark_map import USES, LandmarkMap
 from graphslam.identification.declared import PARAMETERS, parsed
@@ -168,8 +168,17 @@ class MapOptions(Options):
     map_use: str = option(
         USES[0], "Errors of the map: joint, all that it says; own, without correlations; fixed, exact.", choices=USES
     )
+    bound: tuple[float, ...] = option(
+        (0.5, 5.0), "Bounds on position and heading: with a map, results say how probable it is that a pose is off by more.",
+        unit="m, degrees", positive=True, metavar="M,DEGREES",
+    )  # fmt: skip
     landmark_map: LandmarkMap | None = option(None, "The map itself, instead of a file.", only="python")
     landmark_states: Any = option(None, "What the log says about its landmarks; a result of reading.", only="python")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.bound) != 2:
+            raise OptionError(f"bound must be two numbers, metres and degrees, such as 0.5,5, not {quoted(self.bound)}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -75,6 +75,8 @@ class EstimatorResult:
         found: how these ids were found, where `graphslam.associate` found them.
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
         parameters: of robot and sensor, where they were estimated.
+        integrity_risk: (T+1,) in a map, the probability that a pose is off by more than the bounds of the options; of the
+            estimator online as it was when the robot was there.
         seed_errors: the ATE [m] of each random seed of which this is the run with the median one; None for a single run.
         knows: input that only this estimator has, such as "true map".
         options: the options that it used, for the record.
@@ -102,6 +104,7 @@ class EstimatorResult:
     found: Association | None = field(default=None, repr=False)
     weighed_down: int | None = None
     parameters: ParameterEstimate | None = None
+    integrity_risk: Array | None = field(default=None, repr=False)
     seed_errors: Mapping[int, float] | None = None
     knows: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)

@@ -17,11 +17,12 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from graphslam import Log
+from graphslam import Log, OnlineSolver
 from graphslam.metrics import headings as metric_headings
 from graphslam.se2 import Array
 
 from ..estimators import online_steps
+from ..estimators.estimators import bounds_of
 from ..options import RunOptions
 from .canvas import between_poses
 from .cells import NOTHING, LeanTable, number, seconds, yes_no
@@ -107,10 +108,23 @@ def pictures(
             pace = 1e3 * float(np.median(spent))
             yield [
                 *lines,
+                *_where(solver, options),
                 f"step {solver.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace:.2f} ms per step (median)",
             ]
             drawn = now
         begin = time.perf_counter()
+
+
+def _where(solver: OnlineSolver, options: RunOptions) -> list[str]:
+    """In a map, the pose with its standard deviations and the probability that it is off."""
+    if options.landmark_map is None:
+        return []
+    (x, y, theta), std, (metres, degrees) = solver.pose, np.sqrt(np.diagonal(solver.covariance())), options.bound
+    return [
+        f"x {x:.2f} ± {std[0]:.2f} m, y {y:.2f} ± {std[1]:.2f} m, heading {np.degrees(theta):.0f} ± "
+        f"{np.degrees(std[2]):.1f} degrees; off by more than {metres:g} m or {degrees:g} degrees with probability "
+        f"{solver.integrity_risk(*bounds_of(options)):.2g}"
+    ]
 
 
 def import_tables(found: Import) -> Tables:

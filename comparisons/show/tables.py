@@ -165,16 +165,23 @@ def result_tables(results: ResultTable) -> Tables:
     proofs = any(row.certificate is not None and row.certificate.applicable for row in results)
     headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *["optimum"] * proofs]
     scored = any(row.association is not None and row.association.found is not None for row in results)
-    last = [*["NEES"] * known, *["precision,\nrecall", "landmarks"] * scored]
+    in_map = any(row.integrity_risk is not None for row in results)
+    last = [*["NEES"] * known, *["P(off)\nmean, most"] * in_map, *["precision,\nrecall", "landmarks"] * scored]
     table = LeanTable(results.title, ["estimator"], [*headings, *metrics.values(), *last])
     for row in results:
         values = (number(getattr(row, metric)) for metric in metrics)
         cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
         cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
+        off = [_risk(row.integrity_risk)] * in_map
         of_ids = [_precision_recall(row.association), _counts(row.association)] * scored
         name = f"{row.name} ({row.knows})" if row.knows else row.name
-        table.add_row(name, *cells, *values, *[number(row.nees, 2)] * known, *of_ids)
+        table.add_row(name, *cells, *values, *[number(row.nees, 2)] * known, *off, *of_ids)
     return [table], []
+
+
+def _risk(risk: np.ndarray | None) -> str:
+    """The mean and the largest of probabilities."""
+    return NOTHING if risk is None else f"{np.nanmean(risk):.2g}, {np.nanmax(risk):.2g}"
 
 
 def _precision_recall(association: FoundIds | None) -> str:
@@ -195,6 +202,12 @@ def comparison_tables(comparison: Comparison) -> Tables:
     remarks += [f"WARNING: {finding.message}." for finding in comparison.findings]
     if any(value is not None for value in comparison.nees.values()):
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
+    if any(result.integrity_risk is not None for result in comparison.results):
+        metres, degrees = comparison.options.bound
+        remarks.append(
+            f"P(off): the probability that a pose is off by more than {metres:g} m or {degrees:g} degrees in the map; of "
+            "online when the robot is there, of others after the drive."
+        )
     if any(comparison.associations.values()):
         remarks.append(
             "Precision and recall: of the ids that an estimator gave the sightings itself, against the true ones. Landmarks: "

@@ -12,9 +12,10 @@ Its shift is then the difference of both nodes. The odds of moved are
 
     prior odds * N(d_j; 0, S_jj^-1 + diag(`MOVE`, `MOVE`, `TURN`)²) / N(d_j; 0, S_jj^-1).
 
-**Gone.** Of the n scans in which a landmark should have been well within the field of view, it was seen in k. Landmarks are
-occluded to different degrees: k is beta-binomial with parameters a, b, estimated from the landmarks that were seen. One that
-was never seen is there with the likelihood B(a, b + n) / B(a, b), and gone with 1.
+**Gone.** In scan v a landmark is well within the field of view with probability p_v, by the covariances of the pose and of
+the landmark, and one that is there is then seen with probability d. Landmarks are occluded to different degrees: d has a beta
+distribution, estimated from the landmarks that were seen, of each the product over the scans of p_v d or 1 - p_v d. One that
+was never seen is there with the likelihood E[product of 1 - p_v d], and gone with 1.
 
 Sources: Belsley, Kuh and Welsch, *Regression Diagnostics*, 1980, chapter 2 (deletion of observations); Skellam, *A
 probability distribution derived from the binomial distribution*, JRSS B 1948.
@@ -28,7 +29,7 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from scipy.special import betaln
+from scipy.special import betainc, ndtr
 
 from ..errors import OptionError, quoted
 from ..errors.checks import listed
@@ -50,6 +51,8 @@ ROUNDS = 20
 AGREES, MOVED, VANISHED, NOT_IN_VIEW, NEW = "agrees", "moved", "vanished", "not in view", "new"
 #: means and sizes a + b of the beta distributions of detection that are compared
 _MEANS, _SIZES = np.linspace(0.02, 0.98, 49), np.geomspace(0.5, 100.0, 16)
+#: the ends of the intervals of d over which they are integrated
+_DETECTION = np.linspace(0.0, 1.0, 41)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,19 +161,21 @@ def map_states(
     solution, found = best
     moved = {j for j, (_, _, p) in found.items() if p > 0.5}
     places = {**known, **{j: solution.landmarks[j] for j in seen if j not in moved and j in solution.landmarks}}
-    views = _views(solution, places, log)
-    gone = _gone(views, [j for j in sorted(seen) if j not in moved], prior)
+    views = _views(solution, known, places, log)
+    gone = _gone([views[j] for j in sorted(seen) if j not in moved], prior)
     counts = dict(zip(*(part.tolist() for part in np.unique(log.landmarks, return_counts=True))))
     states = [LandmarkState(j, NEW, 1.0, seen=counts[j]) for j in log.landmark_ids.tolist() if j not in known]
     for j in known:
         if j in found:
             shift, square, p = found[j]
             name = MOVED if p > 0.5 else AGREES
-            states.append(LandmarkState(j, name, max(p, 1 - p), p, 0.0, shift[:2], square, views[j][0], seen=counts[j]))
+            states.append(
+                LandmarkState(j, name, max(p, 1 - p), p, 0.0, shift[:2], square, _count(views[j]), seen=counts[j])
+            )
         else:
             p = gone(views[j][0])
             name = VANISHED if p > 0.5 else NOT_IN_VIEW
-            states.append(LandmarkState(j, name, max(p, 1 - p), vanished=p, views=views[j][0]))
+            states.append(LandmarkState(j, name, max(p, 1 - p), vanished=p, views=_count(views[j])))
     kept = known.among(set(known) - moved)
     return MapStates(tuple(sorted(states, key=lambda each: each.id)), kept, solution)
 
@@ -291,40 +296,64 @@ def _weighed_down(solution: Solution, known: set[int]) -> set[int]:
     return {j for j in known if np.median(weights[ids == j]) < 0.5}
 
 
-def _views(solution: Solution, places: Mapping[int, Array], log: Log) -> dict[int, tuple[int, int]]:
-    """{id: (scans in which it is well within the field of view, those of them in which it was seen)}."""
+def _views(
+    solution: Solution, known: LandmarkMap, places: Mapping[int, Array], log: Log
+) -> dict[int, tuple[Array, np.ndarray]]:
+    """{id: (for each scan the probability that it is well within the field of view, whether it was seen)}."""
     graph = solution.graph
     assert graph is not None and graph.sensor is not None
     field = Field.of(log, graph.sensor)
     scans = np.unique(log.steps)
-    poses = solution.poses[scans]
+    poses, P = solution.poses[scans], solution.covariance()[scans]
     ahead, left = graph.sensor.offset
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = poses[:, 0] + c * ahead - s * left, poses[:, 1] + s * ahead + c * left
+    covariances = {**known.covariances, **solution.landmark_covariances}
     found = {}
     for j, place in places.items():
-        ranges = np.hypot(place[0] - x, place[1] - y)
-        bearings = wrap(np.arctan2(place[1] - y, place[0] - x) - poses[:, 2])
-        inside = (ranges > field.nearest / INSIDE) & (ranges < INSIDE * field.farthest)
-        inside &= np.abs(bearings) < INSIDE * field.bearing
-        seen = np.isin(scans[inside], log.steps[log.landmarks == j])
-        found[j] = int(inside.sum()), int(seen.sum())
+        way = np.column_stack([place[0] - x, place[1] - y])
+        ranges = np.maximum(np.hypot(*way.T), 1e-6)
+        along = way / ranges[:, None]
+        across = np.column_stack([-along[:, 1], along[:, 0]])
+        V = P[:, :2, :2] + (covariances[j][:2, :2] if j in covariances else 0.0)
+        bearings = wrap(np.arctan2(way[:, 1], way[:, 0]) - poses[:, 2])
+        of_range = np.sqrt(np.einsum("ki,kij,kj->k", along, V, along)) + 1e-9
+        # the heading turns the bearing, and the position moves it
+        mixed = np.einsum("ki,ki->k", across, P[:, :2, 2]) / ranges
+        of_bearing = np.einsum("ki,kij,kj->k", across, V, across) / ranges**2 + 2 * mixed + P[:, 2, 2]
+        of_bearing = np.sqrt(np.maximum(of_bearing, 0.0)) + 1e-9
+        near, far, wide = field.nearest / INSIDE, INSIDE * field.farthest, INSIDE * field.bearing
+        inside = ndtr((far - ranges) / of_range) - ndtr((near - ranges) / of_range)
+        inside *= ndtr((wide - bearings) / of_bearing) - ndtr((-wide - bearings) / of_bearing)
+        found[j] = np.clip(inside, 0.0, 1.0), np.isin(scans, log.steps[log.landmarks == j])
     return found
 
 
-def _gone(views: dict[int, tuple[int, int]], there: list[int], prior: float) -> Any:
-    """The probability that a landmark is gone, as a function of the number n of its views, all without a sighting.
+def _count(views: tuple[Array, np.ndarray]) -> int:
+    """The number of scans in which a landmark is probably in view."""
+    return int(np.sum(views[0] > 0.5))
 
-    The likelihoods of the beta distributions of `_MEANS` and `_SIZES` are averaged.
+
+def _gone(there: list[tuple[Array, np.ndarray]], prior: float) -> Any:
+    """The probability that a landmark is gone that was not seen in scans in which it is in view with probabilities (n,).
+
+    The beta distributions of `_MEANS` and `_SIZES` are averaged with their likelihoods by the landmarks that are ``there``.
     """
-    n, k = np.array([views[j] for j in there], dtype=float).reshape(-1, 2).T
     a, b = (_MEANS[:, None] * _SIZES).ravel(), ((1 - _MEANS[:, None]) * _SIZES).ravel()
-    log_likelihood = np.sum(betaln(a[:, None] + k, b[:, None] + n - k) - betaln(a, b)[:, None], axis=1)
-    weight = np.exp(log_likelihood - log_likelihood.max())
-    weight /= weight.sum()
+    shares = np.diff(betainc(a[:, None], b[:, None], _DETECTION), axis=1)
+    d = (_DETECTION[1:] + _DETECTION[:-1]) / 2
+    weight = np.zeros(len(a))
+    for inside, seen in there:
+        counted = inside > 0.5
+        log_likelihood = np.sum(seen[counted]) * np.log(d)
+        log_likelihood += np.log1p(-inside[counted & ~seen, None] * d).sum(axis=0)
+        most = log_likelihood.max()
+        weight += np.log(shares @ np.exp(log_likelihood - most) + 1e-300) + most
+    weight = np.exp(weight - weight.max())
+    mixed = (weight / weight.sum()) @ shares
 
-    def probability(count: int) -> float:
-        unseen = float(weight @ np.exp(betaln(a, b + count) - betaln(a, b)))
+    def probability(inside: Array) -> float:
+        unseen = float(mixed @ np.exp(np.log1p(-inside[:, None] * d).sum(axis=0)))
         return prior / (prior + (1 - prior) * unseen)
 
     return probability

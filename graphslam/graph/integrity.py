@@ -16,11 +16,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import expit, ndtr
+from scipy.special import chdtri, expit, ndtr
 
 from ..errors import OptionError, quoted
 from ..models import SensorModel
-from ..se2 import Array, perpendicular
+from ..se2 import Array
 from .landmark_map import LandmarkMap
 from .stretch import Stretch
 from .tracker import LIFTED, NOTHING, Tracker, area_of
@@ -28,8 +28,6 @@ from .tracker import LIFTED, NOTHING, Tracker, area_of
 #: nodes of the quadrature over heading and position, and how many standard deviations it covers
 _HEADING, _POSITION = np.polynomial.legendre.leggauss(24), np.polynomial.legendre.leggauss(24)
 COVERED = 6.5
-#: the median of chi-square with two degrees of freedom
-MEDIAN = 2 * np.log(2)
 #: how many squares that are as expected count before the first one
 PRIOR = 10
 
@@ -71,25 +69,12 @@ def beyond(covariances: Array, metres: float, radians: float = np.inf) -> Array:
     return np.asarray(np.clip(1 - inside, 0.0, 1.0))
 
 
-def inflation(squares: Sequence[float] | Array) -> float:
-    """s² from the squared Mahalanobis distances [2 degrees of freedom] of sightings; their median, because some are wrong."""
+def inflation(squares: Sequence[float] | Array, rows: int = 2) -> float:
+    """s² from the squared Mahalanobis distances of sightings with so many numbers each; their median, as some are wrong."""
     count = len(squares)
-    return max(1.0, (PRIOR + count * float(np.median(squares)) / MEDIAN) / (PRIOR + count)) if count else 1.0
-
-
-def residual_squares(poses: Array, covariances: Array, sightings: Array, places: Array, sensor: SensorModel) -> Array:
-    """Squared Mahalanobis distances (M,) of sightings from landmarks (M, 2) at a solution, as if poses did not follow them.
-
-    With the covariance C of what is seen, that of a residual at the solution is C - J P J', P that of the pose, so that
-    e' C^-1 e is on average 2 - tr(C^-1 J P J') for 2.
-    """
-    y, C = (part[..., :2] for part in sensor.places(sightings, poses))
-    C, way = C[:, :2], y - poses[:, :2]
-    J = np.tile(np.eye(2, 3), (len(y), 1, 1))
-    J[:, :, 2] = perpendicular(way)
-    W, e = np.linalg.inv(C), y - places
-    followed = np.einsum("kij,kji->k", W, J @ covariances @ np.swapaxes(J, 1, 2))
-    return np.asarray(np.einsum("ki,kij,kj->k", e, W, e) * 2 / np.maximum(2 - followed, 0.2))
+    if not count:
+        return 1.0
+    return max(1.0, (PRIOR + count * float(np.median(squares)) / float(chdtri(rows, 0.5))) / (PRIOR + count))
 
 
 def unlocated(landmarks: LandmarkMap, sensor: SensorModel, pose: Array) -> Tracker:

@@ -154,13 +154,12 @@ def possible_fixes(
     landmarks, log, sensor = as_map(landmarks), *_stretch(log, motion, sensor)
     _check_not_empty(log, landmarks)
     known = Constellations.of(landmarks, float(np.quantile(log.sightings[:, 0], 0.98)))
-    best, drift = list[Fix](), Drift(log)
+    best = list[Fix]()
     in_order = np.sort(log.steps)
     for begin in range(0, min(WINDOWS * LATER, len(in_order)), LATER):
         step = int(in_order[begin]) if begin else 0
         fixes = _fixes_here(log.after(step), known, sensor)
-        drift.go_to(step)
-        fixes = [_carried_back(fix, step, drift, np.flatnonzero(log.steps >= step)) for fix in fixes]
+        fixes = [carried_back(fix, log, step) for fix in fixes]
         # each window is another chance for a place that only looks right
         fixes = [replace(fix, odds=fix.odds / (1 + begin // LATER)) for fix in fixes]
         if fixes and fixes[0].odds > SURE:
@@ -213,10 +212,12 @@ def _fixes_here(log: Stretch, known: Constellations, sensor: SensorModel) -> lis
     return fixes
 
 
-def _carried_back(fix: Fix, step: int, drift: Drift, rows: np.ndarray) -> Fix:
-    """The fix of a pose on the way as one of the first pose; ``rows`` are those of the log's sightings from there on."""
+def carried_back(fix: Fix, log: Stretch, step: int) -> Fix:
+    """The fix of a pose of a stretch as one of its first pose."""
     if step == 0:
         return fix
+    drift, rows = Drift(log), np.flatnonzero(log.steps >= step)
+    drift.go_to(step)
     back = between(drift.poses[step], np.zeros(3))
     pose = compose(fix.pose, back)
     x, y = fix.pose[:2] - pose[:2]

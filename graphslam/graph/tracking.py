@@ -20,12 +20,14 @@ from ..log import UNIDENTIFIED, Log
 from ..models import ANYWHERE, MotionModel, SensorModel, additional_variances
 from ..se2 import Array, between, compose, wrap
 from .landmark_map import LandmarkMap
-from .localization import SURE, Fix, first_fix
+from .localization import SURE, Fix, carried_back, first_fix
 from .stretch import Stretch, drifted
 from .tracker import NOTHING, Tracker
 
 #: the sum of contradictions at which another place is looked for
 DOUBT = 4
+#: the standard deviation [m] of a pose from which on chance lets sightings agree
+VAGUE = 0.7
 #: squared Mahalanobis distance [3 degrees of freedom] beyond which a fix is another place
 ELSEWHERE = 30.0
 
@@ -152,17 +154,25 @@ def elsewhere(
         The first step from which on they agree, the fix of its pose, and its distance [m] from where it was expected.
     """
     since, (x, P) = tracker.since, tracker.expected
-    fix = sure_fix(drive.after(since), landmarks, sensor)
+    after = drive.after(since)
+    fix = sure_fix(after, landmarks, sensor)
     if fix is None:
         return None
     # the first contradictions may be clutter, and the robot have been lifted after them
-    later = int(drive.after(since).steps[fix.agree].min())
-    if later:
-        motions, noise = (each[since : since + later] for each in (drive.motions, drive.noise))
-        (*_, x), (*_, P) = drifted(x, motions, noise, P)
-        fix = sure_fix(drive.after(since + later), landmarks, sensor)
-        if fix is None:
-            return None
+    later = int(after.steps[fix.agree].min())
+    if later and (fix := sure_fix(after.after(later), landmarks, sensor)) is None:
+        return None
+    for step in range(later - 1, -1, -1):
+        now = np.flatnonzero(after.steps == step)
+        back = carried_back(fix, after.after(step), later - step)
+        seen = Tracker(landmarks, sensor, back.pose, back.covariance).see(
+            step, now, after.landmarks[now], after.sightings[now]
+        )
+        if seen.contradict.sum() > seen.agree.sum() or np.trace(back.covariance[:2, :2]) > VAGUE**2:
+            break
+        if seen.agree.any():
+            later, fix = step, back
+    (*_, x), (*_, P) = drifted(x, after.motions[:later], after.noise[:later], P)
     way = fix.pose - x
     way[2] = wrap(way[2])
     if float(way @ np.linalg.solve(fix.covariance + P, way)) < ELSEWHERE:

@@ -23,7 +23,7 @@ from ..edges import CartesianObservationEdges, MarginalEdges, SightingEdges
 from ..errors import OptionError, quoted
 from ..errors.checks import make_read_only
 from ..graph import Graph
-from ..graph.integrity import beyond, inflation, presence, residual_squares
+from ..graph.integrity import beyond, inflation, presence
 from ..graph.landmark_map import LandmarkMap
 from ..graph.stretch import Stretch
 from ..graph.transform import with_landmark_nodes
@@ -275,11 +275,12 @@ class Solution:
         """
         graph, covariances = self._solved_graph, self.covariance()
         log, moved, sensor = graph.log, motion_edges(graph), graph.sensor
-        if log is not None and sensor is not None and self.landmarks:
-            rows = graph.sighting_rows
-            at, places = log.steps[rows], np.array([self.landmarks[j][:2] for j in log.landmarks[rows].tolist()])
-            squares = residual_squares(self.poses[at], covariances[at], log.sightings[rows], places, sensor)
-            covariances = inflation(squares) * covariances
+        sighted = next((f for f in graph.families if isinstance(f, SightingEdges) and f.count), None)
+        if sighted is not None and len((edges := sighted.linearize(self.state, self.state)).nodes) == 2:
+            # a residual follows the noise by the covariance of the estimate
+            rows, followed = edges.residuals.shape[1], self._uncertainty.of_edges(edges)
+            free = rows - np.einsum("eij,eji->e", edges.information, followed)
+            covariances = covariances * inflation(edges.mahalanobis * rows / np.maximum(free, 0.1 * rows), rows)
         risk = np.full(len(self.poses), np.nan)
         risk[self.estimated] = beyond(covariances[self.estimated], metres, radians)
         if graph.map and log is not None and moved is not None and sensor is not None:

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import Result
 
 import comparisons
-from graphslam import Drive, Graph, LandmarkMap, Log, MotionModel, SensorModel, save, simulate, solve
+from graphslam import Drive, Graph, LandmarkMap, Log, MotionModel, SensorModel, load, save, simulate, solve
 from graphslam.se2 import between, wrap
 from graphslam.solvers.uncertainty import Uncertainty
 
@@ -171,3 +171,24 @@ def test_landmarks_that_have_moved_are_shown_and_written(
     assert states[4]["state"] == "moved" and states[77]["state"] == "not in view" and states[0]["state"] == "agrees"
     # the map was shifted by 1.5 m along x; the noise of the book leaves some decimetres
     assert np.hypot(states[4]["shift"][0] + 1.5, states[4]["shift"][1]) < 0.5
+
+
+def test_the_probability_of_being_off_is_shown_written_and_drawn_live(invoke: Invoke, logs: tuple[Path, Path]) -> None:
+    known = solve(Graph.from_log(log_of(1, (0.0, -3.0, 0.0)))).map
+    known.save("map.npz")
+    arguments = ["run", logs[1], "--map", "map.npz", "--estimators", "graph,online", "--bound", "0.4,10"]
+    result = invoke(*arguments, "--live", "--json", "out.json")
+    shown = " ".join(result.output.split())
+    assert "P(off): the probability that a pose is off by more than 0.4 m or 10 degrees in the map" in shown
+    assert "degrees with probability" in " ".join((result.output + result.stderr).split())
+    rows = {each["name"]: each for each in json.loads(Path("out.json").read_text())["estimators"]}
+    assert rows["graph"]["options"]["bound"] == [0.4, 10]
+    solution = solve(Graph.from_log(load(logs[1]), map=known))
+    assert np.allclose(rows["graph"]["integrity_risk"], solution.integrity_risk(0.4, np.radians(10)), atol=1e-6)
+    # later sightings tell more than was known when the robot was there
+    assert (
+        len(rows["online"]["integrity_risk"]) == 31
+        and np.mean(rows["online"]["integrity_risk"]) > solution.integrity_risk(0.4, np.radians(10)).mean()
+    )
+    refused = invoke(*arguments[:-1], "0.4")
+    assert refused.exit_code == 2 and "bound must be two numbers" in refused.stderr
