@@ -12,29 +12,17 @@ the trust is computed again:
 Each sighting has one trust, not each edge: one wrong sighting affects K - 1 pair edges, and its trust reduces the weight of
 all of them. Therefore the sequence is computed with landmark nodes and Cartesian residuals, whatever the edges of the graph,
 and the resulting trust is applied to the graph itself. Headings make even the squares non-convex, so a sequence may end in a
-poor minimum. Where there are few pairs, a second sequence is computed on pair edges; the lower truncated cost counts. Without
-sightings, the second is `growing_trust`.
+poor minimum. Where there are few pairs, a second sequence is computed on pair edges; the lower truncated cost counts. Graphs
+whose only measurements are relations begin with what agrees in pairs (`agreement`); the sequence is computed only where that
+leaves doubts.
 
 Source: Yang, Antonante, Tzoumas and Carlone, *Graduated non-convexity for robust spatial perception*, RA-L 2020.
-
-Trust that grows from the odometry: which relations agree with what is trusted so far.
-
-At first the motion edges alone are trusted. What agrees with them within the uncertainty of the poses is then trusted, the
-most certain comparisons first; that makes the poses more certain, and decides about more. An edge with the residual e agrees
-if
-
-    e' (C + B P B')^-1 e <= c²,
-
-C its covariance, P that of the poses and c² the limit of graduated non-convexity. What turns out to contradict later, with
-e' C^-1 e above the limit, is left out again. This needs no good start, but noise models that are not too optimistic.
-
-Source: the test of the innovation, Bar-Shalom, Li and Kirubarajan, *Estimation with applications to tracking and navigation*,
-2001, section 5.4; the order is that of nearest neighbours first.
 """
 
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,57 +45,12 @@ from ..errors import GraphError, OptionError
 from ..graph import Graph
 from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
+from .agreement import grown_trust
 from .corrected import corrected, sighted_edges
 from .iteration import Run, levenberg_marquardt
 from .minimize import minimize, without_parameters
 from .solution import Solution
-from .starts import dead_reckoning, place_landmarks
-from .uncertainty import Uncertainty
-
-#: the most rounds, and the damped steps in each
-ROUNDS, TRUST_STEPS = 40, 8
-#: so large a part of those that agree is trusted in a round, the most certain ones, and all that are nearly as certain
-PART, NEARLY = 0.25, 4.0
-#: the part of the limit that counts as long as something agrees within it: a wrong relation does so an eighth as often
-FIRST = 0.25
-
-
-def grown_trust(graph: Graph, start: Array, limit: float) -> tuple[Array, Array, int]:
-    """The state (n, 3), the trust (R,), 0 or 1, in the relations of a graph without kernels, and the number of rounds.
-
-    Args:
-        graph: whose only measurements that may be wrong are relations.
-        start: (n, 3), what the trusted edges alone give.
-        limit: c².
-
-    Raises:
-        GraphError: the trusted edges do not determine the nodes.
-    """
-    edges = next(family for family in graph.families if isinstance(family, RelationEdges))
-    covariances, state, trust = np.linalg.inv(edges.information), start, np.zeros(edges.count)
-    rounds, share = 0, FIRST
-    while rounds < ROUNDS:
-        rounds += 1
-        trusting = graph.with_trust(trust)
-        run = Run(state, 1e-3 * len(graph.steps) ** 0.5, TRUST_STEPS)
-        levenberg_marquardt(trusting, run)
-        state = run.state
-        linear = edges.linearize(state, state)
-        innovation = covariances + Uncertainty(trusting, state).of_edges(linear)
-        e = linear.residuals
-        agree = np.einsum("ei,ei->e", e, np.linalg.solve(innovation, e[:, :, None])[:, :, 0]) <= share * limit
-        new = np.where(linear.mahalanobis > limit, 0.0, trust)
-        if (added := np.flatnonzero(agree & (trust == 0))).size:
-            # the volume in which a wrong relation would agree
-            volume = np.sqrt(np.linalg.det(innovation[added]))
-            new[added[volume <= max(NEARLY * volume.min(), np.quantile(volume, PART))]] = 1.0
-        if np.array_equal(new, trust):
-            if share == 1:
-                break
-            share = 1.0
-        trust = new
-    return state, trust, rounds
-
+from .starts import place_landmarks
 
 #: mu grows by this factor from one graph to the next
 GROWTH = 1.4
@@ -284,18 +227,18 @@ def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize
 
 
 def _of_relations(graph: Graph, measured: _Measurements, max_rounds: int, initialize: str) -> _Sequence:
-    """The better of two for a graph without sightings: the sequence, and trust that grows from the odometry."""
+    """That of a graph without sightings: from relations that agree, or where that is doubtful the better of two."""
+    found: list[_Sequence] = []
+    if len(measured.single) == 1 and isinstance(edges := measured.single[0], RelationEdges):
+        with suppress(GraphError):  # the odometry alone does not determine the poses
+            grown = grown_trust(graph, edges, float(measured.limits[0]), max_rounds, initialize)
+            found.append(_Sequence(grown.state, grown.trust, grown.rounds, grown.settled))
+            if grown.certain:
+                return found[0]
     # the search for the optimum of plain squares would be one among wrong relations
     given = "given" if initialize == "auto" else initialize
-    best = _sequence(graph, np.arange(len(measured.limits)), measured, max_rounds, given, STEPS_OF_RELATIONS)
-    if best.rounds == 0 or len(measured.single) > 1 or not isinstance(measured.single[0], RelationEdges):
-        return best
-    try:
-        grown = grown_trust(graph, dead_reckoning(graph), float(measured.limits[0]))
-    except GraphError:
-        return best  # the odometry alone does not determine the poses
-    other = _finished(graph, _Sequence(*grown, settled=True), measured, STEPS_OF_RELATIONS)
-    return min(best, other, key=lambda each: (not each.settled, measured.cost(each)))
+    found.append(_sequence(graph, np.arange(len(measured.limits)), measured, max_rounds, given, STEPS_OF_RELATIONS))
+    return min(found, key=lambda each: (not each.settled, measured.cost(each)))
 
 
 def _sequence(
@@ -318,13 +261,13 @@ def _sequence(
     return _Sequence(state, trust, rounds, settled)
 
 
-def _finished(graph: Graph, sequence: _Sequence, measured: _Measurements, steps: int = STEPS) -> _Sequence:
+def _finished(graph: Graph, sequence: _Sequence, measured: _Measurements) -> _Sequence:
     """The end of another graph's sequence, taken on to the nearest minimum of the truncated squares with landmark nodes."""
     if not sequence.settled:
         return sequence
     trust, state = sequence.trust, place_landmarks(graph.with_trust(sequence.trust), sequence.state)
     for _ in range(LAST_ROUNDS):
-        state = _damped(graph, trust, state, steps)
+        state = _damped(graph, trust, state)
         before, trust = trust, truncated_trust(measured.squares(state, trust), 1.0, np.inf)
         if np.array_equal(trust, before):
             break

@@ -115,29 +115,31 @@ def dead_reckoning(graph: Graph) -> Array:
         GraphError: there is no chain of motion edges through all poses.
     """
     state, (step, _) = graph.initial.copy(), odometry(graph, "dead-reckoning")
-    for k in range(1, len(graph.steps)):
-        state[k] = compose(state[k - 1], step[k])
+    poses = slice(0, len(step))
+    turned = np.cumsum(np.append(state[:1, 2], step[1:, 2]))
+    moved = np.einsum("kij,kj->ki", rotation(turned[:-1]), step[1:, :2])
+    state[poses] = np.column_stack([np.cumsum(np.concatenate([state[:1, :2], moved]), axis=0), wrap(turned)])
     return state
 
 
 def odometry(graph: Graph, initialize: str) -> tuple[Array, Array]:
-    """The measured motion (P, 3) to each pose from the pose before it, and the variance (P,) of its turn; 0 for the first.
+    """The measured motion (P, 3) to each pose from the pose before it, and its information (P, 3, 3); 0 for the first.
 
     Raises:
         GraphError: no motion edge leads to a pose; the message names the option's value ``initialize``.
     """
-    step, variance = np.full((len(graph.steps), 3), np.nan), np.zeros(len(graph.steps))
+    step, information = np.full((len(graph.steps), 3), np.nan), np.zeros((len(graph.steps), 3, 3))
     step[:1] = 0.0
     for family in graph.families:
         if isinstance(family, RelativePoseEdges) and not isinstance(family, RelationEdges):
             # several edges may lead to the next pose; the first in the file is the odometry
             following = np.flatnonzero(family.second == family.first + 1)[::-1]
             step[family.second[following]] = family.measured[following]
-            variance[family.second[following]] = _turn_variance(family.information[following])
+            information[family.second[following]] = family.information[following]
     missing = np.flatnonzero(np.isnan(step[:, 0]))
     if len(missing):
         raise GraphError(f"initialize={quoted(initialize)} needs motion edges; none leads to {graph.names(missing)}")
-    return step, variance
+    return step, information
 
 
 def _turn_variance(information: Array) -> Array:
@@ -324,10 +326,11 @@ def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[A
 def _turns(graph: Graph, state: Array) -> Iterator[tuple[tuple[int, int, float], Array]]:
     """Stretches (first pose, last pose, sign of E) and the states (n, 3) after their turns, in the order of the costs."""
     try:
-        driven, variance = odometry(graph, "auto")
+        driven, information = odometry(graph, "auto")
     except GraphError:
         return
-    deviation = np.zeros(len(driven))
+    variance, deviation = np.zeros(len(driven)), np.zeros(len(driven))
+    variance[1:] = _turn_variance(information[1:])
     deviation[1:] = wrap(np.diff(state[: len(driven), 2]) - driven[1:, 2])
     E, V, headings = np.cumsum(deviation), np.cumsum(variance), np.cumsum(driven[:, 2])
     for first, last in _stretches(E, V):
