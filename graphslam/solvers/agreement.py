@@ -90,13 +90,15 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
     rough, share = 1e-3 * len(graph.steps) ** 0.5, FIRST if careful else 1.0
     covariances, state = np.linalg.inv(edges.information), dead_reckoning(graph)
     own_size, volume = np.sqrt(np.linalg.det(covariances)), _volume(edges.measured)
-    if pairs.any():
-        state = minimize(graph.with_trust(trusted.astype(float)), tolerance=rough, initialize=initialize).state
-    rounds, settled = 0, False
+    rounds, settled, bent = 0, False, bool(pairs.any())
     while rounds < min(ROUNDS, max_rounds) and not settled:
         rounds += 1
         trusting = graph.with_trust(trusted.astype(float))
-        state = _solved(trusting, state, rough)
+        if bent:
+            # what was wrong may have left bends that other starts do not have
+            state = minimize(trusting, tolerance=rough, initialize=initialize).state
+        else:
+            state = _solved(trusting, state, rough)
         linear = edges.linearize(state, state)
         by_poses = Uncertainty(trusting, state).of_edges(linear)
         # rounding may make a relation that alone determines something more certain than it is
@@ -109,6 +111,7 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
         worst = change[trusted].max(initial=0.0)
         out = trusted & ((change > max(limit, worst / 2)) | chance)
         left_out += out
+        bent = bool(out.any())
         new = np.flatnonzero(~trusted & ~chance & (change <= share * limit) & (left_out < LEFT_OUT))
         if careful and new.size:
             new = new[size[new] <= max(NEARLY * size[new].min(), np.quantile(size[new], PART))]
@@ -138,7 +141,7 @@ def _ellipsoid(squares: Array, size: Array) -> Array:
 
 def _volume(measured: Array) -> float:
     """U: that of a box with the covariance of relations (R, 3)."""
-    return max(12**1.5 * float(np.linalg.det(np.cov(measured.T))) ** 0.5, 1e-300)
+    return max(12**1.5 * abs(float(np.linalg.det(np.cov(measured.T)))) ** 0.5, 1e-300) if len(measured) > 1 else 1e-300
 
 
 def _squares(e: Array, covariances: Array) -> Array:
@@ -151,27 +154,36 @@ def agreeing(graph: Graph, edges: RelationEdges, limit: float) -> np.ndarray:
     Raises:
         GraphError: no motion edges with a covariance lead from pose to pose.
     """
-    found = np.zeros(edges.count, dtype=bool)
+    k, j, e, T = differences(graph, edges)
+    squares, found = _squares(e, T), np.zeros(edges.count, dtype=bool)
+    p = _ellipsoid(squares, np.sqrt(np.linalg.det(T))) / _volume(edges.measured)
+    together = (squares <= limit) & (p * len(p) < EXPECTED)
+    found[k[together]] = found[j[together]] = True
+    return found
+
+
+def differences(graph: Graph, edges: RelationEdges) -> tuple[np.ndarray, np.ndarray, Array, Array]:
+    """Pairs (k, j) of relations between neighbours, their difference e (K, 3) and its covariance T (K, 3, 3).
+
+    With O_a, O_b the odometry from the first pose of k to that of j, and between their second poses,
+    e = (z_k O_b)^-1 (O_a z_j), as a pose. T is that of first order.
+
+    Raises:
+        GraphError: no motion edges with a covariance lead from pose to pose.
+    """
     a, b, measured, noise = _forward(edges)
     k, j = _neighbours(a, b)
-    if not len(k):
-        return found
     x = dead_reckoning(graph)[: len(graph.steps)]
     spread = _spread(graph, x)
     carried = compose(measured[k], between(x[b[k]], x[b[j]]))
-    other = compose(between(x[a[k]], x[a[j]]), measured[j])
-    e = between(carried, other)
+    e = between(carried, compose(between(x[a[k]], x[a[j]]), measured[j]))
     T = (
         _moved(between(x[b[j]], x[b[k]]), noise[k])
         + _moved(inverse(x[b[j]]), np.sign(b[j] - b[k])[:, None, None] * (spread[b[j]] - spread[b[k]]))
         + _moved(inverse(compose(x[a[k]], carried)), spread[a[j]] - spread[a[k]])
         + _moved(e, noise[j])
     )
-    squares = _squares(e, T)
-    p = _ellipsoid(squares, np.sqrt(np.linalg.det(T))) / _volume(measured)
-    together = (squares <= limit) & (p * len(p) < EXPECTED)
-    found[k[together]] = found[j[together]] = True
-    return found
+    return k, j, e, T
 
 
 def _forward(edges: RelationEdges) -> tuple[np.ndarray, np.ndarray, Array, Array]:
