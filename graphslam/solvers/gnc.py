@@ -1,8 +1,9 @@
 """Graduated non-convexity: a solver that finds out which measurements are wrong, together with the trajectory.
 
-Sightings, relations of two poses and absolute positions may be wrong; motion edges are always trusted. In a pose graph the
-loop closures are the relations. Truncated least squares counts a measurement with r² = e' Omega e as at most c². A wrong one
-then costs the same however wrong it is, and has no influence on the solution. This cost has very many minima. Graduated
+Sightings, also those of one number, relations of two poses and absolute positions may be wrong; motion edges are always
+trusted. In a pose graph the loop closures are the relations. Truncated least squares counts a measurement with
+r² = e' Omega e as at most c². A wrong one then costs the same however wrong it is, and has no influence on the solution. This
+cost has very many minima. Graduated
 non-convexity searches a good one by a sequence of problems. The first is close to least squares (mu near 0), the last to
 truncated least squares (mu large). For each mu the graph is solved with a trust w between 0 and 1 in every measurement. Then
 the trust is computed again:
@@ -29,12 +30,13 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from ..edges import (
+    BearingEdges,
     DoubtedEdges,
     EdgeFamily,
     MarginalEdges,
     ObservationEdges,
-    PartialEdges,
     PositionEdges,
+    RangeEdges,
     RelationEdges,
     SightingEdges,
     SingleEdges,
@@ -47,6 +49,7 @@ from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
 from .agreement import grown_trust
 from .corrected import corrected, sighted_edges
+from .initialize import partial_edges
 from .iteration import Run, levenberg_marquardt
 from .minimize import minimize, without_parameters
 from .solution import Solution
@@ -76,11 +79,6 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
     """
     if max_rounds < 1:
         raise OptionError(f"max_iterations must be at least 1 for the method gnc, not {max_rounds}")
-    if any(isinstance(family, PartialEdges) for family in graph.families):
-        raise GraphError(
-            "gnc does not take ranges or bearings alone; choose a robust kernel, such as kernel='cauchy', or leave "
-            "them out: Log.replace(partial_sightings=None)"
-        )
     begin = time.perf_counter()
     if graph.measurements == 0:
         graph = graph.with_closures()
@@ -88,6 +86,9 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
         graph = _at_robust_parameters(graph, initialize)
     best = _best_sequence(without_parameters(graph), probability, max_rounds, initialize)
     weighted = graph.with_trust(best.trust)
+    if len(best.state) == graph.num_nodes:
+        # landmarks that were seen by single numbers alone have no other place
+        weighted = weighted.with_initial(best.state)
     start = weighted.with_initial(place_landmarks(weighted, best.state[: len(graph.steps)]))
     solution = minimize(start, tolerance=tolerance, initialize="given")
     found = _trust_by_kind(weighted)
@@ -111,6 +112,16 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
     )
 
 
+#: what the measurements of edges are called
+KINDS = {
+    SightingEdges: "sightings",
+    RelationEdges: "relations",
+    RangeEdges: "ranges alone",
+    BearingEdges: "bearings alone",
+    PositionEdges: "positions",
+}
+
+
 def _trust_by_kind(graph: Graph) -> dict[str, Array]:
     """The trust in the sightings of the edges, in the relations, and in the positions, as far as there are any."""
     found: dict[str, Array] = {}
@@ -121,8 +132,7 @@ def _trust_by_kind(graph: Graph) -> dict[str, Array]:
                 rows = graph.log.positions.oriented == (family.dimension == 3)
                 found.setdefault("positions", np.ones(len(rows)))[rows] = trust
             else:
-                kind = "relations" if isinstance(family, RelationEdges) else "positions"
-                found["sightings" if isinstance(family, SightingEdges) else kind] = trust
+                found[next(kind for cls, kind in KINDS.items() if isinstance(family, cls))] = trust
     return found
 
 
@@ -206,6 +216,8 @@ def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize
     nodes = (with_landmark_nodes(graph) or graph).without_kernel
     nodes = nodes.with_initial(place_landmarks(nodes, nodes.initial[: len(nodes.steps)]))
     measured = _Measurements.of(nodes, probability)
+    if partial_edges(nodes):
+        return _from_kernel(nodes, measured, initialize)
     if measured.sightings is None:
         return _of_relations(nodes, measured, max_rounds, initialize)
     best = _sequence(nodes, np.arange(len(measured.limits)), measured, max_rounds, initialize)
@@ -261,17 +273,35 @@ def _sequence(
     return _Sequence(state, trust, rounds, settled)
 
 
+def _from_kernel(graph: Graph, measured: _Measurements, initialize: str) -> _Sequence:
+    """The end from the minimum of a robust kernel, for graphs with ranges or bearings alone.
+
+    Plain squares put their landmarks so far from where they are that the sequence from there rejects most of them.
+    """
+    robust = tuple(replace(f, kernel=Cauchy()) if isinstance(f, DoubtedEdges) else f for f in graph.families)  # type: ignore[type-var]
+    state = minimize(replace(graph, families=robust), tolerance=_rough(graph), initialize=initialize).state
+    trust = truncated_trust(measured.squares(state, np.ones(len(measured.limits))), 1.0, np.inf)
+    return _settled(graph, _Sequence(state, trust, 0, settled=True), measured)
+
+
 def _finished(graph: Graph, sequence: _Sequence, measured: _Measurements) -> _Sequence:
     """The end of another graph's sequence, taken on to the nearest minimum of the truncated squares with landmark nodes."""
     if not sequence.settled:
         return sequence
-    trust, state = sequence.trust, place_landmarks(graph.with_trust(sequence.trust), sequence.state)
+    state = place_landmarks(graph.with_trust(sequence.trust), sequence.state)
+    return _settled(graph, replace(sequence, state=state), measured)
+
+
+def _settled(graph: Graph, sequence: _Sequence, measured: _Measurements) -> _Sequence:
+    """The nearest minimum of the truncated squares."""
+    state, trust, rounds = sequence.state, sequence.trust, sequence.rounds
     for _ in range(LAST_ROUNDS):
+        rounds += 1
         state = _damped(graph, trust, state)
         before, trust = trust, truncated_trust(measured.squares(state, trust), 1.0, np.inf)
         if np.array_equal(trust, before):
             break
-    return replace(sequence, trust=trust, state=state)
+    return replace(sequence, trust=trust, state=state, rounds=rounds)
 
 
 def _damped(graph: Graph, trust: Array, state: Array, steps: int = STEPS) -> Array:

@@ -206,8 +206,26 @@ def test_bad_input() -> None:
         log.replace(partial_sightings=PartialSightings(**(good | {"steps": [99]})))
     with pytest.raises(GraphError, match="step by step"):
         solve_online(log)
-    with pytest.raises(GraphError, match="gnc does not take"):
-        solve(Graph.from_log(log), method="gnc")
+
+
+@pytest.mark.parametrize("number", ["range", "bearing"])
+def test_gnc_finds_wrong_single_numbers(number: str) -> None:
+    log = simulate_single_numbers(number, seed=300, poses=80, landmarks=3)
+    single, rng = log.partial_sightings, np.random.default_rng(1)
+    assert single is not None
+    wrong = rng.random(len(single)) < 0.1
+    ranges = np.where(wrong, rng.uniform(5, 40, len(wrong)), single.ranges)
+    bearings = np.where(wrong, wrap(single.bearings + np.pi / 2), single.bearings)
+    given = (ranges, single.bearings) if number == "range" else (single.ranges, bearings)
+    names, columns = ("steps", "landmarks", "ranges", "bearings"), (single.steps, single.landmarks, *given)
+    bad = log.replace(partial_sightings=PartialSightings(**dict(zip(names, columns))))
+    found = solve(Graph.from_log(bad, kernel="none"), method="gnc", probability=0.999)
+    trust = found.other_trust[f"{number}s alone"]
+    np.testing.assert_array_equal(trust < 0.5, wrong)
+    # the optimum is that of the graph without the wrong ones
+    right = PartialSightings(**{name: each[~wrong] for name, each in zip(names, columns)})
+    best = solve(Graph.from_log(log.replace(partial_sightings=right), kernel="none"))
+    np.testing.assert_allclose(found.poses[:, :2], best.poses[:, :2], atol=1e-4)
 
 
 def test_the_world_is_as_it_says() -> None:
