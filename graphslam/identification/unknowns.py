@@ -26,13 +26,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..edges import RelativePoseEdges
 from ..errors import GraphError
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, compose, interpolate, inverse, perpendicular, rotation, wrap
+from ..se2 import Array, between, compose, interpolate, inverse, perpendicular, rotation, turn_matrix, wrap
 from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
 from .odometry import Edges, Odometry, add_at, near, sensor_parts, with_variances
@@ -103,7 +102,6 @@ class Unknowns:
         self._steps = self.odometry.steps(log)
         self.motion_parts, gaps = self.odometry.parts(self._steps)
         self._least = gaps + LEAST_MOTION * np.eye(3)
-        self._unweighed = np.broadcast_to(np.eye(3), (self.poses - 1, 3, 3))
         self.sensor_parts = sensor_parts(self.sightings)
         self._evaluated: tuple[Array, Array, Array] | None = None
         self.centres = self._centres()
@@ -245,9 +243,14 @@ class Unknowns:
     def motions(self) -> Edges:
         """The edges of all motions."""
         measured, slopes = self._measured()
-        edges = RelativePoseEdges(self.before, self.after, measured, self._unweighed).linearize(self.state, self.state)
-        by_first, by_second = edges.jacobians
-        return Edges(self.before, self.after, edges.residuals, by_first, by_second, -slopes, self.motion_parts)
+        a, b = self.trajectory[:-1], self.trajectory[1:]
+        moved = between(a, b)
+        residuals = moved - measured
+        residuals[:, 2] = wrap(residuals[:, 2])
+        by_second = turn_matrix(-a[:, 2])
+        by_first = -by_second
+        by_first[:, :2, 2] = -perpendicular(moved[:, :2])
+        return Edges(self.before, self.after, residuals, by_first, by_second, -slopes, self.motion_parts)
 
     def _measured(self) -> tuple[Array, Array]:
         """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters; see `near`."""
@@ -276,16 +279,17 @@ class Unknowns:
         eyes = sensor.mount(at)[:, :2]
         near = np.hypot(*(m[:, :2] - eyes).T) < NEAREST
         m[near, :2] = eyes[near] + [NEAREST, 0.0]
-        predicted, by_at, of_landmark = sensor.h(at, m), sensor.H_pose(at, m), sensor.H(at, m)
+        predicted, by_at = sensor.h(at, m), sensor.H_pose(at, m)
         residuals = predicted.copy()
         residuals[:, 0] = p["range_scale"] * residuals[:, 0] + p["range_bias"]
         residuals[:, 1] += p["bearing_bias"]
         residuals -= z
         residuals[:, 1:] = wrap(residuals[:, 1:])
         by_at[:, 0] *= p["range_scale"]
-        of_landmark[:, 0] *= p["range_scale"]
+        # only the difference of the two positions counts
         by_landmark = np.zeros((len(z), d, 3))
-        by_landmark[:, :, :d] = of_landmark
+        by_landmark[:, :, :2] = -by_at[:, :, :2]
+        by_landmark[:, 2:, 2] = -1.0
         # a turn of the present pose also turns the way back
         by_pose = by_at.copy()
         by_pose[:, :, 2] += np.einsum("edi,ei->ed", by_at[:, :, :2], back[:, :1] * perpendicular(heading))
