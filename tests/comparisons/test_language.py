@@ -21,7 +21,7 @@ from comparisons.cli import app
 from comparisons.estimators import filters
 from comparisons.results import exchange
 from comparisons.show import log_tables, tables
-from comparisons.show.language import NUMBER, PLACE, catalogue, key_of, language_of, translated
+from comparisons.show.language import NUMBER, PLACE, _translated, catalogue, key_of, language_of, translated
 from comparisons.show.report import curves, matches, page
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults, tracking
@@ -78,7 +78,7 @@ def test_each_template_has_a_translation(function: Callable[..., Any]) -> None:
         text
         for text in strings_of(function)
         if text not in NO_SENTENCES
-        and not JAPANESE.search(translated(text.replace(PLACE, "7"), "ja"))
+        and _translated(text.replace(PLACE, "7"), "ja")[1] < 0.7 * len(key_of(text.replace(PLACE, "7")))
         # a part of a template
         and not any(key_of(text) in key for key in keys)
     }
