@@ -47,6 +47,7 @@ NO_SENTENCES = {
     "not bold default",
     "a log and a file to write: slam-compare report LOG OUT.html",
     "too little noise",
+    "wrong sightings",
 }
 
 
