@@ -5,8 +5,8 @@
     python benchmarks/pages.py --pages index method/graph/edges
 
 The weight is all that a page loads, with the engine where a figure needs it. Frames are counted while a script drags a pose
-of a graph, and while FastSLAM steps, each frame with all that a reader would see. Beside other programs the processor time of a
-frame says more: 16.7 ms are 60 frames a second.
+of a graph, and while FastSLAM steps, each frame with all that a reader would see. Beside other programs the processor time of
+a frame says more: 16.7 ms are 60 frames a second.
 """
 
 from __future__ import annotations
