@@ -30,6 +30,7 @@ import numpy as np
 from .association.across_logs import joined_without_ids
 from .errors import GraphError, LogError, OptionError
 from .graph import Graph
+from .graph.landmark_map import LandmarkMap
 from .graph.localization import first_fix
 from .identification.robot import known_robot
 from .log import Log
@@ -59,7 +60,7 @@ class Sessions:
         return np.split(np.asarray(rows), self.starts[1:-1])
 
 
-def join_logs(logs: Sequence[Log], *, mean_noise: bool = False) -> Sessions:
+def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = False) -> Sessions:
     """One log of several drives in one place; ``Graph.from_log(join_logs(logs).log)`` solves them together.
 
     Args:
@@ -67,6 +68,7 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False) -> Sessions:
             log is associated, and their maps are matched (`association.across_logs`). Noise models must be the same in all,
             or be given to `Graph.from_log`. Their ground truth is in one frame, and unknown where a log has none.
         mean_noise: the noise of each log is found as in `Graph.from_log`, and all get the means (`with_common_noise`).
+        placed: the initial poses of all are in one frame already, so that none is looked for.
 
     Raises:
         OptionError: there is no log, or something else than logs.
@@ -85,12 +87,18 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False) -> Sessions:
         joined, starts = joined_without_ids(logs)
         return Sessions(joined, (*starts, joined.num_poses))
     joined, starts = logs[0], [0]
-    if len(logs) > 1:
-        known = known_robot(logs[0])[0]
-        models = {"motion": known.motion or MotionModel(), "sensor": known.sensor or SensorModel()}
-    for each in logs[1:]:
+    known = known_robot(logs[0])[0] if len(logs) > 1 and not placed else logs[0]
+    models: dict[str, Any] = {"motion": known.motion or MotionModel(), "sensor": known.sensor or SensorModel()}
+    # the same with the poses that the map of the next log comes from
+    solved = joined
+    for k, each in enumerate(logs[1:]):
         starts.append(joined.num_poses)
-        joined = end_to_end(joined, _placed(each, joined, models))
+        if not placed:
+            graph = Graph.from_log(solved, edges="landmark+motion", **models)
+            solution = solve(graph, initialize="given" if k else "auto")
+            each = _placed(each, joined, solution.map, models)
+            solved = end_to_end(solved.replace(initial_poses=solution.poses), each)
+        joined = end_to_end(joined, each)
     return Sessions(joined, (*starts, joined.num_poses))
 
 
@@ -144,13 +152,12 @@ def _check(log: Log, first: Log) -> None:
             )
 
 
-def _placed(log: Log, before: Log, models: dict[str, Any]) -> Log:
+def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -> Log:
     """The log with its initial poses in the frame of those before, by the map that these give."""
     if not set(log.landmark_ids.tolist()) & set(before.landmark_ids.tolist()):
         others = _listed([each.name for each in before.sessions] or [before.name])
         raise GraphError(f"{log.name} and {others} share no landmark: do the ids mean the same ones in all of them?")
-    solution = solve(Graph.from_log(before, edges="landmark+motion", **models))
-    fix = first_fix(log, solution.map, **models)
+    fix = first_fix(log, known, **models)
     start = log.initial_poses[0]
     initial = compose(fix.pose, between(start, log.initial_poses))
     # without jumps of a full turn
@@ -163,7 +170,7 @@ def _listed(names: Sequence[str]) -> str:
     return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
 
 
-def join_robots(robots: Mapping[int, Log]) -> Sessions:
+def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
     """One log of several robots with a common clock, which see landmarks and each other.
 
     ``Graph.from_log(join_robots(robots).log)`` solves them together. The robots are put into one frame by the landmarks that
@@ -171,7 +178,9 @@ def join_robots(robots: Mapping[int, Log]) -> Sessions:
 
     Args:
         robots: {number: log}; sightings of robot N have the class "robot N". Logs differ in their noise models as robots do,
-            and have the means in the joined one (`sessions.with_common_noise`).
+            and have the means in the joined one (`sessions.with_common_noise`). Their clocks are the same, or made so
+            by `graphslam.clocks.clock_offsets`.
+        placed: as in `join_logs`.
 
     Raises:
         OptionError: these are no logs by their numbers.
@@ -192,8 +201,8 @@ def join_robots(robots: Mapping[int, Log]) -> Sessions:
         )
         for b, log in logs.items()
     }
-    landmarks = {n: log.with_sightings(~_of_robots(log)) for n, log in finer.items()}
-    joined = join_logs(list(landmarks.values()))
+    landmarks = {n: log.with_sightings(not_of_robots(log)) for n, log in finer.items()}
+    joined = join_logs(list(landmarks.values()), placed=placed)
     start = dict(zip(logs, joined.starts))
     found = []
     for (a, b), rows in met.items():
@@ -221,18 +230,25 @@ def relations_of(first: np.ndarray, second: np.ndarray, sightings: Array, sensor
     return PoseRelations(first=first, second=second, motions=motions, covariances=full)
 
 
-def _of_robots(log: Log) -> np.ndarray:
-    """Which sightings are of robots, (M,) bool."""
+def not_of_robots(log: Log) -> np.ndarray:
+    """Which sightings are of no robots, (M,) bool."""
     if log.classes is None or log.classes.dtype.kind != "U":
-        return np.zeros(len(log.steps), dtype=bool)
-    return np.char.startswith(log.classes, robot_class(0)[:-1])
+        return np.ones(len(log.steps), dtype=bool)
+    return ~np.char.startswith(log.classes, robot_class(0)[:-1])
+
+
+def meetings(log: Log, number: int) -> np.ndarray:
+    """The rows of the sightings of robot ``number``."""
+    if log.classes is None or log.classes.dtype.kind != "U":
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(log.classes == robot_class(number))
 
 
 def _meetings(log: Log, other: Log, number: int) -> np.ndarray:
     """The rows of the sightings of robot ``number`` while it drove."""
-    if log.classes is None or log.classes.dtype.kind != "U":
-        return np.zeros(0, dtype=np.int64)
-    rows = np.flatnonzero(log.classes == robot_class(number))
+    rows = meetings(log, number)
+    if not len(rows):
+        return rows
     at, known = _times(log)[rows], _known(other)
     return rows[(at >= known[0] - CLOCK) & (at <= known[-1] + CLOCK)]
 
@@ -250,7 +266,7 @@ def _times(log: Log) -> Array:
 
 def _never(logs: Mapping[int, Log]) -> str:
     """Why no robot saw another one."""
-    if not any(_of_robots(log).any() for log in logs.values()):
+    if all(not_of_robots(log).all() for log in logs.values()):
         classes = ", ".join(repr(robot_class(number)) for number in list(logs)[:2])
         return f"no sighting has the class of another robot ({classes}, ...): join_logs joins logs by their landmarks alone"
     spans = ", ".join(

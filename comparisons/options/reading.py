@@ -31,6 +31,7 @@ from graphslam import (
 from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
 from graphslam.calibration.estimate import robot_of
+from graphslam.clocks import ClockOffsets, clock_offsets
 from graphslam.errors import quoted
 from graphslam.files import check_file
 from graphslam.graph.landmark_map import as_map
@@ -177,7 +178,12 @@ def _joined_robots(robots: dict[int, Log], options: LogOptions) -> tuple[Log, di
     """All robots as one log with the same noise models, biases, and whether noise was estimated."""
     read = replace(options, format=None, keep_every=None, strict=False)
     known = {number: _with_noise(read_log(each, read)[0], options) for number, each in robots.items()}
-    joined = join_robots({number: data for number, (data, _, _) in known.items()}).log
+    logs, remarks = {number: data for number, (data, _, _) in known.items()}, list[str]()
+    offsets: ClockOffsets | None = None
+    with noted(remarks, "whether the clocks of the robots agree is not known"):
+        offsets = clock_offsets(logs)
+    joined = (join_robots(logs) if offsets is None else offsets.joined(logs)).log
+    joined = joined.replace(notes=(*joined.notes, *remarks))
     return joined, next(iter(known.values()))[1], any(found is not None for _, _, found in known.values())
 
 

@@ -157,6 +157,8 @@ class SolvedSession(Session):
         name: of the log.
         start: its first step among those of all logs.
         start_time: the time of that by its own clock [s].
+        clock_offset, clock_deviation: what is added to its times so that they are those of the first robot, and the standard
+            error [s]; null where that was not estimated.
         poses, sightings: their numbers.
         landmarks: number of landmarks it has seen.
         shared: number of these that another log has seen, too.

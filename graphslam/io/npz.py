@@ -9,7 +9,7 @@ column of NaN marks a landmark without heading), ``start_time``, and for logs wi
 ``doubts`` (N, 2), texts; ``relations_first``, ``relations_second``, ``relations_motions``, ``relations_covariances`` and
 ``positions_steps``, ``positions_places``, ``positions_covariances``, ``positions_levers``, the fields of `PoseRelations` and
 `AbsolutePositions`; ``partial_sightings_steps`` and so on, those of `PartialSightings`; ``uncertain`` (K, 2), names and
-numbers as texts; ``sessions`` (N, 3), names, steps and times as texts;
+numbers as texts; ``sessions`` (N, 5), the fields of each as texts;
 ``simulated``, where `simulate` made the log. No pickles.
 """
 
@@ -84,8 +84,8 @@ def _read(path: Path, options: ReadOptions) -> Log:
             uncertain={str(name): float(number) for name, number in content.get("uncertain", np.empty((0, 2)))} or None,
             simulated=bool(content.get("simulated", False)),
             sessions=tuple(
-                Session(str(name), int(start), float(time))
-                for name, start, time in content.get("sessions", np.empty((0, 3)))
+                Session(str(name), int(start), *(float(number) if number else None for number in numbers))
+                for name, start, *numbers in content.get("sessions", np.empty((0, 3)))
             ),
             name=path.stem,
         )
@@ -143,7 +143,9 @@ def _write(log: Log, path: Path) -> None:
     if log.uncertain:
         content["uncertain"] = np.array([(name, repr(float(number))) for name, number in log.uncertain.items()])
     if log.sessions:
-        content["sessions"] = np.array([(each.name, str(each.start), repr(each.start_time)) for each in log.sessions])
+        content["sessions"] = np.array(
+            [[*("" if value is None else str(value) for value in vars(each).values())] for each in log.sessions]
+        )
     for name, measured in log.measured.items():
         content |= {f"{name}_{f.name}": getattr(measured, f.name) for f in fields(measured)}
     for name in ("notes", "doubts"):

@@ -127,11 +127,17 @@ def whole_numbers(
 
 @dataclass(frozen=True)
 class Session:
-    """One of the drives, or robots, that a log was joined from: its name, its first step, and the time of that [s]."""
+    """One of the drives, or robots, that a log was joined from: its name, its first step, and the time of that [s].
+
+    ``clock_offset`` and ``clock_deviation`` are what is added to its times so that they are those of the first robot, and the
+    standard error [s] (`graphslam.clocks`); None where that was not estimated.
+    """
 
     name: str
     start: int
     start_time: float
+    clock_offset: float | None = None
+    clock_deviation: float | None = None
 
 
 def check_sessions(sessions: Sequence[Session], poses: int) -> None:
