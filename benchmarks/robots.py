@@ -3,8 +3,8 @@
     python benchmarks/robots.py [--data ../shared/data/mrclam6]
 
 The five robots of MR.CLAM 6, each with noise and biases estimated from its own log without the ground truth: alone, joined by
-their common landmarks, and with their sightings of each other. The ATE of each robot after its own alignment, and the time of
-the solves.
+their common landmarks, and with their sightings of each other; and with clocks that were set off, which are estimated or
+not. The ATE of each robot after its own alignment, and the processor time of the solves.
 """
 
 from __future__ import annotations
@@ -16,11 +16,15 @@ from pathlib import Path
 import numpy as np
 
 from graphslam import Graph, Log, Solution, solve
+from graphslam.clocks import clock_offsets
 from graphslam.identification.robot import known_robot
 from graphslam.io.formats import load_robots
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.sessions import join_robots
+
+#: how many seconds the clocks are set behind
+OFF = {2: 0.5, 3: -1.0, 4: 2.0, 5: 3.0}
 
 
 def solved(log: Log) -> tuple[Solution, float]:
@@ -51,11 +55,19 @@ def main() -> None:
     report("each robot alone", errors, total)
     joined = join_robots(robots).log
     assert joined.true_poses is not None
-    for name, log in (("joined by landmarks", joined.replace(relations=None)), ("and by each other", joined)):
+    late = {n: log.replace(start_time=log.start_time - OFF.get(n, 0.0)) for n, log in robots.items()}
+    begin = time.process_time()
+    right, found = clock_offsets(robots), clock_offsets(late)
+    print(f"clocks: {right.sentence}; set off by {OFF}, of which are found", end=" ")
+    print({n: round(found.seconds[n] - right.seconds[n], 3) for n in OFF}, f"{(time.process_time() - begin) / 2:.1f} s")
+    for name, log in (
+        ("joined by landmarks", joined.replace(relations=None)),
+        ("and by each other", joined),
+        ("clocks set off", join_robots(late).log),
+        ("and estimated", found.joined(late).log),
+    ):
         solution, seconds = solved(log)
-        errors = [
-            ate(joined.true_poses[drive], solution.poses[drive], mask=joined.covered[drive]) for drive in joined.drives
-        ]
+        errors = [ate(log.true_poses[drive], solution.poses[drive], mask=log.covered[drive]) for drive in log.drives]
         report(name, errors, seconds, f", {solution.certificate.status}")
 
 

@@ -1,8 +1,10 @@
 """`evaluate`: trajectories and maps of any program against the ground truth.
 
-A trajectory is a table of times and poses (CSV, TSV, TUM, Parquet), as `run` writes them; its rows may have the covariances
-of the poses in world axes, in the columns `graphslam.io.map_files.COVARIANCE`. Each pose of an estimate is compared with the
-truth at its time: between two true poses, on the arc that leads from one to the other.
+A trajectory is a table of times and poses (CSV, TSV, TUM, Parquet), as `run` writes them; its rows may have the
+covariances of the poses in world axes, in the columns `graphslam.io.map_files.COVARIANCE`. It is also the topic of a bag
+with poses, BAG:TOPIC where there are several, or an .npz archive of the arrays times (N,) [s], poses (N, 3) and, if
+known, covariances (N, 3, 3). Each pose of an estimate is compared with the truth at its time: between two true poses, on
+the arc that leads from one to the other.
 """
 
 from __future__ import annotations
@@ -17,9 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import LandmarkMap, LogError, OptionError, load
+from graphslam import FormatError, LandmarkMap, LogError, OptionError, load
+from graphslam.errors import named
+from graphslam.files import check_file, read_archive
+from graphslam.io.bag import SUFFIXES, is_bag, open_bag
+from graphslam.io.bag_poses import POSES, Poses
 from graphslam.io.map_files import COVARIANCE, UPPER
 from graphslam.log.drive import truth_of
+from graphslam.log.measurements import finite_floats, not_positive
 from graphslam.log.table import plain
 from graphslam.log.table_options import TableOptions
 from graphslam.log.text_table import PARQUET, TEXT, table_of
@@ -41,6 +48,8 @@ from .options import EvaluationOptions
 from .results.documents import Count
 from .results.saving import jsonable
 
+#: times that differ by at most this are the same [ns]
+ROUNDED = 1_000
 #: stands for the map of an estimate that has none
 NO_MAP = Path("-")
 #: the tables of all estimates in the options of tables, beside "truth"
@@ -199,9 +208,16 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
     Raises:
         LogError: it has no times or poses; with the line and the likely cause.
     """
+    bag, topic = _bag_of(path)
+    if bag is not None:
+        return _of_topic(bag, topic, name)
+    if path.suffix.lower() == ".npz":
+        check_file(path)
+        return _of_archive(path, name)
     if path.suffix.lower() not in (*TEXT, *PARQUET):
         raise LogError(
-            f"{path}: a trajectory is a table ({', '.join((*TEXT, *PARQUET))}) with columns t, x, y and theta"
+            f"{path}: a trajectory is a table ({', '.join((*TEXT, *PARQUET))}) with columns t, x, y and theta, a topic of a "
+            "bag, or an .npz archive"
         )
     table = table_of(path, "trajectory")
     timed = truth_of(table, options)
@@ -223,10 +239,60 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
     return Trajectory(name, timed.times, poses, covariances, timed.notes)
 
 
+def _bag_of(path: Path) -> tuple[Path | None, str]:
+    """The bag of a path BAG or BAG:TOPIC, None for what is no bag, and the topic."""
+    whole, _, topic = str(path).partition(":")
+    for each, name in ((path, ""), (Path(whole), f"/{topic.lstrip('/')}")):
+        # a path has lost the slash after the colon only where the name of the topic has none
+        if each.suffix.lower() in SUFFIXES or (each.is_dir() and is_bag(each, b"")):
+            if not each.exists():
+                raise FormatError(each, None, "there is no such file")
+            return each, name if each is not path else ""
+    return None, ""
+
+
+def _of_topic(path: Path, topic: str, name: str) -> Trajectory:
+    """The poses of a topic of a bag; covariances that are zero are none."""
+    with open_bag(path) as bag:
+        offered = [each for each in bag.topics if each.type in POSES and each.count]
+        chosen = [each for each in offered if each.name == topic] if topic else offered
+        if len(chosen) != 1:
+            names = named(each.name for each in offered)
+            what = f"there is no topic {topic} of poses" if topic else "several topics have poses" if offered else ""
+            hint = f": it has {names}; name one, as in {path.name}:{offered[0].name}" if offered else ""
+            raise FormatError(path, None, f"{what or 'no topic has poses'}{hint}")
+        found = Poses(f"{path}: {chosen[0].name}", "positions", chosen[0].type)
+        for _, time, message in bag.messages([chosen[0].name]):
+            found.add(time, message)
+    times, first = np.unique(found.times, return_index=True)
+    poses, covariances, _ = (each[first] for each in found.poses())
+    return Trajectory(name, times, poses, None if not_positive(covariances).any() else covariances)
+
+
+def _of_archive(path: Path, name: str) -> Trajectory:
+    """The arrays times, poses and covariances of an .npz archive."""
+    arrays = read_archive(path, "a trajectory")
+    if not {"times", "poses"} <= arrays.keys():
+        which = "it is a log" if "steps" in arrays else f"it has {named(arrays) or 'nothing'}"
+        raise FormatError(
+            path, None, f"a trajectory in .npz has the arrays times [s] and poses (x, y, theta), and {which}"
+        )
+    times = np.round(finite_floats("times", arrays["times"], (None,)) * 1e9).astype(np.int64)
+    poses = finite_floats("poses", arrays["poses"], (len(times), 3))
+    covariances = arrays.get("covariances")
+    if covariances is not None:
+        covariances = finite_floats("covariances", covariances, (len(times), 3, 3))
+    if np.any(np.diff(times) <= 0):
+        raise FormatError(path, None, "the times must increase")
+    return Trajectory(name, times, poses, covariances)
+
+
 def _truth(path: Path, options: TableOptions) -> tuple[Trajectory, Mapping[int, Array] | None]:
     """The true trajectory, and the true map of a log."""
-    if path.suffix.lower() in (*TEXT, *PARQUET):
+    if path.suffix.lower() in (*TEXT, *PARQUET) or (_bag_of(path)[1] and _bag_of(path)[0] != path):
         return read_trajectory(path, path.stem, options), None
+    if path.suffix.lower() == ".npz" and path.is_file() and "poses" in read_archive(path, "a trajectory"):
+        return _of_archive(path, path.stem), None
     log = load(path)
     if log.true_poses is None or log.times is None:
         raise LogError(f"{path}: the log has no true poses with times")
@@ -258,10 +324,17 @@ def _evaluated(
     known = np.isfinite(right[:, 0])
     if np.count_nonzero(known) < 2:
         spans = [f"{each.times[0] / 1e9:.3f} to {each.times[-1] / 1e9:.3f} s" for each in (truth, estimate)]
+        apart = np.median(np.diff(truth.times)) / 1e9 if len(truth.times) > 1 else 0.0
+        if apart > options.longest_gap:
+            remedy = f"True poses are {apart:.3g} s apart: --longest-gap {apart:.3g} interpolates between them"
+        else:
+            remedy = (
+                "If their clocks begin at different moments, write the times of one by that of the other "
+                "(--clocks estimates=SECONDS)"
+            )
         raise LogError(
             f"{estimate.name}: {np.count_nonzero(known)} of {len(known)} poses are at a time at which the truth is known; "
-            f"the truth goes from {spans[0]}, the estimate from {spans[1]}. If their clocks begin at different moments, "
-            "write the times of one by that of the other; --longest-gap allows longer gaps between true poses"
+            f"the truth goes from {spans[0]}, the estimate from {spans[1]}. {remedy}"
         )
     poses, at = estimate.poses[known], right[known]
     placement = align(at, poses)
@@ -294,15 +367,16 @@ def _at(truth: Trajectory, times: np.ndarray, longest_gap: float) -> Array:
     after = np.clip(np.searchsorted(truth.times, times), 1, len(truth.times) - 1) if len(truth.times) > 1 else 0 * times
     before = np.maximum(after - 1, 0)
     begin, end = truth.times[before], truth.times[after]
-    share = (times - begin) / np.maximum(end - begin, 1)
+    share = np.clip((times - begin) / np.maximum(end - begin, 1), 0.0, 1.0)
     a, b = truth.poses[before], truth.poses[after]
     # without headings, on the line between both positions
     flat = ~np.isfinite(a[:, 2] + b[:, 2])
     found = interpolate(np.where(flat[:, None], [0.0, 0.0, 0.0], a), np.where(flat[:, None], [0.0, 0.0, 0.0], b), share)
     found[flat, :2] = a[flat, :2] + share[flat, None] * (b - a)[flat, :2]
     found[flat, 2] = np.nan
-    inside = (times >= truth.times[0]) & (times <= truth.times[-1])
-    exact = (times == begin) | (times == end)
+    inside = (times >= truth.times[0] - ROUNDED) & (times <= truth.times[-1] + ROUNDED)
+    # to the rounding of times since 1970 in other programs
+    exact = (np.abs(times - begin) <= ROUNDED) | (np.abs(times - end) <= ROUNDED)
     found[~inside | ((end - begin > longest_gap * 1e9) & ~exact)] = np.nan
     return found
 
@@ -324,6 +398,8 @@ def _nees(truth: Array, poses: Array, covariances: Array | None) -> float | None
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """The names of the files without their endings, with the folder where two are alike."""
-    stems = [path.stem for path in paths]
-    return [str(Path(p.parent.name) / p.stem) if stems.count(p.stem) > 1 else p.stem for p in paths]
+    """The names of the files without their endings; with these, and with the folder, where two are alike."""
+    names = [path.stem for path in paths]
+    for longer in (lambda p: p.name, lambda p: str(Path(p.parent.name) / p.name)):
+        names = [longer(p) if names.count(name) > 1 else name for p, name in zip(paths, names)]
+    return names

@@ -118,9 +118,13 @@ def evaluate(
     output: Output,
     truth: Annotated[
         Path,
-        typer.Argument(metavar="TRUTH", help="The true poses: a table (.csv, .tum, ...), or a log with ground truth."),
+        typer.Argument(
+            metavar="TRUTH", help="The true poses: a table (.csv, .tum, ...), BAG:TOPIC, or a log with ground truth."
+        ),
     ],
-    estimates: Annotated[list[Path], typer.Argument(metavar="ESTIMATE ...", help="Tables of estimated poses.")],
+    estimates: Annotated[
+        list[Path], typer.Argument(metavar="ESTIMATE ...", help="Estimated poses: tables, bags or BAG:TOPIC, or .npz.")
+    ],
     *,
     options: EvaluationOptions,
     drawing: FigureOptions,
@@ -128,12 +132,14 @@ def evaluate(
     """Compare trajectories and maps of any program with the ground truth.
 
     A trajectory is a table with columns t, x, y and theta, or a quaternion; TUM files are read as they are. Covariances of
-    the poses in the columns var_x, cov_xy, var_y, cov_x_heading, cov_y_heading and var_heading give the NEES. The options of
-    tables hold for all of them, or with truth=... and estimates=... for one kind.
+    the poses in the columns var_x, cov_xy, var_y, cov_x_heading, cov_y_heading and var_heading give the NEES. It is also a
+    topic of a bag, BAG:TOPIC, or an .npz archive of the arrays times, poses and covariances. The options of tables hold for
+    all of them, or with truth=... and estimates=... for one kind.
 
     Examples:
         slam-compare evaluate truth.tum mine.tum theirs.csv --figure errors.png
-        slam-compare evaluate LOG mine.tum --maps mine-map.csv
+        slam-compare evaluate LOG mine.tum --map mine-map.csv
+        slam-compare evaluate LOG run.mcap:/graph/pose --json -
         slam-compare evaluate truth.csv mine.csv --angles truth=degrees --json -
     """
     from ..evaluation import evaluate as compare

@@ -32,7 +32,7 @@ from ..se2 import Array, between, compose, turn_matrix
 from .bag_messages import Frames, clean, rotation_of
 
 #: the types that are read, and where their poses and covariances are
-_POSES = {
+POSES = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": "pose",
     "nav_msgs/msg/Odometry": "pose",
     "geometry_msgs/msg/PoseStamped": "",
@@ -67,7 +67,7 @@ class Poses:
     """
 
     def __init__(self, source: str, kind: str, type: str) -> None:
-        fits = [*_POSES, _FIX] if kind == "positions" else list(_POSES)
+        fits = [*POSES, _FIX] if kind == "positions" else list(POSES)
         if type not in fits:
             known = ", ".join(each.partition("/msg/")[2] for each in fits)
             raise FormatError(source, None, f"its messages, {type}, give no {kind}; {known} do")

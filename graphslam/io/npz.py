@@ -84,8 +84,8 @@ def _read(path: Path, options: ReadOptions) -> Log:
             uncertain={str(name): float(number) for name, number in content.get("uncertain", np.empty((0, 2)))} or None,
             simulated=bool(content.get("simulated", False)),
             sessions=tuple(
-                Session(str(name), int(start), *(float(number) if number else None for number in numbers))
-                for name, start, *numbers in content.get("sessions", np.empty((0, 3)))
+                Session(str(name), int(start), float(time), *(float(number) if number else None for number in clock))
+                for name, start, time, *clock in content.get("sessions", np.empty((0, 3)))
             ),
             name=path.stem,
         )

@@ -190,3 +190,58 @@ def test_impossible_input_is_refused_with_a_sentence(truth: Path, tmp_path: Path
     gap[7] = np.nan
     with pytest.raises(LogError, match="rows with covariances must be in the order of time, and each needs a pose"):
         comparisons.evaluate(truth, written(tmp_path / "gap.csv", TIMES, gap, np.zeros((len(TRUE), 3, 3))))
+
+
+def test_tables_archives_and_bags_of_one_estimate_have_the_same_errors(truth: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    rng = np.random.default_rng(0)
+    C = np.diag([0.01, 0.02, 0.001])
+    poses = TRUE + rng.multivariate_normal(np.zeros(3), C, len(TIMES))
+    covariances = np.tile(C, (len(TIMES), 1, 1))
+    table = written(tmp_path / "mine.csv", TIMES, poses, covariances)
+    np.savez(tmp_path / "mine.npz", times=TIMES, poses=poses, covariances=covariances)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    make = {name.rpartition("/")[2]: store.types[name] for name in store.types}
+    whole = np.zeros((6, 6))
+    whole[np.ix_([0, 1, 5], [0, 1, 5])] = C
+    with Writer(tmp_path / "mine", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+        topics = [writer.add_connection(name, kind, typestore=store) for name in ("/mine", "/other/pose")]
+        for t, (x, y, theta) in zip(TIMES, poses):
+            # a nanosecond off, as clocks of other programs round
+            ns = round(t * 1e9) + 1
+            stamp = make["Time"](sec=ns // 10**9, nanosec=ns % 10**9)
+            turn = make["Quaternion"](x=0.0, y=0.0, z=float(np.sin(theta / 2)), w=float(np.cos(theta / 2)))
+            pose = make["Pose"](position=make["Point"](x=float(x), y=float(y), z=0.0), orientation=turn)
+            inner = make["PoseWithCovariance"](pose=pose, covariance=whole.ravel())
+            message = make["PoseWithCovarianceStamped"](header=make["Header"](stamp=stamp, frame_id="map"), pose=inner)
+            for topic in topics:
+                writer.write(topic, ns, store.serialize_cdr(message, kind))
+    bag = f"{tmp_path / 'mine'}:/mine"
+    found = comparisons.evaluate(truth, table, tmp_path / "mine.npz", bag).estimates
+    assert [each.name for each in found[:2]] == ["mine.csv", "mine.npz"]
+    for each in found[1:]:
+        assert each.ate_m == pytest.approx(found[0].ate_m, rel=1e-6)
+        assert each.nees == pytest.approx(found[0].nees, rel=1e-6)
+    assert found[0].nees == pytest.approx(1.0, abs=4 * np.sqrt(2 / (3 * len(TIMES))))
+    assert comparisons.evaluate(bag, table).estimates[0].ate_m == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(
+        FormatError, match=r"several topics have poses: it has /mine, /other/pose; name one, as in mine:/mine"
+    ):
+        comparisons.evaluate(truth, tmp_path / "mine")
+    with pytest.raises(FormatError, match=r"there is no topic /his of poses: it has /mine"):
+        comparisons.evaluate(truth, f"{tmp_path / 'mine'}:/his")
+    np.savez(tmp_path / "wrong.npz", t=TIMES)
+    with pytest.raises(FormatError, match=r"has the arrays times \[s\] and poses \(x, y, theta\), and it has t"):
+        comparisons.evaluate(truth, tmp_path / "wrong.npz")
+
+
+def test_gaps_of_the_truth_are_named_where_they_are_the_reason(tmp_path: Path) -> None:
+    rare = tmp_path / "rare.tum"
+    rare.write_text(tum_text(TIMES[::50], TRUE[::50]))
+    mine = written(tmp_path / "mine.csv", TIMES + 0.01, TRUE)
+    with pytest.raises(LogError, match=r"True poses are 5 s apart: --longest-gap 5 interpolates"):
+        comparisons.evaluate(rare, mine)

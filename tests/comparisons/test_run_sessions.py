@@ -93,19 +93,26 @@ def test_logs_that_share_nothing_are_refused_in_one_sentence(invoke: Invoke, fil
 
 
 def test_the_robots_of_a_data_set_are_solved_together_unless_one_is_named(invoke: Invoke, tmp_path: Path) -> None:
-    log = simulate(seed=4, steps=40, clean=True, motion=QUIET, orientation=False)
-    assert log.dt is not None and log.controls is not None and log.times is not None
-    barcodes = {j: 50 + j for j in log.landmark_ids.tolist()}
+    starts = {1: (0.0, -3.0, 0.0), 2: (0.0, 3.0, 2.0)}
+    logs = {
+        n: simulate(seed=n, steps=40, clean=True, motion=QUIET, orientation=False, start=start)
+        for n, start in starts.items()
+    }
+    barcodes = {j: 50 + j for j in (logs[1].true_landmarks or {})}
     (tmp_path / "set").mkdir()
     rows = [(1, 5), (2, 14), *((6 + j, code) for j, code in barcodes.items())]
     (tmp_path / "set/Barcodes.dat").write_text("".join(f"{subject} {code}\n" for subject, code in rows))
     for robot, other in ((1, 14), (2, 5)):
+        log, seen_robot = logs[robot], logs[3 - robot]
+        assert log.times is not None and log.controls is not None
+        assert log.true_poses is not None and seen_robot.true_poses is not None
         drive = np.column_stack([log.times, np.append(log.controls, [[0, 0]], axis=0)])
         np.savetxt(tmp_path / f"set/Robot{robot}_Odometry.dat", drive)
         codes = [barcodes[j] for j in log.landmarks.tolist()]
         seen = np.column_stack([log.times[log.steps], codes, log.sightings])
-        # both drive the same way, one a metre beside the other
-        met = [(10.0 * k, other, 1.0, np.pi / 2 if robot == 1 else -np.pi / 2) for k in range(1, 10)]
+        at = np.arange(3, 36, 4)[:9]
+        z = SensorModel().h(log.true_poses[at], seen_robot.true_poses[at][:, :2])
+        met = np.column_stack([log.times[at], np.full(9, other), z])
         np.savetxt(
             tmp_path / f"set/Robot{robot}_Measurement.dat",
             np.concatenate([seen, met])[np.argsort([*seen[:, 0], *(m[0] for m in met)], kind="stable")],
