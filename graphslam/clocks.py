@@ -145,6 +145,8 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
             each = np.where(inside, np.log1p((apart[0] ** 2 + apart[1] ** 2) / scale), 0.0)
             seen = inside.sum(axis=0)
             # offsets that leave most sightings without a pose say nothing
+            if not np.any(seen > 0.5 * len(rows)):
+                continue
             cost = np.where(seen > 0.5 * len(rows), each.sum(axis=0) / np.maximum(seen, 1), each.max()) * len(rows)
             # by d_b - d_a: the time of b is t_a + d_a - d_b
             pair, turned = ((a, b), cost[::-1]) if a < b else ((b, a), cost)
@@ -157,7 +159,8 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
         n = max(met, key=lambda each: met[each])
         if met[n] < FEWEST:
             raise LogError(
-                f"robot {n} and the others saw each other {met[n]} times, and the offset of its clock takes {FEWEST}"
+                f"robot {n} and the others saw each other {met[n]} times with clocks that differ by at most {REACH:g} s, and "
+                f"the offset of its clock takes {FEWEST}"
             )
         found[n] = float(grid[np.argmin(_cost_of(n, found, grid, costs))])
     for n in logs:

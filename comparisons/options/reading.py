@@ -151,6 +151,9 @@ def _joined(
     logs: Sequence[LogOrPath], options: LogOptions
 ) -> tuple[Log, tuple[Path | None, ...], dict[str, float], bool]:
     """Several logs as one with the same noise models for all, their files, biases, and whether noise was estimated."""
+    paths = [Path(each).absolute() for each in logs if isinstance(each, (str, PathLike))]
+    if twice := [path for k, path in enumerate(paths) if path in paths[:k]]:
+        raise OptionError(f"{twice[0].name} is named twice; its sightings would count twice, so name each log once")
     read = [read_log(each, options) for each in logs]
     known = [_with_noise(data, options) for data, _ in read]
     joined = join_logs(with_common_noise([data for data, _, _ in known])).log

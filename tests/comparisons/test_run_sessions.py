@@ -90,6 +90,10 @@ def test_logs_that_share_nothing_are_refused_in_one_sentence(invoke: Invoke, fil
     result = invoke("run", files[0], "far.npz")
     assert result.exit_code == 2
     assert result.stderr == "error: far and day1 share no landmark: do the ids mean the same ones in all of them?\n"
+    twice = invoke("run", files[0], files[1], files[0])
+    assert twice.exit_code == 2 and twice.stderr.startswith(
+        "error: day1.npz is named twice; its sightings would count twice"
+    )
 
 
 def test_the_robots_of_a_data_set_are_solved_together_unless_one_is_named(invoke: Invoke, tmp_path: Path) -> None:

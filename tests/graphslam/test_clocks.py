@@ -107,6 +107,8 @@ def test_too_few_meetings_are_said() -> None:
     few = {1: robots[1].with_sightings(kept), 2: robots[2].with_sightings(robots[2].classes == "")}
     few[1] = few[1].with_sightings((few[1].classes == "") | (np.cumsum(few[1].classes == "robot 2") < 4))
     with pytest.raises(
-        LogError, match="robot 2 and the others saw each other 3 times, and the offset of its clock takes 5"
+        LogError, match="robot 2 and the others saw each other 3 times with clocks that differ by at most 20 s"
     ):
         clock_offsets(few)
+    with pytest.raises(LogError, match="robot 3 and the others saw each other 0 times"):
+        clock_offsets(late(team(4), {3: 1e5}))
