@@ -4,6 +4,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+# compiling every module takes longer than installing them, and 90 MB; Python compiles those that are imported, and keeps them
+FETCH := $(PIP) install --no-compile
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: compare test test-all check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
 
@@ -34,20 +37,25 @@ lint: .venv/.installed-test
 
 # cmake, ninja and a compiler come from PyPI where the machine has none; they stay, so that later builds take seconds
 .venv/.tools: engine/build_backend.py | .venv/bin/python
-	$(PIP) install 'scikit-build-core>=0.11' 'nanobind>=2.4'
-	$(BIN)/python engine/build_backend.py | $(PIP) install --requirement /dev/stdin
+	$(FETCH) 'scikit-build-core>=0.11' 'nanobind>=2.4'
+	$(BIN)/python engine/build_backend.py | $(FETCH) --requirement /dev/stdin
 	@touch $@
 
 # pip runs again when the requirements or the engine change; a stamp is written only when everything is installed
 ENGINE := $(shell find engine -name '*.[ch]pp' -o -name CMakeLists.txt)
-INSTALL = @echo "Installing packages and building the engine: $(1)" && $(PIP) install --no-build-isolation --editable '$(1)'
+# packages are fetched while the engine is built; its steps are shown, and all of its output if it fails
+INSTALL = @echo "Installing packages and building the engine"; mkdir -p build; rm -f build/failed; \
+	$(BIN)/python engine/build_backend.py '$(1)' | $(FETCH) --requirement /dev/stdin & \
+	{ $(BIN)/python -m pip --verbose install --no-build-isolation --no-deps --editable . 2>&1 || touch build/failed; } \
+		| tee build/output | grep --line-buffered -o '\[[0-9]*/[0-9]*\]'; \
+	wait $$! && { test ! -e build/failed || { cat build/output >&2; false; }; }
 
 .venv/.installed: pyproject.toml $(ENGINE) .venv/.tools
-	$(call INSTALL,.)
+	$(call INSTALL,)
 	@touch $@
 
 .venv/.installed-test: pyproject.toml $(ENGINE) .venv/.tools
-	$(call INSTALL,.[test])
+	$(call INSTALL,test)
 	@touch $@ .venv/.installed
 
 # a wheel as it would be published, for every processor, in an environment that has nothing else; used once on the sample log
@@ -74,7 +82,7 @@ engine-fuzz: build/engine-test/CMakeCache.txt
 # formatting and static analysis of the engine; the versions are fixed, because other ones format differently
 engine-lint: .venv/.engine-lint
 	$(BIN)/clang-format --style=file:engine/.clang-format --dry-run --Werror $$(git ls-files '*.cpp' '*.hpp')
-	cmake -S engine -B build/engine-lint -DCMAKE_EXPORT_COMPILE_COMMANDS=ON -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON
+	cmake -S engine -B build/engine-lint -DCMAKE_EXPORT_COMPILE_COMMANDS=ON -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON -DVMSLAM_UNITY=OFF
 	git ls-files 'engine/sources/*.cpp' | xargs -P 2 -n 4 \
 		$(BIN)/clang-tidy -p build/engine-lint --quiet --header-filter=vmslam
 
@@ -108,7 +116,7 @@ docs-check: .venv/.installed-docs .venv/.installed
 	NO_MKDOCS_2_WARNING=1 SITE_SECONDS=$${SITE_SECONDS:-30} $(BIN)/mkdocs build --strict --quiet --site-dir .cache/site-check
 
 .venv/.installed-docs: pyproject.toml $(ENGINE) .venv/.tools
-	$(call INSTALL,.[docs])
+	$(call INSTALL,docs)
 	@touch $@ .venv/.installed
 
 clean:

@@ -1,7 +1,8 @@
 """The build backend: scikit-build-core, and a compiler from PyPI (ziglang) where the machine has none.
 
 ``python engine/build_backend.py`` prints the requirements of a build, which the Makefile installs beforehand so that later
-builds compile only what changed.
+builds compile only what changed; with the name of an extra, or an empty one, those of the package, which it installs while
+the engine is built.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -145,5 +147,11 @@ def _digest(content: bytes) -> str:
     return base64.urlsafe_b64encode(hashlib.sha256(content).digest()).rstrip(b"=").decode()
 
 
+def _packages(extra: str) -> list[str]:
+    """What the package needs, with one of its extras or with none ("")."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return [*project["dependencies"], *(project["optional-dependencies"][extra] if extra else [])]
+
+
 if __name__ == "__main__":
-    print(*_extra(), sep="\n")
+    print(*(_packages(sys.argv[1]) if len(sys.argv) > 1 else _extra()), sep="\n")

@@ -10,8 +10,7 @@
 #include "vmslam/association/search.hpp"
 #include "vmslam/association/views.hpp"
 
-namespace vmslam::python {
-namespace {
+namespace vmslam::python::association_bindings {
 
 using namespace association;
 
@@ -101,12 +100,10 @@ nb::tuple grown(const In<Number>& begin, const In<Number>& items, const In<Numbe
     return nb::make_tuple(flags, array(std::move(evidence)), array(std::move(second), {rows, second_pairs}));
 }
 
-}  // namespace
-
-void bind_association(nb::module_& m) {
+void bind(nb::module_& m) {
     m.def("count_views", &views);
     m.def("best_hypothesis", &best);
     m.def("grow_hypotheses", &grown);
 }
 
-}  // namespace vmslam::python
+}  // namespace vmslam::python::association_bindings

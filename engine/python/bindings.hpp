@@ -1,17 +1,36 @@
+// A namespace for each file of bindings: several of them are compiled as one.
 #pragma once
 
 #include <nanobind/nanobind.h>
 
 namespace vmslam::python {
 
-void bind_association(nanobind::module_& module);
-void bind_certificate(nanobind::module_& module);
-void bind_edges(nanobind::module_& module);
-void bind_factors(nanobind::module_& module);
-void bind_filters(nanobind::module_& module);
-void bind_gibbs(nanobind::module_& module);
-void bind_online(nanobind::module_& module);
-void bind_solve(nanobind::module_& module);
-void bind_sparse(nanobind::module_& module);
+namespace association_bindings {
+void bind(nanobind::module_& module);
+}
+namespace certificate_bindings {
+void bind(nanobind::module_& module);
+}
+namespace edges_bindings {
+void bind(nanobind::module_& module);
+}
+namespace factors_bindings {
+void bind(nanobind::module_& module);
+}
+namespace filters_bindings {
+void bind(nanobind::module_& module);
+}
+namespace gibbs_bindings {
+void bind(nanobind::module_& module);
+}
+namespace online_bindings {
+void bind(nanobind::module_& module);
+}
+namespace solve_bindings {
+void bind(nanobind::module_& module);
+}
+namespace sparse_bindings {
+void bind(nanobind::module_& module);
+}
 
 }  // namespace vmslam::python

@@ -10,8 +10,7 @@
 #include "vmslam/certificate/minorant.hpp"
 #include "vmslam/certificate/proof.hpp"
 
-namespace vmslam::python {
-namespace {
+namespace vmslam::python::certificate_bindings {
 
 using namespace certificate;
 using sparse::Node;
@@ -132,11 +131,9 @@ void bind_proof(nb::module_& m) {
     });
 }
 
-}  // namespace
-
-void bind_certificate(nb::module_& m) {
+void bind(nb::module_& m) {
     bind_candidate(m);
     bind_proof(m);
 }
 
-}  // namespace vmslam::python
+}  // namespace vmslam::python::certificate_bindings

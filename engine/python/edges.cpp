@@ -15,8 +15,7 @@
 #include "vmslam/solve/objective.hpp"
 #include "vmslam/solve/start.hpp"
 
-namespace vmslam::python {
-namespace {
+namespace vmslam::python::edges_bindings {
 
 using namespace edges;
 using release = nb::call_guard<nb::gil_scoped_release>;
@@ -181,12 +180,10 @@ void bind_starts(nb::module_& m) {
     });
 }
 
-}  // namespace
-
-void bind_edges(nb::module_& m) {
+void bind(nb::module_& m) {
     bind_families(m);
     bind_kernels(m);
     bind_starts(m);
 }
 
-}  // namespace vmslam::python
+}  // namespace vmslam::python::edges_bindings

@@ -10,8 +10,7 @@
 #include "vmslam/factors/landmark.hpp"
 #include "vmslam/factors/relative_edges.hpp"
 
-namespace vmslam::python {
-namespace {
+namespace vmslam::python::factors_bindings {
 
 using namespace factors;
 
@@ -76,11 +75,9 @@ void bind_pairs(nb::module_& m) {
         });
 }
 
-}  // namespace
-
-void bind_factors(nb::module_& m) {
+void bind(nb::module_& m) {
     bind_whitened(m);
     bind_pairs(m);
 }
 
-}  // namespace vmslam::python
+}  // namespace vmslam::python::factors_bindings

@@ -14,8 +14,7 @@
 #include "bindings.hpp"
 #include "vmslam/particles/filter.hpp"
 
-namespace vmslam::python {
-namespace {
+namespace vmslam::python::filters_bindings {
 
 using namespace particles;
 using Numbers = In<double>;
@@ -351,9 +350,7 @@ void bind_random(nb::module_& m) {
     });
 }
 
-}  // namespace
-
-void bind_filters(nb::module_& m) {
+void bind(nb::module_& m) {
     nb::class_<SharedFilter> filter(m, "ParticleFilter");
     filter.def(nb::init<const Numbers&, std::size_t, bool>());
     bind_motion(filter);
@@ -369,4 +366,4 @@ void bind_filters(nb::module_& m) {
     bind_random(m);
 }
 
-}  // namespace vmslam::python
+}  // namespace vmslam::python::filters_bindings

@@ -10,8 +10,7 @@
 #include "vmslam/gibbs/backward.hpp"
 #include "vmslam/gibbs/chain.hpp"
 
-namespace vmslam::python {
-namespace {
+namespace vmslam::python::gibbs_bindings {
 
 using namespace gibbs;
 using Index = std::int64_t;
@@ -212,9 +211,7 @@ class SharedBackward {
     BackwardSampler sampler_;
 };
 
-}  // namespace
-
-void bind_gibbs(nb::module_& m) {
+void bind(nb::module_& m) {
     nb::class_<Problem>(m, "GibbsProblem")
         .def("__init__",
              [](Problem* at, In<double> motions, In<double> information, In<Index> first, In<Index> marks, In<double> y,
@@ -240,4 +237,4 @@ void bind_gibbs(nb::module_& m) {
         .def_prop_ro("accepted", &SharedChain::accepted);
 }
 
-}  // namespace vmslam::python
+}  // namespace vmslam::python::gibbs_bindings

@@ -10,8 +10,7 @@
 #include "bindings.hpp"
 #include "vmslam/online/system.hpp"
 
-namespace vmslam::python {
-namespace {
+namespace vmslam::python::online_bindings {
 
 using namespace online;
 using Numbers32 = std::vector<Number>;
@@ -46,9 +45,7 @@ Out<double> triples(const std::vector<Triple>& rows) {
     return array(std::move(flat), {rows.size(), 3});
 }
 
-}  // namespace
-
-void bind_online(nb::module_& m) {
+void bind(nb::module_& m) {
     nb::class_<OnlineSystem>(m, "OnlineSystem")
         .def(nb::init<double, int>())
         .def("use_kernel", [](OnlineSystem& s, int kind, double width,
@@ -112,4 +109,4 @@ void bind_online(nb::module_& m) {
         });
 }
 
-}  // namespace vmslam::python
+}  // namespace vmslam::python::online_bindings

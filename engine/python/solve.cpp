@@ -10,8 +10,7 @@
 #include "bindings.hpp"
 #include "vmslam/solve/run.hpp"
 
-namespace vmslam::python {
-namespace {
+namespace vmslam::python::solve_bindings {
 
 using namespace solve;
 using Factor = sparse::Factor<sparse::Real3>;
@@ -170,11 +169,9 @@ void bind_runs(nb::module_& m) {
     m.def("inner", [](In<double> a, In<double> b) { return inner(span(a), span(b)); });
 }
 
-}  // namespace
-
-void bind_solve(nb::module_& m) {
+void bind(nb::module_& m) {
     bind_objectives(m);
     bind_runs(m);
 }
 
-}  // namespace vmslam::python
+}  // namespace vmslam::python::solve_bindings

@@ -13,8 +13,7 @@
 #include "vmslam/sparse/pattern.hpp"
 #include "vmslam/sparse/separator.hpp"
 
-namespace vmslam::python {
-namespace {
+namespace vmslam::python::sparse_bindings {
 
 using namespace sparse;
 using release = nb::call_guard<nb::gil_scoped_release>;
@@ -140,9 +139,7 @@ void bind_inverse(nb::module_& m) {
         });
 }
 
-}  // namespace
-
-void bind_sparse(nb::module_& m) {
+void bind(nb::module_& m) {
     bind_patterns(m);
     bind_orders(m);
     bind_symbolic(m);
@@ -151,4 +148,4 @@ void bind_sparse(nb::module_& m) {
     bind_inverse(m);
 }
 
-}  // namespace vmslam::python
+}  // namespace vmslam::python::sparse_bindings

@@ -3,9 +3,6 @@
 namespace vmslam::gibbs {
 namespace {
 
-/// Gauss-Newton steps to the Gaussian of the candidates.
-constexpr int fits = 3;
-
 /// The information on a displacement of the end of a motion, in the axes there, from the motion's prior.
 Information prior_at(const Vector& middle, const Motion& motion) {
     const Rotation back = rotation(-middle.t);
@@ -60,6 +57,7 @@ void Pivots::find_shared(Number t) {
 }
 
 Pivots::Fit Pivots::fit(Number t, const Frame& start) const {
+    constexpr int fits = 3;  // Gauss-Newton steps to the Gaussian of the candidates
     Fit fit{guess_[t - 1], {}, {}};
     for (int k = 0; k < fits; ++k) {
         if (k > 0) fit.middle = composed(Frame(fit.middle), fit.mean);

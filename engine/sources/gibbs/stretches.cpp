@@ -6,8 +6,6 @@
 namespace vmslam::gibbs {
 namespace {
 
-/// Gauss-Newton steps to the path about which the guide is linearised.
-constexpr int fits = 2;
 /// Particles are resampled below this share of N.
 constexpr double least_share = 0.5;
 
@@ -57,6 +55,7 @@ class Stretch {
 
     /// The path of the guide: first that of the guessed motions, then that of the means of the proposals.
     void linearise(std::span<const Vector> guess) {
+        constexpr int fits = 2;  // Gauss-Newton steps to the path about which the guide is linearised
         guide_.middle.resize(size());
         Frame pose(x_[begin_ - 1]);
         for (Number i = 0; i < size(); ++i) guide_.middle[i] = pose = Frame(composed(pose, guess[begin_ - 1 + i]));

@@ -9,7 +9,6 @@ namespace vmslam::particles {
 
 namespace {
 
-constexpr double infinity = std::numeric_limits<double>::infinity();
 /// A landmark is missed only within this share of the limits of the sensor.
 constexpr double inside = 0.9;
 /// The share of the variances of a single sighting by which landmarks that are one may differ in any case.

@@ -6,8 +6,6 @@ using namespace numbers;
 
 namespace {
 
-constexpr double infinity = std::numeric_limits<double>::infinity();
-
 Gaussian landmark_of(const Blocks& rows, std::size_t first) { return read_gaussian(rows, true, first); }
 
 /// Whether sightings may belong to a landmark: range and bearing are each tested alone, e² <= gate * (the entry on the

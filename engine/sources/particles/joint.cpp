@@ -12,15 +12,6 @@ using namespace numbers;
 
 namespace {
 
-constexpr double infinity = std::numeric_limits<double>::infinity();
-/// Gauss-Newton steps from the mean before the sighting to the mode.
-constexpr int steps = 5;
-/// Points in each direction, for the density of the standard normal distribution, and their weights.
-constexpr int nodes = 5;
-constexpr std::array<double, nodes> node{-2.8569700138728056, -1.355626179974266, 0.0, 1.355626179974266, 2.8569700138728056};
-constexpr std::array<double, nodes> weight{0.011257411327720677, 0.22207592200561257, 0.5333333333333335, 0.22207592200561257,
-                                           0.011257411327720677};
-
 /// Range and bearing of a position from a pose, and how far the sighting is off.
 struct Offset {
     Lanes r2, r, direction, e0, e1;
@@ -94,6 +85,7 @@ void Seen::add(Normal& sums, std::size_t k, const Lanes& x, const Lanes& y) cons
 }
 
 Mode Seen::mode(Lanes x, Lanes y) const {
+    constexpr int steps = 5;  // of Gauss-Newton, from the mean before the sighting to the mode
     for (int step = 0;; ++step) {
         Normal sums;
         for (std::size_t k = 0; k < sightings_.size(); ++k) add(sums, k, x, y);
@@ -157,6 +149,12 @@ Evidence joint_evidence(std::span<const Pose> poses, std::span<const RatedSighti
     const Seen seen(poses, sightings, about.h, oriented);
     const Mode mode = seen.mode(about.x, about.y);
     const double constant = seen.constant();
+    // points in each direction, for the density of the standard normal distribution, and their weights
+    constexpr int nodes = 5;
+    static constexpr std::array<double, nodes> node{-2.8569700138728056, -1.355626179974266, 0.0, 1.355626179974266,
+                                                    2.8569700138728056};
+    static constexpr std::array<double, nodes> weight{0.011257411327720677, 0.22207592200561257, 0.5333333333333335,
+                                                      0.22207592200561257, 0.011257411327720677};
     std::array<Lanes, nodes * nodes> values;
     Lanes top = all<Lanes>(-infinity);
     for (int p = 0; p < nodes * nodes; ++p) {

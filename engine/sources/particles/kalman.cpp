@@ -8,7 +8,6 @@ using namespace numbers;
 
 namespace {
 
-constexpr double infinity = std::numeric_limits<double>::infinity();
 /// A particle nearer than this [m] stands on the landmark: the bearing is rounding error, and H = dh/dm is undefined.
 constexpr double on_landmark = 1e-9;
 /// The smallest normal number: a smaller det V has lost its digits.

@@ -16,7 +16,6 @@ constexpr int damped_steps = 20;
 /// A kept factor is renewed where the gain that it predicts, or the square of the step's length, is more than this part of
 /// that of the step before it.
 constexpr double shrinking = 0.1;
-constexpr double confirmed = 1e3, promise = 1e-6;  ///< see run.cpp
 
 /// Delta = Omega^-1 xi, with the factor of an earlier state where Omega hardly changes.
 class Step {

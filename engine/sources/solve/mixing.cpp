@@ -8,7 +8,7 @@ namespace {
 
 constexpr std::size_t depth = 8;      ///< so many differences are mixed
 constexpr double begin_below = 0.1;   ///< the root mean square of f from which on g is nearly linear
-constexpr double rounding = 1e-10;    ///< smaller singular values, relative to the largest, count as zero
+constexpr double negligible = 1e-10;  ///< smaller singular values, relative to the largest, count as zero
 constexpr int most_sweeps = 30;
 
 using Column = std::vector<double>;
@@ -84,7 +84,7 @@ std::vector<double> least_squares(std::vector<Column> A, Column b) {
     std::vector<double> out(m, 0.0);
     for (std::size_t j = 0; j < m; ++j) {
         const double square = dot(A[j], A[j]);
-        if (!(std::sqrt(square) > rounding * largest)) continue;
+        if (!(std::sqrt(square) > negligible * largest)) continue;
         const double part = dot(A[j], b) / square;
         for (std::size_t k = 0; k < m; ++k) out[k] += part * V[j][k];
     }

@@ -5,15 +5,6 @@
 #include <cmath>
 
 namespace vmslam::solve {
-namespace {
-
-/// A step shorter than the tolerance ends the iteration only where it promises to lower J by less than this part of it, or
-/// less than the tolerance itself where that is greater: a rough tolerance asks for a rough end.
-constexpr double promise = 1e-6;
-/// A step is confirmed where its predicted decrease of J is below this many times the cost tolerance.
-constexpr double confirmed = 1e3;
-
-}  // namespace
 
 double inner(std::span<const double> a, std::span<const double> b) {
     double total = 0.0;

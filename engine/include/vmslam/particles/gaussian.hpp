@@ -1,10 +1,14 @@
 // Poses, Gaussians and sightings of eight particles.
 #pragma once
 
+#include <limits>
+
 #include "vmslam/numbers/elementary.hpp"
 #include "vmslam/particles/rows.hpp"
 
 namespace vmslam::particles {
+
+inline constexpr double infinity = std::numeric_limits<double>::infinity();
 
 struct Pose {
     Lanes x, y, t;

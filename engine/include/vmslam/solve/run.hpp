@@ -11,6 +11,12 @@
 
 namespace vmslam::solve {
 
+/// A step shorter than the tolerance ends the iteration only where it promises to lower J by less than this part of it, or
+/// less than the tolerance itself where that is greater: a rough tolerance asks for a rough end.
+inline constexpr double promise = 1e-6;
+/// A step is confirmed where its predicted decrease of J is below this many times the cost tolerance.
+inline constexpr double confirmed = 1e3;
+
 /// How an iteration ended.
 enum class End {
     most_steps,        ///< it has taken all its steps
