@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from graphslam.engine import engine
 from graphslam.errors import OptionError
@@ -185,6 +184,8 @@ class ParticleState:
         if not joint:
             own = weighted_covariance(self.poses, self.mean_pose, weights)
             return shaped(poses, landmarks, [own] * times, [mixture[id].covariance for id in ids])
+        from scipy.linalg import block_diag
+
         gaussians = [self._current_filter()._gaussians_of(id) for id in ids]
         among = weights * np.all([owned for _, _, owned in gaussians], axis=0) if ids else weights
         among /= among.sum()

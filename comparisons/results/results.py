@@ -12,11 +12,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
 from fastslam.gibbs.chains import GibbsResult
 from fastslam.particles import FilterResult, Samples
-from graphslam import Certificate, FormatError, Graph, Log, MotionModel, SlamError, Solution, certify
+from graphslam import Certificate, FormatError, Graph, Log, MotionModel, SlamError, Solution
 from graphslam.association import Association
 from graphslam.errors import printable
 from graphslam.graph.stretch import drifted
@@ -143,6 +142,8 @@ class EstimatorResult:
             return None
         if isinstance(self.origin, Solution) and self.origin.graph is not None:
             return self.origin.certificate
+        from graphslam import certify
+
         return certify(self.graph, self.state).of_run(bool(self.converged), self.reason)
 
     @cached_property
@@ -309,6 +310,8 @@ def typical_costs(result: EstimatorResult) -> dict[str, float]:
     """
     if result.graph is None or result.state is None:
         return {}
+    from scipy.special import chdtri
+
     kinds = {"sightings": sighted_edges(result.graph), "motions": motion_edges(result.graph)}
     found = {}
     for name, family in kinds.items():

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, eigsh
 
 from graphslam.edges.relative import RelativePointEdges, RelativePoseEdges
 from graphslam.errors import OptionError
@@ -95,6 +94,8 @@ class LowRank:
             values, V = np.linalg.eigh(information.toarray())
             V, self.deviations = V[:, :r], values[:r] ** -0.5
         else:
+            from scipy.sparse.linalg import LinearOperator, eigsh
+
             inverse = LinearOperator((size, size), matvec=system.solver())
             values, V = eigsh(inverse, k=r, v0=np.ones(size))
             self.deviations = np.sqrt(values)

@@ -14,10 +14,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ..log import UNIDENTIFIED, Log
 from ..models import SensorModel
@@ -58,6 +54,9 @@ def assign(
         gate: share of correct sightings that are within the gate.
         weights: from the sightings (C,) and landmarks (C,) of pairs to what the evidence has beside log N.
     """
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial import cKDTree
+
     limit = float(gates(gate, world.means.shape[1], 1)[1])
     spread = np.trace(world.covariances[:, :2, :2], axis1=1, axis2=2)
     radius = np.sqrt(limit * (spread + np.max(own[:, :2, :2], initial=0.0)))
@@ -162,6 +161,9 @@ def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.n
     item, other, both = _near(solved, items, seen, gate, 0 if views is None else np.inf)
     if len(item) == 0:
         return []
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     chosen = np.unique(np.concatenate([item, other]))
     P = solved.joint_covariance(chosen)
     a, b = np.searchsorted(chosen, item), np.searchsorted(chosen, other)

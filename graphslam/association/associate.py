@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import array_of, check_type, suggestion
@@ -398,6 +397,8 @@ def score(ids: np.ndarray, true_ids: np.ndarray) -> AssociationScore:
     Raises:
         OptionError: the shapes differ.
     """
+    from scipy.optimize import linear_sum_assignment
+
     ids, true_ids = np.asarray(ids), np.asarray(true_ids)
     if ids.shape != true_ids.shape or ids.ndim != 1:
         raise OptionError(f"ids and true_ids must be arrays of one shape (M,), not {ids.shape} and {true_ids.shape}")

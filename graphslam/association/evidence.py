@@ -30,7 +30,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from ..engine import engine
 from ..se2 import Array
@@ -167,6 +166,8 @@ class Candidates:
 
 @cache
 def _gates(probability: float, dimension: int, items: int) -> Array:
+    from scipy.special import gammaincinv
+
     return np.array([2 * gammaincinv(dimension * n / 2, probability) if n else 0.0 for n in range(items + 1)])
 
 

@@ -19,8 +19,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq, minimize
-from scipy.special import digamma, gammaln
 
 from ..errors import LogError
 from ..se2 import Array
@@ -183,6 +181,8 @@ class _Likelihood:
         if fixed is not None:
             limits[fixed] = (begin[fixed], begin[fixed])
         # L-BFGS-B ends up to 0.2 below this likelihood, and six times as late where BLAS threads wait for busy cores
+        from scipy.optimize import minimize
+
         found = minimize(self._negative, begin, jac=True, method="TNC", bounds=limits, options={"maxfun": 2000})
         return float(found.fun), np.asarray(found.x)
 
@@ -207,6 +207,8 @@ class _Likelihood:
         high = np.log(MOST_EXPLAINED)
         if excess(high) < 0:
             return float("inf")
+        from scipy.optimize import brentq
+
         return float(self.unit[p] * np.exp(brentq(excess, q[p], high, xtol=0.02)))
 
     def _negative(self, q: Array) -> tuple[float, Array]:
@@ -251,6 +253,8 @@ def _log_likelihood(e: Array, C: Array, theta: Array, nu: float) -> tuple[float,
         value = -0.5 * (logdet + float(squares.sum()) + count * d * np.log(2 * np.pi))
         weights, by_nu = np.ones(count), 0.0
     else:
+        from scipy.special import digamma, gammaln
+
         constant = gammaln((nu + d) / 2) - gammaln(nu / 2) - d / 2 * np.log(nu * np.pi)
         tails = np.log1p(squares / nu)
         value = count * float(constant) - 0.5 * logdet - (nu + d) / 2 * float(tails.sum())

@@ -32,7 +32,6 @@ from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammaincinv
 
 from ..engine import engine
 from ..errors import OptionError, quoted
@@ -172,6 +171,8 @@ def code_and_width(kernel: Kernel | None) -> tuple[int, float]:
 @cache
 def _gaussian_squares(dimension: int) -> Array:
     """10,000 values of r², evenly spread over the quantiles of chi-square with ``dimension`` degrees of freedom."""
+    from scipy.special import gammaincinv
+
     quantiles = (np.arange(10_000) + 0.5) / 10_000
     return np.asarray(2 * gammaincinv(dimension / 2, quantiles))
 

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from ..edges import (
     AnchorEdges,
@@ -354,8 +352,11 @@ def node_names(nodes: np.ndarray, pose_ids: np.ndarray, landmark_ids: np.ndarray
 
 def _pieces(num_nodes: int, first: list[np.ndarray], second: list[np.ndarray]) -> np.ndarray:
     """The number (n,) of the connected piece that each node belongs to."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     ends = np.concatenate([np.zeros(0, dtype=int), *first]), np.concatenate([np.zeros(0, dtype=int), *second])
-    ties = sp.coo_matrix((np.ones(len(ends[0])), ends), shape=(num_nodes, num_nodes))
+    ties = coo_matrix((np.ones(len(ends[0])), ends), shape=(num_nodes, num_nodes))
     return connected_components(ties, directed=False)[1]
 
 

@@ -19,13 +19,16 @@ approach*, ICRA 2000; MacKay, *Information Theory, Inference, and Learning Algor
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..se2 import Array, rotation, transform, wrap
 from .landmark_map import LandmarkMap
 from .registration import GATE, RIGHT, Match, Points, distinct, refined, those_that_differ, through, volume
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 #: the pairs of measurements that make hypotheses, how often each measurement is in one, and the most matches of a pair
 PAIRS, USED, MATCHES = 16, 3, 5_000
@@ -68,6 +71,8 @@ class Constellations:
     @classmethod
     def of(cls, landmarks: LandmarkMap, reach: float) -> Constellations:
         """A map, with the pairs that are not farther apart than twice the reach of the sensor [m]."""
+        from scipy.spatial import cKDTree
+
         ids = np.array(list(landmarks))
         places, covariances = np.full((len(ids), 3), np.nan), np.zeros((len(ids), 3, 3))
         for k, j in enumerate(ids.tolist()):

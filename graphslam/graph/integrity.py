@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import chdtri, expit, ndtr
 
 from ..errors import OptionError, quoted
 from ..models import SensorModel
@@ -41,6 +40,8 @@ def beyond(covariances: Array, metres: float, radians: float = np.inf) -> Array:
     Raises:
         OptionError: a bound is not positive.
     """
+    from scipy.special import ndtr
+
     for name, bound in (("metres", metres), ("radians", radians)):
         if not bound > 0:
             raise OptionError(f"{name} must be a bound above 0, not {quoted(bound)}")
@@ -74,6 +75,8 @@ def inflation(squares: Sequence[float] | Array, rows: int = 2) -> float:
     count = len(squares)
     if not count:
         return 1.0
+    from scipy.special import chdtri
+
     return max(1.0, (PRIOR + count * float(np.median(squares)) / float(chdtri(rows, 0.5))) / (PRIOR + count))
 
 
@@ -88,6 +91,8 @@ def presence(drive: Stretch, poses: Array, landmarks: LandmarkMap, sensor: Senso
 
     Where it was lifted, the motion says nothing. That may have been at any moment since the last sighting before.
     """
+    from scipy.special import expit
+
     tracker = unlocated(landmarks, sensor, poses[0])
     rows_of = np.split(
         np.argsort(drive.steps, kind="stable"), np.cumsum(np.bincount(drive.steps, minlength=len(poses)))

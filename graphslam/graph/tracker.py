@@ -24,7 +24,6 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import expit, logit
 
 from ..log import UNIDENTIFIED
 from ..models import SensorModel
@@ -114,6 +113,8 @@ class Tracker:
 
     def move(self, motion: Array, noise: Array) -> None:
         """A motion (3,) with its covariance, in the axes of the pose."""
+        from scipy.special import expit, logit
+
         self.pose, self.covariance = moved(self.pose, self.covariance, motion, noise)
         elsewhere = float(expit(-self.log_odds))
         self.log_odds = float(-logit(elsewhere + (1 - elsewhere) * LIFTED))

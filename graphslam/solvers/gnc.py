@@ -27,7 +27,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from ..edges import (
     BearingEdges,
@@ -178,6 +177,8 @@ class _Measurements:
     def of(cls, graph: Graph, probability: float) -> _Measurements:
         """Those of a graph whose sightings, if it has any, are of landmark nodes."""
         grouped, order = None, np.zeros(0, dtype=np.int64)
+        from scipy.special import gammaincinv
+
         edges = next((family for family in graph.families if isinstance(family, ObservationEdges)), None)
         if edges is not None:
             order = np.lexsort((edges.first, edges.second))

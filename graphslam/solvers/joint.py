@@ -25,8 +25,6 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.linalg import cho_factor, cho_solve, eigh
 
 from ..edges import LandmarkSightings, ObservationEdges, RelativePoseEdges, SightingEdges, VirtualMotionEdges
 from ..errors import GraphError
@@ -200,7 +198,8 @@ class JointFactor:
         own = border.own + damping * np.diag(np.diag(border.own))
         self.schur = own - np.einsum("nik,nil->kl", border.mixed, self.reach)
         try:
-            self._root = cho_factor((self.schur + self.schur.T) / 2)
+            self.schur = (self.schur + self.schur.T) / 2
+            np.linalg.cholesky(self.schur)
         except np.linalg.LinAlgError:
             names = ", ".join(joint.parameters.names)
             raise GraphError(f"the log does not determine the parameters {names} together: estimate fewer") from None
@@ -208,13 +207,13 @@ class JointFactor:
     @property
     def covariance(self) -> Array:
         """S^-1 (K, K)."""
-        return cho_solve(self._root, np.eye(len(self.schur)))
+        return np.linalg.inv(self.schur)
 
     def solve(self, right: Array) -> Array:
         """The solution (n + r, 3) for a right side (n + r, 3)."""
         xi, g = self._joint.parted(right)
         first = self._factor.solve(np.ascontiguousarray(xi))
-        delta = cho_solve(self._root, g - np.einsum("nik,ni->k", self.border.mixed, first))
+        delta = np.linalg.solve(self.schur, g - np.einsum("nik,ni->k", self.border.mixed, first))
         return self._joint.joined(first - self.reach @ delta, delta)
 
 
@@ -231,10 +230,12 @@ def copied(edges: SightingEdges, state: Array, poses: int) -> tuple[SightingEdge
 
 def _times(system: BlockSystem, right: Array) -> Array:
     """Omega times right sides (n, 3, K)."""
+    from scipy.sparse import bsr_matrix
+
     n, _, K = right.shape
     flat = right.reshape(3 * n, K)
     # the blocks of the upper triangle by columns are, transposed, those of the lower one by rows
-    lower = sp.bsr_matrix(
+    lower = bsr_matrix(
         (np.ascontiguousarray(np.swapaxes(system.values, 1, 2)), system.indices, system.indptr), shape=(3 * n, 3 * n)
     )
     product = (lower @ flat + lower.T @ flat).reshape(n, 3, K)
@@ -281,7 +282,7 @@ def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
         raise GraphError(f"the log does not tell {' and '.join(still)}: nothing that was recorded depends on it")
     schur = border.own - np.einsum("nik,nil->kl", border.mixed, factor.solve(border.mixed))
     scale = 1 / np.sqrt(known)
-    information, directions = eigh(scale[:, None] * schur * scale)
+    information, directions = np.linalg.eigh(scale[:, None] * schur * scale)
     if information[0] < LEAST:
         direction = np.abs(directions[:, 0])
         names = [parameters.names[k] for k in range(K) if direction[k] >= NAMED * direction.max()]

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
 from ..edges import CartesianObservationEdges, MarginalEdges, SightingEdges
 from ..errors import OptionError, quoted
@@ -71,7 +70,11 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
         covariances = dict(zip(ids, uncertainty.diagonal[free, :d, :d]))
         return LandmarkMap(means, others | covariances, classes=classes)
     kept = np.tile(np.arange(3) < d, len(free))
-    joint = block_diag(uncertainty.joint(free)[np.ix_(kept, kept)], *others.values())
+    joint = uncertainty.joint(free)[np.ix_(kept, kept)]
+    if others:
+        from scipy.linalg import block_diag
+
+        joint = block_diag(joint, *others.values())
     # by increasing id
     places = np.repeat([*ids, *others], [d] * len(ids) + [len(C) for C in others.values()])
     order = np.argsort(places, kind="stable")

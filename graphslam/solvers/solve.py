@@ -17,13 +17,10 @@ from inspect import signature
 from numbers import Real
 from typing import Any
 
-from pebble import ProcessExpired
-
 from ..errors import GraphError, OptionError, SlamError, quoted
 from ..errors.checks import check_choice, check_count, check_positive, suggestion
 from ..graph import Graph, check_graph
 from ..linear.information import Structures, sharing
-from ..processes import default_jobs, how_it_ended, processes
 from .gnc import solve_gnc
 from .initialize import INITIALIZE
 from .iteration import Iteration
@@ -168,6 +165,8 @@ def _checked(graphs: Iterable[Graph]) -> Iterator[Graph]:
 
 
 def _results(graphs: Iterator[Graph], jobs: int | None, options: dict[str, Any]) -> Iterator[Solution | SlamError]:
+    from ..processes import default_jobs
+
     limit = 0.0 if jobs else float("inf")
     if jobs is None:
         jobs = default_jobs()
@@ -187,6 +186,8 @@ def _results(graphs: Iterator[Graph], jobs: int | None, options: dict[str, Any])
 def _in_processes(
     graphs: Iterator[Graph], jobs: int, options: dict[str, Any], structures: Structures
 ) -> Iterator[Solution | SlamError]:
+    from ..processes import processes
+
     waiting: deque[tuple[Graph, Future[Solution | SlamError | None] | None]] = deque()
     more, failure = True, None
     with processes(jobs) as pool:
@@ -240,6 +241,10 @@ def _task(data: bytes, options: dict[str, Any]) -> Solution | SlamError | None:
 def _received(graph: Graph, future: Future[Solution | SlamError | None] | None) -> Solution | SlamError | None:
     if future is None:
         return None
+    from pebble import ProcessExpired
+
+    from ..processes import how_it_ended
+
     try:
         result = future.result()
     except ProcessExpired as error:
