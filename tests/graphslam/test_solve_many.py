@@ -130,7 +130,7 @@ def test_processes_return_the_same_and_what_goes_wrong_costs_one_graph(graph: Gr
 
 
 def test_processes_are_started_only_for_work_that_lasts(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(many, "default_jobs", lambda: 2)
+    monkeypatch.setattr("graphslam.processes.default_jobs", lambda: 2)
     elsewhere = []
 
     def in_processes(graphs: Iterator[Graph], jobs: int, *_: object) -> Iterator[Solution]:
