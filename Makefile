@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 FETCH := $(PIP) install --no-compile
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: compare test test-all check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
+.PHONY: compare test pytest test-all check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
 
 compare: .venv/.installed
 	$(BIN)/slam-compare run
@@ -16,14 +16,19 @@ compare: .venv/.installed
 # two processes; the tests of a file stay together, because they share its fixtures, in the order of tests/conftest.py
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
-test: lint .venv/.installed-test
-	$(PYTEST)
+# mypy takes one core, so that it runs beside the tests
+test: .venv/.installed-test
+	$(MAKE) --jobs=2 lint pytest
+
+pytest: .venv/.installed-test
+	$(PYTEST) $(ONLY)
 
 # the site comes first, because its tests are skipped without it
 test-all: docs engine-test engine-fuzz engine-lint wheel-check test
 
-check: lint .venv/.installed-test
-	$(PYTEST) -m "not slow and not browser and not cluster"
+check: ONLY := -m "not slow and not browser and not cluster"
+check: .venv/.installed-test
+	$(MAKE) --jobs=2 lint pytest ONLY='$(ONLY)'
 
 lint: .venv/.installed-test
 	$(BIN)/ruff check .
