@@ -19,9 +19,10 @@ from pathlib import Path
 import numpy as np
 from native_gtsam import native_gtsam
 
-from comparisons.comparison import Comparison, Row, compare
+from comparisons.comparison import Comparison, compare
 from comparisons.datasets import data_folder
 from comparisons.options import RunOptions
+from comparisons.results.row import Row
 from comparisons.results.saving import jsonable
 from graphslam import Log, MotionModel, SensorModel, load
 from graphslam.calibration import Calibration, calibrate

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
-from comparisons.comparison import Comparison, ResultTable, Row
+from comparisons.comparison import Comparison, ResultTable
 from comparisons.datasets import DATA_SETS, Found, Survey
 from comparisons.estimators.attempt import Skipped
 from comparisons.evaluation import Evaluated
@@ -20,6 +20,7 @@ from comparisons.options import SummaryOptions
 from comparisons.options.option import options_of
 from comparisons.results import EstimatorResult
 from comparisons.results.documents import shown_by
+from comparisons.results.row import Row
 from comparisons.results.sightings import SessionErrors
 from comparisons.show.cells import LeanTable, number, seconds
 from comparisons.show.tables import as_text, tables_of
