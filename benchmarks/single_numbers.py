@@ -4,7 +4,8 @@
 
 Worlds of `graphslam.simulation.worlds`: 300 poses along the lanes of a field of 40 m, 8 landmarks, one sighting at
 every second pose. The optimum is the lower end of the search from odometry and of Levenberg-Marquardt from the ground truth.
-A landmark is misplaced in silence where no note says that it may be elsewhere.
+A landmark is misplaced in silence where no note says that it may be elsewhere. With --filters the same worlds go through
+Monte Carlo localisation, which knows the landmarks, and FastSLAM, with 1000 particles.
 """
 
 from __future__ import annotations
@@ -34,6 +35,26 @@ def optimum(graph: Graph, found: Solution) -> float:
     return min(near.cost, found.cost)
 
 
+def through_filters(number: str, lanes: int, seeds: range) -> None:
+    """Print the ATE of the particle filters."""
+    from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
+
+    for kind in (MonteCarloLocalization, FastSLAM1, FastSLAM2):
+        errors, seconds, placed = list[float](), list[float](), list[int]()
+        for seed in seeds:
+            log = simulate_single_numbers(number, seed=seed, lanes=lanes)
+            assert log.true_poses is not None
+            begin = time.process_time()
+            found = kind(log, particles=1000, seed=seed).run()
+            seconds.append(time.process_time() - begin)
+            errors.append(ate(log.true_poses, found.poses))
+            placed.append(len(found.landmarks))
+        print(
+            f"{number}, {kind.__name__}: ATE {np.median(errors):.3f} m (median), {max(errors):.2f} m at most; "
+            f"{np.mean(placed):.1f} landmarks; {np.median(seconds):.2f} s"
+        )
+
+
 def main() -> None:
     """Print how many worlds end at the optimum, and how well."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -41,8 +62,12 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--lanes", type=int, default=6, help="1: a straight way, with mirror images")
     parser.add_argument("--first", type=int, default=1000, help="the first seed")
+    parser.add_argument("--filters", action="store_true", help="the particle filters instead of the graph")
     options = parser.parse_args()
     for number in options.number or NUMBERS:
+        if options.filters:
+            through_filters(number, options.lanes, range(options.first, options.first + options.count))
+            continue
         reached, doubted, misplaced, silent, seconds, errors, before = 0, 0, 0, 0, [], [], []
         for seed in range(options.first, options.first + options.count):
             log = simulate_single_numbers(number, seed=seed, lanes=options.lanes)

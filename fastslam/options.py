@@ -70,7 +70,10 @@ def index(name: str, value: Any, count: int) -> int:
 
 
 def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
-    """Return ids (k,) and sightings (k, 2 or 3) as arrays, angles wrapped; ids None stands for k unknown ids."""
+    """Return ids (k,) and sightings (k, 2 or 3) as arrays, angles wrapped; ids None stands for k unknown ids.
+
+    One of range and bearing may be NaN, which was not measured then, if the sightings have no psi.
+    """
     try:
         z = real_array(sightings).copy()
         numbers = np.zeros(len(z), dtype=np.int64) if ids is None else np.asarray(ids)
@@ -86,8 +89,12 @@ def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
     if numbers.dtype.kind == "u" and np.any(numbers > np.iinfo(np.int64).max):
         raise OptionError(f"the ids of landmarks must be below 2^63, not {quoted(int(numbers.max()))}")
     numbers = numbers.astype(np.int64)
-    if not np.all(np.isfinite(z)) or np.any(z[:, 0] <= 0):
-        raise OptionError("sightings must be finite and their ranges above zero")
+    missing = np.isnan(z)
+    if not np.all(np.isfinite(z) | missing) or np.any(z[:, 0] <= 0) or np.any(missing.sum(axis=1) > (z.shape[1] == 2)):
+        raise OptionError(
+            "sightings must be finite and their ranges above zero; NaN stands for a range or a bearing that was not "
+            "measured, in sightings without psi"
+        )
     z[:, 1:] = wrap(z[:, 1:])
     return numbers, z
 

@@ -27,6 +27,7 @@ from graphslam.association import ids_by_map
 from graphslam.association.problem import Classes
 from graphslam.errors import OptionError, quoted
 from graphslam.graph.landmark_map import as_map
+from graphslam.graph.trilateration import WaitingNumbers
 from graphslam.log import Log
 from graphslam.se2 import Array
 
@@ -74,6 +75,11 @@ class FastSLAM1(ParticleFilter):
     begins with its landmarks and their own covariances. Correlations between landmarks are not used, and exact ones have a
     standard deviation of `EXACT`. The ids of the sightings must be those of the map, and its frame that of ``start``.
 
+    A range or a bearing alone updates a landmark as the Kalman filter does. One of a landmark without a place waits until
+    single numbers leave one place for the landmark along the trajectory of the heaviest particle, mirror images excluded;
+    that place, its covariance increased by that of the particles' positions, is then the landmark of all particles. The
+    numbers that waited are not used again. This needs ids, the Kalman update, the measured range noise and no smoothing.
+
     All other arguments and errors are those of `ParticleFilter`; all options are fields of `FilterOptions`. The
     new_landmark_threshold p decides when a sighting belongs to a new landmark: where its likelihood under every known
     landmark is below the density at the border of the ellipse that holds 1 - p of the sightings of a perfectly known
@@ -85,6 +91,7 @@ class FastSLAM1(ParticleFilter):
 
     def __init__(self, log: Log | None = None, *, landmarks: Any = None, **keywords: Any) -> None:
         super().__init__(log, **keywords)
+        self._waiting = WaitingNumbers(self.sensor)
         self._given = None if landmarks is None else as_map(landmarks)
         if self._given is not None and not self._needs_ids:
             raise OptionError("a map is used by the ids of its landmarks: leave out the option association, or the map")
@@ -96,6 +103,36 @@ class FastSLAM1(ParticleFilter):
     @property
     def _needs_ids(self) -> bool:
         return self.options.uses_ids
+
+    @property
+    def _takes_single_numbers(self) -> bool:
+        options = self.options
+        plain = options.landmark_update == "kalman" and options.range_noise == "measured" and not options.smoothing
+        return self._needs_ids and plain
+
+    def _with_place(self, ids: np.ndarray, sightings: Array) -> np.ndarray:
+        if self._coordinates is None:
+            self._coordinates = sightings.shape[1]
+            self._begin_maps(self._coordinates)
+        single = np.isnan(sightings).any(axis=1)
+        placed = ~single | np.isin(ids, self._engine.landmarks()) | np.isin(ids, ids[~single])
+        for k in np.flatnonzero(~placed).tolist():
+            self._wait(int(ids[k]), sightings[k])
+        return placed
+
+    def _wait(self, id: int, sighting: Array) -> None:
+        """Keep a single number of a landmark without a place, and give it one where the numbers so far leave one."""
+        if (found := self._waiting.add(id, self._step, sighting, self.trajectory)) is None:
+            return
+        (edges, place), poses = found, self.trajectory()
+        information = np.zeros((2, 2))
+        for each in edges:
+            linear = each.linearize(np.vstack([poses, [*place, 0.0]]), poses)
+            B = linear.jacobians[1][:, :, :2]
+            information += np.einsum("eia,eij,ejb->ab", B, linear.information, B)
+        weights, particles = np.exp(self._engine.log_weights), self._engine.poses[:, :2]
+        spread = weighted_covariance(particles, weighted_mean(particles, weights), weights)
+        self._engine.place(id, place, np.linalg.inv(information) + spread)
 
     def _check_sightings(self, ids: np.ndarray, columns: int) -> None:  # noqa: ARG002
         if self._coordinates is not None and columns != self._coordinates:
@@ -299,6 +336,8 @@ class MonteCarloLocalization(ParticleFilter):
         }
         if log is not None:
             self._check_sightings(log.landmark_ids, log.sightings.shape[1])
+            if log.partial_sightings is not None:
+                self._check_sightings(np.unique(log.partial_sightings.landmarks), 2)
 
     def _check_sightings(self, ids: np.ndarray, columns: int) -> None:  # noqa: ARG002
         for j in ids.tolist():

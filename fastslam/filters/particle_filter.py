@@ -30,6 +30,8 @@ from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, Part
 
 #: the standard deviations of particles around a first fix, over those of the fix
 SPREAD = 2.0
+#: the variance of a number that was not measured: it multiplies all likelihoods by the same factor
+NOT_MEASURED = 1e12
 
 
 class VanishedWeightsWarning(RuntimeWarning):
@@ -56,6 +58,9 @@ class ParticleFilter(ABC):
     impossible for all particles, a `VanishedWeightsWarning` is issued, the weights from before the step are kept, nothing
     is resampled, and the filter continues. In log space this needs more than a bad initial pose: every particle exactly
     on the landmark, or numbers outside the range of floating point.
+
+    Sightings with one number, a range or a bearing, weigh the particles by its likelihood (`Log.partial_sightings`, or NaN in
+    the other column of `observe`).
 
     Random numbers come from one generator in this order: for each motion `options.standard_normals`, five per particle
     (nu, omega, x, y, theta; the first three for a Gaussian drawn at once), for each resampling what the scheme draws.
@@ -106,7 +111,7 @@ class ParticleFilter(ABC):
         if log is not None and self._needs_ids and not log.identified:
             raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
         if log is not None:
-            log.warn_of_unused("a particle filter")
+            log.warn_of_unused("a particle filter", ("partial_sightings",) if self._takes_single_numbers else ())
             check_memory(log, self.options, maps=self.HAS_MAPS)
         if log is not None and motion is None and sensor is None:
             # the same choice as that of `Graph.from_log`
@@ -188,6 +193,8 @@ class ParticleFilter(ABC):
     def observe(self, ids: Sequence[int] | np.ndarray | None, sightings: ArrayLike) -> None:
         """Weigh the particles by the sightings of this step, (k,) ids and (k, 2 or 3) sightings, and resample if due.
 
+        NaN stands for a range or a bearing that was not measured.
+
         The sightings are processed one after the other. There may be any number of them, and none changes nothing,
         except that with unknown association provisional landmarks in view then count as missed. Several calls between
         two moves are one observation. Only where the association is unknown may ids be None.
@@ -206,6 +213,10 @@ class ParticleFilter(ABC):
             self._observed = True
             return
         self._check_sightings(ids, z.shape[1])
+        if np.isnan(z).any() and not self._takes_single_numbers:
+            raise OptionError(
+                "a range or a bearing alone needs ids, the landmark_update kalman, the range_noise measured and no smoothing"
+            )
         self._observe(ids, z)
 
     @property
@@ -260,14 +271,22 @@ class ParticleFilter(ABC):
             else:
                 control_std = np.sqrt(np.diagonal(self.motion.M(log.controls, log.dt), axis1=-2, axis2=-1))
         first = np.searchsorted(log.steps, np.arange(log.num_poses + 1))
+        single = log.partial_sightings if self._takes_single_numbers else None
+        alone = set() if single is None else set(single.steps.tolist())
         for t in range(self._next, log.num_poses):
             if t > 0 and whole_motions:
                 self._move_by_gaussian(motions[t - 1 : t], covariances[t - 1 : t])
             elif t > 0:
                 self._move_by_control(log.controls[t - 1], control_std[t - 1], log.dt[t - 1])
-            if first[t + 1] > first[t]:
-                rows = slice(first[t], first[t + 1])
-                self._observe(log.landmarks[rows], log.sightings[rows], rows)
+            rows = slice(first[t], first[t + 1])
+            ids, sightings = log.landmarks[rows], log.sightings[rows]
+            if single is not None and t in alone:
+                numbers = np.flatnonzero(single.steps == t)
+                ids = np.append(ids, single.landmarks[numbers])
+                pairs = np.column_stack([single.ranges[numbers], single.bearings[numbers]])
+                sightings = np.concatenate([sightings, pairs])
+            if len(ids):
+                self._observe(ids, sightings, rows)
             self._next = t + 1
             yield self.state
 
@@ -338,6 +357,15 @@ class ParticleFilter(ABC):
         """Whether every sighting must have the id of its landmark."""
         return True
 
+    @property
+    def _takes_single_numbers(self) -> bool:
+        """Whether sightings with one number are used."""
+        return self._needs_ids
+
+    def _with_place(self, ids: np.ndarray, sightings: Array) -> np.ndarray:  # noqa: ARG002
+        """Which sightings (k,) are of landmarks that have a place."""
+        return np.ones(len(ids), dtype=bool)
+
     @abstractmethod
     def _check_sightings(self, ids: np.ndarray, columns: int) -> None:
         """Raise `OptionError` where sightings of these ids with this number of columns cannot be used."""
@@ -400,8 +428,16 @@ class ParticleFilter(ABC):
         self._resampled_history.append(False)
 
     def _observe(self, ids: np.ndarray, sightings: Array, rows: slice | None = None) -> None:
+        missing = np.isnan(sightings)
+        if missing.any():
+            placed = self._with_place(ids, sightings)
+            ids, sightings, missing = ids[placed], np.where(missing, (1.0, 0.0), sightings)[placed], missing[placed]
+            if not len(ids):
+                self._version, self._observed = self._version + 1, True
+                return
         with np.errstate(over="ignore"):
             q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
+        q[missing] = NOT_MEASURED
         weighed = self._weigh(ids, sightings, q, rows)
         self._version, self._observed = self._version + 1, True
         if not weighed or self.options.stage == "motion":
@@ -417,7 +453,8 @@ class ParticleFilter(ABC):
                 stacklevel=3,
             )
             return
-        self._log_evidence += log_evidence
+        # without the density of what was not measured
+        self._log_evidence += log_evidence + 0.5 * np.count_nonzero(missing) * float(np.log(2 * np.pi * NOT_MEASURED))
         self._ess_history[-1] = ess
         if self.options.stage == "resampling" and ess <= self.options.ess_threshold * self.particles:
             self._resample()

@@ -25,14 +25,20 @@ With s = p + R(theta) o the place of the sensor and (x, y) = R(theta)' (m - s) t
     bearing  e = atan2(y, x) - phi,   the angle wrapped,   Omega = 1 / bearing_std²
 
 One range leaves a circle, and two a pair of mirror images: the cost has more than one minimum, which
-`solvers.initialize` searches. The residuals have no form with constant information, so they cannot be certified.
+`solvers.initialize` searches.
+
+They cannot be certified as other edges are, by a quadratic form that touches the cost from below. With d = abs(m - s) and a
+residual e* at the candidate, a form below (d - l)² that touches it at d* has a weight of at most (d* - l) / d* = e* / d* on
+d²: with more it is above the cost behind the sensor. Where the ranges of a landmark are too long on average, the sum of these
+weights is negative, and so is the matrix S in the direction of the landmark. A form that touches the square of a bearing's
+residual, which does not depend on d, has a weight below 0 on d² unless e* = 0: along the ray it must stay below a constant.
 """
 
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -179,12 +185,20 @@ class PartialEdges(SingleEdges, PairEdges):
         A[:, 0, 2] = by_turn - np.einsum("ei,ei->e", by_landmark, lever)
         return Linearization(e[:, None], self.weighed, (self.first, self.second), (A, B))
 
+    #: why the certificate does not cover them
+    _unproven: ClassVar[str] = ""
+
     def constant(self, state: Array) -> ConstantEdges:
-        raise GraphError("ranges and bearings alone have no form with constant information")
+        raise GraphError(self._unproven)
 
 
 class RangeEdges(PartialEdges):
     """Ranges l [m]; see the module."""
+
+    _unproven = (
+        "ranges alone have no form with constant information, and a quadratic form that touches their cost from below has a "
+        "negative weight on the distance wherever a range is measured too long"
+    )
 
     def residuals(self, sensors: Array, landmarks: Array) -> tuple[Array, Array, Array]:
         away = landmarks - sensors[:, :2]
@@ -195,6 +209,11 @@ class RangeEdges(PartialEdges):
 
 class BearingEdges(PartialEdges):
     """Bearings phi [rad]; see the module."""
+
+    _unproven = (
+        "bearings alone have no form with constant information, and a quadratic form that touches their cost from below has "
+        "a negative weight on the distance wherever a residual is not zero"
+    )
 
     def residuals(self, sensors: Array, landmarks: Array) -> tuple[Array, Array, Array]:
         away = landmarks - sensors[:, :2]

@@ -6,7 +6,7 @@ Each minimum is a place that they leave: two mirror images for ranges from a str
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +68,52 @@ def edges_of_single_numbers(
             parts = partial.steps[rows], nodes[rows], measured[rows, None], 1 / spread[:, None, None]
             found.append(kind(*parts, np.array(sensor.offset), kernel=kernel))
     return found
+
+
+#: a landmark needs so many single numbers for a place, and so many times more after each attempt
+FEWEST, MORE = 3, 1.25
+
+
+class WaitingNumbers:
+    """Single numbers, one after the other, of landmarks that have no place yet."""
+
+    def __init__(self, sensor: SensorModel) -> None:
+        self._sensor = sensor
+        #: (step, range, bearing), and how many there were at the last attempt
+        self._rows, self._tried = dict[int, list[tuple[float, ...]]](), dict[int, int]()
+
+    def add(
+        self, id: int, step: int, sighting: Array, poses: Callable[[], Array]
+    ) -> tuple[list[PartialEdges], Array] | None:
+        """Keep a number; where all those of its landmark leave one place, return them as edges, and the place (2,).
+
+        Args:
+            id: the landmark.
+            step: of the pose that sees it.
+            sighting: (range, bearing), one of which is NaN.
+            poses: gives the poses (T, 3) so far; the landmark has the node T in the edges.
+        """
+        rows = self._rows.setdefault(id, [])
+        rows.append((step, *np.asarray(sighting).tolist()))
+        if len(rows) < max(FEWEST, MORE * self._tried.get(id, 0)):
+            return None
+        self._tried[id], state = len(rows), poses()
+        edges = edges_of_rows(id, rows, self._sensor, len(state))
+        found = places_of([(each, np.arange(each.count)) for each in edges], state)
+        if not found.clear:
+            return None
+        del self._rows[id], self._tried[id]
+        return edges, found.places[0]
+
+
+def edges_of_rows(
+    id: int, rows: Sequence[tuple[float, ...]], sensor: SensorModel, node: int, kernel: Kernel | None = None
+) -> list[PartialEdges]:
+    """The edges of single numbers (step, range, bearing) of one landmark."""
+    steps, ranges, bearings = (np.array(column) for column in zip(*rows))
+    ids = np.full(len(rows), id)
+    numbers = PartialSightings(steps=steps.astype(np.int64), landmarks=ids, ranges=ranges, bearings=bearings)
+    return edges_of_single_numbers(numbers, np.full(len(rows), node), sensor, kernel)
 
 
 def placed_single_numbers(

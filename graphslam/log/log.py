@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -286,10 +286,10 @@ class Log:
         """The relations, positions and partial sightings by the names of `MEASURED`, as far as the log has them."""
         return {name: each for name in MEASURED if (each := getattr(self, name)) is not None}
 
-    def warn_of_unused(self, who: str) -> None:
-        """Warn that ``who`` does not use the relations, positions and partial sightings of the log, where it has any."""
-        if self.measured:
-            which = " and ".join(self.measured).replace("_", " ")
+    def warn_of_unused(self, who: str, but: Sequence[str] = ()) -> None:
+        """Warn that ``who`` does not use relations, positions and partial sightings of the log, ``but`` for some kinds."""
+        if unused := [name for name in self.measured if name not in but]:
+            which = " and ".join(unused).replace("_", " ")
             warnings.warn(f"{who} does not use the {which} of the log", UserWarning, stacklevel=3)
 
     @property

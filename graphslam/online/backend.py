@@ -28,9 +28,10 @@ class Backend(ABC):
         num_final: the number of poses that cannot change any more, the first ones.
         columns: the number of values of a sighting, 2 or 3; None before the first one.
         tracker: of the robot in a map, where there is one.
+        takes_single_numbers: whether a range or a bearing of a sighting may be NaN.
     """
 
-    num_final = 0
+    num_final, takes_single_numbers = 0, False
     tracker: Tracker | None = None
     columns: int | None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from numbers import Real
 
 import gtsam
@@ -14,8 +15,10 @@ from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_choice
 from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, PositionFactor, RelativePoseFactor
 from ..factors.landmark import WEIGHTS
+from ..graph.trilateration import WaitingNumbers, edges_of_rows
 from ..models import RESIDUALS, SensorModel
 from ..se2 import Array, between, compose, inverse, turn_matrix
+from ..solvers.gtsam_factors import factors_of_single_numbers
 from .backend import Backend, Relation, information_of
 
 EDGES = ("landmark+motion", "virtual+motion")
@@ -30,9 +33,10 @@ X, M = gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.M
 class Isam2Backend(Backend):
     """ISAM2, with one update for each call.
 
-    With ``edges="landmark+motion"`` every sighting is an `ObservationFactor`. With ``edges="virtual+motion"`` every
-    landmark has one `LandmarkFactor` of all its sightings, which a larger one replaces whenever the landmark is seen
-    again. GTSAM cannot take back an update that fails: after a `GraphError` of an update, start again.
+    With ``edges="landmark+motion"`` every sighting is an `ObservationFactor`, and a range or a bearing alone is GTSAM's own
+    factor. With ``edges="virtual+motion"`` every landmark has one `LandmarkFactor` of all its sightings, which a larger one
+    replaces whenever the landmark is seen again. GTSAM cannot take back an update that fails: after a `GraphError` of an
+    update, start again.
 
     GTSAM's own parameters, a threshold of 0.1 at every tenth update, end up to 0.05 m from the batch solution on the sample
     log.
@@ -54,6 +58,8 @@ class Isam2Backend(Backend):
 
     Source: Kaess et al., *iSAM2: incremental smoothing and mapping using the Bayes tree*, IJRR 2012.
     """
+
+    takes_single_numbers = True
 
     def __init__(
         self,
@@ -87,6 +93,7 @@ class Isam2Backend(Backend):
         self._edges, self._weight, self._residual = edges, weight, residual
         self._isam, self._factorization = gtsam.ISAM2(params), params.getFactorization().lower()
         self._num_poses, self._settled = 1, True
+        self._waiting = WaitingNumbers(sensor)
         self.columns: int | None = None
         #: per landmark the keys of the poses that saw it, and its sightings
         self._sightings: dict[int, tuple[list[int], list[Array]]] = {}
@@ -144,6 +151,9 @@ class Isam2Backend(Backend):
                     "weight='marginal' or edges='landmark+motion'"
                 )
         for landmark, z in zip(ids, sightings, strict=True):
+            if np.isnan(z).any():
+                self._add_single_number(pose, landmark, z)
+                continue
             if self._edges.startswith("landmark"):
                 if landmark not in self._nodes:
                     self._nodes[landmark] = M(len(self._nodes))
@@ -157,6 +167,26 @@ class Isam2Backend(Backend):
             keys.append(X(pose))
             before.append(z)
             self._changed[landmark] = None
+
+    def _add_single_number(self, pose: int, landmark: int, z: Array) -> None:
+        """A range or a bearing alone; those of a landmark without a place wait until they leave one place for it."""
+        if not self._edges.startswith("landmark"):
+            raise GraphError("ranges and bearings alone need landmarks as nodes: use edges='landmark+motion'")
+        if landmark in self._nodes:
+            found = edges_of_rows(landmark, [(pose, *z.tolist())], self._sensor, M(0), self._kernel)
+        else:
+            placed = self._waiting.add(landmark, pose, z, lambda: np.array([*map(self._value, range(self._num_poses))]))
+            if placed is None:
+                return
+            found, place = placed
+            found = [replace(each, kernel=self._kernel) for each in found]
+            self._nodes[landmark] = M(len(self._nodes))
+            self._values.insert(self._nodes[landmark], gtsam.Point2(*place))
+        for each in found:
+            keys = np.array([X(step) for step in each.first.tolist()])
+            node = np.full(each.count, self._nodes[landmark])
+            for factor in factors_of_single_numbers(replace(each, first=keys, second=node)):
+                self._factors.add(factor)
 
     def _value(self, pose: int) -> Array:
         """The value of a pose, also of one that was added after the last update."""

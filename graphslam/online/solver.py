@@ -163,7 +163,8 @@ class OnlineSolver:
 
         Args:
             ids: the landmarks (K,); in a map None, or `graphslam.log.UNIDENTIFIED` for some, where the map has to say it.
-            sightings: (K, 2 or 3), what the sensor measures.
+            sightings: (K, 2 or 3), what the sensor measures. With the backend "isam2" one of range and bearing may be NaN: it
+                was not measured. A landmark that has only such sightings enters when they leave one place for it.
             pose: the number of the pose from which they are seen; default: the newest.
             time: of the sightings [s], not before all times so far.
 
@@ -365,7 +366,8 @@ class OnlineSolver:
             raise OptionError(f"ids must be whole numbers, not {quoted(ids)}")
         if np.any((landmarks == UNIDENTIFIED) & (not in_map) | (landmarks == NO_ID)):
             raise OptionError("the solver takes identified landmarks only: leave out what nobody has identified")
-        if z is None or z.ndim != 2 or z.shape[1] not in (2, 3) or not np.isfinite(z).all() or np.any(z[:, 0] <= 0):
+        shaped = z is not None and z.ndim == 2 and z.shape[1] in (2, 3)
+        if z is None or not shaped or not np.isfinite(self._completed(z)).all() or np.any(z[:, 0] <= 0):
             raise OptionError(
                 f"sightings must be (range, bearing) or with psi, with ranges above zero, not {quoted(sightings)}"
             )
@@ -376,6 +378,13 @@ class OnlineSolver:
         if columns not in (None, z.shape[1]) and not (in_map and z.shape[1] == 3):
             raise OptionError(f"the sightings so far have {columns} numbers each, these have {z.shape[1]}")
         return landmarks.tolist(), z
+
+    def _completed(self, z: Array) -> Array:
+        """Sightings (K, d) with 1 in place of the number that each may lack."""
+        alone = (np.isnan(z).sum(axis=1) == 1) & (z.shape[1] == 2)
+        if alone.any() and not self._backend.takes_single_numbers:
+            raise OptionError("a range or a bearing alone needs the backend 'isam2', without a map")
+        return np.where(np.isnan(z) & alone[:, None], 1.0, z)
 
 
 def backend_class(backend: str) -> type[Any]:

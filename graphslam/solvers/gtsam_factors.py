@@ -168,7 +168,7 @@ def _factors_of(
             position = factor_types.PositionFactor(i, z, information, lever=lever, kernel=family.kernel)
             yield position.fastest() if factors == "fastest" else position
     elif isinstance(family, edges.PartialEdges):
-        yield from _of_single_numbers(family)
+        yield from factors_of_single_numbers(family)
     elif isinstance(family, edges.RelativePoseEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
@@ -227,7 +227,7 @@ def _landmark_factors(
             )  # fmt: skip
 
 
-def _of_single_numbers(family: edges.PartialEdges) -> Iterator[gtsam.NonlinearFactor]:
+def factors_of_single_numbers(family: edges.PartialEdges) -> Iterator[gtsam.NonlinearFactor]:
     """GTSAM's own factors of ranges and bearings, and ours where a sensor is off the robot's pose or there is a kernel."""
     ranged, native = isinstance(family, edges.RangeEdges), not family.offset.any() and family.kernel is None
     for k, (i, j, z, information) in enumerate(_rows(family.first, family.second, family.measured, family.weighed)):

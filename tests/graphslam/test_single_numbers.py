@@ -14,6 +14,8 @@ from graphslam import (
     GraphError,
     Log,
     LogError,
+    OnlineSolver,
+    OptionError,
     SensorModel,
     load,
     save,
@@ -269,3 +271,26 @@ def test_the_solver_step_by_step_leaves_them_out_beside_whole_sightings() -> Non
     with pytest.warns(UserWarning, match="step by step does not use the partial sightings"):
         found = solve_online(log.replace(partial_sightings=partial))
     assert np.array_equal(found.poses, solve_online(log).poses)
+
+
+@pytest.mark.parametrize("number", ["range", "bearing"])
+def test_step_by_step_with_isam2_is_the_batch_solution(number: str) -> None:
+    """Numbers of a landmark without a place wait; when it has one, all of them are in the graph."""
+    log = simulate_single_numbers(number, seed=7, poses=120, landmarks=4)
+    single, motion = log.partial_sightings, log.motion
+    assert single is not None and motion is not None and log.controls is not None and log.dt is not None
+    motions, covariances = log.motions(motion)
+    solver = OnlineSolver(log.initial_poses[0], backend="isam2", motion=motion, sensor=log.sensor, factorization="qr")
+    for t in range(log.num_poses):
+        if t:
+            solver.relate(t - 1, t, motions[t - 1], covariances[t - 1])
+        now = single.steps == t
+        if now.any():
+            solver.observe(single.landmarks[now], np.column_stack([single.ranges[now], single.bearings[now]]))
+    solver.relinearize()
+    batch = solve(Graph.from_log(log, kernel="none"))
+    assert sorted(solver.landmarks) == sorted(batch.landmarks)
+    np.testing.assert_allclose(solver.poses, batch.poses, atol=1e-5)
+    own = OnlineSolver(log.initial_poses[0], motion=motion, sensor=log.sensor)
+    with pytest.raises(OptionError, match="needs the backend 'isam2'"):
+        own.observe([1], [[2.0, np.nan]])
