@@ -1,11 +1,10 @@
 """Logs of one place whose sightings have no ids, joined: each is associated alone, and their maps are matched.
 
 1. Each log gets ids, a trajectory and a map of its own (`associate`).
-2. The map of each log is a constellation that is looked for in the map of those before (`graph.constellation.match`). Where
-   that is not sure, because one of the maps is bent, the log is followed through the other map instead (`graph.tracking`).
-   Landmarks that agree get one id.
-3. The graph of both is solved, and with all logs together association and solving take turns (`association.refining`), which
-   merges landmarks that the drift of a log had held apart, and splits none that agree.
+2. The map of each log is a constellation that is looked for in the map of those before (`graph.constellation.match`), and the
+   log is followed through that map (`graph.tracking`). Landmarks that agree get one id.
+3. From both starts the graph of all logs so far is solved, and association and solving take turns
+   (`association.refining`), which merges landmarks that the drift of a log had held apart. The end with more evidence counts.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose
 from ..solvers.solve import solve
 from .associate import associate
+from .evidence import evidence
 from .map_solution import Problem
 from .problem import AssociationOptions
 from .refining import refine
@@ -48,10 +48,14 @@ def joined_without_ids(logs: Sequence[Log]) -> tuple[Log, list[int]]:
     joined, starts = _associated(logs[0], models), [0]
     for each in logs[1:]:
         starts.append(joined.num_poses)
-        joined = end_to_end(joined, _in_map_of(joined, _associated(each, models), models))
-        poses = solve(_graph(joined, models)).poses
-        joined = joined.replace(initial_poses=poses)
-    return _again(joined, models), starts
+        ends = []
+        for placed in _in_map_of(joined, _associated(each, models), models):
+            both = end_to_end(joined, placed)
+            ends.append(_refined(both.replace(initial_poses=solve(_graph(both, models)).poses), models))
+        joined = max(ends, key=lambda end: end[1])[0]
+    clutter = joined.landmarks == UNIDENTIFIED
+    note = f"{len(joined.landmark_ids)} landmarks were found in all logs together, and {clutter.sum()} sightings are clutter"
+    return joined.with_sightings(~clutter, notes=(*joined.notes, note)), starts
 
 
 def _associated(log: Log, models: dict[str, Any]) -> Log:
@@ -66,41 +70,51 @@ def _graph(log: Log, models: dict[str, Any]) -> Graph:
     return Graph.from_log(log.with_sightings(log.landmarks != UNIDENTIFIED), edges="landmark+motion", **models)
 
 
-def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> Log:
-    """The log with initial poses in the frame of those before, and their ids where its landmarks are theirs."""
+def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
+    """The log with initial poses in the frame of those before and with their ids, by its map and by following it.
+
+    Raises:
+        GraphError: its map surely is at no place in that of those before, and neither are its sightings.
+    """
     known, own = solve(_graph(before, models)).map, solve(_graph(log, models)).map
     reach = float(np.quantile(np.concatenate([before.sightings[:, 0], log.sightings[:, 0]]), 0.98))
+    fresh = max(known, default=-1) + 1
+    names = {j: fresh + k for k, j in enumerate(own)} | {UNIDENTIFIED: UNIDENTIFIED}
+    ways = list[Log]()
     found = match(_merged(own, log), Constellations.of(known, reach))
-    partners: dict[int, int] = {}
     if found and _odds([each.evidence for each, _ in found]) > SURE and np.sum(found[0][0].agree) >= FEWEST:
         best, where = found[0]
         ids = np.array(list(known))
         partners = {j: int(ids[where[k]]) for k, j in enumerate(own) if best.agree[k]}
-        placed = _moved(log.initial_poses, best.pose)
         how = f"its map has {len(partners)} landmarks of those before"
-    else:
-        unknown = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
-        along = follow(unknown, known, **models)
-        if along.lifted:
-            raise GraphError(f"{log.name} does not fit one place in the map of {_names(before)}")
-        for j in own:
-            there, count = np.unique(along.landmarks[log.landmarks == j], return_counts=True)
-            best_id = int(there[np.argmax(count)])
-            if best_id in known and 2 * count.max() > count.sum() and best_id not in partners.values():
-                partners[j] = best_id
-        if len(partners) < FEWEST:
+        ids = np.array([partners.get(j, names[j]) for j in log.landmarks.tolist()])
+        ways.append(_placed(log, ids, best.pose, how))
+    try:
+        along = follow(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)), known, **models)
+    except GraphError:
+        if not ways:
+            raise
+        return ways
+    seen = np.isin(along.landmarks, list(known))
+    if along.lifted or len(np.unique(along.landmarks[seen])) < FEWEST:
+        if not ways:
             raise GraphError(
                 f"{log.name} and {_names(before)} have no {FEWEST} landmarks in common: are they logs of one place?"
             )
-        fix = along.fixes[0]
-        placed = _moved(log.initial_poses, compose(fix.pose, between(log.initial_poses[0], np.zeros(3))))
-        how = f"it was followed through their map, where {fix.sentence}"
-    fresh = max([*known, *partners.values()], default=-1) + 1
-    names = {j: partners.get(j, fresh + k) for k, j in enumerate(own)} | {UNIDENTIFIED: UNIDENTIFIED}
+        return ways
+    # what the map does not have keeps its own id, where most sightings of that are not in the map
+    mostly = {j: 2 * np.sum(seen[log.landmarks == j]) > np.sum(log.landmarks == j) for j in own}
+    others = [UNIDENTIFIED if mostly.get(j, True) else names[j] for j in log.landmarks.tolist()]
+    fix = along.fixes[0]
+    frame = compose(fix.pose, between(log.initial_poses[0], np.zeros(3)))
+    how = f"it was followed through their map, where {fix.sentence}"
+    return [*ways, _placed(log, np.where(seen, along.landmarks, others), frame, how)]
+
+
+def _placed(log: Log, ids: np.ndarray, frame: Array, how: str) -> Log:
+    """The log with ids, and initial poses in another frame."""
     return log.replace(
-        landmarks=[names[j] for j in log.landmarks.tolist()],
-        initial_poses=placed,
-        notes=(*log.notes, f"joined without ids: {how}"),
+        landmarks=ids, initial_poses=_moved(log.initial_poses, frame), notes=(*log.notes, f"joined without ids: {how}")
     )
 
 
@@ -131,18 +145,15 @@ def _names(log: Log) -> str:
     return " and ".join(each.name for each in log.sessions) or log.name
 
 
-def _again(joined: Log, models: dict[str, Any]) -> Log:
-    """The joined log after association and solving in turn, without clutter."""
+def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
+    """The joined log after association and solving in turn, and its evidence."""
     bare = joined.replace(landmarks=np.full(len(joined.steps), UNIDENTIFIED), relations=None, positions=None)
     _, labels = np.unique(joined.landmarks, return_inverse=True)
     # the smallest name is that of clutter
     labels = labels - int(np.any(joined.landmarks == UNIDENTIFIED))
     problem = Problem.of(bare, models["motion"], models["sensor"], AssociationOptions())
     found = refine(problem, labels, joined.initial_poses)
-    if found is not None:
-        joined = joined.replace(
-            landmarks=np.where(found.labels < 0, UNIDENTIFIED, found.labels), initial_poses=found.solved.poses
-        )
-    clutter = joined.landmarks == UNIDENTIFIED
-    note = f"{len(joined.landmark_ids)} landmarks were found in all logs together, and {clutter.sum()} sightings are clutter"
-    return joined.with_sightings(~clutter, notes=(*joined.notes, note))
+    if found is None:
+        return joined, -np.inf
+    ids = np.where(found.labels < 0, UNIDENTIFIED, found.labels)
+    return joined.replace(landmarks=ids, initial_poses=found.solved.poses), evidence(problem, found.solved)
