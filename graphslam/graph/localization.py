@@ -38,6 +38,14 @@ BEGIN, LONGEST, FEWEST = 8, 400, 4
 WINDOWS, LATER = 16, 40
 #: odds from which a place is as likely as others
 ALIKE = 0.05
+#: what is often wrong with a map, and the factors of x and y that mend it
+CHANGES = {
+    "mirrored: is its y axis to the left of x?": (1.0, -1.0),
+    "in centimetres: give it in metres": (0.01, 0.01),
+    "in millimetres: give it in metres": (0.001, 0.001),
+    "in kilometres: give it in metres": (1000.0, 1000.0),
+    "in feet: give it in metres": (0.3048, 0.3048),
+}
 #: attempts with more sightings and less evidence after which no more are taken
 PATIENCE = 3
 
@@ -100,7 +108,7 @@ def first_fix(
     """
     landmarks, log, sensor = as_map(landmarks), *_stretch(log, motion, sensor)
     if not log.identified:
-        return _sure(log, possible_fixes(log, landmarks, sensor=sensor))
+        return _sure(log, landmarks, sensor, possible_fixes(log, landmarks, sensor=sensor))
     rows = _rows(log, landmarks)
     count, drift = 1, Drift(log)
     while True:
@@ -229,7 +237,7 @@ def carried_back(fix: Fix, log: Stretch, step: int) -> Fix:
     )  # fmt: skip
 
 
-def _sure(log: Stretch, fixes: list[Fix]) -> Fix:
+def _sure(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, fixes: list[Fix]) -> Fix:
     """The first of the places where a log may begin.
 
     Raises:
@@ -238,7 +246,18 @@ def _sure(log: Stretch, fixes: list[Fix]) -> Fix:
     if fixes and fixes[0].odds > SURE:
         return fixes[0]
     likely = [fix for fix in fixes if fix.odds > 1 / SURE][:4]
-    if not likely or sum(fix.odds / (1 + fix.odds) for fix in likely) < 0.5:
+    sure = sum(fix.odds / (1 + fix.odds) for fix in likely)
+    # places that are alike leave no doubt about the map
+    for name, (x, y) in CHANGES.items() if sure < 0.99 else ():
+        changed = LandmarkMap({j: place[:2] * (x, y) for j, place in landmarks.items()})
+        known = Constellations.of(changed, float(np.quantile(log.sightings[:, 0], 0.98)))
+        others = _fixes_here(log, known, sensor)
+        if others and others[0].odds > SURE:
+            raise GraphError(
+                f"{log.name} has sightings without ids, which do not say where in the map it begins; they would with the map "
+                f"{name}"
+            )
+    if not likely or sure < 0.5:
         raise GraphError(
             f"{log.name} has sightings without ids, and they do not say where in the map it begins: no place surely has a "
             "constellation of landmarks like theirs; is it the map of another place, or has the noise another size?"
@@ -435,14 +454,8 @@ def _cause(points: Points) -> str:
 
     without = points.measured.copy()
     without[:, 2] = np.nan
-    mirrored = points.places * (1, -1, 1)
-    if fits(Points(without, points.covariances, mirrored, points.place_covariances, points.ids, points.area)):
-        return "; they would with the map mirrored: is its y axis to the left of x?"
-    for scale, unit in ((0.01, "centimetres"), (0.001, "millimetres"), (1000.0, "kilometres"), (0.3048, "feet")):
-        places = points.places * (scale, scale, 1)
-        scaled = Points(
-            without, points.covariances, places, points.place_covariances * scale**2, points.ids, points.area * scale**2
-        )
-        if fits(scaled):
-            return f"; they would with the map in {unit}: give it in metres"
+    for name, (x, y) in CHANGES.items():
+        places, area = points.places * (x, y, 1), points.area * abs(x * y)
+        if fits(Points(without, points.covariances, places, points.place_covariances * x**2, points.ids, area)):
+            return f"; they would with the map {name}"
     return ""

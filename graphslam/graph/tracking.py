@@ -20,7 +20,7 @@ from ..log import UNIDENTIFIED, Log
 from ..models import ANYWHERE, MotionModel, SensorModel, additional_variances
 from ..se2 import Array, between, compose, wrap
 from .landmark_map import LandmarkMap
-from .localization import SURE, Fix, carried_back, first_fix
+from .localization import SURE, Fix, carried_back, first_fix, possible_fixes
 from .stretch import Stretch, drifted
 from .tracker import NOTHING, Tracker
 
@@ -182,11 +182,16 @@ def elsewhere(
 
 def sure_fix(drive: Stretch, landmarks: LandmarkMap, sensor: SensorModel) -> Fix | None:
     """A sure fix of a stretch; None where there is none."""
+    fix: Fix | None
     try:
-        fix = first_fix(drive, landmarks, sensor=sensor)
+        if drive.identified:
+            fix = first_fix(drive, landmarks, sensor=sensor)
+        else:
+            # without the search for what is wrong with the map
+            fix = next(iter(possible_fixes(drive, landmarks, sensor=sensor)), None)
     except GraphError:
         return None
-    return fix if fix.odds > SURE and len(fix.agree) > 2 else None
+    return fix if fix is not None and fix.odds > SURE and len(fix.agree) > 2 else None
 
 
 def _placed(poses: Array, first: Array) -> Array:

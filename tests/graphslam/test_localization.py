@@ -127,6 +127,8 @@ def test_maps_that_do_not_fit_are_refused_with_the_cause():
     assert "two are needed" in refused(log, {1: true[1]})
     unknown = log.replace(landmarks=np.full(len(log.steps), np.iinfo(np.int64).min))
     assert "without ids" in refused(unknown, {j: rng.uniform(-20, 20, 2) for j in range(30)})
+    assert "with the map mirrored" in refused(unknown, {j: m * (1, -1) for j, m in true.items()})
+    assert "with the map in feet" in refused(unknown, {j: m / 0.3048 for j, m in true.items()})
     # chi-square with 3 degrees of freedom is below 21 in 9,999 of 10,000
     fix = first_fix(unknown, LandmarkMap(true), **MODELS)
     way = fix.pose - log.true_poses[0]
