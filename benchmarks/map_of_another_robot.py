@@ -72,8 +72,8 @@ def main() -> None:
             count, way = sightings_of_fix(log, moved)
             print(
                 f"robot {robot} in the map of {made_by}: {off(log, here):.3f} m, in the true map {off(log, best):.3f} m, "
-                f"ratio {off(log, here) / off(log, best):.2f}; alone, aligned {ate(log.true_poses, log.at_truth(alone)):.3f} m; "
-                f"first fix after {count} sightings, {way:.2f} m from that of the whole log",
+                f"ratio {off(log, here) / off(log, best):.2f}; "
+                f"alone, aligned {ate(log.true_poses, log.at_truth(alone)):.3f} m; first fix after {count} sightings, {way:.2f} m from that of the whole log",
                 flush=True,
             )
 
