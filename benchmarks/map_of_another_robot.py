@@ -70,10 +70,11 @@ def main() -> None:
             here, best = (solve(Graph.from_log(log, map=each)).poses for each in (moved, exact))
             assert log.true_poses is not None
             count, way = sightings_of_fix(log, moved)
+            mine, true_map = off(log, here), off(log, best)
             print(
-                f"robot {robot} in the map of {made_by}: {off(log, here):.3f} m, in the true map {off(log, best):.3f} m, "
-                f"ratio {off(log, here) / off(log, best):.2f}; "
-                f"alone, aligned {ate(log.true_poses, log.at_truth(alone)):.3f} m; first fix after {count} sightings, {way:.2f} m from that of the whole log",
+                f"robot {robot} in the map of {made_by}: {mine:.3f} m, in the true map {true_map:.3f} m, ratio "
+                f"{mine / true_map:.2f}; alone, aligned {ate(log.true_poses, log.at_truth(alone)):.3f} m; "
+                f"first fix after {count} sightings, {way:.2f} m from that of the whole log",
                 flush=True,
             )
 

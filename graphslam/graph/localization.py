@@ -38,7 +38,7 @@ BEGIN, LONGEST, FEWEST = 8, 400, 4
 WINDOWS, LATER = 16, 40
 #: odds from which a place is as likely as others
 ALIKE = 0.05
-#: what is often wrong with a map, and the factors of x and y that mend it
+#: common mistakes in maps, and the factors of x and y that correct them
 CHANGES = {
     "mirrored: is its y axis to the left of x?": (1.0, -1.0),
     "in centimetres: give it in metres": (0.01, 0.01),
