@@ -8,28 +8,26 @@
 namespace vmslam::online {
 namespace {
 
-constexpr char title[] = "vmslam online 2";
+constexpr char title[] = "vmslam online 3";
 
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
 {
-    auto& [x, d, rhs, diagonal, axes, evaluated, passed, kept, far, turned, mark, changed, home, edges, owned, local, point,
-           gone] = value;
-    return std::tie(x, d, rhs, diagonal, axes, evaluated, passed, kept, far, turned, mark, changed, home, edges, owned, local,
-                    point, gone);
+    auto& [x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone, held] = value;
+    return std::tie(x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone, held);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Edge>
 {
-    auto& [z, omega, linear, weight, rhs, cost, mark, ends, next, owner, next_owned, oriented, robust] = value;
-    return std::tie(z, omega, linear, weight, rhs, cost, mark, ends, next, owner, next_owned, oriented, robust);
+    auto& [z, omega, linear, weight, cost, squares, ends, next, owner, next_owned, place, oriented, robust, sighting] = value;
+    return std::tie(z, omega, linear, weight, cost, squares, ends, next, owner, next_owned, place, oriented, robust, sighting);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Supernode>
 {
     auto& g = value;
-    return std::tie(g.w, g.r, g.parent, g.child, g.sibling, g.split, g.marked, g.changed, g.ascending, g.nodes, g.relative,
-                    g.run_end, g.numbers);
+    return std::tie(g.w, g.r, g.parent, g.child, g.sibling, g.split, g.frame, g.marked, g.ascending, g.absolute, g.energy,
+                    g.strain, g.stress, g.nodes, g.relative, g.run_end, g.seen, g.numbers);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Prior>
@@ -41,7 +39,7 @@ auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Memory>
 {
     auto& m = value;
-    return std::tie(m.cost, m.limit, m.bent.convex, m.bent.exact, m.hold, m.work, m.allowed, m.rate, m.shrinks);
+    return std::tie(m.cost, m.limit, m.bent.convex, m.bent.exact, m.hold, m.shrinks);
 }
 
 template <class T>
@@ -123,8 +121,8 @@ std::string OnlineSystem::save() const {
     write(tolerance_), write(most_passes_), write(passes), write(converged), write(batch_solutions);
     write(graph_.nodes), write(graph_.edges), write(graph_.kernel.kind), write(graph_.kernel.c), write(graph_.gain);
     write(tree_.groups), write(std::vector<Number>(tree_.released().begin(), tree_.released().end()));
-    write(tree_.stamp), write(tree_.step), write(tree_.pivot_tolerance);
-    write(priors_), write(memory_), write(pending_), write(ordered_), write(known_), write(lost_);
+    write(tree_.step), write(tree_.pivot_tolerance);
+    write(priors_), write(memory_), write(ordered_), write(known_), write(lost_);
     return std::move(write.bytes);
 }
 
@@ -138,8 +136,8 @@ bool OnlineSystem::restore(std::string_view bytes) {
     read(tolerance_), read(most_passes_), read(passes), read(converged), read(batch_solutions);
     read(graph_.nodes), read(graph_.edges), read(graph_.kernel.kind), read(graph_.kernel.c), read(graph_.gain);
     read(tree_.groups), read(released);
-    read(tree_.stamp), read(tree_.step), read(tree_.pivot_tolerance);
-    read(priors_), read(memory_), read(pending_), read(ordered_), read(known_), read(lost_);
+    read(tree_.step), read(tree_.pivot_tolerance);
+    read(priors_), read(memory_), read(ordered_), read(known_), read(lost_);
     tree_.set_released(std::move(released));
     return read.finished();
 }

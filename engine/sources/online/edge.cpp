@@ -34,13 +34,17 @@ constexpr double least_bend = 0.1;
     }
     const Vector e{ahead - edge.z.x, left - edge.z.y, turn};
     Vector g = edge.omega * e;
-    double cost = dot(g, e), weight = 1.0;
-    const double squares = cost;
+    const double squares = dot(g, e);
+    double cost = squares, weight = 1.0;
     const Vector pull = g;
     if (edge.robust) {
-        weight = graph.kernel.weight(cost);
+        weight = graph.kernel.weight(squares);
         g = {weight * g.x, weight * g.y, weight * g.t};
-        cost = graph.kernel.loss(cost);
+        // the trapezoidal rule is exact to 1e-10 then, and saves a logarithm
+        const double change = squares - edge.squares;
+        cost = std::abs(change) < 1e-3 * (1.0 + squares)
+                   ? edge.cost + change * (weight + graph.kernel.weight(edge.squares)) / 2
+                   : graph.kernel.loss(squares);
     }
     return {{-left, ahead}, c, s, weight, g, pull, squares, cost};
 }
@@ -74,39 +78,11 @@ struct Curvature {
     return {gamma, {-g.y, g.x}};
 }
 
-/// Put -B(x)' W e + Omega_e d into the right-hand sides of the ends; returns the change of the cost.
-[[gnu::always_inline]] inline double store(Graph& graph, Edge& edge, const Present& now) {
-    Node &i = graph.nodes[edge.ends[0]], &j = graph.nodes[edge.ends[1]];
-    const Linear& l = edge.linear;
-    const Vector& g = now.g;
-    const double phi = i.d[2], turn = edge.oriented ? j.d[2] - phi : 0.0;
-    const double qx = l.c * j.d[0] - l.s * j.d[1] - i.d[0], qy = l.s * j.d[0] + l.c * j.d[1] - i.d[1];
-    const Vector p = l.W * Vector{qx - l.u.x * phi, qy - l.u.y * phi, turn};
-    const double rx = p.x + l.h.x * phi, ry = p.y + l.h.y * phi;
-    const double bent = l.gamma * phi + l.h.x * qx + l.h.y * qy;
-    const std::array<double, 6> rhs{
-        g.x - rx,
-        g.y - ry,
-        now.u.x * g.x + now.u.y * g.y + g.t - l.u.x * p.x - l.u.y * p.y - p.t + bent,
-        l.c * rx + l.s * ry - now.c * g.x - now.s * g.y,
-        l.c * ry - l.s * rx - now.c * g.y + now.s * g.x,
-        p.t - g.t,
-    };
-    for (int k = 0; k < 3; ++k) {
-        i.rhs[k] += rhs[k] - edge.rhs[k];
-        j.rhs[k] += rhs[3 + k] - edge.rhs[3 + k];
-    }
-    edge.rhs = rhs;
-    const double change = now.cost - edge.cost;
-    edge.cost = now.cost;
-    return change;
-}
-
 void add_diagonal(Graph& graph, const Edge& edge, double sign) {
     const Blocks parts = diagonal_blocks(edge);
-    Symmetric &i = graph.nodes[edge.ends[0]].diagonal, &j = graph.nodes[edge.ends[1]].diagonal;
-    i = i + sign * parts.first;
-    j = j + sign * parts.second;
+    Triple &i = graph.nodes[edge.ends[0]].diagonal, &j = graph.nodes[edge.ends[1]].diagonal;
+    i = {i[0] + sign * parts.first.xx, i[1] + sign * parts.first.yy, i[2] + sign * parts.first.tt};
+    j = {j[0] + sign * parts.second.xx, j[1] + sign * parts.second.yy, j[2] + sign * parts.second.tt};
 }
 
 /// Whether weight, lever or alpha of an edge are farther from those in the factor than `limit`: weights by a third, and lever
@@ -126,19 +102,27 @@ void add_diagonal(Graph& graph, const Edge& edge, double sign) {
 
 Present linearize(const Graph& graph, const Edge& edge) { return present(graph, edge); }
 
-Evaluated evaluate(Graph& graph, Edge& edge, double limit, const Bent& bent) {
+Pulls pulls(const Present& now) {
+    const Vector& g = now.g;
+    return {{{g.x, g.y, now.u.x * g.x + now.u.y * g.y + g.t},
+             {-now.c * g.x - now.s * g.y, -now.c * g.y + now.s * g.x, -g.t}}};
+}
+
+Evaluated evaluate(const Graph& graph, Edge& edge, double limit, const Bent& bent) {
     const Present now = present(graph, edge);
-    const double change = store(graph, edge, now);
-    if (outdated(graph, edge, now, limit)) return {change, true};
+    const double change = now.cost - edge.cost;
+    edge.cost = now.cost;
+    edge.squares = now.squares;
+    if (outdated(graph, edge, now, limit)) return {pulls(now), change, true};
     const double size = graph.nodes[edge.ends[0]].turned;
     const Curvature next = curvature(edge, now, bent);
     const double away = std::abs(next.h.x - edge.linear.h.x) + std::abs(next.h.y - edge.linear.h.y);
     const double moved =
         std::abs(next.gamma - edge.linear.gamma) * size + 2 * away / std::sqrt(edge.omega.xx + edge.omega.yy);
-    return {change, size * moved * size * moved > limit};
+    return {pulls(now), change, size * moved * size * moved > limit};
 }
 
-double relinearize(Graph& graph, Edge& edge, const Bent& bent) {
+void relinearize(Graph& graph, Edge& edge, const Bent& bent) {
     const Present now = present(graph, edge);
     add_diagonal(graph, edge, -1.0);
     const Curvature second = curvature(edge, now, bent);
@@ -152,7 +136,6 @@ double relinearize(Graph& graph, Edge& edge, const Bent& bent) {
                    second.gamma,
                    second.h};
     add_diagonal(graph, edge, 1.0);
-    return store(graph, edge, now);
 }
 
 bool differs_from_gauss_newton(const Graph& graph, const Edge& edge, double limit) {

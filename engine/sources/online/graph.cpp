@@ -51,7 +51,8 @@ std::vector<Number> Graph::append(std::span<const NewEdge> added, Number known) 
         const auto number = static_cast<Number>(edges.size());
         Edge& edge = edges.emplace_back();
         edge.z = from.z, edge.omega = from.omega, edge.oriented = from.oriented;
-        edge.robust = kernel && from.kind == Kind::sighting;
+        edge.sighting = from.kind == Kind::sighting;
+        edge.robust = kernel && edge.sighting;
         for (int side = 0; side < 2; ++side) {
             const Number end = edge.ends[side] = side == 0 ? from.first : from.second;
             Node& node = nodes[end];

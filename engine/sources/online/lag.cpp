@@ -30,7 +30,8 @@ struct Dense {
             for (int p = 0; p < 3; ++p)
                 for (int q = 0; q < 3; ++q) at(at_node + p, at_node + q) += block[3 * p + q];
         }
-        for (int p = 0; p < 3; ++p) rhs[a + p] += edge.rhs[p], rhs[b + p] += edge.rhs[3 + p];
+        const Pulls now = pulls(linearize(graph, edge));
+        for (int p = 0; p < 3; ++p) rhs[a + p] += now.ends[0][p], rhs[b + p] += now.ends[1][p];
     }
     void add(const Graph& graph, const Prior& prior) {
         const std::size_t k = prior.members.size();
@@ -49,8 +50,8 @@ void take_out(Graph& graph, Number number) {
     const Blocks own = diagonal_blocks(edge);
     for (int side = 0; side < 2; ++side) {
         Node& node = graph.nodes[edge.ends[side]];
-        node.diagonal = node.diagonal + -1.0 * (side == 0 ? own.first : own.second);
-        for (int p = 0; p < 3; ++p) node.rhs[p] -= edge.rhs[3 * side + p];
+        const Symmetric& part = side == 0 ? own.first : own.second;
+        node.diagonal = {node.diagonal[0] - part.xx, node.diagonal[1] - part.yy, node.diagonal[2] - part.tt};
         graph.unlink(number, edge.ends[side]);
     }
     edge.ends[0] = edge.ends[1] = -1;
@@ -84,7 +85,7 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
     for (const Number member : members) graph_.nodes[member].local = local++;
     Dense dense(members.size());
     for (const Number e : gone) {
-        memory_.cost += online::relinearize(graph_, graph_.edges[e], Bent::never());
+        online::relinearize(graph_, graph_.edges[e], Bent::never());
         dense.add(graph_, graph_.edges[e]);
         memory_.cost -= graph_.edges[e].cost;
         take_out(graph_, e);
@@ -97,20 +98,13 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
 
     priors_.erase(mine, priors_.end());
     graph_.nodes[node].gone = true;
-    std::erase(pending_, node);
     Reduced rest = without_first(dense.information, dense.rhs);
     Prior prior;
     prior.members.assign(members.begin() + 1, members.end());
     prior.information = std::move(rest.information);
     prior.rhs = std::move(rest.rhs);
     prior.relative = relative;
-    std::vector<double> d;
-    for (const Number member : prior.members) {
-        prior.centre.push_back(graph_.nodes[member].x);
-        d.insert(d.end(), graph_.nodes[member].d.begin(), graph_.nodes[member].d.end());
-    }
-    const std::vector<double> pull = product(prior.information, d);
-    for (std::size_t k = 0; k < pull.size(); ++k) prior.rhs[k] -= pull[k];
+    for (const Number member : prior.members) prior.centre.push_back(graph_.nodes[member].x);
     prior.evaluate(graph_, true);
     hang_prior(prior);
     priors_.push_back(std::move(prior));
@@ -149,8 +143,6 @@ std::vector<Number> OnlineSystem::renumber() {
         for (Number& k : group.nodes) k = new_number(node, k);
     for (Prior& prior : priors_)
         for (Number& k : prior.members) k = new_number(node, k);
-    for (Number& k : pending_) k = new_number(node, k);
-    std::erase(pending_, -1);
     graph_ = std::move(kept);
     ordered_ = std::min(ordered_, graph_.size());
     return node;

@@ -84,20 +84,13 @@ void Prior::turn_to_poses() {
 void Prior::evaluate(const Graph& graph, bool renew) {
     const std::vector<char> point = points_of(graph, members);
     std::vector<Triple> x;
-    std::vector<double> d;
-    for (const Number member : members) {
-        const Node& node = graph.nodes[member];
-        x.push_back(node.x);
-        d.insert(d.end(), node.d.begin(), node.d.end());
-    }
+    for (const Number member : members) x.push_back(graph.nodes[member].x);
     const Way way(*this, x, point);
     if (renew) {
         linear = way.information(*this);
         at = x;
     }
     carry = way.gradient(*this);
-    const std::vector<double> pull = product(linear, d);
-    for (std::size_t k = 0; k < carry.size(); ++k) carry[k] += pull[k];
 }
 
 bool Prior::outdated(const Graph& graph) const {

@@ -56,7 +56,9 @@ struct Top {
     }
 };
 
-/// The structure of L for the groups of nodes that edges and supernodes below tie together, with the nodes `newest` last.
+/// The structure of L for the groups of nodes that edges and supernodes below tie together. The landmarks that a step sees
+/// are late in the order, because the next step probably sees the same; then poses that are held, so that few subtrees are
+/// absolute; and the nodes `newest` last.
 Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::span<const Number> newest) {
     std::vector<Place> sizes, members;
     const auto local = [&](Number node) { return static_cast<Place>(graph.nodes[node].local); };
@@ -76,25 +78,32 @@ Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::
     const std::vector<Number> rows(wide.rows.begin(), wide.rows.end());
     const sparse::Pattern pattern{wide.start, rows};
     sparse::Order order = sparse::minimum_degree(pattern, n);
-    std::stable_partition(order.begin(), order.end(),
-                          [&](Number k) { return std::find(newest.begin(), newest.end(), top.nodes[k]) == newest.end(); });
+    std::vector<char> last(n, 0);
+    for (std::size_t k = 0; k < top.fresh; ++k)
+        for (const Number end : graph.edges[top.edges[k]].ends)
+            if (graph.edges[top.edges[k]].sighting) last[local(end)] = 1;
+    for (Number k = 0; k < n; ++k)
+        if (graph.nodes[top.nodes[k]].held) last[k] = 2;
+    for (const Number node : newest)
+        if (const Number k = graph.nodes[node].local; k >= 0) last[k] = 3;
+    std::ranges::stable_sort(order, {}, [&](Number k) { return last[k]; });
     return sparse::analyze(pattern, order, {3, 3}, 1);
 }
 
 /// What an elimination changes in the graph and below the top, to put it back.
 class Kept {
    public:
-    Kept(const Graph& graph, const Tree& tree, const Top& top, double cost)
-        : top_(top), cost_(cost), root_(tree.groups[0].child) {
+    Kept(const Graph& graph, Tree& tree, const Top& top) : top_(top), root_(tree.groups[0].child) {
         for (const Number node : top.nodes) nodes_.push_back(graph.nodes[node]);
         for (const Number e : top.edges) edges_.push_back(graph.edges[e]);
         for (const Number s : top.below) {
-            const Supernode& group = tree.groups[s];
-            places_.push_back({group.parent, group.sibling, group.split, group.ascending, group.relative, group.run_end});
+            Supernode& group = tree.groups[s];
+            places_.push_back({group.parent, group.sibling, group.split, group.ascending, group.strain, group.relative,
+                               group.run_end, std::vector<double>(group.carry(), group.carry() + 3 * group.r)});
         }
         for (Number c = root_; c > 0; c = tree.groups[c].sibling) roots_.push_back(c);
     }
-    void put_back(Graph& graph, Tree& tree, double& cost) {
+    void put_back(Graph& graph, Tree& tree) {
         for (std::size_t k = 0; k < nodes_.size(); ++k) {
             graph.nodes[top_.nodes[k]] = nodes_[k];
             graph.nodes[top_.nodes[k]].local = -1;
@@ -102,22 +111,23 @@ class Kept {
         for (std::size_t k = 0; k < edges_.size(); ++k) graph.edges[top_.edges[k]] = edges_[k];
         for (std::size_t k = 0; k < places_.size(); ++k) {
             Supernode& group = tree.groups[top_.below[k]];
-            std::tie(group.parent, group.sibling, group.split, group.ascending, group.relative, group.run_end) =
-                std::move(places_[k]);
+            std::vector<double> carry;
+            std::tie(group.parent, group.sibling, group.split, group.ascending, group.strain, group.relative, group.run_end,
+                     carry) = std::move(places_[k]);
+            std::copy(carry.begin(), carry.end(), group.carry());
         }
         tree.groups[0].child = root_;
         for (std::size_t k = 0; k < roots_.size(); ++k)
             tree.groups[roots_[k]].sibling = k + 1 < roots_.size() ? roots_[k + 1] : 0;
-        cost = cost_;
     }
 
    private:
     const Top& top_;
-    double cost_;
     Number root_;
     std::vector<Node> nodes_;
     std::vector<Edge> edges_;
-    std::vector<std::tuple<Number, Number, Number, bool, std::vector<Number>, std::vector<Number>>> places_;
+    std::vector<std::tuple<Number, Number, Number, bool, double, std::vector<Number>, std::vector<Number>, std::vector<double>>>
+        places_;
     std::vector<Number> roots_;
 };
 
@@ -168,29 +178,27 @@ std::vector<Number> link(Graph& graph, Tree& tree, const Top& top, const Symboli
 
 }  // namespace
 
-bool rebuild(Graph& graph, Tree& tree, const Changes& changes, const Bent& bent, double& cost) {
+bool rebuild(Graph& graph, Tree& tree, const Changes& changes, Evaluation& found) {
     const Top top(graph, tree, changes);
     const Symbolic symbolic = analyze_top(graph, tree, top, changes.newest);
-    Kept before(graph, tree, top, cost);
+    Kept before(graph, tree, top);
     const std::size_t size_before = tree.groups.size();
     const std::vector<Number> created = link(graph, tree, top, symbolic);
     for (std::size_t k = 0; k < top.edges.size(); ++k) {
         // far from the minimum second derivatives mislead: new edges are without, unless all are new
         const bool without = k < top.fresh && top.fresh < top.edges.size();
-        cost += relinearize(graph, graph.edges[top.edges[k]], without ? Bent::never() : bent);
+        relinearize(graph, graph.edges[top.edges[k]], without ? Bent::never() : found.bent);
     }
+    for (const Number s : top.below) tree.follow(graph, s);
     for (const Number s : created) {
         tree.relate_children(graph, s);
         if (tree.factorize(graph, s)) continue;
-        before.put_back(graph, tree, cost);
+        before.put_back(graph, tree);
         tree.take_back(created, size_before);
         return false;
     }
     for (const Number s : top.removed) tree.release(s);
-    for (const Number s : created) {
-        tree.forward(graph, s);
-        tree.groups[s].changed = true;
-    }
+    for (const Number s : created) tree.evaluate(graph, s, found);
     return true;
 }
 

@@ -1,8 +1,9 @@
-// Passes through the tree: forward where right-hand sides changed, backward where the solution changes.
+// Passes through the tree: down where the solution moves nodes, and up where their edges were evaluated.
 #include <algorithm>
 #include <cstring>
 
 #include "sparse/supernode.hpp"
+#include "vmslam/online/edge.hpp"
 #include "vmslam/online/tree.hpp"
 
 namespace vmslam::online {
@@ -11,121 +12,270 @@ using sparse::Place;
 using sparse::Real3;
 using Part = Real3::Part;
 
-double Tree::forward(const Graph& graph, Number s) {
-    Supernode& group = groups[s];
+namespace {
+
+/// The rotation from b to a.
+Rotation between(const Rotation& a, const Rotation& b) {
+    Rotation r;
+    r.c = a.c * b.c + a.s * b.s;
+    r.s = b.c * a.s - b.s * a.c;
+    return r;
+}
+Lever turned(const Rotation& r, double x, double y) { return {r.c * x - r.s * y, r.s * x + r.c * y}; }
+Lever turned_back(const Rotation& r, double x, double y) { return {r.c * x + r.s * y, r.c * y - r.s * x}; }
+
+/// A node as another one sees it.
+Seen seen_from(const Node& frame, const Node& node) {
+    const Lever at = turned_back(frame.axes, node.x[0] - frame.x[0], node.x[1] - frame.x[1]);
+    return {at.x, at.y, node.x[2] - frame.x[2], between(node.axes, frame.axes)};
+}
+Seen value_of(const Node& node) { return {node.x[0], node.x[1], node.x[2], node.axes}; }
+
+double* at_least(Numbers& numbers, Place size) {
+    if (numbers.size() < size) numbers = Numbers(2 * size);
+    return numbers.data();
+}
+
+}  // namespace
+
+const double* Tree::motion(const Graph& graph, const Supernode& group) {
+    const Place pad = group.front().update_pad;
+    double* w = at_least(motion_, 3 * group.r + pad + 1);
+    w = std::fill_n(w, pad, 0.0);
+    const Node* const frame = group.frame < 0 ? nullptr : &graph.nodes[group.nodes[group.w + group.frame]];
+    for (Number k = 0; k < group.r; ++k, w += 3) {
+        const Node& node = graph.nodes[group.nodes[group.w + k]];
+        const Seen& then = group.seen[k];
+        if (!frame) {
+            const Lever way = turned_back(node.point ? Rotation() : then.axes, node.x[0] - then.x, node.x[1] - then.y);
+            w[0] = way.x, w[1] = way.y, w[2] = node.x[2] - then.angle;
+        } else if (k == group.frame) {
+            w[0] = w[1] = w[2] = 0.0;
+        } else {
+            const Lever at = turned_back(frame->axes, node.x[0] - frame->x[0], node.x[1] - frame->x[1]);
+            const Lever way = node.point ? turned(group.seen[group.frame].axes, at.x - then.x, at.y - then.y)
+                                         : turned_back(then.axes, at.x - then.x, at.y - then.y);
+            w[0] = way.x, w[1] = way.y;
+            w[2] = node.point ? 0.0 : node.x[2] - frame->x[2] - then.angle;
+        }
+    }
+    return motion_.data() + pad;
+}
+
+const double* Tree::strain(Supernode& group, const double* w) {
+    using sparse::lanes, sparse::load, sparse::store;
     const Front front = group.front();
-    double* const b = work(front.height);
-    std::memset(b, 0, front.height * sizeof(double));
-    double* at = b + front.pad;
-    for (const Number node : group.columns()) at = std::copy_n(graph.nodes[node].rhs.data(), 3, at);
-    for (Number c = group.child; c > 0; c = groups[c].sibling) {
-        Supernode& child = groups[c];
-        const double* const carry = child.carry();
-        for (Number q = 0; q < child.r; ++q) {
-            double* const to = b + front.pad + 3 * child.relative[q];
-            for (int k = 0; k < 3; ++k) to[k] += carry[3 * q + k];
+    const Place h = front.update_height, pad = front.update_pad;
+    double* const pull = at_least(pull_, h + 1);
+    std::fill_n(pull, h, 0.0);
+    // each block of the lower triangle, and of the upper one, which is not there
+    for (Number j = 0; j < group.r; ++j) {
+        const double *const x = group.update() + 3 * j * h, *const by = w + 3 * j;
+        sparse::Vector<lanes> s0{}, s1{}, s2{};
+        for (Place i = sparse::group_of(pad + 3 * j); i < h; i += lanes) {
+            const auto v = load<lanes>(w - pad + i), x0 = load<lanes>(x + i), x1 = load<lanes>(x + h + i), x2 = load<lanes>(x + 2 * h + i);
+            store<lanes>(pull + i, load<lanes>(pull + i) + x0 * by[0] + x1 * by[1] + x2 * by[2]);
+            s0 += x0 * v, s1 += x1 * v, s2 += x2 * v;
         }
+        const double *const d = x + pad + 3 * j;
+        double* const own = pull + pad + 3 * j;
+        own[0] += sparse::sum<lanes>(s0) - d[0] * by[0];
+        own[1] += sparse::sum<lanes>(s1) - d[h + 1] * by[1];
+        own[2] += sparse::sum<lanes>(s2) - d[2 * h + 2] * by[2];
     }
-    double change = 0.0;
-    double* const y = group.y();
-    sparse::solve_forward<Real3>(front, group.panel(), b, 0, [&](Place j, const Part& part) {
-        for (int k = 0; k < 3; ++k) {
-            const double away = part.v[k] - y[3 * j + k];
-            change += away * away;
-            y[3 * j + k] = part.v[k];
-        }
-    });
-    std::copy_n(b + front.pad + 3 * group.w, 3 * group.r, group.carry());
-    return change;
+    group.strain = 0.0;
+    for (Place j = 0; j < 3 * group.r; ++j) group.strain += w[j] * pull[pad + j];
+    return pull + pad;
 }
 
-double Tree::forward(const Graph& graph, std::span<const Number> homes) {
-    double change = 0.0;
-    for (const Number s : upwards(homes)) {
-        change += forward(graph, s);
-        groups[s].changed = true;
+void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
+    const double* const force = group.force();
+    double* const carry = group.carry();
+    if (group.frame < 0) {
+        for (Number k = 0; k < 3 * group.r; k += 3) {
+            const Node& node = graph.nodes[group.nodes[group.w + k / 3]];
+            const Rotation turn = node.point ? Rotation() : between(node.axes, group.seen[k / 3].axes);
+            const Lever own = turned_back(turn, force[k] - pull[k], force[k + 1] - pull[k + 1]);
+            carry[k] = own.x, carry[k + 1] = own.y, carry[k + 2] = force[k + 2] - pull[k + 2];
+        }
+        return;
     }
-    return change;
+    const Node& frame = graph.nodes[group.nodes[group.w + group.frame]];
+    const Rotation& axes_then = group.seen[group.frame].axes;
+    double x = 0.0, y = 0.0, torque = 0.0;
+    for (Number k = 0; k < group.r; ++k) {
+        if (k == group.frame) continue;
+        const Node& node = graph.nodes[group.nodes[group.w + k]];
+        const Seen& then = group.seen[k];
+        const double *const f = force + 3 * k, *const p = pull + 3 * k;
+        const auto in_frame = [&](const double* v) {
+            return node.point ? turned_back(axes_then, v[0], v[1]) : turned(then.axes, v[0], v[1]);
+        };
+        const Lever before = in_frame(f), change = in_frame(p), now{before.x - change.x, before.y - change.y};
+        const Lever own = node.point ? turned(frame.axes, now.x, now.y) : turned_back(between(node.axes, frame.axes), now.x, now.y);
+        carry[3 * k] = own.x, carry[3 * k + 1] = own.y, carry[3 * k + 2] = f[2] - p[2];
+        const Lever at = turned_back(frame.axes, node.x[0] - frame.x[0], node.x[1] - frame.x[1]);
+        x += change.x;
+        y += change.y;
+        torque += p[2] - at.x * now.y + at.y * now.x + then.x * before.y - then.y * before.x;
+    }
+    const double* const f = force + 3 * group.frame;
+    double* const own = carry + 3 * group.frame;
+    own[0] = f[0] + x, own[1] = f[1] + y, own[2] = f[2] + torque;
 }
 
-void Tree::backward(Graph& graph, Number s) {
+void Tree::follow(const Graph& graph, Number s) {
     Supernode& group = groups[s];
+    if (group.w > 0) follow(graph, group, strain(group, motion(graph, group)));
+}
+
+void Tree::move(Graph& graph, Supernode& group, const double* w) {
     const Front front = group.front();
     double* const a = work(front.height);
     // rows that are not known yet are zero, so that the unused part of the panel does not enter the sums
     std::memset(a, 0, (front.pad + 3 * group.w) * sizeof(double));
-    double* at = a + front.pad + 3 * group.w;
-    for (const Number node : group.separator()) at = std::copy_n(graph.nodes[node].d.data(), 3, at);
+    std::copy_n(w, 3 * group.r, a + front.pad + 3 * group.w);
     const double* const y = group.y();
     const auto get = [y](Place j) { return Part{y[3 * j], y[3 * j + 1], y[3 * j + 2]}; };
     sparse::solve_backward<Real3>(front, group.panel(), a, 0, get,
                                   [a](Place, Place row, const Part& part) { std::copy_n(part.v, 3, a + row); });
-    at = a + front.pad;
+    const Node* const frame = group.frame < 0 ? nullptr : &graph.nodes[group.nodes[group.w + group.frame]];
+    const Seen* const then = frame ? &group.seen[group.frame] : nullptr;
+    const Rotation turn = frame ? between(frame->axes, then->axes) : Rotation();
+    const double* at = a + front.pad;
     for (const Number number : group.columns()) {
         Node& node = graph.nodes[number];
         if (node.changed != step) {
             node.changed = step;
             node.kept = node.x;
         }
-        double dx = at[0] - node.d[0], dy = at[1] - node.d[1];
+        node.x = node.base;
+        Rotation axes = node.base_axes;
+        if (frame) {
+            const Lever along = turned(turn, node.base[0] - then->x, node.base[1] - then->y);
+            node.x[0] = frame->x[0] + along.x, node.x[1] = frame->x[1] + along.y;
+            Rotation back = turn;
+            back.s = -back.s;
+            axes = between(axes, back);
+        }
+        const Lever way = turned(node.point ? turn : axes, at[0], at[1]);
+        node.x[0] += way.x;
+        node.x[1] += way.y;
         if (!node.point) {
-            const auto [c, t] = node.axes;
-            const double ahead = dx;
-            dx = c * ahead - t * dy;
-            dy = t * ahead + c * dy;
-            node.x[2] += at[2] - node.d[2];
+            if (frame) node.x[2] += frame->x[2] - then->angle;
+            node.x[2] += at[2];
             node.axes = Rotation(node.x[2]);
         }
-        node.x[0] += dx;
-        node.x[1] += dy;
-        std::copy_n(at, 3, node.d.data());
         at += 3;
     }
 }
 
-void Tree::backward(Graph& graph, double share, double apart, std::vector<Number>& moved) {
-    ++stamp;
+void Tree::move(Graph& graph, Number s) {
+    Supernode& group = groups[s];
+    move(graph, group, motion(graph, group));
+}
+
+void Tree::move_paths(Graph& graph, std::span<const Number> homes) {
+    const std::vector<Number> path = upwards(homes);
+    for (auto s = path.rbegin(); s != path.rend(); ++s) move(graph, *s);
+}
+
+void Tree::move_all(Graph& graph) {
+    descend(graph, -1.0);
+}
+
+Tree::Moved Tree::descend(Graph& graph, double least) {
+    Moved moved;
     std::vector<Number> stack{0};
     while (!stack.empty()) {
         const Number s = stack.back();
         stack.pop_back();
-        if (s > 0) {
-            backward(graph, s);
-            for (const Number number : groups[s].columns()) {
-                Node& node = graph.nodes[number];
-                if (node.beyond(node.passed, share)) {
-                    node.mark = stamp;
-                    node.passed = node.x;
-                }
-                if (node.beyond(node.evaluated, apart)) moved.push_back(number);
-            }
-            groups[s].changed = false;
-        }
+        if (s > 0) moved.supernodes.push_back(s);
         for (Number c = groups[s].child; c > 0; c = groups[c].sibling) {
-            const Supernode& child = groups[c];
-            if (child.w == 0) continue;
-            bool visit = share < 0 || child.changed;
-            for (const Number node : child.separator()) {
-                if (visit) break;
-                visit = graph.nodes[node].mark == stamp;
+            Supernode& child = groups[c];
+            if (child.w == 0) {
+                if (s > 0) moved.priors.push_back(c);
+                continue;
             }
-            if (visit) stack.push_back(c);
+            const double* const w = motion(graph, child);
+            if (s > 0 && child.energy <= least) {
+                const double* const pull = strain(child, w);
+                if (child.strain * child.stress <= least) {
+                    follow(graph, child, pull);
+                    continue;
+                }
+            }
+            move(graph, child, w);
+            stack.push_back(c);
         }
     }
+    return moved;
 }
 
-void Tree::solve_paths(Graph& graph, std::span<const Number> homes, double share) {
-    const std::vector<Number> path = upwards(homes);
-    for (auto s = path.rbegin(); s != path.rend(); ++s) {
-        backward(graph, *s);
-        Supernode& group = groups[*s];
-        for (const Number number : group.columns()) {
-            if (group.changed) break;
-            group.changed = graph.nodes[number].beyond(graph.nodes[number].passed, share);
-        }
+void Tree::rest(Graph& graph, Number s) {
+    Supernode& group = groups[s];
+    for (const Number number : group.columns()) {
+        Node& node = graph.nodes[number];
+        node.base = node.x;
+        node.base_axes = node.axes;
     }
-    for (const Number s : path)
-        if (groups[s].changed) groups[groups[s].parent].changed = true;
+    for (Number k = 0; k < group.r; ++k) {
+        const Node& node = graph.nodes[group.nodes[group.w + k]];
+        const bool alone = group.frame < 0 || k == group.frame;
+        group.seen[k] = alone ? value_of(node) : seen_from(graph.nodes[group.nodes[group.w + group.frame]], node);
+    }
+    std::fill_n(group.y(), 3 * group.w, 0.0);
+    group.strain = group.energy = 0.0;
+    group.stress = 1.0;
+}
+
+void Tree::evaluate(Graph& graph, Number s, Evaluation& found) {
+    rest(graph, s);
+    Supernode& group = groups[s];
+    const Front front = group.front();
+    double* const b = work(front.height);
+    std::memset(b, 0, front.height * sizeof(double));
+    double* const at = b + front.pad;
+    for (Number q = 0; q < group.w; ++q)
+        for (Number e = graph.nodes[group.nodes[q]].owned; e >= 0; e = graph.edges[e].next_owned) {
+            Edge& edge = graph.edges[e];
+            if (edge.taken_out()) continue;
+            const Evaluated now = online::evaluate(graph, edge, found.limit, found.bent);
+            found.change += now.change;
+            group.stress = std::max(group.stress, edge.cost);
+            if (now.outdated) found.late.push_back(e);
+            const int side = edge.side(group.nodes[q]);
+            for (int p = 0; p < 3; ++p) {
+                at[3 * q + p] += now.pulls.ends[side][p];
+                at[3 * edge.place + p] += now.pulls.ends[1 - side][p];
+            }
+        }
+    for (Number c = group.child; c > 0; c = groups[c].sibling) {
+        Supernode& child = groups[c];
+        const double* const carry = child.carry();
+        for (Number q = 0; q < child.r; ++q)
+            for (int k = 0; k < 3; ++k) at[3 * child.relative[q] + k] += carry[3 * q + k];
+        group.energy += child.energy + child.strain;
+        group.stress = std::max(group.stress, child.stress);
+    }
+    double square = 0.0;
+    double* const y = group.y();
+    sparse::solve_forward<Real3>(front, group.panel(), b, 0, [&](Place j, const Part& part) {
+        for (int k = 0; k < 3; ++k) {
+            square += part.v[k] * part.v[k];
+            y[3 * j + k] = part.v[k];
+        }
+    });
+    std::copy_n(at + 3 * group.w, 3 * group.r, group.force());
+    std::copy_n(at + 3 * group.w, 3 * group.r, group.carry());
+    group.energy += square;
+    found.predicted += square;
+}
+
+double Tree::energy() const {
+    double total = 0.0;
+    for (Number c = groups[0].child; c > 0; c = groups[c].sibling) total += groups[c].energy;
+    return total;
 }
 
 // With the unit vectors E of the nodes, it is Y' Y, L Y = E. The columns of Y are zero beside the paths from their nodes to the

@@ -10,7 +10,7 @@ namespace {
 /// Everything is ordered again where there are so many times as many nodes as the last time.
 constexpr double growth = 1.3;
 /// How far the edges of a factor may be from the present ones where a covariance is asked for; see `Memory::limit`.
-constexpr double known_limit = 1e-5;
+constexpr double known_limit = 1e-7;
 
 }  // namespace
 
@@ -33,6 +33,7 @@ void OnlineSystem::add_prior(std::span<const Number> nodes, std::span<const Trip
     prior.centre.assign(places.begin(), places.end());
     for (std::size_t k = 0; k < nodes.size(); ++k) {
         graph_.nodes[nodes[k]].point = points;
+        graph_.nodes[nodes[k]].held = !points;
         graph_.nodes[nodes[k]].begin(places[k]);
     }
     if (!points) prior.turn_to_poses();
@@ -46,6 +47,7 @@ void OnlineSystem::hang_prior(Prior& prior) {
     const auto k = static_cast<Number>(prior.members.size());
     prior.group = tree_.create(0, k);
     tree_.groups[prior.group].nodes = prior.members;
+    tree_.groups[prior.group].absolute = !prior.relative;
     write_prior(prior, true);
     tree_.hang(prior.group, 0);
 }
@@ -72,21 +74,27 @@ bool OnlineSystem::add(Number known, std::span<const NewEdge> added, std::span<c
     }
     const auto first = static_cast<Number>(graph_.edges.size());
     const auto before = std::tuple(memory_, ordered_, passes, converged, known_);
-    // the scales of older nodes are all that changes before an elimination has succeeded
-    struct Scale {
-        Number node;
-        double far, turned;
-    };
-    std::vector<Scale> scales;
+    // older nodes of the step and those above them are all that changes before an elimination has succeeded
+    std::vector<Number> homes;
     for (const NewEdge& edge : added)
         for (const Number end : {edge.first, edge.second})
-            if (end < known) scales.push_back({end, graph_.nodes[end].far, graph_.nodes[end].turned});
+            if (end < known) homes.push_back(graph_.nodes[end].home);
+    std::vector<std::pair<Number, Node>> nodes;
+    for (const Number s : tree_.upwards(homes))
+        for (const Number node : tree_.groups[s].columns()) nodes.push_back({node, graph_.nodes[node]});
+    std::vector<std::vector<double>> carries;
+    for (const Prior& prior : priors_) carries.push_back(prior.carry);
+    tree_.move_paths(graph_, homes);
     const std::vector<Number> touched = graph_.append(added, known);
     std::vector<Number> fresh;
     for (auto e = first; e < static_cast<Number>(graph_.edges.size()); ++e) fresh.push_back(e);
     if (solve(touched, fresh, newest)) return true;
     graph_.detach(first);
-    for (const auto& [node, far, turned] : scales) graph_.nodes[node].far = far, graph_.nodes[node].turned = turned;
+    for (const auto& [node, kept] : nodes) graph_.nodes[node] = kept;
+    for (std::size_t k = 0; k < carries.size(); ++k) {
+        priors_[k].carry = carries[k];
+        write_prior(priors_[k], false);
+    }
     graph_.nodes.resize(known);
     std::tie(memory_, ordered_, passes, converged, known_) = before;
     return false;
@@ -103,17 +111,17 @@ bool OnlineSystem::solve(std::span<const Number> touched, std::span<const Number
         fresh = all = graph_.live_edges();
     }
     passes = 0;
-    std::vector<Triple> before;
-    for (const Number node : touched) before.push_back(graph_.nodes[node].d);
+    if (!every.empty()) complete();
     if (!eliminate({touched, fresh, newest, {}})) {
         // exact second derivatives below the top may make it indefinite
         if (!every.empty()) return false;
         every = graph_.live_nodes();
+        complete();
         if (touched.size() == every.size() || !eliminate({every, fresh, newest, {}})) return false;
     }
     lost_ = false;
     ++tree_.step;
-    converged = iterate(newest, fresh, touched, before) || solve_as_batch(newest);
+    converged = iterate(newest) || solve_as_batch(newest);
     return true;
 }
 
@@ -122,19 +130,15 @@ bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Number> n
         Node& node = graph_.nodes[k];
         Node anew;
         anew.far = node.far, anew.turned = node.turned, anew.edges = node.edges;
-        anew.point = node.point, anew.gone = node.gone;
+        anew.point = node.point, anew.gone = node.gone, anew.held = node.held;
         anew.begin(x[k]);
         node = anew;
     }
     for (Edge& edge : graph_.edges) {
         edge.linear = {};
-        edge.weight = edge.cost = 0.0;
-        edge.rhs = {};
-        edge.mark = 0;
+        edge.weight = edge.cost = edge.squares = 0.0;
     }
-    pending_.clear();
     memory_.cost = 0.0;
-    memory_.work = infinity;
     const double tolerance = tree_.pivot_tolerance;
     tree_ = Tree();
     tree_.pivot_tolerance = tolerance;
@@ -157,12 +161,12 @@ void OnlineSystem::relinearize(std::span<const Number> newest) {
 bool OnlineSystem::factorize_again(std::span<const Number> newest) {
     complete();
     const std::vector<Triple> x = places();
-    memory_.bent.convex = memory_.work = infinity;
+    memory_.bent.convex = infinity;
     const std::vector<Number> nodes = graph_.live_nodes(), edges = graph_.live_edges();
     std::vector<Prior*> priors;
     for (Prior& prior : priors_) priors.push_back(&prior);
     const std::vector<Number> above = renew_priors(priors);
-    bool good = !lost_ && (refactor(graph_, tree_, edges, above, memory_.bent, memory_.cost) || eliminate({nodes, {}, newest, {}}));
+    bool good = !lost_ && (factorize_late(edges, above) || eliminate({nodes, {}, newest, {}}));
     good = good || begin_at(x, newest);
     memory_.bent.convex = usual_bent().convex;
     // second derivatives may make it definite, so that steps can go on
@@ -176,12 +180,15 @@ bool OnlineSystem::linearize_late(std::span<const Number> newest) {
     if ((lost_ || memory_.bent.convex == 0.0) && !factorize_again(newest)) return false;
     if (known_) return true;
     known_ = true;
+    complete();
     std::vector<Number> late;
     for (const Number e : graph_.live_edges())
         if (differs_from_gauss_newton(graph_, graph_.edges[e], known_limit)) late.push_back(e);
     if (late.empty()) return true;
-    const Bent without{infinity, memory_.bent.exact};
-    known_ = refactor(graph_, tree_, late, {}, without, memory_.cost) || factorize_again(newest);
+    pass(-1.0);
+    Evaluation found{memory_.limit, {infinity, memory_.bent.exact}};
+    known_ = refactor(graph_, tree_, late, {}, found) || factorize_again(newest);
+    memory_.cost += found.change;
     return known_;
 }
 
@@ -202,22 +209,22 @@ std::optional<std::vector<double>> OnlineSystem::covariance(std::span<const Numb
 std::vector<Triple> OnlineSystem::values(std::span<const Number> nodes) {
     std::vector<Number> homes;
     for (const Number node : nodes) homes.push_back(graph_.nodes[node].home);
-    tree_.solve_paths(graph_, homes, 0.0);
+    tree_.move_paths(graph_, homes);
     std::vector<Triple> x;
     for (const Number node : nodes) x.push_back(graph_.nodes[node].x);
     return x;
 }
 
-void OnlineSystem::complete() {
-    std::vector<Number> moved;
-    tree_.backward(graph_, -1.0, infinity, moved);
-}
+void OnlineSystem::complete() { tree_.move_all(graph_); }
 
 double OnlineSystem::cost() {
     complete();
     double total = 0.0;
-    for (const Edge& edge : graph_.edges)
-        if (!edge.taken_out()) total += linearize(graph_, edge).cost;
+    for (const Edge& edge : graph_.edges) {
+        if (edge.taken_out()) continue;
+        const double squares = linearize(graph_, edge).squares;
+        total += edge.robust ? graph_.kernel.loss(squares) : squares;
+    }
     return total;
 }
 

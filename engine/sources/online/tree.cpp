@@ -12,8 +12,9 @@ using sparse::Real3;
 
 Supernode::Supernode(Number w, Number r) : w(w), r(r), nodes(w + r) {
     const Front f = front();
-    numbers = Numbers(3 * (w * f.height + r * f.update_height + w + r));
-    std::fill_n(y(), 3 * (w + r), 0.0);
+    numbers = Numbers(3 * (w * f.height + r * f.update_height + w + 2 * r));
+    std::fill_n(y(), 3 * (w + 2 * r), 0.0);
+    seen.resize(r);
 }
 
 Number Tree::create(Number w, Number r) {
@@ -77,7 +78,7 @@ std::vector<Number> Tree::upwards(std::span<const Number> homes) {
 }
 
 void Tree::relate_children(Graph& graph, Number s) {
-    const Supernode& parent = groups[s];
+    Supernode& parent = groups[s];
     Number place = 0;
     for (const Number node : parent.nodes) graph.nodes[node].local = place++;
     for (Number c = parent.child; c > 0; c = groups[c].sibling) {
@@ -86,6 +87,7 @@ void Tree::relate_children(Graph& graph, Number s) {
         child.run_end.resize(child.r);
         child.ascending = true;
         child.split = 0;
+        parent.absolute |= child.absolute;
         for (Number k = 0; k < child.r; ++k) {
             child.relative[k] = graph.nodes[child.nodes[child.w + k]].local;
             child.ascending &= k == 0 || child.relative[k] > child.relative[k - 1];
@@ -96,10 +98,24 @@ void Tree::relate_children(Graph& graph, Number s) {
             child.run_end[k] = end;
         }
     }
+    for (const Number node : parent.columns())
+        for (Number e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned) {
+            Edge& edge = graph.edges[e];
+            if (!edge.taken_out()) edge.place = graph.nodes[edge.ends[1 - edge.side(node)]].local;
+        }
     for (const Number node : parent.nodes) graph.nodes[node].local = -1;
+    for (Number k = parent.r - 1; k >= 0 && !parent.absolute; --k)
+        if (!graph.nodes[parent.nodes[parent.w + k]].point) parent.frame = k;
 }
 
 namespace {
+
+/// Add a symmetric block to a diagonal block.
+void add_symmetric(double* t, Place h, const Symmetric& D) {
+    t[0] += D.xx, t[1] += D.xy, t[2] += D.xt;
+    t[h + 1] += D.yy, t[h + 2] += D.yt;
+    t[2 * h + 2] += D.tt;
+}
 
 /// Add the blocks of the update matrix of a child that lie in the first w columns of its parent, or in the others, where its
 /// separator is in another order than the front of the parent. `skip` nodes are left out of the target.
@@ -120,28 +136,41 @@ void extend_in_any_order(Supernode& child, bool others, Number w, double* target
 
 }  // namespace
 
-/// The blocks of Omega in the columns of a panel: the diagonal, and the edges that the nodes own.
+/// The blocks of the edges that its nodes own in the columns of a panel.
 void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
     const Front front = group.front();
     const Place h = front.height;
     for (Number q = 0; q < group.w; ++q) {
-        const Node& node = graph.nodes[group.nodes[q]];
-        const Symmetric& D = node.diagonal;
+        const Number number = group.nodes[q];
         double* const column = x + 3 * q * h + front.pad;
-        double* const t = column + 3 * q;
-        t[0] = D.xx, t[1] = D.xy, t[2] = D.xt;
-        t[h + 1] = D.yy, t[h + 2] = D.yt;
-        t[2 * h + 2] = D.tt + (node.point ? 1.0 : 0.0);
-        for (Number e = node.owned; e >= 0; e = graph.edges[e].next_owned) {
+        if (graph.nodes[number].point) column[3 * q + 2 * h + 2] += 1.0;
+        for (Number e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
             const Edge& edge = graph.edges[e];
             if (edge.taken_out()) continue;
-            const int side = edge.side(group.nodes[q]);
+            const int side = edge.side(number);
+            const Blocks own = diagonal_blocks(edge);
+            add_symmetric(column + 3 * q, h, side == 0 ? own.first : own.second);
+            if (edge.place < group.w)
+                add_symmetric(x + 3 * edge.place * (h + 1) + front.pad, h, side == 0 ? own.second : own.first);
             const auto block = block_between(edge);
-            double* const to = column + 3 * graph.nodes[edge.ends[1 - side]].local;
+            double* const to = column + 3 * edge.place;
             for (int k = 0; k < 3; ++k)
                 for (int i = 0; i < 3; ++i) to[side == 0 ? k * h + i : i * h + k] += block[3 * k + i];
         }
     }
+}
+
+/// Their blocks on the diagonal of the separator.
+void Tree::put_separator_entries(const Graph& graph, const Supernode& group, double* update) {
+    const Front front = group.front();
+    for (const Number number : group.columns())
+        for (Number e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
+            const Edge& edge = graph.edges[e];
+            if (edge.taken_out() || edge.place < group.w) continue;
+            const Blocks own = diagonal_blocks(edge);
+            add_symmetric(update + 3 * (edge.place - group.w) * (front.update_height + 1) + front.update_pad,
+                          front.update_height, edge.side(number) == 0 ? own.second : own.first);
+        }
 }
 
 bool Tree::factorize(Graph& graph, Number s) {
@@ -153,15 +182,10 @@ bool Tree::factorize(Graph& graph, Number s) {
     if (packed_.empty() || packed_[0].size() < packing) packed_.assign(1, Numbers(2 * packing));
     const sparse::Panel<Real3> panel{x, front, packed_};
     std::memset(x, 0, 3 * group.w * h * sizeof(double));
-    Number place = 0;
-    for (const Number node : group.nodes) graph.nodes[node].local = place++;
     put_entries(graph, group, x);
-    for (const Number node : group.nodes) graph.nodes[node].local = -1;
     double* const limits = work(3 * group.w);
-    for (Place k = 0; k < 3 * group.w; ++k) {
-        const double d = x[k * h + front.pad + k];
-        limits[k] = d > 0.0 ? pivot_tolerance * d : 0.0;
-    }
+    for (Place k = 0; k < 3 * group.w; ++k)
+        limits[k] = std::max(0.0, pivot_tolerance * graph.nodes[group.nodes[k / 3]].diagonal[k % 3]);
     for (Number c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         if (!child.ascending)
@@ -175,6 +199,7 @@ bool Tree::factorize(Graph& graph, Number s) {
     // only the columns are needed before the factorisation, so the update matrix is written by the product and never cleared
     double* const update = group.update();
     panel.update_matrix(update);
+    put_separator_entries(graph, group, update);
     for (Number c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         if (!child.ascending)
@@ -183,22 +208,29 @@ bool Tree::factorize(Graph& graph, Number s) {
             sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), child.split, child.r,
                                   child.update(), update, front.update_height, front.update_pad, group.w);
     }
+    // what is above the diagonal there has no meaning, and enters sums as zero
+    for (Number j = 0; j < 3 * group.r; ++j) {
+        double* const column = update + j * front.update_height;
+        const Place row = front.update_pad + j;
+        std::fill(column + sparse::group_of(front.update_pad + j / 3 * 3), column + row, 0.0);
+    }
     return true;
 }
 
-bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, std::span<const Number> others, const Bent& bent,
-              double& cost) {
+bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, std::span<const Number> others, Evaluation& found) {
     std::vector<Number> homes(others.begin(), others.end());
     homes.reserve(others.size() + late.size());
     for (const Number e : late) {
-        cost += relinearize(graph, graph.edges[e], bent);
+        relinearize(graph, graph.edges[e], found.bent);
         homes.push_back(graph.nodes[graph.edges[e].owner].home);
     }
     bool good = true;
     for (const Number s : tree.upwards(homes)) {
         good = good && tree.factorize(graph, s);
-        if (good) tree.forward(graph, s);
-        tree.groups[s].changed = true;
+        if (good)
+            tree.evaluate(graph, s, found);
+        else
+            tree.rest(graph, s);
     }
     return good;
 }

@@ -6,12 +6,8 @@
 //     B_i = -[I, u; 0, 1],  u the lever, and B_j = blkdiag(R(alpha), 1), alpha = theta_j - theta_i, or -theta_i for a point.
 //
 // The factor holds every edge with the lever, alpha and robust weight of the last time at which its part of the tree was
-// factorised. The right-hand side is kept up to date: with the sum d of all increments of both ends,
-//
-//     rhs_e = -B(x)' W e(x) + B' W B d,
-//
-// so that Omega d = rhs is the condition for an optimum at x, whatever B is in Omega. If it is near B(x), iterating
-// converges fast. `evaluate` compares them.
+// factorised. Its pulls -B(x)' W e(x) are those at the estimate, so that passes end at an optimum, whatever B is in the
+// factor. If it is near B(x), they converge fast. `evaluate` compares them.
 //
 // Gauss-Newton leaves out the second derivatives of the residual. Where residuals are as large as levers, the curvature of J
 // can be more than twice B' W B, and Gauss-Newton then diverges from the minimum itself. So an edge with a cost above
@@ -45,15 +41,21 @@ struct Present {
 };
 Present linearize(const Graph& graph, const Edge& edge);
 
-/// Bring the right-hand side of an edge up to date.
+/// What an edge pulls its ends with at the estimate, -B(x)' W e.
+struct Pulls {
+    Triple ends[2];
+};
+Pulls pulls(const Present& now);
+
 struct Evaluated {
-    double change;  ///< of its cost
+    Pulls pulls;
+    double change;  ///< of its cost since the last evaluation
     bool outdated;  ///< whether its part of the factor is
 };
-Evaluated evaluate(Graph& graph, Edge& edge, double limit, const Bent& bent);
+Evaluated evaluate(const Graph& graph, Edge& edge, double limit, const Bent& bent);
 
-/// Take lever, alpha, weight and second derivatives from the estimate; returns the change of the cost.
-double relinearize(Graph& graph, Edge& edge, const Bent& bent);
+/// Take lever, alpha, weight and second derivatives from the estimate.
+void relinearize(Graph& graph, Edge& edge, const Bent& bent);
 
 /// Whether an edge in the factor differs from that of Gauss-Newton at the estimate.
 bool differs_from_gauss_newton(const Graph& graph, const Edge& edge, double limit);

@@ -25,30 +25,23 @@ inline constexpr double infinity = std::numeric_limits<double>::infinity();
 /// A pose, or a landmark. A landmark without heading is a `point`, whose third coordinate means nothing.
 struct Node {
     Triple x{};          ///< the estimate
-    Triple d{};          ///< the sum of all increments, in the axes of a pose or, of a point, the world
-    Triple rhs{};        ///< the right-hand side: the sum over the edges of the node
-    Symmetric diagonal{};  ///< the diagonal block of Omega, without priors
-    Rotation axes;       ///< of x
-    Triple evaluated{};  ///< the value at which the edges of the node were evaluated last
-    Triple passed{};     ///< the value that was passed down the tree last
+    Triple base{};       ///< the value at which its supernode was evaluated last
+    Rotation axes, base_axes;  ///< of x and of the base
     Triple kept{};       ///< the value before the latest step that changed it
-    /// The smallest standard deviations of its edges [m, rad]. Movements are compared with these.
+    Triple diagonal{};   ///< the diagonal of Omega, without priors
+    /// The smallest standard deviations of its edges [m, rad]. Changes of Jacobians are weighed with these.
     double far = infinity, turned = infinity;
-    Stamp mark = 0, changed = 0;  ///< the latest visit; the latest step that changed x
+    Stamp changed = 0;            ///< the latest step that changed x
     Number home = 0;              ///< the supernode in which the node is eliminated; 0: none yet
     Number edges = -1, owned = -1;  ///< the first edge of the node; the first that is assembled where it is eliminated
     Number local = -1;            ///< the number within a part of the graph; -1 between the calls
     bool point = false, gone = false;  ///< gone: marginalised
+    bool held = false;            ///< a pose with a prior of its own
 
     /// Put the node at a value. Headings are not wrapped, because increments add up.
     void begin(const Triple& value) {
-        x = passed = evaluated = value;
-        axes = Rotation(value[2]);
-    }
-    /// Whether a coordinate has moved away from `y` by more than `share` standard deviations.
-    bool beyond(const Triple& y, double share) const {
-        const double most = share * far;
-        return std::abs(x[0] - y[0]) > most || std::abs(x[1] - y[1]) > most || std::abs(x[2] - y[2]) > share * turned;
+        x = base = value;
+        axes = base_axes = Rotation(value[2]);
     }
 };
 
@@ -69,13 +62,12 @@ struct Edge {
     Symmetric omega{};
     Linear linear;
     double weight = 0.0;         ///< the robust weight in the factor; 0 before the edge is in it
-    std::array<double, 6> rhs{};  ///< what the edge adds to the right-hand sides of its ends
-    double cost = 0.0;           ///< at the last evaluation
-    Stamp mark = 0;
+    double cost = 0.0, squares = 0.0;  ///< at the last evaluation: the cost, and e' W e
     Number ends[2] = {-1, -1};   ///< -1 once the edge was taken out
     Number next[2] = {-1, -1};   ///< the next edge of either end
     Number owner = -1, next_owned = -1;  ///< the end that is eliminated first, and the next edge that this owns
-    bool oriented = true, robust = false;
+    Number place = 0;            ///< where the other end stands in the front of the owner
+    bool oriented = true, robust = false, sighting = false;
 
     int side(Number node) const { return ends[0] == node ? 0 : 1; }
     bool taken_out() const { return ends[0] < 0; }

@@ -6,9 +6,9 @@
 //     relative   the same for what the first node sees, R_0' (p_k - p_0), so that turning all nodes together costs nothing.
 //
 // What edges between nodes leave is relative: after a long way the heading of the first node is uncertain, and an absolute way
-// is not linear in it. The tree has Lambda_x = J' Lambda J, J = dv/dx, and for the sums d of all increments
+// is not linear in it. The tree has Lambda_x = J' Lambda J, J = dv/dx, and
 //
-//     carry = J' (b - Lambda v) + Lambda_x d.
+//     carry = J' (b - Lambda v).
 #pragma once
 
 #include <vector>

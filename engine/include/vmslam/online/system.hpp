@@ -14,12 +14,9 @@ namespace vmslam::online {
 /// What steps learn about the graph and keep for the next ones.
 struct Memory {
     double cost = 0.0;       ///< J at the last evaluation
-    double limit = 0.1;      ///< how far an edge in the factor may be from the present one
+    double limit = 1e-4;     ///< how far an edge in the factor may be from the present one
     Bent bent;
     int hold = 0;            ///< for how many passes no second derivatives are exact
-    double work = 0.0;       ///< the energy that steps have put into older edges since the last fine pass; see step.cpp
-    double allowed = 0.0;    ///< how much of it is
-    double rate = 0.0;       ///< the decrease of J that coarse passes missed, over the square of `work`
     double shrinks = 0.0;    ///< how slowly passes converge
 };
 
@@ -79,26 +76,19 @@ class OnlineSystem {
    private:
     enum class Outcome { done, unfinished, indefinite };
 
-    /// Passes until the predicted decrease of the cost is below the tolerance, after edges `fresh` at nodes `touched`, which had
-    /// the increments `before`.
-    bool iterate(std::span<const Number> newest, std::span<const Number> fresh = {}, std::span<const Number> touched = {},
-                 std::span<const Triple> before = {});
-    Outcome advance(int& done, std::span<const Number> fresh, std::span<const Number> touched,
-                    std::span<const Triple> before);
-    /// Evaluate the edges and relative priors of nodes that moved: the supernodes of their ends, and the edges and priors that
-    /// are to be linearised again.
-    struct Evaluation {
-        std::vector<Number> homes, late;
+    /// Passes until the predicted decrease of the cost is below the tolerance.
+    bool iterate(std::span<const Number> newest);
+    Outcome advance(int& done);
+    /// One pass, but for subtrees with less energy and strain than `least`: the decrease of the cost by the next one, and the
+    /// edges and priors that are to be linearised again.
+    struct Pass {
+        double predicted;
+        std::vector<Number> late;
         std::vector<Prior*> outdated;
     };
-    Evaluation evaluate_edges(std::span<const Number> moved);
-    void list_home(Number node, std::vector<Number>& homes);
-    void list_supernode(Number s, std::vector<Number>& supernodes);
+    Pass pass(double least);
+    bool factorize_late(std::span<const Number> late, std::span<const Number> others);
     std::vector<Number> renew_priors(std::span<Prior* const> priors);
-    std::vector<Prior*> priors_around(std::span<const Number> moved);
-    std::vector<Number> homes_around(std::span<const Number> moved);
-    double work_of(std::span<const Number> fresh, std::span<const Number> touched, std::span<const Triple> before) const;
-    void allow_work(double predicted);
 
     Bent usual_bent() const;
     bool eliminate(const Changes& changes);
@@ -117,7 +107,6 @@ class OnlineSystem {
     Tree tree_;
     std::vector<Prior> priors_;
     Memory memory_;
-    std::vector<Number> pending_;  ///< nodes that the last pass of a step moved, whose edges the next step evaluates
     Number ordered_ = 0;  ///< the number of nodes when all were ordered last
     bool known_ = false;  ///< whether nothing has changed since a covariance was asked for
     bool lost_ = false;   ///< whether the tree is empty, because not all nodes could be eliminated where they are

@@ -4,14 +4,26 @@
 // are eliminated later. It keeps
 //
 //     panel    the columns of L, L11 over L21, with inverse pivots (`sparse::Front`),
-//     update   what eliminating the whole subtree adds to Omega of the separator; the parts of the edges are in the nodes,
-//     y        the forward solution L11^-1 of the right-hand side,
-//     carry    what eliminating the whole subtree adds to the right-hand side of the separator.
+//     update   U, what the whole subtree adds to Omega of the separator: its edges, less what eliminating its nodes takes,
+//     y        L11^-1 times the pulls on its nodes, at the last evaluation,
+//     force    what the whole subtree pulled the separator with then,
+//     carry    what it pulls the separator with at the estimate.
+//
+// An edge is assembled where its first end is eliminated, with its parts for both ends. So U and force belong to the subtree as a
+// whole, and J of a subtree does not change when its separator moves as a rigid body. Let w be the motion of the separator since
+// the last evaluation against one of its poses, the `frame`, in the axes that its nodes had then. Then
+//
+//     a = L11^-T (y - L21' w)     are the increments of its nodes, which first move along with the frame,
+//     force - U w                 is what it pulls the separator with, turned along with the frame.
+//
+// A pass leaves a subtree out as long as its strain w' U w is small: it has no nodes to move and no edges to evaluate.
+// The forces on the frame follow from those on the others, where these are now: forces that did not balance exactly would turn
+// the map, which resists little.
 //
 // A supernode with w = 0 is a prior: a dense quadratic on its separator. Supernode 0 is the parent of all roots.
 #pragma once
 
-#include "vmslam/online/graph.hpp"
+#include "vmslam/online/edge.hpp"
 #include "vmslam/sparse/factor.hpp"
 
 namespace vmslam::online {
@@ -19,15 +31,26 @@ namespace vmslam::online {
 using sparse::Front;
 using sparse::Numbers;
 
+/// Where the frame sees a node of the separator; of the frame itself, and of all without a frame, the value.
+struct Seen {
+    double x, y, angle;
+    Rotation axes;
+};
+
 struct Supernode {
     Number w = 0, r = 0;
     Number parent = 0, child = 0, sibling = 0;
     Number split = 0;  ///< the first row of the separator that is not among the columns of the parent
+    Number frame = -1;  ///< the first pose of the separator; -1: none, or the subtree is absolute
     bool marked = false;  ///< false between the calls
-    bool changed = false;  ///< whether y has changed since the last backward pass
     bool ascending = true;  ///< whether `relative` ascends
+    bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
+    double energy = 0.0;    ///< by how much solving the subtree would lower the cost where its separator was
+    double strain = 0.0;    ///< w' U w
+    double stress = 1.0;    ///< the largest cost of an edge of the subtree, at least 1
     std::vector<Number> nodes;  ///< w nodes, then r nodes, both in the order of elimination
     std::vector<Number> relative, run_end;  ///< where the separator stands in the front of the parent; ends of its runs
+    std::vector<Seen> seen;                 ///< the separator at the last evaluation
     Numbers numbers;
 
     Supernode() = default;
@@ -37,9 +60,18 @@ struct Supernode {
     double* panel() { return numbers.data(); }
     double* update() { return panel() + 3 * w * front().height; }
     double* y() { return update() + 3 * r * front().update_height; }
-    double* carry() { return y() + 3 * w; }
+    double* force() { return y() + 3 * w; }
+    double* carry() { return force() + 3 * r; }
     std::span<const Number> columns() const { return {nodes.data(), static_cast<std::size_t>(w)}; }
     std::span<const Number> separator() const { return {nodes.data() + w, static_cast<std::size_t>(r)}; }
+};
+
+/// The evaluation of edges: how, and what it finds.
+struct Evaluation {
+    double limit;      ///< from which an edge in the factor is outdated
+    Bent bent;
+    double change = 0.0, predicted = 0.0;  ///< of the cost; its decrease by a solution of the tree
+    std::vector<Number> late{};            ///< edges that are outdated
 };
 
 class Tree {
@@ -47,7 +79,7 @@ class Tree {
     Tree() : groups(1) {}
 
     std::vector<Supernode> groups;
-    Stamp stamp = 0, step = 1;  ///< of the last visit and of the present step
+    Stamp step = 1;  ///< the present step
     /// The smallest ratio of a pivot to its diagonal entry, as in batch solutions.
     double pivot_tolerance = sparse::Real3::tolerance;
 
@@ -66,19 +98,25 @@ class Tree {
     /// Factorise a supernode from its edges and children; false where a pivot is too small.
     bool factorize(Graph& graph, Number s);
 
-    /// y and carry of a supernode from its right-hand sides and its children; returns the squared change of y.
-    double forward(const Graph& graph, Number s);
-    /// The same from supernodes up to the roots: the sum is the decrease of the cost that is predicted.
-    double forward(const Graph& graph, std::span<const Number> homes);
-    /// Increments and values of the nodes of a supernode, from y and the increments of its separator.
-    void backward(Graph& graph, Number s);
+    /// Move the nodes of a supernode to the solution, whose separator is there. Moving them again changes nothing.
+    void move(Graph& graph, Number s);
+    /// The same for all supernodes from `homes` up to the roots, and for all.
+    void move_paths(Graph& graph, std::span<const Number> homes);
+    void move_all(Graph& graph);
+    /// What a subtree pulls its separator with where that is now, and its strain.
+    void follow(const Graph& graph, Number s);
+    /// Take the present values of the nodes of a supernode as those from which they move, by nothing.
+    void rest(Graph& graph, Number s);
+    /// Evaluate the edges of a supernode, whose nodes and children are where they are to be, and solve it forward.
+    void evaluate(Graph& graph, Number s, Evaluation& found);
 
-    /// Solve from the roots down wherever y changed or a separator moved by `share` standard deviations, or everywhere for a
-    /// negative `share`. Nodes that are `apart` standard deviations from where their edges were evaluated join `moved`.
-    void backward(Graph& graph, double share, double apart, std::vector<Number>& moved);
-    /// Solve on the paths from the roots down to supernodes only. What hangs below is visited by the next `backward`, if a
-    /// node has moved by `share` standard deviations.
-    void solve_paths(Graph& graph, std::span<const Number> homes, double share);
+    /// Move supernodes to the solution from the roots down, but for subtrees with less energy and strain than `least`.
+    struct Moved {
+        std::vector<Number> supernodes, priors;  ///< parents before their children; the priors below them
+    };
+    Moved descend(Graph& graph, double least);
+    /// By how much solving the tree would lower the cost.
+    double energy() const;
 
     /// The joint covariance (3k, 3k) of k nodes in world axes.
     std::vector<double> covariance(Graph& graph, std::span<const Number> nodes);
@@ -92,17 +130,22 @@ class Tree {
     /// Room for vectors of fronts and for packing, with undefined content.
     double* work(sparse::Place rows);
     void put_entries(const Graph& graph, const Supernode& group, double* x);
+    void put_separator_entries(const Graph& graph, const Supernode& group, double* update);
+    /// w of a supernode.
+    const double* motion(const Graph& graph, const Supernode& group);
+    void move(Graph& graph, Supernode& group, const double* w);
+    const double* strain(Supernode& group, const double* w);
+    void follow(const Graph& graph, Supernode& group, const double* pull);
 
     std::vector<Number> free_;
-    Numbers work_;
+    Numbers work_, motion_, pull_;
     std::vector<Numbers> packed_;
 };
 
 /// Factorise supernodes again where edges are linearised again, `others`, and those above them: the same nodes in the same
-/// order, other numbers. Returns whether Omega is positive definite. If it is not, the tree is of no use until all of it is built anew.
-struct Bent;
-bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, std::span<const Number> others, const Bent& bent,
-              double& cost);
+/// order, other numbers. All of them are where they are to be. Returns whether Omega is positive definite. If it is not, the tree
+/// is of no use until all of it is built anew.
+bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, std::span<const Number> others, Evaluation& found);
 
 /// A part of the graph that is eliminated anew.
 struct Changes {
@@ -111,8 +154,8 @@ struct Changes {
     std::span<const Number> gone;  ///< supernodes that are taken out
 };
 
-/// Eliminate the top of the tree again: all supernodes from changed nodes up to the roots, in a new order. What hangs below
-/// stays as it is, and enters as further children. False where a node is not determined; nothing is changed then.
-bool rebuild(Graph& graph, Tree& tree, const Changes& changes, const Bent& bent, double& cost);
+/// Eliminate the top of the tree again: all supernodes from changed nodes up to the roots, in a new order. Their nodes are where
+/// they are to be. What hangs below stays as it is, and enters as further children. False where a node is not determined; nothing is changed then.
+bool rebuild(Graph& graph, Tree& tree, const Changes& changes, Evaluation& found);
 
 }  // namespace vmslam::online
