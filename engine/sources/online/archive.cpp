@@ -13,14 +13,17 @@ constexpr char title[] = "vmslam online 3";
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
 {
-    auto& [x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone, held] = value;
-    return std::tie(x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone, held);
+    auto& [x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone, held] =
+        value;
+    return std::tie(x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone,
+                    held);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Edge>
 {
     auto& [z, omega, linear, weight, cost, squares, ends, next, owner, next_owned, place, oriented, robust, sighting] = value;
-    return std::tie(z, omega, linear, weight, cost, squares, ends, next, owner, next_owned, place, oriented, robust, sighting);
+    return std::tie(z, omega, linear, weight, cost, squares, ends, next, owner, next_owned, place, oriented, robust,
+                    sighting);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Supernode>

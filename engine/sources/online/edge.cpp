@@ -104,8 +104,8 @@ Present linearize(const Graph& graph, const Edge& edge) { return present(graph, 
 
 Pulls pulls(const Present& now) {
     const Vector& g = now.g;
-    return {{{g.x, g.y, now.u.x * g.x + now.u.y * g.y + g.t},
-             {-now.c * g.x - now.s * g.y, -now.c * g.y + now.s * g.x, -g.t}}};
+    return {
+        {{g.x, g.y, now.u.x * g.x + now.u.y * g.y + g.t}, {-now.c * g.x - now.s * g.y, -now.c * g.y + now.s * g.x, -g.t}}};
 }
 
 Evaluated evaluate(const Graph& graph, Edge& edge, double limit, const Bent& bent) {

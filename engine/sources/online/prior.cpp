@@ -101,7 +101,8 @@ bool Prior::outdated(const Graph& graph) const {
         const Node& node = graph.nodes[members[k]];
         if (std::abs(node.point ? turned : node.x[2] - at[k][2] - turned) > most_turned) return true;
         const Lever seen = in_axes(axes, first, node.x), before = in_axes(axes_then, then, at[k]);
-        if (std::hypot(seen.x - before.x, seen.y - before.y) > most_turned * (1.0 + std::hypot(before.x, before.y))) return true;
+        if (std::hypot(seen.x - before.x, seen.y - before.y) > most_turned * (1.0 + std::hypot(before.x, before.y)))
+            return true;
     }
     return false;
 }

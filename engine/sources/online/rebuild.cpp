@@ -126,7 +126,8 @@ class Kept {
     Number root_;
     std::vector<Node> nodes_;
     std::vector<Edge> edges_;
-    std::vector<std::tuple<Number, Number, Number, bool, double, std::vector<Number>, std::vector<Number>, std::vector<double>>>
+    std::vector<
+        std::tuple<Number, Number, Number, bool, double, std::vector<Number>, std::vector<Number>, std::vector<double>>>
         places_;
     std::vector<Number> roots_;
 };

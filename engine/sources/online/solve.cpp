@@ -73,11 +73,12 @@ const double* Tree::strain(Supernode& group, const double* w) {
         const double *const x = group.update() + 3 * j * h, *const by = w + 3 * j;
         sparse::Vector<lanes> s0{}, s1{}, s2{};
         for (Place i = sparse::group_of(pad + 3 * j); i < h; i += lanes) {
-            const auto v = load<lanes>(w - pad + i), x0 = load<lanes>(x + i), x1 = load<lanes>(x + h + i), x2 = load<lanes>(x + 2 * h + i);
+            const auto v = load<lanes>(w - pad + i), x0 = load<lanes>(x + i), x1 = load<lanes>(x + h + i),
+                       x2 = load<lanes>(x + 2 * h + i);
             store<lanes>(pull + i, load<lanes>(pull + i) + x0 * by[0] + x1 * by[1] + x2 * by[2]);
             s0 += x0 * v, s1 += x1 * v, s2 += x2 * v;
         }
-        const double *const d = x + pad + 3 * j;
+        const double* const d = x + pad + 3 * j;
         double* const own = pull + pad + 3 * j;
         own[0] += sparse::sum<lanes>(s0) - d[0] * by[0];
         own[1] += sparse::sum<lanes>(s1) - d[h + 1] * by[1];
@@ -112,7 +113,8 @@ void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
             return node.point ? turned_back(axes_then, v[0], v[1]) : turned(then.axes, v[0], v[1]);
         };
         const Lever before = in_frame(f), change = in_frame(p), now{before.x - change.x, before.y - change.y};
-        const Lever own = node.point ? turned(frame.axes, now.x, now.y) : turned_back(between(node.axes, frame.axes), now.x, now.y);
+        const Lever own =
+            node.point ? turned(frame.axes, now.x, now.y) : turned_back(between(node.axes, frame.axes), now.x, now.y);
         carry[3 * k] = own.x, carry[3 * k + 1] = own.y, carry[3 * k + 2] = f[2] - p[2];
         const Lever at = turned_back(frame.axes, node.x[0] - frame.x[0], node.x[1] - frame.x[1]);
         x += change.x;
@@ -180,9 +182,7 @@ void Tree::move_paths(Graph& graph, std::span<const Number> homes) {
     for (auto s = path.rbegin(); s != path.rend(); ++s) move(graph, *s);
 }
 
-void Tree::move_all(Graph& graph) {
-    descend(graph, -1.0);
-}
+void Tree::move_all(Graph& graph) { descend(graph, -1.0); }
 
 Tree::Moved Tree::descend(Graph& graph, double least) {
     Moved moved;

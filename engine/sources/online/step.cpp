@@ -52,8 +52,7 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
         }
         if (predicted > (renewed ? diverging : slow) * last) {
             const bool closing = grows * last < predicted && predicted < near * m.cost;
-            if (closing && renewed && m.hold == 0 && m.limit < strict && m.bent.convex > 0.0 &&
-                m.bent.convex < infinity)
+            if (closing && renewed && m.hold == 0 && m.limit < strict && m.bent.convex > 0.0 && m.bent.convex < infinity)
                 m.bent.convex = 0.0;
             else  // slow passes: more of the edges have to be linearised where they are
                 m.limit = std::max(stricter * m.limit, 1e-9);

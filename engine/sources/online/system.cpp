@@ -111,13 +111,19 @@ bool OnlineSystem::solve(std::span<const Number> touched, std::span<const Number
         fresh = all = graph_.live_edges();
     }
     passes = 0;
-    if (!every.empty()) complete();
-    if (!eliminate({touched, fresh, newest, {}})) {
-        // exact second derivatives below the top may make it indefinite
-        if (!every.empty()) return false;
-        every = graph_.live_nodes();
+    const auto eliminate_all = [&] {
+        const std::vector<Node> before = graph_.nodes;
         complete();
-        if (touched.size() == every.size() || !eliminate({every, fresh, newest, {}})) return false;
+        if (eliminate({every, fresh, newest, {}})) return true;
+        graph_.nodes = before;
+        return false;
+    };
+    if (!every.empty()) {
+        if (!eliminate_all()) return false;
+    } else if (!eliminate({touched, fresh, newest, {}})) {
+        // exact second derivatives below the top may make it indefinite
+        every = graph_.live_nodes();
+        if (touched.size() == every.size() || !eliminate_all()) return false;
     }
     lost_ = false;
     ++tree_.step;

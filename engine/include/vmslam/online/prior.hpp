@@ -24,8 +24,8 @@ struct Prior {
     std::vector<Triple> centre;
     bool relative = false;
     std::vector<double> linear, carry;  ///< Lambda_x and `carry` of the tree
-    std::vector<Triple> at;             ///< the values of the nodes at which Lambda_x was evaluated
-    Number group = 0;                   ///< the supernode of the prior
+    std::vector<Triple> at;  ///< the values of the nodes at which Lambda_x was evaluated
+    Number group = 0;  ///< the supernode of the prior
 
     /// Turn the information from world axes to those of the centres.
     void turn_to_poses();
@@ -51,7 +51,7 @@ class Way {
     bool relative_;
     const std::vector<char>& point_;
     std::vector<Rotation> own_, of_first_;  ///< what turns increments of a node, and those of the first, to the axes of v
-    std::vector<Lever> seen_;               ///< where the first node sees the others
+    std::vector<Lever> seen_;  ///< where the first node sees the others
 };
 
 /// y = A x for a square matrix.

@@ -45,12 +45,12 @@ struct Supernode {
     bool marked = false;  ///< false between the calls
     bool ascending = true;  ///< whether `relative` ascends
     bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
-    double energy = 0.0;    ///< by how much solving the subtree would lower the cost where its separator was
-    double strain = 0.0;    ///< w' U w
-    double stress = 1.0;    ///< the largest cost of an edge of the subtree, at least 1
+    double energy = 0.0;  ///< by how much solving the subtree would lower the cost where its separator was
+    double strain = 0.0;  ///< w' U w
+    double stress = 1.0;  ///< the largest cost of an edge of the subtree, at least 1
     std::vector<Number> nodes;  ///< w nodes, then r nodes, both in the order of elimination
     std::vector<Number> relative, run_end;  ///< where the separator stands in the front of the parent; ends of its runs
-    std::vector<Seen> seen;                 ///< the separator at the last evaluation
+    std::vector<Seen> seen;  ///< the separator at the last evaluation
     Numbers numbers;
 
     Supernode() = default;
@@ -68,10 +68,10 @@ struct Supernode {
 
 /// The evaluation of edges: how, and what it finds.
 struct Evaluation {
-    double limit;      ///< from which an edge in the factor is outdated
+    double limit;  ///< from which an edge in the factor is outdated
     Bent bent;
     double change = 0.0, predicted = 0.0;  ///< of the cost; its decrease by a solution of the tree
-    std::vector<Number> late{};            ///< edges that are outdated
+    std::vector<Number> late{};  ///< edges that are outdated
 };
 
 class Tree {
