@@ -242,7 +242,7 @@ void Tree::evaluate(Graph& graph, Number s, Evaluation& found) {
             if (edge.taken_out()) continue;
             const Evaluated now = online::evaluate(graph, edge, found.limit, found.bent);
             found.change += now.change;
-            group.stress = std::max(group.stress, edge.cost);
+            group.stress = std::max(group.stress, edge.squares);
             if (now.outdated) found.late.push_back(e);
             const int side = edge.side(group.nodes[q]);
             for (int p = 0; p < 3; ++p) {

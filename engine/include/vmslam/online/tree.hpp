@@ -47,7 +47,7 @@ struct Supernode {
     bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
     double energy = 0.0;  ///< by how much solving the subtree would lower the cost where its separator was
     double strain = 0.0;  ///< w' U w
-    double stress = 1.0;  ///< the largest cost of an edge of the subtree, at least 1
+    double stress = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
     std::vector<Number> nodes;  ///< w nodes, then r nodes, both in the order of elimination
     std::vector<Number> relative, run_end;  ///< where the separator stands in the front of the parent; ends of its runs
     std::vector<Seen> seen;  ///< the separator at the last evaluation
