@@ -269,6 +269,9 @@ def _never(logs: Mapping[int, Log]) -> str:
     if all(not_of_robots(log).all() for log in logs.values()):
         classes = ", ".join(repr(robot_class(number)) for number in list(logs)[:2])
         return f"no sighting has the class of another robot ({classes}, ...): join_logs joins logs by their landmarks alone"
+    if not any(len(meetings(log, number)) for log in logs.values() for number in logs):
+        seen = sorted({str(name) for log in logs.values() for name in np.asarray(log.classes)[~not_of_robots(log)]})
+        return f"the robots saw {_listed([*map(repr, seen)])} only, and the logs are of robots {_listed([*map(str, logs)])}"
     spans = ", ".join(
         f"robot {n} from {log.times[0]:.1f} to {log.times[-1]:.1f} s"
         for n, log in logs.items()

@@ -163,7 +163,7 @@ class MapOptions(Options):
     panel = "Graph"
     map: Path | None = option(
         None, "Map of landmarks to localise in (.csv, .npz, .yaml, .geojson), such as graph-map.npz of an earlier run. "
-        "The log needs its ids, and no start pose.", metavar="FILE", default_text="none",
+        "The log needs neither ids nor a start pose.", metavar="FILE", default_text="none",
     )  # fmt: skip
     map_use: str = option(
         USES[0], "Errors of the map: joint, all that it says; own, without correlations; fixed, exact.", choices=USES

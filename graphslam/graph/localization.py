@@ -125,7 +125,8 @@ def first_fix(
         if odds > (LEAST if whole else SURE):
             best = matches[0]
             fits, contradict = _landmarks(points, best)
-            enough = fits > contradict if whole else fits > max(3 * contradict, 2 * _flat(points, best))
+            # one landmark with a heading fits a map in any unit
+            enough = fits > contradict if whole else fits > max(3 * contradict, 1 + _flat(points, best))
             if best.covariance[2, 2] < OPEN**2 and enough:
                 agree = used[best.agree]
                 pose, covariance = _refined(
@@ -448,9 +449,16 @@ def _cause(points: Points) -> str:
     """The change with which many more measurements agree: a mirrored map or another unit; "" where there is none."""
 
     def fits(changed: Points) -> bool:
-        matches = register(changed)
-        agree, contradict = _landmarks(changed, matches[0]) if matches else (0, 1)
-        return _odds(matches) > SURE and agree > 3 * contradict
+        count, whole = 1, len(changed.ids)
+        # the odometry of a long way leaves more than one place open
+        while count < whole:
+            count = min(max(count + 1, int(count * GROWTH)), whole)
+            first = changed.among(np.arange(count))
+            matches = register(first)
+            agree, contradict = _landmarks(first, matches[0]) if matches else (0, 1)
+            if _odds(matches) > SURE and agree > max(3 * contradict, 2):
+                return True
+        return False
 
     without = points.measured.copy()
     without[:, 2] = np.nan

@@ -115,6 +115,20 @@ def refused(log, known):
     return str(caught.value)
 
 
+def test_one_landmark_with_a_heading_does_not_make_a_map_in_another_unit_fit():
+    log = simulate(seed=1, clean=True)  # 118 sightings on a way whose drift leaves several places open
+    for factor, unit in (
+        (1000, "in millimetres"),
+        (100, "in centimetres"),
+        (0.001, "in kilometres"),
+        (1 / 0.3048, "in feet"),
+    ):
+        for d in (2, 3):
+            known = {j: m[:d] * np.array([factor, factor, 1])[:d] for j, m in log.true_landmarks.items()}
+            with pytest.raises(GraphError, match=unit):
+                first_fix(log, known)
+
+
 def test_maps_that_do_not_fit_are_refused_with_the_cause():
     log = simulate(steps=40, seed=1, clean=True, orientation=False, max_range=10.0, **MODELS)
     true = {j: m[:2] for j, m in log.true_landmarks.items()}
