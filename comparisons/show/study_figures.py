@@ -141,7 +141,7 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
             panels[-1, 0].set_xscale("log")
         panels[-1, 0].set_xlabel(METRICS[metric])
         panels[-1, 1].set_xlabel(
-            f"difference from {as_text(str(summary.baseline))}, same random seeds: {METRICS[metric]}"
+            f"difference from {as_text(str(summary.baseline))},\nsame random seeds: {METRICS[metric]}"
         )
     return figure
 

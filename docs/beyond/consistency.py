@@ -38,7 +38,7 @@ assert all(0.9 < np.mean(joint[name]) < 1.1 for name in ("tempered", "marginal",
 
 # %% bars
 fig, ax = plt.subplots(figsize=(6.4, 3.2))
-ax.boxplot(list(joint.values()), tick_labels=list(joint), orientation="horizontal")
+ax.boxplot(list(joint.values()), tick_labels=[name.replace(" ", "\n") for name in joint], orientation="horizontal")
 ax.axvline(1, color="C2", lw=2, label="consistent")
 ax.set(xlabel="joint NEES / degrees of freedom, 10 logs", xscale="log")
 ax.legend()

@@ -257,6 +257,26 @@ def test_labels_of_figures_are_japanese_on_japanese_pages() -> None:
     assert "真値" in (SITE / "figures" / "method" / "graph" / "problem" / "trajectories-0.ja.svg").read_text()
 
 
+#: labels of an SVG that reach beyond it; the box of one with an exponent is higher than its letters
+CUT = """(() => {
+    const whole = document.documentElement.getBoundingClientRect();
+    return [...document.querySelectorAll("text:not(:has(tspan))")].filter((label) => {
+        const box = label.getBoundingClientRect();
+        const beside = box.left < whole.left - 1 || box.right > whole.right + 1;
+        return beside || box.top < whole.top - 2 || box.bottom > whole.bottom + 2;
+    }).map((label) => label.textContent); })()"""
+
+
+def test_no_label_of_a_figure_is_cut(address: str, browser: Chromium) -> None:
+    cut = {}
+    for figure in sorted((SITE / "figures").rglob("*.svg")):
+        browser.send("Page.navigate", url=f"{address}/{figure.relative_to(SITE).as_posix()}")
+        browser.wait_for("document.readyState === 'complete' && document.documentElement.tagName === 'svg'")
+        if labels := browser.evaluate(CUT):
+            cut[figure.name] = labels
+    assert cut == {}
+
+
 #: each formula in sight: its HTML, the size of its letters, and the places of its parts on the page, as far as they show [px]
 FORMULAS = """((selector) => [...document.querySelectorAll(selector)].filter((f) => f.checkVisibility()).map((formula) => {
     const right = formula.closest("div.formula")?.getBoundingClientRect().right ?? Infinity;

@@ -319,6 +319,27 @@ def test_the_kernel_keeps_the_poses_as_the_page_says(open_page: Open) -> None:
     assert np.linalg.norm(poses() - before, axis=1).max() < 0.3
 
 
+def test_captions_of_the_chapters_state_the_numbers_of_the_figures(open_page: Open) -> None:
+    def cost(button: str) -> float:
+        page.click(f"figure.live button[data-name={button}]")
+        return float(page.evaluate(f"{FIGURE}.dataset.cost"))
+
+    page = open_page("graph", "loop")  # problem.md
+    assert (round(cost("reset"), 1), round(cost("all"), 1)) == (303.4, 28.7)
+    page = open_page("graph", "three_poses", "motions=no")  # system.md, linearisation.md, motion-edges.md
+    assert (round(cost("reset"), 3), round(cost("step"), 3)) == (6.053, 0.016)
+    left = []
+    for turn in (0.3, 2.0):
+        assert cost("all") < 1e-9
+        page.evaluate(f"{FIGURE}.live.state.poses[2][2] += {turn}, {FIGURE}.live.draw()")
+        before = float(page.evaluate(f"{FIGURE}.dataset.cost"))
+        left.append(cost("step") / before)
+    assert left[0] < 1 / 100 and left[1] > 1 / 4
+    cost("reset")
+    switch(page, "motions")
+    assert round(cost("all"), 3) == 1.718
+
+
 def test_edges_that_leave_poses_free_are_said(open_page: Open) -> None:
     page = open_page("graph", "three_poses", "psi=no", "motions=no", language="ja")
     page.click("figure.live button[data-name=all]")

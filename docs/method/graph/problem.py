@@ -59,7 +59,7 @@ def spring(a, b, turns=7, width=0.07):
     return a + along[:, None] * (b - a) + side[:, None] * normal
 
 
-fig, axes = plt.subplots(1, 2, figsize=(8.4, 4.2), sharex=True, sharey=True)
+fig, axes = plt.subplots(1, 2, figsize=(8.4, 4.7), sharex=True, sharey=True)
 lengths = {}
 for ax, (name, x) in zip(axes, strained.items()):
     places = np.array([textbook.inverse_observation(x[t], z)[:2] for t, z in zip(loop.steps, loop.sightings)])
