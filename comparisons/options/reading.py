@@ -158,7 +158,7 @@ def _joined(
     known = [_with_noise(data, options) for data, _ in read]
     joined = join_logs(with_common_noise([data for data, _, _ in known])).log
     remarks: list[str] = []
-    with noted(remarks, "whether landmarks have moved between the logs is not known"):
+    with noted(remarks, "what has changed between the logs is not known"):
         changes = session_states(joined) if len(known) > 1 else []
         remarks += [f"{each.name}: {found.sentence}" for each, found in zip(joined.sessions[1:], changes)]
     joined = joined.replace(notes=(*joined.notes, *remarks))

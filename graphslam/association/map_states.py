@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betainc, ndtr
 
-from ..errors import OptionError, quoted
+from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.landmark_map import LandmarkMap, as_map
@@ -155,6 +155,11 @@ def map_states(
         best = solution, found
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
+        if seen and seen <= away:
+            raise GraphError(
+                f"all {len(seen)} landmarks that the log shares with the map have moved: it is probably the map of another "
+                "place, or the ids are numbered otherwise"
+            )
         if away in tried:
             break
     assert best is not None

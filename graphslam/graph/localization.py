@@ -2,8 +2,8 @@
 
 The first fix needs no start pose: the first sightings of landmarks of the map, carried back to the first pose by the
 odometry, are registered in the map (`graph.registration`). More of them are taken until the odds of the fix, against any
-other place and against none, are above `SURE`, and until three landmarks agree, because two fit a mirrored map as well, and
-few contradict.
+other place and against none, are above `SURE`, and until three landmarks agree, because two fit a mirrored map as well,
+or two with headings, because one fits a map in any unit, and few contradict.
 """
 
 from __future__ import annotations

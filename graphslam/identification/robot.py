@@ -103,7 +103,7 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
         reason = f"the noise models are the book's, because noise cannot be estimated: {error}"
         return log.replace(notes=(*log.notes, reason)), None
     unused = (
-        [f"noise and biases were estimated without the {' and '.join(log.measured).replace('_', ' ')}"]
+        [f"noise and biases were estimated without the {', '.join(log.measured).replace('_', ' ')} of the log"]
         if log.measured
         else []
     )

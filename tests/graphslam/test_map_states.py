@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graphslam import Graph, LandmarkMap, OptionError, SensorModel, join_logs, simulate, solve
+from graphslam import Graph, GraphError, LandmarkMap, OptionError, SensorModel, join_logs, simulate, solve
 from graphslam.association.map_states import EXACT, MOVE, TURN, map_states, session_states
 
 FIRST = simulate(seed=1, clean=True, landmarks=20, steps=80, arena=6.0)
@@ -57,6 +57,13 @@ def test_the_shift_is_that_of_a_graph_in_which_it_is_free():
     odds = 0.05 / 0.95 * np.sqrt(np.linalg.det(V) / np.linalg.det(wide))
     odds *= np.exp((square - shift @ np.linalg.solve(wide, shift)) / 2)
     assert at_once.moved == pytest.approx(odds / (1 + odds), rel=0.5)
+
+
+def test_logs_of_two_places_with_the_same_ids_share_nothing_that_stayed():
+    elsewhere = [(40, 40), (45, 40), (43, 46), (41, 44)]
+    logs = [simulate(seed=1, clean=True), simulate(seed=4, clean=True, start=(42.0, 38.0, 0.0), landmarks=elsewhere)]
+    with pytest.raises(GraphError, match="all 4 landmarks that the log shares with the map have moved"):
+        session_states(join_logs(logs).log)
 
 
 def test_chi_square_has_its_distribution_where_nothing_has_changed():
