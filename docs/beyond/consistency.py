@@ -83,10 +83,13 @@ print(f"one fine sighting:   pairs {pairs:.3f}, tempered {2 / len(variances) * p
 # %% band
 from scipy.stats import chi2
 
+widths = []
 for logs in (10, 50, 200):
     d = logs * 3 * 62  # degrees of freedom: three for each pose
     low, high = chi2.ppf([0.025, 0.975], d) / d
+    widths.append((high - low) * np.sqrt(logs))
     print(f"{logs:3} logs: a consistent estimate has a joint ANEES from {low:.3f} to {high:.3f} in 95 % of the studies")
+assert np.ptp(widths) < 0.01 * widths[0]
 
 # %% eight
 K = 8

@@ -54,9 +54,14 @@ weights = {
 }
 exact = (grid * posterior).sum() * (grid[1] - grid[0])
 print(f"{'exact posterior':34} mean {exact:.3f}")
+means, shares = [], []
 for name, (x, w) in weights.items():
     w = w / w.sum()
-    print(f"{name:34} mean {(w * x).sum():.3f}  ESS / N {1 / (w**2).sum() / N:.2f}")
+    means.append((w * x).sum())
+    shares.append(1 / (w**2).sum() / N)
+    print(f"{name:34} mean {means[-1]:.3f}  ESS / N {shares[-1]:.2f}")
+# against four standard errors of a mean of so many samples
+assert abs(means[1] - exact) > 4 * std / np.sqrt(N) > abs(means[2] - exact) and shares[2] < shares[1]
 
 # %% filters
 sensor = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)  # a tenth of the book's noise
@@ -71,7 +76,7 @@ for method in (FastSLAM1, FastSLAM2):
     filters[method] = np.median(errors), np.median(sizes)
     print(f"{method.__name__}: position error {np.median(errors):.3f} m, mean ESS {np.median(sizes):.1f} of 100")
 assert filters[FastSLAM2][0] < filters[FastSLAM1][0]
-assert filters[FastSLAM2][1] > 10 * filters[FastSLAM1][1]
+assert round(filters[FastSLAM2][1] / filters[FastSLAM1][1]) == 16
 
 # %% narrow
 sizes = {}

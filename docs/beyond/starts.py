@@ -108,6 +108,7 @@ print(
 assert np.isclose(end.cost, best.cost)
 
 # %% length
+lengths = []
 for noise in (0.1, 1.0, 3.0):
     turns = [(a, b, tau + rng.normal(0, noise)) for a, b, tau in pairs]
     for k, (_, b, tau) in enumerate(turns):
@@ -116,6 +117,8 @@ for noise in (0.1, 1.0, 3.0):
     print(
         f"noise of a turn {noise} rad: mean length of z {np.abs(unit).mean():.3f}, error {error(np.angle(unit)):.3f} rad"
     )
+    lengths.append(np.abs(unit).mean())
+assert lengths == sorted(lengths, reverse=True)
 
 # %% tau
 phi_a, psi_a, phi_b, psi_b, theta_a = 0.3, 1.0, -0.2, 0.9, 1.0

@@ -57,10 +57,13 @@ ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-0.5, 5))
 ax.legend(fontsize=8)
 
 # %% gain
+moved = []
 for scale in (0.01, 1.0, 100.0):
     prior = textbook.Gaussian(np.array([2.3, 1.0, 0.5]), scale * 0.05 * np.eye(3))
     after = textbook.update_landmark(pose, prior, sensor.h(pose, landmark), sensor)
     print(f"prior variance {scale * 0.05:7.4f}: x moves from 2.3 to {after.mean[0]:.3f} (sighting: {landmark[0]})")
+    moved.append((after.mean[0] - 2.3) / (landmark[0] - 2.3))
+assert moved[0] < 0.1 and moved[2] > 0.9
 
 # %% information
 # the information form of the same update: Sigma^-1 grows by H' Q^-1 H

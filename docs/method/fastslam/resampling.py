@@ -45,9 +45,12 @@ assert np.allclose(counts / counts.sum(), weights, atol=0.005)
 print("share of the copies:", np.round(counts / counts.sum(), 3), " weights:", weights)
 
 # %% ess
+sizes = []
 for w in ([0.25] * 4, [0.5, 0.3, 0.15, 0.05], [0.97, 0.01, 0.01, 0.01]):
     particles = [textbook.Particle([np.zeros(3)], float(np.log(v)), {}) for v in w]
-    print(w, "effective sample size", round(textbook.effective_sample_size(particles), 2))
+    sizes.append(textbook.effective_sample_size(particles))
+    print(w, "effective sample size", round(sizes[-1], 2))
+assert np.isclose(sizes[0], 4) and 1 < sizes[2] < 1.1
 
 # %% number
 from graphslam.metrics import ate

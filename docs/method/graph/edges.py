@@ -69,9 +69,12 @@ def rotated(x, angle):
 
 x1, x2 = np.array([0.0, 0.0, 0.0]), np.array([1.0, 0.0, np.pi / 2])
 z1, z2 = np.array([2.0, 0.0, 0.0]), np.array([1.1, -np.pi / 2, 0.0])
+costs = []
 for angle in (0.0, 1.0):
     e, Omega, *_ = textbook.virtual_motion_edge(rotated(x1, angle), z1, rotated(x2, angle), z2, SensorModel())
-    print("residual", np.round(e, 3), " cost", round(float(e @ Omega @ e), 6))
+    costs.append(float(e @ Omega @ e))
+    print("residual", np.round(e, 3), " cost", round(costs[-1], 6))
+assert np.isclose(*costs)
 
 # %% arc
 x, nu, omega, duration = np.array([1.0, 2.0, np.pi / 2]), 1.0, -np.pi / 2, 1.0

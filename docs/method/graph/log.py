@@ -65,19 +65,26 @@ for t, z_3 in zip(three.steps, three.sightings):
 
 # %% spread
 # how far apart are the places of one landmark, for dead reckoning and for the true poses?
+medians = []
 for name, poses in (("dead reckoning", log.initial_poses), ("true poses", log.true_poses)):
     spreads = []
     for j in log.landmark_ids:
         rows = np.flatnonzero(log.landmarks == j)
         places = np.array([textbook.inverse_observation(poses[log.steps[k]], log.sightings[k])[:2] for k in rows])
         spreads.append(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    print(f"{name}: {np.median(spreads):.2f} m")
+    medians.append(np.median(spreads))
+    print(f"{name}: {medians[-1]:.2f} m")
+assert medians[1] < medians[0] / 2
 
 # %% more
+counts = []
 for steps in (20, 40, 80):
     short = simulate(seed=1, steps=steps)
     count = sum(np.sum(short.landmarks == j) * (np.sum(short.landmarks == j) - 1) // 2 for j in short.landmark_ids)
+    counts.append((len(short.sightings), count))
     print(f"{steps} steps: {len(short.sightings)} sightings, {count} edges")
+growth = [later[1] / earlier[1] / (later[0] / earlier[0]) ** 2 for earlier, later in zip(counts, counts[1:])]
+assert all(0.75 < ratio < 1.25 for ratio in growth)
 
 # %% sighted
 from graphslam import SensorModel
