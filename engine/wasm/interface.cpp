@@ -155,7 +155,7 @@ struct LogGraph {
 /// Poses and landmarks of the online solver by their names.
 struct Online {
     Robot robot;
-    online::OnlineSystem system{1e-7, 15};
+    online::OnlineSystem system{3e-8, 15};
     online::Number pose;
     std::map<std::int64_t, online::Number> landmarks;
 

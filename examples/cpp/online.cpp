@@ -16,8 +16,8 @@ int main(int argc, char** argv) try {
     }
     const Log log = read_log(argv[1]);
 
-    // a step ends where the next pass would lower J by less than 1e-7 of it, at the latest after 15 passes
-    OnlineSystem system{1e-7, 15};
+    // a step ends where the next pass would lower J by less than 3e-8 of it, at the latest after 15 passes
+    OnlineSystem system{3e-8, 15};
     Number pose = system.add_node();
     system.add_prior({&pose, 1}, {&log.start, 1}, {1e6, 0, 0, 0, 1e6, 0, 0, 0, 1e6}, false);
     system.solve({&pose, 1}, {}, {&pose, 1});
