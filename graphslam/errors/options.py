@@ -123,7 +123,7 @@ class Option:
                 raise OptionError(f"{self.name} must be a number below 1e308, not {quoted(value)}") from None
         elif self.each is Path and isinstance(value, str):
             value = Path(value)
-        elif self.each in (int, float) and hasattr(value, "item") and getattr(value, "dtype", int) != "timedelta64":
+        elif self.each in (int, float) and getattr(value, "size", 0) == 1 and value.dtype != "timedelta64":
             value = value.item()  # a NumPy number
         checked: Any = value
         if not isinstance(value, self.each) or (isinstance(value, bool) and self.each is not bool):

@@ -106,7 +106,7 @@ def test_a_study_knows_every_option_of_a_run(folder: Path) -> None:
     estimators = ["graph", "fastslam1", "particle-gibbs", "online"]
     for name, each in options_of(RunOptions).items():
         if (
-            name in ("seed", "noise", "sensor_offset", "truth_offset", "threads", "estimate", "map", "map_use")
+            name in ("seed", "noise", "sensor_offset", "truth_offset", "threads", "estimate", "map", "map_use", "bound")
             or each.only == "python"
         ):
             continue
