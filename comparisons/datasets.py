@@ -18,6 +18,7 @@ from typing import ClassVar
 from graphslam import Graph, SlamError, load
 from graphslam.edges import AnchorEdges
 from graphslam.files import check_path
+from graphslam.graph.pose_graph import is_pose_graph
 from graphslam.io import mrclam
 from graphslam.io.formats import FORMATS
 
@@ -161,9 +162,7 @@ def _kind(path: Path) -> str | None:
     for form in FORMATS.values():
         if form.recognises(path, head):
             return form.name if form.name in {known.name for known in DATA_SETS} else None
-    tags = {line.split()[0] for line in head.decode("utf-8", errors="replace").splitlines() if line.split()}
-    of_graphs = {"VERTEX_SE2", "VERTEX_XY", "EDGE_SE2", "EDGE_SE2_XY", "VERTEX2", "EDGE2", "ODOMETRY"}
-    return "pose-graphs" if path.is_file() and tags & of_graphs else None
+    return "pose-graphs" if is_pose_graph(head) else None
 
 
 def _read(name: str, path: Path, robot: int | None) -> Found:

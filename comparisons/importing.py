@@ -195,7 +195,7 @@ def _made(found: Import, drive: Drive, reading: ReadOptions, name: str) -> Impor
     with warnings.catch_warnings():
         # they are also notes of the log, which are shown
         warnings.simplefilter("ignore", UserWarning)
-        log = Log(**drive.parts(reading, name))
+        log = drive.log(reading, name)
     streams = tuple(_stream(kind, stream) for kind, stream in drive.streams.items())
     return replace(found, streams=streams, log=log, landmarks=None if drive.landmarks is None else len(drive.landmarks))
 

@@ -15,20 +15,19 @@ if TYPE_CHECKING:
     from .calibration import calibrate
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
-    from .graph import Graph
     from .graph.landmark_map import LandmarkMap
     from .graph.localization import first_fix
     from .graph.mapping import estimate_map
     from .identification.robot import estimate_robot
-    from .io.base import synchronize
     from .io.formats import load, save
     from .log import Log
     from .log.continuous_time import control_path
     from .log.measurements import AbsolutePositions, PoseRelations
     from .log.streams import Stream
+    from .log.synchronize import synchronize
     from .models import MotionModel, SensorModel
     from .online import OnlineSolver, solve_online
-    from .sessions import join_logs
+    from .sessions import Graph, join_logs
     from .simulation.drives import Drive
     from .simulation.simulator import simulate
     from .simulation.worlds import World, sample_log_path

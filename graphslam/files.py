@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import tempfile
 from collections.abc import Iterator
@@ -158,3 +159,37 @@ def check_place(path: Path) -> None:
         raise FormatError(
             path, None, "this is a pipe or device and no file; use - for standard output, or a file's name"
         )
+
+
+def number(path: Path, line: int, what: str, word: str) -> float:
+    """A word as a finite number.
+
+    Raises:
+        FormatError: it is none; the message begins with ``what`` it should be.
+    """
+    try:
+        value = float(word)
+        if "_" in word:
+            raise ValueError  # Python reads 1_0 as 10, other programs do not
+    except ValueError:
+        raise FormatError(path, line, f"{what} should be a number, not {quoted(word)}") from None
+    if not math.isfinite(value):
+        raise FormatError(path, line, f"{what} is {shortened(word)}; only finite numbers are allowed")
+    return value
+
+
+def whole(path: Path, line: int, what: str, word: str) -> int:
+    """A word as a whole number of at most 64 bits.
+
+    Raises:
+        FormatError: it is none; the message begins with ``what`` it should be.
+    """
+    try:
+        value = int(word)
+        if "_" in word:
+            raise ValueError
+    except ValueError:
+        raise FormatError(path, line, f"{what} should be a whole number, not {quoted(word)}") from None
+    if not -(2**63) <= value < 2**63:
+        raise FormatError(path, line, f"{what} should be a whole number of at most 64 bits, not {quoted(word)}")
+    return value

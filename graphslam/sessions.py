@@ -102,6 +102,14 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
     return Sessions(joined, (*starts, joined.num_poses))
 
 
+def from_logs(logs: Sequence[Log], **options: Any) -> Graph:
+    """The graph of several logs of one place, as `join_logs` joins them, with the ``options`` of `Graph.from_log`."""
+    return Graph.from_log(join_logs(logs, mean_noise=True).log, **options)
+
+
+Graph.from_logs = staticmethod(from_logs)
+
+
 def with_common_noise(logs: Sequence[Log]) -> list[Log]:
     """The logs with noise models that are the same in all, as one graph needs them.
 

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from graphslam import GraphError, Log, control_path
+from graphslam.graph.map_files import map_text
 from graphslam.graph.transform import relative_graph
-from graphslam.io.map_files import map_text
 from graphslam.log.continuous_time import ControlPath
 from graphslam.se2 import Array, wrap
 

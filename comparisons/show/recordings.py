@@ -397,7 +397,7 @@ def _write_track(rr: Any, recording: Any, track: Track) -> None:
 
 
 def _named(covariances: Array) -> dict[str, Array]:
-    """The numbers of covariances (n, 3, 3), by the names of `graphslam.io.map_files.COVARIANCE`."""
+    """The numbers of covariances (n, 3, 3), by the names of `graphslam.graph.map_files.COVARIANCE`."""
     places = {"var_x": (0, 0), "cov_xy": (0, 1), "var_y": (1, 1), "cov_x_heading": (0, 2), "cov_y_heading": (1, 2)}
     return {name: covariances[:, i, j] for name, (i, j) in (*places.items(), ("var_heading", (2, 2)))}
 

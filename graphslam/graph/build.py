@@ -1,39 +1,32 @@
-"""The parts of a `Graph` (see there for their names) from a log or a pose-graph file, and back into a file."""
+"""The nodes and edges of the `Graph` of a log."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from numbers import Integral
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..edges import (
-    AnchorEdges,
-    BearingEdges,
     CartesianObservationEdges,
     EdgeFamily,
     LandmarkPriors,
     LandmarkSightings,
     MarginalEdges,
-    PartialEdges,
     PolarObservationEdges,
     PositionEdges,
     PriorEdges,
-    RangeEdges,
     RelationEdges,
-    RelativePointEdges,
     RelativePoseEdges,
     VirtualMotionEdges,
     motion_edges,
 )
-from ..edges.base import PairEdges
 from ..edges.robust import Kernel
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import listed
-from ..io.pose_graph import KINDS, FileEdges, PoseGraphFile
-from ..linear.precision import LARGEST, check_magnitudes, check_size, inverses
+from ..identification.declared import Parameters
+from ..linear.precision import check_magnitudes, inverses
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
@@ -42,8 +35,12 @@ from .landmark_map import LandmarkMap
 from .mapping import estimate_map
 from .trilateration import edges_of_single_numbers, placed_single_numbers
 
+if TYPE_CHECKING:
+    from .graph import Graph
 
-def parts_of_log(
+
+def graph_of_log(
+    make: type[Graph],
     log: Log,
     *,
     motion: MotionModel,
@@ -54,11 +51,13 @@ def parts_of_log(
     scale: float,
     kernel: Kernel | None,
     residual: str,
-    landmark_map: LandmarkMap | None = None,
-) -> dict[str, Any]:
-    """The parts of the graph of a log; arguments and errors as in `Graph.from_log`, ``scale`` for the motion edges.
+    landmark_map: LandmarkMap | None,
+    notes: Sequence[str],
+    **declared: Parameters | None,
+) -> Graph:
+    """The graph of a log; arguments and errors as in `Graph.from_log`, ``scale`` for the motion edges.
 
-    With a map the log is in its frame already, and the map takes the place of the anchor.
+    With a map the log is in its frame already, and the map takes the place of the anchor. ``declared`` are the parameters.
     """
     with_motion = edges.endswith("+motion")
     _check_log(log, with_motion)
@@ -68,7 +67,7 @@ def parts_of_log(
         raise GraphError("ranges or bearings alone need their landmarks as nodes: use edges='landmark+motion'")
     check_magnitudes(log, motion, sensor)
     sighted: EdgeFamily
-    parts: dict[str, Any] = {"trajectory": log.initial_poses, "log": log, "sensor": sensor}
+    ids, d, fixed = np.zeros(0, dtype=np.int64), 2, np.zeros(0, dtype=np.int64)
     if edges.startswith("landmark"):
         steps = np.arange(log.num_poses)
         d = log.sightings.shape[1]
@@ -85,10 +84,9 @@ def parts_of_log(
         whole = estimate_map(log, log.initial_poses, sensor=sensor) if len(log.steps) else {}
         for j, place in (single | whole | known).items():
             landmarks[np.searchsorted(ids, j), : min(len(place), d)] = place[:d]
-        parts |= {"landmark_ids": ids, "landmark_dimension": d, "sighting_rows": np.arange(len(log.steps))}
-        parts["notes"] = remarks
+        rows = np.arange(len(log.steps))
     else:
-        steps, notes = _tied_steps(log, with_motion)
+        steps, remarks = _tied_steps(log, with_motion)
         rows, starts, nodes = _grouped(log, steps)
         grouped = (starts, nodes, log.sightings[rows], sensor)
         if weight == "marginal":
@@ -96,7 +94,6 @@ def parts_of_log(
         else:
             sighted = VirtualMotionEdges(*grouped, frame=frame, kernel=kernel, tempered=weight == "tempered")
         landmarks = np.zeros((0, 3))
-        parts |= {"sighting_rows": rows, "notes": tuple(notes)}
         if not with_motion:
             _check_determined(sighted, steps, _measured_edges(log, steps, kernel))
     poses = log.initial_poses[steps]
@@ -106,8 +103,7 @@ def parts_of_log(
     if landmark_map is None:
         families = [*anchors(poses[0], measured)]
     else:
-        families, parts["fixed"] = _priors(landmark_map, known, ids, initial, d)
-        parts["map"] = landmark_map
+        families, fixed = _priors(landmark_map, known, ids, initial, d)
     families.append(sighted)
     if with_motion:
         assert log.controls is not None and log.dt is not None
@@ -122,7 +118,11 @@ def parts_of_log(
         families += edges_of_single_numbers(
             partial, log.num_poses + np.searchsorted(ids, partial.landmarks), sensor, kernel
         )
-    return parts | {"initial": initial, "families": tuple(families), "steps": steps, "pose_ids": steps}
+    return make(
+        initial, families=tuple(families), steps=steps, trajectory=log.initial_poses, pose_ids=steps, landmark_ids=ids,
+        landmark_dimension=d, fixed=fixed, log=log, sensor=sensor, notes=(*remarks, *notes), sighting_rows=rows,
+        map=landmark_map, **declared,
+    )  # fmt: skip
 
 
 def _measured_edges(log: Log, steps: np.ndarray, kernel: Kernel | None) -> list[RelationEdges | PositionEdges]:
@@ -176,7 +176,7 @@ def _check_log(log: Log, with_motion: bool) -> None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
 
 
-def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, list[str]]:
+def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, tuple[str, ...]]:
     """The steps whose poses are nodes of a graph without landmarks, and notes on what is left out."""
     ids, group = np.unique(log.landmarks, return_inverse=True)
     seen = np.unique(np.column_stack([group, log.steps]), axis=0)
@@ -185,7 +185,7 @@ def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, list[str]]:
     if not np.all(often):
         notes.append(f"no edge comes from {listed('landmark', ids[~often].tolist())}, seen in one step only")
     if with_motion:
-        return np.arange(log.num_poses), notes
+        return np.arange(log.num_poses), tuple(notes)
     steps = np.unique(
         np.concatenate(
             [seen[often[seen[:, 0]], 1], *(getattr(each, end) for each in log.measured.values() for end in each.ENDS)]
@@ -196,7 +196,7 @@ def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, list[str]]:
     left_out = np.setdiff1d(np.arange(log.num_poses), steps).tolist()
     if left_out:
         notes.append(f"{listed('pose', left_out)} shared no sighting with any other and stayed out of the graph")
-    return steps, notes
+    return steps, tuple(notes)
 
 
 def _grouped(log: Log, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -208,58 +208,6 @@ def _grouped(log: Log, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     rows = rows[node_of[log.steps[rows]] >= 0]
     _, starts = np.unique(log.landmarks[rows], return_index=True)
     return rows, np.append(starts, len(rows)), node_of[log.steps[rows]]
-
-
-def parts_of_file(data: PoseGraphFile, path: Path) -> dict[str, Any]:
-    """The parts of the graph that a pose-graph file holds; see `Graph.from_g2o`.
-
-    Raises:
-        GraphError: the graph falls into several pieces, or a number is too large.
-    """
-    for name in ("poses", "landmarks"):
-        check_size(f"{path}: {name}", getattr(data, name))
-    for kind, edges in data.edges.items():
-        check_size(f"{path}: {kind} measured", edges.measured)
-        check_size(f"{path}: {kind} information", edges.information, most=LARGEST**2)
-    families = [_family(kind, edges, data) for kind, edges in data.edges.items() if len(edges.ids)]
-    positions = [family for family in families if isinstance(family, PositionEdges)]
-    ids = np.concatenate([data.pose_ids, data.landmark_ids])
-    fixed, held = np.flatnonzero(np.isin(ids, data.fixed)), list[EdgeFamily]()
-    if not data.fixed and not positions:
-        fixed = np.zeros(1, dtype=np.int64)
-    elif not data.fixed:
-        held += anchors(data.poses[0], positions)
-    num_nodes = len(ids)
-    pairs = [family for family in families if isinstance(family, PairEdges)]
-    # priors and FIX lines tie nodes to the world, one more node
-    to_world = np.concatenate([fixed, *(family.nodes for family in positions)])
-    ends = ([family.first for family in pairs], [family.second for family in pairs])
-    label = _pieces(num_nodes + 1, [*ends[0], to_world], [*ends[1], np.full(len(to_world), num_nodes)])
-    loose = np.flatnonzero(label[:-1] != label[-1])
-    if len(loose):
-        names, tied = (node_names(nodes, data.pose_ids, data.landmark_ids) for nodes in (loose, to_world[:1]))
-        raise GraphError(
-            f"{path}: the graph falls into several pieces: nothing ties {names} to {tied}; add the edge that ties them, "
-            "or a FIX line for a pose of each piece"
-        )
-    return {
-        "initial": np.concatenate([data.poses, np.pad(data.landmarks, ((0, 0), (0, 1)))]),
-        "families": (*held, *families), "steps": np.arange(len(data.pose_ids)), "trajectory": data.poses,
-        "pose_ids": data.pose_ids, "landmark_ids": data.landmark_ids, "fixed": fixed, "notes": data.notes,
-    }  # fmt: skip
-
-
-def _family(kind: str, edges: FileEdges, data: PoseGraphFile) -> EdgeFamily:
-    """The edges of one kind of `io.pose_graph.KINDS`, between numbers of nodes."""
-    first, measured = np.searchsorted(data.pose_ids, edges.ids[:, 0]), (edges.measured, edges.information)
-    if KINDS[kind][0] == 1:
-        return PositionEdges(first, *measured, np.zeros((len(first), 2)))
-    if kind == "pose":
-        return RelativePoseEdges(first, np.searchsorted(data.pose_ids, edges.ids[:, 1]), *measured)
-    ends = first, len(data.pose_ids) + np.searchsorted(data.landmark_ids, edges.ids[:, 1])
-    if kind == "point":
-        return RelativePointEdges(*ends, *measured)
-    return (RangeEdges if kind == "range" else BearingEdges)(*ends, *measured, np.zeros(2))
 
 
 def with_closures(families: Sequence[EdgeFamily], kernel: Kernel | None) -> tuple[EdgeFamily, ...]:
@@ -280,69 +228,6 @@ def with_closures(families: Sequence[EdgeFamily], kernel: Kernel | None) -> tupl
     return tuple(found)
 
 
-def file_of_parts(
-    state: Array,
-    *,
-    families: Sequence[EdgeFamily],
-    pose_ids: np.ndarray,
-    landmark_ids: np.ndarray,
-    fixed: np.ndarray,
-) -> PoseGraphFile:
-    """The contents of the g2o file of a graph whose nodes have the values ``state`` (n, 3); see `Graph.save_g2o`.
-
-    Raises:
-        GraphError: the graph has edges that g2o has no line for.
-    """
-    if len(np.intersect1d(pose_ids, landmark_ids)):
-        landmark_ids = int(pose_ids.max()) + 1 + np.arange(len(landmark_ids))
-    ids, held = np.concatenate([pose_ids, landmark_ids]), [fixed]
-    groups: dict[str, list[Any]] = {kind: [] for kind in KINDS}
-    for family in families:
-        if isinstance(family, AnchorEdges) and not isinstance(family, LandmarkPriors):
-            if np.all(np.linalg.matrix_rank(family.information) == 3):
-                held.append(family.nodes)
-                continue
-            family = PositionEdges(family.nodes, family.values, family.information, np.zeros((family.count, 2)))
-        groups[_kind(family)].append(family)
-
-    def rows(kind: str, chosen: list[Any]) -> FileEdges:
-        num_ids, d = KINDS[kind]
-        ends = [np.column_stack([f.first, f.second] if num_ids == 2 else [f.nodes]) for f in chosen]
-        return FileEdges(
-            ids[np.concatenate([np.zeros((0, num_ids), dtype=np.int64), *ends])],
-            np.concatenate([np.zeros((0, d)), *(f.measured for f in chosen)]),
-            np.concatenate([np.zeros((0, d, d)), *(getattr(f, "weighed", f.information) for f in chosen)]),
-        )
-
-    return PoseGraphFile(
-        pose_ids, state[: len(pose_ids)], landmark_ids, state[len(pose_ids) :, :2],
-        ids[np.unique(np.concatenate(held))].tolist(), {kind: rows(kind, chosen) for kind, chosen in groups.items()},
-    )  # fmt: skip
-
-
-def _kind(family: EdgeFamily) -> str:
-    """The kind of line of `io.pose_graph.KINDS` that a family has.
-
-    Raises:
-        GraphError: it has none.
-    """
-    if isinstance(family, PositionEdges) and family.levers.any():
-        raise GraphError(
-            "g2o has no line for the position of a point beside the pose: positions with a lever cannot be written"
-        )
-    if getattr(family, "kernel", None) is None and not family.state_dependent_information:
-        if isinstance(family, PositionEdges):
-            return "prior" if family.dimension == 3 else "place"
-        if isinstance(family, PartialEdges) and not family.offset.any():
-            return "range" if isinstance(family, RangeEdges) else "bearing"
-        if isinstance(family, (RelativePoseEdges, RelativePointEdges)):
-            return "pose" if isinstance(family, RelativePoseEdges) else "point"
-    raise GraphError(
-        f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals, or with a robust "
-        "kernel; graphslam.graph.transform.relative_graph makes relative poses of them where that is possible"
-    )
-
-
 def node_names(nodes: np.ndarray, pose_ids: np.ndarray, landmark_ids: np.ndarray) -> str:
     """The names of nodes in a sentence: 'poses 3 and 4', 'landmark 7', 'pose 2 and landmark 5'."""
     pose = nodes < len(pose_ids)
@@ -350,7 +235,7 @@ def node_names(nodes: np.ndarray, pose_ids: np.ndarray, landmark_ids: np.ndarray
     return " and ".join(listed(noun, ids.tolist()) for noun, ids in named if len(ids))
 
 
-def _pieces(num_nodes: int, first: list[np.ndarray], second: list[np.ndarray]) -> np.ndarray:
+def pieces(num_nodes: int, first: list[np.ndarray], second: list[np.ndarray]) -> np.ndarray:
     """The number (n,) of the connected piece that each node belongs to."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -374,7 +259,7 @@ def _check_determined(
             # positions tie poses to the world, one more node
             first, second = [*first, family.nodes], [*second, np.full(family.count, num_nodes + num_groups)]
             held[family.nodes] = True
-    label = _pieces(num_nodes + num_groups + 1, first, second)
+    label = pieces(num_nodes + num_groups + 1, first, second)
     loose = steps[label[:num_nodes] != label[0]].tolist()
     if loose:
         raise GraphError(

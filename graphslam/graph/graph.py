@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
-from importlib import import_module
 from os import PathLike
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -25,15 +24,13 @@ from ..edges import (
 from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..errors import GraphError, OptionError
 from ..errors.checks import array_of, check_choice, check_positive, check_type, make_read_only
-from ..files import path_of
 from ..identification.declared import Parameters, declared
 from ..identification.robot import AUTO, BOOK, known_robot
-from ..io.pose_graph import read_pose_graph, write_g2o
 from ..linear.information import BlockSystem
 from ..log import Log, check_is_log
 from ..models import RESIDUALS, MotionModel, SensorModel
 from ..se2 import Array
-from .build import file_of_parts, node_names, parts_of_file, parts_of_log, with_closures, with_dimensions
+from .build import graph_of_log, node_names, with_closures, with_dimensions
 from .defaults import edges_for_map, in_frame_of_positions, pairs_overweight, suitable_edges, suitable_kernel
 from .landmark_map import LandmarkMap, as_map
 from .mapping import estimate_map
@@ -86,6 +83,10 @@ class Graph:
     parameters: Parameters | None = None
     held: Parameters | None = None
     map: LandmarkMap | None = None
+    #: reader and writer of pose-graph files, which `graph.g2o` adds, and the graph of several logs, added by `sessions`
+    from_g2o: ClassVar[Callable[..., Graph]]
+    save_g2o: ClassVar[Callable[..., None]]
+    from_logs: ClassVar[Callable[..., Graph]]
 
     def __post_init__(self) -> None:
         make_read_only(self, "initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed", "sighting_rows")
@@ -183,66 +184,26 @@ class Graph:
         recorded = log
         edges = suitable_edges(log) if edges is None else edges
         kernel = suitable_kernel(log) if kernel is None else kernel
-        parts = parts_of_log(
-            log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
-            kernel=kernel_of(kernel), residual=residual, landmark_map=known_map,
-        )  # fmt: skip
-        if found:
-            parts["notes"] = (*parts.get("notes", ()), *found)
+        notes = list(found)
         parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
         held, once = None, edges == "landmark+motion" or (edges == "virtual+motion" and weight == "marginal")
         if parameters is None and once and residual == RESIDUALS[0]:
             held = declared(log.uncertain, log, motion, sensor, edges, residual, motion_weight)
         known = parameters or held
         if missing := [name for name in log.uncertain or () if known is None or name not in known.names]:
-            parts["notes"] = (
-                *parts.get("notes", ()),
-                f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}",
+            notes.append(
+                f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}"
             )
-        note = None
         if edges.startswith("landmark"):
             if weight != WEIGHTS[0]:
-                note = f"weight={weight!r} has no effect: with landmark nodes each sighting counts once"
-        elif weight == "pairs":
-            note = pairs_overweight(log)
-        if note:
-            parts["notes"] = (*parts.get("notes", ()), note)
-        return cls(**parts, parameters=parameters, held=held)
-
-    @classmethod
-    def from_logs(cls, logs: Sequence[Log], **options: Any) -> Graph:
-        """The graph of several logs of one place, as `join_logs` joins them, with the ``options`` of `from_log`."""
-        # by its public name: joining needs the maps of graphs, so that its module is above this one
-        return cls.from_log(import_module("graphslam").join_logs(logs, mean_noise=True).log, **options)
-
-    @classmethod
-    def from_g2o(
-        cls,
-        path: str | PathLike[str],
-        *,
-        format: str | None = None,
-        unknown: str = "error",
-        kernel: Kernel | str | None = None,
-    ) -> Graph:
-        """The pose graph of a g2o, TORO or iSAM text file; see `io.pose_graph` for the dialects.
-
-        Nodes named in FIX lines are held; without any, and without priors, the pose with the lowest id is. The cost is g2o's
-        chi2.
-
-        Args:
-            path: the file.
-            format: "g2o", "toro" or "isam"; default: by the file's tags.
-            unknown: "error" refuses unknown tags, "skip" leaves them out with a warning that counts them.
-            kernel: a robust kernel on the loop closures, as `with_closures` has them; default: none.
-
-        Raises:
-            FormatError: the file breaks its format's rules.
-            GraphError: the graph falls into several pieces.
-        """
-        path = path_of(path)
-        graph = cls(**parts_of_file(read_pose_graph(path, dialect=format, unknown=unknown), path))
-        kernel = kernel_of(kernel)
-        return graph if kernel is None else graph.with_closures(kernel)
+                notes.append(f"weight={weight!r} has no effect: with landmark nodes each sighting counts once")
+        elif weight == "pairs" and (note := pairs_overweight(log)):
+            notes.append(note)
+        return graph_of_log(
+            cls, log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
+            kernel=kernel_of(kernel), residual=residual, landmark_map=known_map, notes=notes,
+            parameters=parameters, held=held,
+        )  # fmt: skip
 
     def with_closures(self, kernel: Kernel | str | None = None) -> Graph:
         """The same pose graph with its loop closures as `edges.RelationEdges`, which may be wrong.
@@ -253,27 +214,6 @@ class Graph:
             kernel: a robust kernel on them, or its name; default: none, so that the cost stays the same.
         """
         return replace(self, families=with_closures(self.families, kernel_of(kernel)))
-
-    def save_g2o(self, path: str | PathLike[str], *, state: Array | None = None) -> None:
-        """Write the graph as a g2o file, with its initial values or those of a state (n, 3).
-
-        A write that fails leaves no file behind. An anchor becomes a FIX line. Positions without a lever become priors,
-        EDGE_PRIOR_SE2 or EDGE_PRIOR_SE2_XY; g2o has no line for those with one. Motion edges in the body frame are
-        relative-pose edges and can be written; for other graphs of logs see `graphslam.graph.transform`. In g2o files poses
-        and landmarks share one set of ids: where the two overlap, the landmarks get new ids above those of the poses.
-
-        Raises:
-            GraphError: the graph has edges that g2o has no line for.
-            OptionError: the state has another shape or is not finite.
-            FormatError: the file cannot be written.
-        """
-        state = self.initial if state is None else array_of("state", state)
-        if state.shape != self.initial.shape or not np.isfinite(state).all():
-            raise OptionError(f"state must be finite numbers of shape {self.initial.shape}, not {state.shape}")
-        data = file_of_parts(
-            state, families=self.families, pose_ids=self.pose_ids, landmark_ids=self.landmark_ids, fixed=self.fixed
-        )
-        write_g2o(data, path_of(path))
 
     def with_initial(self, initial: Array) -> Graph:
         """The same graph with other initial values (n, 3)."""

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from ..errors import FormatError, OptionError, quoted
 from ..errors.checks import array_of, check_choice
 from ..files import path_of
-from ..io.map_files import read_map, write_map
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..se2 import Array, wrap
+from .map_files import read_map, write_map
 
 #: how a map is used: as its covariances say, without their correlations between landmarks, or as exact
 USES = ("joint", "own", "fixed")
@@ -84,7 +84,7 @@ class LandmarkMap(dict[int, Array]):
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> LandmarkMap:
-        """The map of a file: .npz, a table (.csv, .tsv, .txt, .parquet), YAML of tags, or GeoJSON; see `io.map_files`.
+        """The map of a file: .npz, a table (.csv, .tsv, .txt, .parquet), YAML of tags, or GeoJSON; see `graph.map_files`.
 
         Raises:
             FormatError: the file cannot be read, or holds no map or impossible covariances; with the line where one is

@@ -382,7 +382,7 @@ def recipe_beside(path: Path) -> Recipe:
 
 
 def _read(path: Path, options: ReadOptions) -> Log:
-    return Log(**drive_of_bag(path, recipe_beside(path).strictly(options.strict)).parts(options, path.resolve().stem))
+    return drive_of_bag(path, recipe_beside(path).strictly(options.strict)).log(options, path.resolve().stem)
 
 
 FORMAT = Format("bag", is_bag, _read, separate_times=True)

@@ -1,29 +1,24 @@
 """`LogFormat`, the description of a file format of logs, and functions that readers share.
 
 Text files of numbers: words, and tables of columns; errors name the line.
-
-`synchronize`: odometry, sightings and ground truth with separate times, brought together in one `Log`.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ..errors import FormatError, LogError, decimals, quoted, shortened
+from ..errors import FormatError, LogError, decimals
 from ..errors.checks import first
-from ..files import read_text
+from ..files import number, read_text
 from ..log import Log
 from ..log.cells import time_faults
 from ..log.rows import Fault, ReadOptions, finite_fault, sound_rows
-from ..log.streams import MOST_DISORDER, Stream, disorder, parts_of_streams
+from ..log.streams import MOST_DISORDER, disorder
 from ..se2 import Array
 
 #: the message about a data set in which no landmark was seen
@@ -90,40 +85,6 @@ def errors_name(path: Path) -> Iterator[None]:
         raise
     except LogError as error:
         raise FormatError(path, None, str(error)) from None
-
-
-def number(path: Path, line: int, what: str, word: str) -> float:
-    """A word as a finite number.
-
-    Raises:
-        FormatError: it is none; the message begins with ``what`` it should be.
-    """
-    try:
-        value = float(word)
-        if "_" in word:
-            raise ValueError  # Python reads 1_0 as 10, other programs do not
-    except ValueError:
-        raise FormatError(path, line, f"{what} should be a number, not {quoted(word)}") from None
-    if not math.isfinite(value):
-        raise FormatError(path, line, f"{what} is {shortened(word)}; only finite numbers are allowed")
-    return value
-
-
-def whole(path: Path, line: int, what: str, word: str) -> int:
-    """A word as a whole number of at most 64 bits.
-
-    Raises:
-        FormatError: it is none; the message begins with ``what`` it should be.
-    """
-    try:
-        value = int(word)
-        if "_" in word:
-            raise ValueError
-    except ValueError:
-        raise FormatError(path, line, f"{what} should be a whole number, not {quoted(word)}") from None
-    if not -(2**63) <= value < 2**63:
-        raise FormatError(path, line, f"{what} should be a whole number of at most 64 bits, not {quoted(word)}")
-    return value
 
 
 def read_columns(
@@ -195,48 +156,3 @@ def _refuse(path: Path, columns: tuple[str, ...]) -> None:
         for column, word in zip(columns, words):
             number(path, line, column, word)
     raise FormatError(path, None, f"cannot be read as columns {form}")
-
-
-def synchronize(
-    odometry: Stream,
-    sightings: Stream,
-    landmarks: np.ndarray,
-    *,
-    options: ReadOptions | None = None,
-    truth: Stream | None = None,
-    truth_offset: tuple[float, float] = (0.0, 0.0),
-    true_landmarks: Mapping[int, ArrayLike] | None = None,
-    classes: ArrayLike | None = None,
-    start: ArrayLike | None = None,
-    origin: float = 0.0,
-    name: str = "log",
-    notes: tuple[str, ...] = (),
-    **models: Any,
-) -> Log:
-    """The log of a robot whose odometry, sightings and ground truth have separate times.
-
-    Args:
-        odometry: controls (nu, omega) (N, 2), each held until the time of the next one. Rows of every stream that are out
-            of order by at most `MOST_DISORDER` are sorted, with a note.
-        sightings: (K, 2 or 3); those before the first or after the last odometry are left out, with a note.
-        landmarks: (K,) ids.
-        options: ``keep_every``, the greatest time between poses; default: poses only where something was seen.
-        truth: poses (G, 3), interpolated in SE(2), or positions (G, 2), interpolated along lines.
-        truth_offset: the point of the robot to which the truth belongs, see `Log`.
-        true_landmarks: {id: position}.
-        classes: (K,) what each sighting looks like, see `Log`.
-        start: the first pose (3,); default: the true one, or (0, 0, 0) where it is unknown.
-        origin: the time from which the times of the streams count [s]; it is added to ``start_time`` of the log only.
-        name, notes, models: of the `Log`.
-
-    Odometry that is silent for longer than `BRIDGED_GAP` is bridged by `bridge`, with noise and a warning. The truth is
-    unknown between samples farther apart than `TRUTH_GAP`.
-
-    Raises:
-        LogError: nothing is seen while there is odometry, or times run backwards by more than `MOST_DISORDER`.
-    """
-    parts = parts_of_streams(
-        odometry, sightings, landmarks, options=options, truth=truth, truth_offset=truth_offset,
-        true_landmarks=true_landmarks, classes=classes, start=start, origin=origin, name=name, notes=notes, **models,
-    )  # fmt: skip
-    return Log(**parts)

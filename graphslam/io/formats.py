@@ -14,6 +14,8 @@ from typing import Any
 from ..errors import FormatError, OptionError, quoted
 from ..errors.checks import check_choice
 from ..files import check_file, check_path, check_unpacked, path_of
+from ..graph import Graph
+from ..graph.pose_graph import DIALECTS, is_pose_graph
 from ..log import Log, check_is_log
 from ..log.continuous_time import with_poses_every
 from ..log.rows import ReadOptions
@@ -59,6 +61,29 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     if reading.keep_every is None or chosen.separate_times:
         return log
     return with_poses_every(log, reading.keep_every)
+
+
+def read(path: str | PathLike[str], *, format: str | None = None, **options: Any) -> Log | Graph:
+    """The log of a file or folder, as `load` reads it, or the graph of a pose-graph file (`Graph.from_g2o`), by its content.
+
+    Args:
+        path, format, options: as `load`; ``format`` is also "g2o", "toro" or "isam". Pose graphs have no options.
+
+    Raises:
+        FormatError, OptionError: as `load`. GraphError: the graph falls into several pieces.
+    """
+    path = path_of(path)
+    if format in DIALECTS or (format is None and path.is_file() and _is_graph(path)):
+        if options:
+            raise OptionError(f"{next(iter(options))} does not apply to pose graphs ({path}); leave it out")
+        return Graph.from_g2o(path, format=format)
+    return load(path, format=format, **options)
+
+
+def _is_graph(path: Path) -> bool:
+    with path.open("rb") as stream:
+        head = stream.read(4096)
+    return is_pose_graph(head) and not any(form.recognises(path, head) for form in FORMATS.values())
 
 
 def robots_in(path: str | PathLike[str], *, format: str | None = None) -> list[int]:
@@ -148,4 +173,4 @@ def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> N
     writers[format](log, path)
 
 
-__all__ = ["FORMATS", "Format", "ReadOptions", "load", "load_robots", "robots_in", "save"]
+__all__ = ["FORMATS", "Format", "ReadOptions", "load", "load_robots", "read", "robots_in", "save"]

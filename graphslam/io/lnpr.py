@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError, quoted
-from ..files import read_text, write_whole
+from ..files import number, read_text, whole, write_whole
 from ..log import Log
 from ..log.rows import Fault, ReadOptions, sound_rows
 from ..models import MotionModel, SensorModel
-from .base import Format, errors_name, number, whole
+from .base import Format, errors_name
 
 #: the columns of each kind of line; the last one of z may be missing
 #: numbers that nothing was measured with

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FormatError, OptionError, quoted
-from ..files import read_text
+from ..files import number, read_text
 from ..log import Log
 from ..log.end_to_end import end_to_end
 from ..log.measurements import (
@@ -43,7 +43,7 @@ from ..log.measurements import (
 from ..log.rows import ReadOptions
 from ..models import MotionModel, SensorModel, sinc
 from ..se2 import Array, between, wrap
-from .base import Format, number
+from .base import Format
 
 #: tag -> whether a time comes first, how many names, how many numbers, form of the line
 _TAGS = {

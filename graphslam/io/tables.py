@@ -218,7 +218,7 @@ def _read(folder: Path, options: ReadOptions) -> Log:
     if not folder.is_dir():
         raise FormatError(folder, None, "a log of tables is a folder with odometry.csv and sightings.csv, not a file")
     with errors_name(folder):
-        return Log(**drive_of(folder, recipe_of(folder).strictly(options.strict)).parts(options, folder.resolve().name))
+        return drive_of(folder, recipe_of(folder).strictly(options.strict)).log(options, folder.resolve().name)
 
 
 FORMAT = Format("tables", _recognises, _read, separate_times=True)

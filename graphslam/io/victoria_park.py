@@ -31,9 +31,10 @@ from ..errors import FormatError
 from ..log import UNIDENTIFIED, Log
 from ..log.rows import ReadOptions
 from ..log.streams import Stream
+from ..log.synchronize import synchronize
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, mounted
-from .base import NO_SIGHTING, Format, errors_name, member, optional_member, synchronize
+from .base import NO_SIGHTING, Format, errors_name, member, optional_member
 from .mat import Shape, has_variables, numbers, read_mat
 
 #: the car [m]: distance of the axles, encoder off the middle, laser ahead and to the left of the rear axle's middle

@@ -1,4 +1,4 @@
-"""The streams of a drive, each with its own clock, as the arguments of one log.
+"""`Log.from_tables`: the streams of a drive, each with its own clock, as one log.
 
 The tables of other sensors: relations between two poses, and absolute positions, each with its noise.
 """
@@ -18,9 +18,11 @@ from ..models import SensorModel
 from ..se2 import Array
 from .cells import Doubt, seconds
 from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
+from .log import Log
 from .measurements import NOT_POSITIVE, not_positive
 from .rows import ReadOptions
-from .streams import Stream, parts_of_streams
+from .streams import Stream
+from .synchronize import synchronize
 from .table import COVARIANCES, Table
 from .table_options import TableOptions
 from .text_table import table_of
@@ -165,18 +167,17 @@ class Drive:
         return [("covered", message)]
 
     def _measured(self, origin: int) -> dict[str, Any]:
-        """The relations and the positions as `parts_of_streams` takes them, with times from ``origin`` [ns] on."""
-        relations, positions = self.relations, self.positions
-        streams: dict[str, Stream | None] = {"relations": None, "positions": None}
-        if relations is not None and relations.ends is not None:
-            ends = seconds(relations.ends, origin)
-            streams["relations"] = Stream(seconds(relations.times, origin), np.column_stack([ends, relations.rows]))
-        if positions is not None:
-            streams["positions"] = Stream(seconds(positions.times, origin), positions.rows)
-        return streams
+        """The streams but for the sightings' ids as `synchronize` takes them, with times from ``origin`` [ns] on."""
+        found = {}
+        for kind, stream in self.streams.items():
+            rows = stream.rows
+            if stream.ends is not None:
+                rows = np.column_stack([seconds(stream.ends, origin), rows])
+            found[kind] = Stream(seconds(stream.times, origin), rows)
+        return found
 
-    def parts(self, reading: ReadOptions, name: str) -> dict[str, Any]:
-        """The arguments of the `Log` of this drive.
+    def log(self, reading: ReadOptions, name: str) -> Log:
+        """The log of this drive.
 
         Raises:
             LogError: the clocks do not overlap, or the streams cannot be joined.
@@ -187,17 +188,10 @@ class Drive:
         origin = int(self.odometry.times[0])
         remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
         doubts = self._covered() + [doubt for stream in self.streams.values() for doubt in stream.doubts]
-        models: dict[str, Any] = {}
-        if self.sensor_offset is not None:
-            models["sensor"] = SensorModel(offset=self.sensor_offset)  # type: ignore[arg-type]  # checked there
-        joined = {kind: Stream(seconds(stream.times, origin), stream.rows) for kind, stream in self.streams.items()}
-        return parts_of_streams(
-            joined["odometry"],
-            joined["sightings"],
-            self.sightings.ids,
-            options=reading,
-            truth=joined.get("truth"),
+        return synchronize(
             **self._measured(origin),
+            landmarks=self.sightings.ids,
+            options=reading,
             truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
             true_landmarks=self.landmarks,
             classes=self.sightings.classes,
@@ -205,7 +199,7 @@ class Drive:
             name=name,
             notes=(*self.notes, *remarks),
             doubts=tuple(doubts),
-            **models,
+            sensor=None if self.sensor_offset is None else SensorModel(offset=self.sensor_offset),  # type: ignore[arg-type]
         )
 
 
@@ -213,11 +207,9 @@ def read_drive(
     odometry: Any,
     sightings: Any,
     *,
-    truth: Any = None,
-    map: Any = None,
-    relations: Any = None,
-    positions: Any = None,
     options: TableOptions | None = None,
+    map: Any = None,
+    **others: Any,
 ) -> Drive:
     """Read the tables of a drive; the arguments are those of `Log.from_tables`.
 
@@ -225,29 +217,54 @@ def read_drive(
         LogError: a table lacks a column or has an impossible value.
     """
     options = options or TableOptions()
-    moved, seen = (
-        odometry_of(table_of(odometry, "odometry"), options),
-        sightings_of(table_of(sightings, "sightings"), options),
-    )
+    moved = odometry_of(table_of(odometry, "odometry"), options)
+    seen = sightings_of(table_of(sightings, "sightings"), options)
+    read: dict[str, Any] = {
+        kind: _READERS[kind](table_of(table, kind), options) for kind, table in others.items() if table is not None
+    }
+    landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
     return Drive(
-        moved,
-        seen,
-        None if truth is None else truth_of(table_of(truth, "truth"), options),
-        None if map is None else map_of(table_of(map, "map"), options, seen.names),
-        options.sensor_offset,
-        truth_offset=options.truth_offset,
-        relations=None if relations is None else relations_of(table_of(relations, "relations"), options),
-        positions=None if positions is None else positions_of(table_of(positions, "positions"), options),
+        moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read
     )
 
 
-def parts_of_tables(
-    odometry: Any, sightings: Any, others: Mapping[str, Any], name: str, keep_every: float | None,
-    options: TableOptions | None, **changes: Any,
-) -> dict[str, Any]:  # fmt: skip
-    """The arguments of the `Log` that `Log.from_tables` returns; its arguments and errors are the same.
+_READERS = {"truth": truth_of, "relations": relations_of, "positions": positions_of}
 
-    ``others`` are the other tables by name.
+
+def from_tables(
+    odometry: Any,
+    sightings: Any,
+    *,
+    truth: Any = None,
+    map: Any = None,
+    relations: Any = None,
+    positions: Any = None,
+    name: str = "log",
+    keep_every: float | None = None,
+    options: TableOptions | None = None,
+    **changes: Any,
+) -> Log:
+    """The log of tables that each have their own times, for example of CSV files of your own robot.
+
+    A table is the path of a file (CSV, TSV, text, Parquet), a data frame of pandas or the like, a mapping of columns,
+    or an array. Columns are recognised by common names; without names their order is the one given here.
+
+    Args:
+        odometry: t, nu, omega; or t, x, y, theta, whose differences become controls.
+        sightings: t, id, range, bearing[, orientation]; or, by name only, t, id, x, y in the axes of the sensor.
+        truth: t, x, y, theta; or the columns of TUM, t, x, y, z, qx, qy, qz, qw; or t, x, y.
+        map: id, x, y[, theta].
+        relations: t1, t2, dx, dy, dtheta and their noise, sigma_x, sigma_y, sigma_theta or cov_xx, cov_xy, ...
+        positions: t, x, y[, theta] and their noise, sigma or sigma_x, sigma_y[, sigma_theta] or cov_xx, cov_xy, ...,
+            and lever_x, lever_y, the point of the robot that is measured. docs/other_sensors.md has both tables.
+        name: of the log.
+        keep_every: the greatest time between poses [s]; default: poses only where something was seen.
+        options, changes: units, clocks and axes: a `graphslam.log.table_options.TableOptions`, or its fields, for example
+            ``angles="degrees"``, ``time={"odometry": "ms"}``, ``columns={"sightings": {"range": "dist"}}``.
+
+    Raises:
+        LogError: a table lacks a column or has an impossible value; the message names file and line.
+        OptionError: an option is impossible.
     """
     check_type(TableOptions, options=options)
     if options is not None and changes:
@@ -257,8 +274,12 @@ def parts_of_tables(
             raise OptionError(
                 f"from_tables has no option {quoted(change)}{suggestion(change, names) or '; see TableOptions'}"
             )
-    drive = read_drive(odometry, sightings, **others, options=options or TableOptions(**changes))
-    return drive.parts(ReadOptions(keep_every=keep_every), name)
+    tables = {"truth": truth, "map": map, "relations": relations, "positions": positions}
+    drive = read_drive(odometry, sightings, **tables, options=options or TableOptions(**changes))
+    return drive.log(ReadOptions(keep_every=keep_every), name)
+
+
+Log.from_tables = staticmethod(from_tables)
 
 
 #: sightings or truth with less than this part within the time of the odometry, and this many times as long, are refused

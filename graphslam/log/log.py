@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,6 @@ from ..errors import LogError, OptionError, printable, quoted
 from ..errors.checks import array_of, check_positive, check_type, checked_deviations, checked_offset, first
 from ..models import MotionModel, SensorModel, additional_variances
 from ..se2 import Array, mounted, wrap
-from .join import parts_of_tables
 from .measurements import (
     MEASURED,
     AbsolutePositions,
@@ -34,7 +33,6 @@ from .measurements import (
     whole_numbers,
 )
 from .rows import NO_CLASS, NO_ID, UNIDENTIFIED
-from .table_options import TableOptions
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -116,6 +114,8 @@ class Log:
     name: str = field(default="log", compare=False)
     notes: tuple[str, ...] = field(default=(), compare=False)
     doubts: tuple[tuple[str, str], ...] = field(default=(), compare=False)
+    #: the log of tables of your own robot; `log.join`, which reads them, adds it
+    from_tables: ClassVar[Callable[..., Log]]
 
     def __post_init__(self) -> None:
         check_type(MotionModel, motion=self.motion)
@@ -160,46 +160,6 @@ class Log:
                 if isinstance(array, np.ndarray):
                     array.flags.writeable = False
             object.__setattr__(self, name, value)
-
-    @classmethod
-    def from_tables(
-        cls,
-        odometry: Any,
-        sightings: Any,
-        *,
-        truth: Any = None,
-        map: Any = None,
-        relations: Any = None,
-        positions: Any = None,
-        name: str = "log",
-        keep_every: float | None = None,
-        options: TableOptions | None = None,
-        **changes: Any,
-    ) -> Log:
-        """The log of tables that each have their own times, for example of CSV files of your own robot.
-
-        A table is the path of a file (CSV, TSV, text, Parquet), a data frame of pandas or the like, a mapping of columns,
-        or an array. Columns are recognised by common names; without names their order is the one given here.
-
-        Args:
-            odometry: t, nu, omega; or t, x, y, theta, whose differences become controls.
-            sightings: t, id, range, bearing[, orientation]; or, by name only, t, id, x, y in the axes of the sensor.
-            truth: t, x, y, theta; or the columns of TUM, t, x, y, z, qx, qy, qz, qw; or t, x, y.
-            map: id, x, y[, theta].
-            relations: t1, t2, dx, dy, dtheta and their noise, sigma_x, sigma_y, sigma_theta or cov_xx, cov_xy, ...
-            positions: t, x, y[, theta] and their noise, sigma or sigma_x, sigma_y[, sigma_theta] or cov_xx, cov_xy, ...,
-                and lever_x, lever_y, the point of the robot that is measured. docs/other_sensors.md has both tables.
-            name: of the log.
-            keep_every: the greatest time between poses [s]; default: poses only where something was seen.
-            options, changes: units, clocks and axes: a `graphslam.log.table_options.TableOptions`, or its fields, for example
-                ``angles="degrees"``, ``time={"odometry": "ms"}``, ``columns={"sightings": {"range": "dist"}}``.
-
-        Raises:
-            LogError: a table lacks a column or has an impossible value; the message names file and line.
-            OptionError: an option is impossible.
-        """
-        tables = {"truth": truth, "map": map, "relations": relations, "positions": positions}
-        return cls(**parts_of_tables(odometry, sightings, tables, name, keep_every, options, **changes))
 
     def _checked_controls(self) -> dict[str, Any]:
         """dt, controls, control_starts, control_variances and recorded_dt, checked and complete."""

@@ -18,10 +18,10 @@ from ..errors import OptionError
 from ..errors.checks import option
 from ..errors.options import check_options
 from ..identification.declared import PARAMETERS
-from ..io.base import synchronize
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
 from ..log.streams import Stream
+from ..log.synchronize import synchronize
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .places import PLACES, Path, Place, follow

@@ -13,7 +13,7 @@ import pytest
 import comparisons
 from comparisons.results.exchange import tum_text
 from graphslam import Graph, OptionError, simulate, solve
-from graphslam.io.map_files import map_text
+from graphslam.graph.map_files import map_text
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ import pytest
 
 import comparisons
 from comparisons.show.canvas import placed, placement_of
-from graphslam import Log, OptionError, calibrate, load, save, simulate
-from graphslam.io.base import Stream, synchronize
+from graphslam import Log, OptionError, Stream, calibrate, load, save, simulate, synchronize
 from graphslam.metrics import ate, evaluate
 from graphslam.se2 import compose, mounted
 

@@ -110,6 +110,19 @@ def test_gtsam_is_imported_only_where_it_is_needed():
                 assert not {other for other in on_loading if other.startswith(USES_GTSAM)}, name
 
 
+def test_logs_and_graphs_import_no_reader():
+    """Readers make them: `Log.from_tables` and `Graph.from_g2o` are added by the modules that read."""
+    readers = (
+        "graphslam.io",
+        "graphslam.graph.pose_graph",
+        "graphslam.graph.g2o",
+        "graphslam.log.table",
+        "graphslam.log.text",
+    )
+    for name in ("graphslam.log.log", "graphslam.graph.graph"):
+        assert not {other for other in imports(name) if other.startswith(readers)}, name
+
+
 def test_the_two_solvers_share_only_their_start():
     """Neither solves with the other: GTSAM's takes the starts, the choice among ends, and Anderson acceleration.
 

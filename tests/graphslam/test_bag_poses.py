@@ -71,7 +71,7 @@ def degrees_of(places: np.ndarray) -> np.ndarray:
 
 def log_of(path: Path, topics: dict[str, str], numbers: dict[str, dict[str, list[float]]] | None = None) -> Log:
     places = {kind: {"file": topic, "topic": topic} for kind, topic in topics.items()}
-    return Log(**drive_of_bag(path, Recipe(places=places, numbers=numbers or {})).parts(ReadOptions(), "bag"))
+    return drive_of_bag(path, Recipe(places=places, numbers=numbers or {})).log(ReadOptions(), "bag")
 
 
 def gps(maker: Maker, places: np.ndarray, kind: int = 2, status: int = 0) -> None:

@@ -413,7 +413,7 @@ MISTAKES = {
 def test_mistakes(name, tmp_path):
     path, recipe = broken(tmp_path, name)
     with pytest.raises(LogError, match=MISTAKES[name]) as caught:
-        Log(**drive_of_bag(path, recipe).parts(_READING, "a"))
+        drive_of_bag(path, recipe).log(_READING, "a")
     assert "\n" not in str(caught.value)
 
 
@@ -437,7 +437,7 @@ def test_files_that_are_compressed_as_a_whole(name, first, program, tmp_path):
 def test_a_stated_place_of_the_sensor_needs_no_frames(expected, tmp_path):
     path, _ = broken(tmp_path, "unknown frame")
     recipe = Recipe(TableOptions(sensor_offset=(0.1, 0.0)))
-    log = Log(**drive_of_bag(path, recipe).parts(_READING, "a"))
+    log = drive_of_bag(path, recipe).log(_READING, "a")
     np.testing.assert_array_equal(log.sightings, expected.sightings)
     assert log.sensor.offset == (0.1, 0.0)
 

@@ -3,8 +3,9 @@ import warnings
 import numpy as np
 import pytest
 
-from graphslam import FormatError, Graph, GraphError, OptionError, solve
-from graphslam.io.pose_graph import read_pose_graph
+from graphslam import FormatError, Graph, GraphError, Log, OptionError, sample_log_path, solve
+from graphslam.graph.pose_graph import read_pose_graph
+from graphslam.io import read
 from graphslam.se2 import between, compose, turn_matrix, wrap
 
 SQUARE = """VERTEX_SE2 0 0 0 0
@@ -45,6 +46,15 @@ def g2o_chi2(path, poses):
             e = between(z, between(poses[i], poses[j]))
             total += e @ omega @ e
     return total
+
+
+def test_read_gives_a_log_or_a_graph_by_the_content_of_the_file(tmp_path):
+    path = written(tmp_path, SQUARE).rename(tmp_path / "square.txt")
+    graph = read(path)
+    assert isinstance(graph, Graph) and np.array_equal(graph.initial, Graph.from_g2o(path).initial)
+    assert isinstance(read(sample_log_path()), Log)
+    with pytest.raises(OptionError, match="keep_every does not apply to pose graphs"):
+        read(path, keep_every=1.0)
 
 
 def test_cost_is_g2os_chi2(tmp_path, shared_data):

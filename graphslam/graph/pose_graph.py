@@ -36,9 +36,8 @@ import numpy as np
 
 from ..errors import FormatError, named, quoted
 from ..errors.checks import check_choice, first
-from ..files import read_text, write_whole
+from ..files import number, read_text, whole, write_whole
 from ..se2 import Array, compose, inverse, transform, turn_matrix, wrap
-from .base import number, whole
 
 DIALECTS = ("g2o", "toro", "isam")
 #: kind of edge -> how many ids it has, and how many numbers it measures
@@ -112,6 +111,11 @@ _TAGS: dict[str, tuple[str | int, str, str]] = {
 }
 #: the tag of each kind of edge in g2o's dialect
 _G2O = {kind: tag for tag, (kind, dialect, _) in _TAGS.items() if dialect == "g2o"}
+
+
+def is_pose_graph(head: bytes) -> bool:
+    """Whether the first bytes of a file have a line of a pose graph."""
+    return any(line.split()[:1] and line.split()[0] in _TAGS for line in head.decode("utf-8", "replace").splitlines())
 
 
 def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "error") -> PoseGraphFile:
