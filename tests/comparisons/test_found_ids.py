@@ -103,8 +103,9 @@ def test_classes_and_matches_are_in_tables_files_and_film(log):
     film = animate(with_classes, estimator="association", association="maximum-likelihood", max_frames=5)
     for frame in film.frames:
         at = np.flatnonzero(log.steps == frame.number)
-        assert len(frame.ends) == len(frame.status) == len(at)
-        for k, end in zip(at, frame.ends):
+        assert len(frame.lines) == len(frame.values) == len(at)
+        for k, (begin, end) in zip(at, frame.lines):
+            np.testing.assert_array_equal(begin, frame.poses[-1, :2])
             if found[k] != UNIDENTIFIED:
                 np.testing.assert_allclose(end, comparison["graph"].landmarks[found[k]][:2], atol=1e-6)
     # drawn, and different where the robot is elsewhere

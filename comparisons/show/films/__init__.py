@@ -11,12 +11,9 @@ from graphslam import GraphError, Log
 
 from ...options import AnimationOptions, RunOptions
 from ...options.reading import prepare
-from .association import association_film
 from .files import check_can_film
-from .graph import graph_film
-from .isam2 import isam2_film
-from .particles import particle_film
-from .samples import sample_film
+from .graphs import association_film, graph_film, isam2_film
+from .particles import particle_film, sample_film
 from .scene import Film
 
 __all__ = ["Film", "animate", "check_can_film"]

@@ -48,6 +48,7 @@ from ..canvas import (
     paper_figure,
     place_map,
     placed,
+    placement_of,
     set_limits,
     style_of,
     true_landmarks,
@@ -71,6 +72,9 @@ class Frame:
         estimated: (k,) bool, False for poses that are not drawn; None draws all.
         landmarks, landmark_covariances: {id: (2,) or (3,)} and {id: (n, n)}, where they are known.
         sightings: (n, 2) the places that are seen from the last pose.
+        lines: (E, 2, 2) lines that have colours, those of large values last.
+        values: what they are coloured by: (E,), or (k,) of the poses.
+        dots: (n, 2) or (n, 3) particles, or sampled landmarks.
         flash: a word that lights up in the picture; empty for none.
     """
 
@@ -81,11 +85,16 @@ class Frame:
     landmarks: Mapping[int, Array] = field(default_factory=dict)
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
     sightings: Array = field(default_factory=lambda: np.empty((0, 2)))
+    lines: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
+    values: Array = field(default_factory=lambda: np.empty(0))
+    dots: Array = field(default_factory=lambda: np.empty((0, 2)))
     flash: str = ""
 
 
 #: brings the artists of a scene up to a frame of its film, and returns those to draw, in this order
 Show = Callable[[Any], Sequence[Artist]]
+#: norm, colours and label of a colour bar
+Scale = tuple[Normalize, Colormap, str]
 
 
 def kept(count: int, most: int) -> np.ndarray:
@@ -135,29 +144,45 @@ class Pictures(Sequence[np.ndarray]):
         return np.asarray(self._canvas.buffer_rgba())[:, :, :3].copy()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Film:
     """The frames of an estimator at work on a log; made by `animate`.
 
     Attributes:
         title: of the film.
+        name: the estimator, which has a colour.
         frames: the data of every picture, first to last.
         steps: the number of iterations or steps, the start included; more than frames where the film leaves some out.
         notes: what the viewer should know, one sentence each.
-        set_up: draws everything that does not move onto an empty figure.
+        parts: adds what the film shows to its scene.
         log: what the estimator worked on.
+        motion: the motion model of dead reckoning.
+        scale: of the lines that have colours.
+        named: whether the ids of the landmarks are those of the log.
+        aligned: whether the last path has to be aligned to the ground truth; localisation is in its axes.
         fps: frames per second.
         source: the file or folder of the log, where there is one.
     """
 
     title: str
+    name: str = field(repr=False)
     frames: tuple[Frame, ...] = field(repr=False)
     steps: int
-    notes: tuple[str, ...]
-    set_up: Callable[[Figure], Show] = field(repr=False)
+    notes: tuple[str, ...] = ()
+    parts: Callable[[Scene], None] = field(repr=False)
     log: Log = field(repr=False)
+    motion: MotionModel | None = field(repr=False)
+    scale: Scale | None = field(default=None, repr=False)
+    named: bool = field(default=True, repr=False)
+    aligned: bool = field(default=True, repr=False)
     fps: float = 10.0
     source: Path | None = None
+
+    def set_up(self, figure: Figure) -> Show:
+        """Draw everything that does not move onto an empty figure; returns what draws a frame."""
+        scene = Scene(figure, self)
+        self.parts(scene)
+        return scene.finish()
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -195,23 +220,19 @@ class Film:
 class Scene:
     """The two panels of a film. The parts that move are added one by one, and drawn in this order.
 
+    One rigid motion of everything that is drawn, dead reckoning included, aligns the last path to the ground truth, so that
+    nothing jumps. The first and the last frame have to fit into the panel.
+
     Args:
         figure: empty.
-        log: its ground truth is drawn where it has one.
-        name: the estimator, which has a colour.
-        placement: the rigid motion (3,) of everything that is drawn. It aligns the last path to the ground truth, and is
-            one for the whole film, dead reckoning included, so that nothing jumps.
-        frames: the first and the last have to fit into the panel.
-        title: of the film.
-        motion: the motion model of dead reckoning.
-        scale: norm, colours and label of the colour bar, where there is one.
+        film: its ground truth is drawn where its log has one.
     """
 
-    def __init__(
-        self, figure: Figure, log: Log, name: str, placement: Array, frames: Sequence[Frame], title: str,
-        motion: MotionModel | None, scale: tuple[Normalize, Colormap, str] | None = None,
-    ) -> None:  # fmt: skip
-        self.figure, self.log, self.placement, self.color = figure, log, placement, colour_of(name)
+    def __init__(self, figure: Figure, film: Film) -> None:
+        log, scale, last = film.log, film.scale, film.frames[-1]
+        self.figure, self.log, self.color, self.placement = figure, log, colour_of(film.name), np.zeros(3)
+        if film.aligned:
+            self.placement = placement_of(log, last.poses, last.estimated, last.landmarks, named=film.named)
         self._movers: list[Show] = []
         self._handles: dict[str, Artist] = {}
         width = 0.90 if scale is None else 0.805
@@ -220,12 +241,12 @@ class Scene:
         if scale is not None:
             bar = figure.add_axes((0.91, 0.305, 0.016, 0.60))
             figure.colorbar(ScalarMappable(*scale[:2]), cax=bar, label=scale[2], extend="both")
-        self.between = between_poses(log, motion)
-        drifting = self.along(log.initial_poses if log.controls is None else log.dead_reckoning(motion))
+        self.between = between_poses(log, film.motion)
+        drifting = self.along(log.initial_poses if log.controls is None else log.dead_reckoning(film.motion))
         style = style_of("dead-reckoning") | {"alpha": 0.55, "linewidth": 0.9}
         self.remember("dead reckoning", *self.plane.plot(*drifting.T, **style))
-        means, curves = self._map(frames[-1])
-        core = [self.along(frames[-1].poses), means, curves.reshape(-1, 2)]
+        means, curves = self._map(last)
+        core = [self.along(last.poses), means, curves.reshape(-1, 2)]
         #: ground truth and true landmarks, for a film whose lines would hide them
         self.known: list[Artist] = []
         if (line := true_line(log)) is not None:
@@ -238,10 +259,10 @@ class Scene:
             self.known += self.plane.plot(*of_map.T, **TRUE_LANDMARK | {"zorder": 2.1})
             self.remember("true landmark", self.known[-1])
             core.append(of_map)
-        self._content = np.concatenate(core), [drifting, self.along(frames[0].poses)]
+        self._content = np.concatenate(core), [drifting, self.along(film.frames[0].poses)]
         self.extent = set_limits(self.plane, *self._content)
         # the second line of the title is left empty for the caption
-        self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{as_text(title)}\n ")
+        self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{as_text(film.title)}\n ")
 
     def placed(self, poses: Array) -> Array:
         """Positions (k, 2) in the picture of poses (k, 3) in the estimator's axes."""
@@ -307,6 +328,25 @@ class Scene:
         lines = LineCollection([], animated=True, **style)
         self.plane.add_collection(lines, autolim=False)
         return lines
+
+    def add_coloured(
+        self,
+        norm: Normalize,
+        colours: Colormap,
+        drawn: Callable[[Any], tuple[Array, Array]] | None = None,
+        **style: Any,
+    ) -> None:
+        """Lines (E, 2, 2) in the picture in the colours of values (E,): those that a frame has, or ``drawn`` of a frame."""
+        lines = self.add_lines(cmap=colours, norm=norm, **style)
+
+        def move(frame: Frame) -> list[Artist]:
+            own = self.moved(frame.lines.reshape(-1, 2)).reshape(-1, 2, 2), frame.values
+            segments, values = own if drawn is None else drawn(frame)
+            lines.set_segments(list(segments))
+            lines.set_array(values)
+            return [lines]
+
+        self.add(move)
 
     def add_sightings(self) -> None:
         """The lines from the last pose to what is seen from it."""
