@@ -27,6 +27,7 @@ from graphslam.io.bag import SUFFIXES, is_bag, open_bag
 from graphslam.io.bag_poses import POSES, Poses
 from graphslam.log.drive import truth_of
 from graphslam.log.measurements import finite_floats, not_positive
+from graphslam.log.streams import poses_at
 from graphslam.log.table import plain
 from graphslam.log.table_options import TableOptions
 from graphslam.log.text_table import PARQUET, TEXT, table_of
@@ -37,18 +38,18 @@ from graphslam.metrics import (
     heading_rmse,
     landmark_rmse,
     matched_places,
-    pose_nees,
+    mean_nees,
     position_errors,
     rpe,
 )
-from graphslam.se2 import Array, compose, interpolate, rotation, wrap
+from graphslam.se2 import Array, compose
 
 from .display import Displayed
 from .options import EvaluationOptions
 from .results.documents import Count
 from .results.saving import jsonable
 
-#: times that differ by at most this are the same [ns]
+#: times that differ by at most this are the same [ns]: those since 1970 are rounded in other programs
 ROUNDED = 1_000
 #: stands for the map of an estimate that has none
 NO_MAP = Path("-")
@@ -320,7 +321,7 @@ def _evaluated(
     places: Mapping[int, Array] | None,
     options: EvaluationOptions,
 ) -> Evaluated:
-    right = _at(truth, estimate.times, options.longest_gap)
+    right = poses_at(estimate.times, truth.times, truth.poses, 1e9 * options.longest_gap, same=ROUNDED)
     known = np.isfinite(right[:, 0])
     if np.count_nonzero(known) < 2:
         spans = [f"{each.times[0] / 1e9:.3f} to {each.times[-1] / 1e9:.3f} s" for each in (truth, estimate)]
@@ -341,6 +342,9 @@ def _evaluated(
     errors = position_errors(at, poses)
     with_heading = bool(np.isfinite(poses[:, 2]).all())
     step = rpe(at, poses) if with_heading else None
+    nees, covariances = None, None if estimate.covariances is None else estimate.covariances[known]
+    if covariances is not None and known[0] and np.isfinite([at[0], poses[0]]).all():
+        nees = mean_nees(at, poses, covariances, relative=not covariances[0].any())
     on_map: dict[str, Any] = {}
     if places is not None and true_map is not None:
         moved = {j: compose(placement, [*place[:2], 0.0])[:2] for j, place in places.items()}
@@ -356,45 +360,10 @@ def _evaluated(
         ate_m=float(np.sqrt(np.mean(errors**2))), most_m=float(errors.max()),
         rpe_m=None if step is None else step[0], rpe_rad=None if step is None else step[1],
         heading_rad=heading_rmse(at, poses) if with_heading else None,
-        nees=_nees(at, poses, estimate.covariances[known] if known[0] and estimate.covariances is not None else None),
-        times=(estimate.times[known] - truth.times[0]) / 1e9, errors=errors, aligned=compose(placement, estimate.poses),
+        nees=nees, times=(estimate.times[known] - truth.times[0]) / 1e9, errors=errors,
+        aligned=compose(placement, estimate.poses),
         notes=estimate.notes, **on_map,
     )  # fmt: skip
-
-
-def _at(truth: Trajectory, times: np.ndarray, longest_gap: float) -> Array:
-    """The true poses (N, 3) at times (N,) [ns], NaN where the truth has none for longer than a gap [s]."""
-    after = np.clip(np.searchsorted(truth.times, times), 1, len(truth.times) - 1) if len(truth.times) > 1 else 0 * times
-    before = np.maximum(after - 1, 0)
-    begin, end = truth.times[before], truth.times[after]
-    share = np.clip((times - begin) / np.maximum(end - begin, 1), 0.0, 1.0)
-    a, b = truth.poses[before], truth.poses[after]
-    # without headings, on the line between both positions
-    flat = ~np.isfinite(a[:, 2] + b[:, 2])
-    found = interpolate(np.where(flat[:, None], [0.0, 0.0, 0.0], a), np.where(flat[:, None], [0.0, 0.0, 0.0], b), share)
-    found[flat, :2] = a[flat, :2] + share[flat, None] * (b - a)[flat, :2]
-    found[flat, 2] = np.nan
-    inside = (times >= truth.times[0] - ROUNDED) & (times <= truth.times[-1] + ROUNDED)
-    # to the rounding of times since 1970 in other programs
-    exact = (np.abs(times - begin) <= ROUNDED) | (np.abs(times - end) <= ROUNDED)
-    found[~inside | ((end - begin > longest_gap * 1e9) & ~exact)] = np.nan
-    return found
-
-
-def _nees(truth: Array, poses: Array, covariances: Array | None) -> float | None:
-    """`Evaluated.nees` of all poses (N, 3), the first with its truth."""
-    if covariances is None or not np.isfinite(truth).all() or not np.isfinite(poses).all():
-        return None
-    if not covariances[0].any():
-        turn = truth[0, 2] - poses[0, 2]
-        frame = np.array([*(truth[0, :2] - rotation(turn) @ poses[0, :2]), turn])
-        turned = np.eye(3)
-        turned[:2, :2] = rotation(turn)
-        poses, covariances = compose(frame, poses), turned @ covariances @ turned.T
-    errors = poses - truth
-    errors[:, 2] = wrap(errors[:, 2])
-    each = pose_nees(errors, covariances)
-    return float(np.nanmean(each)) if np.isfinite(each).any() else None
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

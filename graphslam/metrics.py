@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import OptionError
-from .se2 import Array, between, transform, wrap
+from .se2 import Array, between, compose, inverse, transform, turn_matrix, wrap
 
 #: see `exchanged`
 EXCHANGED = 3.0
@@ -315,6 +315,30 @@ def pose_nees(errors: Array, covariances: Array) -> Array:
     e = errors[known]
     nees[known] = np.einsum("ti,ti->t", e, np.linalg.solve(covariances[known], e[:, :, None])[:, :, 0]) / 3
     return nees
+
+
+def mean_nees(truth: Array, poses: Array, covariances: Array, *, relative: bool = True) -> float | None:
+    """The mean of e' P^-1 e / 3 over the poses whose truth and covariance are known; 1 means consistent, more overconfident.
+
+    Args:
+        truth, poses, covariances: (T, 3), (T, 3) and (T, 3, 3) in the axes of ``poses``; NaN where unknown.
+        relative: e is the error relative to the first pose, which does not count; else that in the axes of the truth.
+
+    Returns:
+        None where nothing is known, or a covariance has no inverse.
+    """
+    if relative:
+        frame = compose(truth[0], inverse(poses[0]))
+        turn = turn_matrix(frame[2])
+        poses, covariances = compose(frame, poses), turn @ covariances @ turn.T
+    errors = poses - truth
+    errors[:, 2] = wrap(errors[:, 2])
+    errors[: int(relative)] = np.nan
+    try:
+        each = pose_nees(errors, covariances)
+    except np.linalg.LinAlgError:
+        return None
+    return float(np.nanmean(each)) if np.isfinite(each).any() else None
 
 
 def evaluate(

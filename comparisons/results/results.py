@@ -20,8 +20,8 @@ from graphslam.association import Association
 from graphslam.errors import printable
 from graphslam.graph.stretch import drifted
 from graphslam.identification.declared import ParameterEstimate
-from graphslam.metrics import Errors
-from graphslam.se2 import Array, compose, inverse, rotation, wrap
+from graphslam.metrics import Errors, mean_nees
+from graphslam.se2 import Array
 from graphslam.solvers.corrected import motion_edges, sighted_edges
 from graphslam.solvers.uncertainty import Uncertainty
 from graphslam.textbook import TextbookSolution
@@ -229,23 +229,7 @@ class EstimatorResult:
         # those of samples are relative to the first pose, which is the same in all of them, up to rounding
         if self.graph is not None and np.any(covariances[0]):
             covariances = self._relative_covariances(covariances)
-        if covariances is None:
-            return None
-        frame = compose(truth[0], inverse(self.poses[0]))
-        error = compose(frame, self.poses) - truth
-        error[:, 2] = wrap(error[:, 2])
-        turn = np.eye(3)
-        turn[:2, :2] = rotation(frame[2])
-        known = np.isfinite(error).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
-        known[0] = False
-        if not known.any():
-            return None
-        covariances = turn @ covariances[known] @ turn.T
-        try:
-            weighted = np.linalg.solve(covariances, error[known][..., None])[..., 0]
-        except np.linalg.LinAlgError:
-            return None
-        return float(np.mean(np.einsum("ti,ti->t", error[known], weighted)) / 3)
+        return None if covariances is None else mean_nees(truth, self.poses, covariances)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -140,24 +140,33 @@ def truth_at(times: Array, truth: Stream) -> Array:
 
     Positions without headings, (G, 2), become rows (x, y, NaN).
     """
-    poses = np.full((len(times), 3), np.nan)
     if len(truth) < 2:
-        return poses
+        return np.full((len(times), 3), np.nan)
     # samples with the same time count once
     at, first = np.unique(truth.times, return_index=True)
     rows = truth.rows[first]
-    after = np.clip(np.searchsorted(at, times, side="right"), 1, len(at) - 1)
-    before = after - 1
-    apart = at[after] - at[before]
-    share = (times - at[before]) / apart
-    # a sample at exactly this time needs no neighbour
-    known = ((share >= 0) & (share <= 1) & (apart <= TRUTH_GAP)) | (share == 0) | (share == 1)
-    a, b, s = rows[before[known]], rows[after[known]], share[known]
-    if rows.shape[1] == 2:
-        poses[known, :2] = a + s[:, None] * (b - a)
-    else:
-        poses[known] = interpolate(a, b, s)
-    return poses
+    poses = rows if rows.shape[1] == 3 else np.column_stack([rows, np.full(len(rows), np.nan)])
+    return poses_at(times, at, poses, TRUTH_GAP)
+
+
+def poses_at(times: Array, at: Array, poses: Array, longest: float, same: float = 0.0) -> Array:
+    """Poses (n, 3) at ``times`` (n,) from those (m, 3) at increasing times, in one unit; NaN where they are not known.
+
+    They lie on the arc between two poses at most ``longest`` apart, on the line between poses without headings. A pose at a
+    time that differs by at most ``same`` needs no neighbour.
+    """
+    after = np.clip(np.searchsorted(at, times, side="right"), min(1, len(at) - 1), len(at) - 1)
+    before = np.maximum(after - 1, 0)
+    begin, end = at[before], at[after]
+    share = np.clip((times - begin) / np.where(end > begin, end - begin, 1), 0.0, 1.0)
+    a, b = poses[before], poses[after]
+    flat = ~np.isfinite(a[:, 2] + b[:, 2])
+    found = np.column_stack([a[:, :2] + share[:, None] * (b - a)[:, :2], np.full(len(times), np.nan)])
+    found[~flat] = interpolate(a[~flat], b[~flat], share[~flat])
+    exact = (np.abs(times - begin) <= same) | (np.abs(times - end) <= same)
+    inside = (times >= at[0]) & (times <= at[-1])
+    found[~exact & ~(inside & (end - begin <= longest))] = np.nan
+    return found
 
 
 def pieces_of(durations: Array, most: float) -> np.ndarray:
