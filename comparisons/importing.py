@@ -32,7 +32,6 @@ from .options import ImportOptions, ReadingOptions
 from .options.reading import read_log
 from .results.documents import Count, LogDocument, Numbers, describe, one_of
 from .results.exchange import elapsed_of
-from .results.saving import jsonable
 
 #: what a table or topic holds
 Kind = Annotated[str, one_of("odometry", "sightings", "truth")]
@@ -84,58 +83,38 @@ class Import(Displayed):
     """The result of `import_log`: the contents of tables or a bag, and the log.
 
     Attributes:
-        source: the folder or bag; None where each table was named.
-        topics: of a bag.
+        source: the folder or bag; null where each table was named.
+        topics: the topics of a bag.
         streams: the tables or topics that were read.
         log: of these; None where they make none.
         landmarks: the number of landmarks of the true map; None where there is none.
         reason: why there is no log.
+        file: the log that was written; null where none was.
     """
 
     source: Path | None
     topics: tuple[FoundTopic, ...] = ()
     streams: tuple[FoundStream, ...] = ()
-    log: Log | None = None
-    landmarks: int | None = None
+    log: Log | None = field(default=None, repr=False)
+    landmarks: int | None = field(default=None, repr=False)
     reason: str = ""
+    file: Path | None = None
+    shown: ClassVar = {"log": "described", "warnings": "warnings"}
+
+    @property
+    def described(self) -> LogDocument | None:
+        """The log; null where the topics make none."""
+        return None if self.log is None else describe(self.log, self.source)
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
         """Probable mistakes in the log, see `graphslam.log_checks`."""
         return () if self.log is None else check_log(self.log)
 
-    def to_json(self, file: Path | None = None) -> dict[str, Any]:
-        """The import as plain data, and the file that was written."""
-        log, warnings = (
-            None if self.log is None else describe(self.log, self.source),
-            [f.message for f in self.findings],
-        )
-        return jsonable(
-            ImportDocument(self.source, self.topics, self.streams, log, file, reason=self.reason, warnings=warnings)
-        )
-
-
-@dataclass(frozen=True)
-class ImportDocument:
-    """The JSON of `slam-compare import`.
-
-    Attributes:
-        source: the folder or bag; null where each table was named.
-        topics: the topics of a bag.
-        streams: the tables or topics that were read.
-        log: the log; null where the topics make none.
-        file: the log that was written; null where none was.
-        reason: why there is no log.
-        warnings: what is probably wrong with the log, with the likely cause.
-    """
-
-    source: Path | None
-    topics: tuple[FoundTopic, ...]
-    streams: tuple[FoundStream, ...]
-    log: LogDocument | None
-    file: Path | None
-    reason: str
-    warnings: list[str]
+    @property
+    def warnings(self) -> list[str]:
+        """What is probably wrong with the log, with the likely cause."""
+        return [finding.message for finding in self.findings]
 
 
 def import_log(source: str | PathLike[str] | None = None, **options: Any) -> Import:
@@ -160,7 +139,7 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
     named = {table: place for table in TABLES if (place := getattr(options, table)) is not None}
     changes = options.of_component("tables")
     recipe = None if options.recipe is None else read_recipe(options.recipe)
-    reading = ReadOptions(keep_every=options.keep_every)
+    reading = ReadOptions(**options.of_component("reading"))
     if source is None:
         for table in ("odometry", "sightings"):
             if table not in named:

@@ -19,7 +19,7 @@ import numpy as np
 from comparisons.comparison import RunDocument
 from comparisons.datasets import Survey
 from comparisons.evaluation import EvaluateDocument
-from comparisons.importing import ImportDocument, Overview
+from comparisons.importing import Import, Overview
 from comparisons.results.documents import AnimateDocument, SimulateDocument, shown_by
 from comparisons.studies.backends import BackendComparison
 from comparisons.studies.consistency import ConsistencyStudy
@@ -44,7 +44,7 @@ DOCUMENTS: dict[str, type] = {
     "sweep": SweepOutcome,
     "animate": AnimateDocument,
     "calibrate": Calibration,
-    "import": ImportDocument,
+    "import": Import,
     "show": Overview,
 }
 VERBS = {kind.__name__: verb for verb, kind in DOCUMENTS.items()}

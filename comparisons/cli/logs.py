@@ -7,6 +7,7 @@ The verbs that check and time solvers: solvers, backends.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -230,7 +231,7 @@ def import_(
         save(found.log, out)
         output.say(f"Wrote {out}.")
         output.hint(f"Next: {command('run', out)}")
-    output.json(found.to_json(out))
+    output.json(replace(found, file=out).to_json())
 
 
 def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawing: FigureOptions) -> None:

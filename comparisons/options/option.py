@@ -19,6 +19,7 @@ from graphslam.errors import OptionError, quoted
 from graphslam.errors.checks import option, suggestion
 from graphslam.errors.options import Option as Option
 from graphslam.errors.options import check_options, declared_in
+from graphslam.log.rows import ReadOptions
 from graphslam.log.table_options import TableOptions
 
 #: fields of components that have another name among the options: (component, field) -> option
@@ -115,7 +116,8 @@ class ImportOptions(Options):
     """Options of `importing.import_log`: the tables or topics of a drive, and how they are read."""
 
     panel = "Tables and topics"
-    components = {"tables": (TableOptions, "Units, clocks, columns and axes")}
+    components = {"tables": (TableOptions, "Units, clocks, columns and axes"), "reading": (ReadOptions, OUTPUT)}
+    hidden = ("robot", "strict")
     odometry: str | None = option(
         None, "Table or topic of the odometry.", metavar="FILE|TOPIC", default_text="found by name and type"
     )
@@ -127,10 +129,6 @@ class ImportOptions(Options):
     recipe: Path | None = option(
         None, "TOML file with these options, files, topics and columns; see docs/own_robot.md.", metavar="FILE",
         default_text="import.toml in the folder",
-    )  # fmt: skip
-    keep_every: float | None = option(
-        None, "Also keep a pose at least once in this time, even where nothing was seen.", unit="s", positive=True,
-        default_text="poses only where something was seen", panel=OUTPUT,
     )  # fmt: skip
 
 

@@ -42,6 +42,7 @@ from graphslam.identification.result import ESTIMATE
 from graphslam.identification.robot import enough_ids, estimate_robot, known_robot, unknown_noise, with_checked_ids
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log.continuous_time import with_poses_every
+from graphslam.log.rows import ReadOptions
 from graphslam.sessions import join_robots, with_common_noise
 
 from ..results import noted
@@ -174,12 +175,12 @@ def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[i
         return {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return load_robots(log, format=options.format, keep_every=options.keep_every, strict=options.strict)
+        return load_robots(log, **_of_load(options))
 
 
 def _joined_robots(robots: dict[int, Log], options: LogOptions) -> tuple[Log, dict[str, float], bool]:
     """All robots as one log with the same noise models, biases, and whether noise was estimated."""
-    read = replace(options, format=None, keep_every=None, strict=False)
+    read = replace(options, **dict.fromkeys(_of_load(options)), strict=False)
     known = {number: _with_noise(read_log(each, read)[0], options) for number, each in robots.items()}
     logs, remarks = {number: data for number, (data, _, _) in known.items()}, list[str]()
     offsets: ClockOffsets | None = None
@@ -290,11 +291,10 @@ def read_log(log: LogOrPath | Sequence[LogOrPath], options: ReadingOptions) -> t
         raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {quoted(log)}")
     else:
         path = sample_log_path() if log is None else Path(log)
-        keywords = {name: getattr(options, name) for name in (*OF_FILES, "keep_every")}
         with warnings.catch_warnings():
             # the warnings of a reader are also notes of the log, which are shown
             warnings.simplefilter("ignore", UserWarning)
-            data = load(path, **keywords)
+            data = load(path, **_of_load(options))
         # absolute, so that a repeated run from another folder writes the same
         source = path.absolute()
     if options.dimensions == 3 and not data.has_orientation:
@@ -309,6 +309,11 @@ def read_log(log: LogOrPath | Sequence[LogOrPath], options: ReadingOptions) -> t
     if options.max_range is not None:
         data = data.nearer_than(options.max_range)
     return (data.without_orientation() if options.dimensions == 2 else data), source
+
+
+def _of_load(options: ReadingOptions) -> dict[str, Any]:
+    """The options of `graphslam.load`."""
+    return {name: getattr(options, name) for name in ("format", *options_of(ReadOptions))}
 
 
 def sha256_of(path: Path, *others: Path) -> str:
