@@ -1,5 +1,6 @@
-# make compare: the main job on the bundled sample log. make test: everything that must hold. make check: its quick part.
-# make test-all: with the whole site, the engine's own tests, fuzzer and lint, and a wheel; it takes an hour.
+# make compare: the main job on the bundled sample log. make test: what must hold before a change is merged. make check: its
+# quick part. make test-all: with the tests of the night, the whole site, the engine's own tests, fuzzer and lint, and a wheel;
+# it takes an hour.
 # All set up .venv by themselves; PYTHON names the interpreter to build it with.
 PYTHON ?= python3
 BIN := .venv/bin
@@ -8,7 +9,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 FETCH := $(PIP) install --no-compile
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: compare test pytest test-all check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
+.PHONY: compare test pytest test-nightly test-some test-all check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
 
 compare: .venv/.installed
 	$(BIN)/slam-compare run
@@ -17,16 +18,25 @@ compare: .venv/.installed
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 # mypy takes one core, so that it runs beside the tests
+test: ONLY := -m "not nightly and not browser and not cluster"
 test: .venv/.installed-test
-	$(MAKE) --jobs=2 lint pytest
+	$(MAKE) --jobs=2 lint pytest ONLY='$(ONLY)'
 
 pytest: .venv/.installed-test
 	$(PYTEST) $(ONLY)
 
-# the site comes first, because its tests are skipped without it
-test-all: docs engine-test engine-fuzz engine-lint wheel-check test
+# the tests that take too long for every change, and one in six of them, which the commit chooses
+NIGHTLY := -m "nightly or browser or cluster"
+test-nightly: .venv/.installed-test
+	$(PYTEST) $(NIGHTLY)
 
-check: ONLY := -m "not slow and not browser and not cluster"
+test-some: .venv/.installed-test
+	$(PYTEST) $(NIGHTLY) --one-in 6
+
+# the site comes first, because its tests are skipped without it
+test-all: docs engine-test engine-fuzz engine-lint wheel-check test test-nightly
+
+check: ONLY := -m "not slow and not nightly and not browser and not cluster"
 check: .venv/.installed-test
 	$(MAKE) --jobs=2 lint pytest ONLY='$(ONLY)'
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import random
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,8 +23,20 @@ hypothesis.settings.load_profile("repeatable")
 DATA = Path(os.environ.get("SLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--one-in", type=int, default=1, metavar="N", help="only one in N tests, which the commit chooses")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Files with slow tests come first, so that no process is left with a long one at the end."""
+    if (count := config.getoption("--one-in")) > 1:
+        commit = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, check=True
+        )
+        chosen = random.Random(commit.stdout).randrange(count)
+        config.hook.pytest_deselected(items=[item for k, item in enumerate(items) if k % count != chosen])
+        items[:] = items[chosen::count]
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
 

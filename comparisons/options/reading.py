@@ -180,7 +180,8 @@ def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[i
 
 def _joined_robots(robots: dict[int, Log], options: LogOptions) -> tuple[Log, dict[str, float], bool]:
     """All robots as one log with the same noise models, biases, and whether noise was estimated."""
-    read = replace(options, **dict.fromkeys(_of_load(options)), strict=False)
+    unread: dict[str, Any] = dict.fromkeys(_of_load(options)) | {"strict": False}
+    read = replace(options, **unread)
     known = {number: _with_noise(read_log(each, read)[0], options) for number, each in robots.items()}
     logs, remarks = {number: data for number, (data, _, _) in known.items()}, list[str]()
     offsets: ClockOffsets | None = None

@@ -38,6 +38,8 @@ from graphslam.identification.declared import CORRECTIONS
 from graphslam.log import UNIDENTIFIED
 
 Invoke = Callable[..., Result]
+#: a drive, and what `estimate_robot` finds
+Robot = tuple[Log, Any]
 
 
 @pytest.fixture
@@ -196,19 +198,20 @@ def test_corrections_go_from_the_file_to_the_log(invoke: Invoke, log_file: Path)
         prepare(still, RunOptions.of(wheel_scale=1.1))
 
 
-def drive_of_a_robot(folder: Path) -> Log:
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    """A drive of two minutes, and what it tells of its robot: the estimate takes a second."""
     log, _ = Drive(seed=5, duration=120.0, landmarks=20).simulate()
-    save(log, folder / "own.npz")
-    return log
+    return log, estimate_robot(log)
 
 
-def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Path) -> None:
-    log = drive_of_a_robot(tmp_path)
+def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Path, robot: Robot) -> None:
+    log, found = robot
+    save(log, tmp_path / "own.npz")
     result = invoke("run", "own.npz", "--estimators", "graph", "--out", "a", "--json", "a.json", "--figures", "")
     assert result.exit_code == 0, result.output
     assert "Noise models: estimated from this log." in result.stdout
     run = json.loads(Path("a.json").read_text())
-    found = estimate_robot(log)
     assert run["noise"]["sensor"] == {"source": "estimated", "model": run["noise"]["sensor"]["model"]}
     assert run["noise"]["sensor"]["model"]["bearing_std"] == found.sensor.bearing_std
     assert [note for note in run["log"]["notes"] if note.startswith("biases estimated from this log: wheel_scale")]
@@ -227,8 +230,8 @@ def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Pa
     assert options.sensor_delay == found.parameters["sensor_delay"]
 
 
-def test_the_noise_of_the_book_is_taken_where_it_is_asked_for(invoke: Invoke, tmp_path: Path) -> None:
-    drive_of_a_robot(tmp_path)
+def test_the_noise_of_the_book_is_taken_where_it_is_asked_for(invoke: Invoke, tmp_path: Path, robot: Robot) -> None:
+    save(robot[0], tmp_path / "own.npz")
     plain = ["--estimators", "graph", "--kernel", "none", "--figures", "", "--json", "-"]
     result = invoke("run", "own.npz", "--noise", "book", "--out", "a", *plain)
     noise = json.loads(result.stdout)["noise"]
@@ -296,9 +299,8 @@ def test_logs_without_ids(tmp_path: Path) -> None:
     assert [note for note in few.notes if note.startswith("noise auto kept the book's noise models")]
 
 
-def test_noise_of_another_robot_is_noticed(tmp_path: Path) -> None:
-    log = drive_of_a_robot(tmp_path)
-    found = estimate_robot(log)
+def test_noise_of_another_robot_is_noticed(tmp_path: Path, robot: Robot) -> None:
+    log, found = robot
     noise, named = Calibration.of(found), found.ids.correct(log)
     for factor in (1.0, 3.0):
         smaller = {name: getattr(found.sensor, name) / factor for name in ("range_rate", "range_std", "bearing_std")}
@@ -308,11 +310,17 @@ def test_noise_of_another_robot_is_noticed(tmp_path: Path) -> None:
         assert len(said) == (factor > 1)
 
 
-def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def misread() -> Robot:
+    """A drive with misread ids, and what it tells of its robot."""
+    log, _ = Drive(seed=5, duration=150.0, landmarks=20, misread=0.08).simulate()
+    return log, estimate_robot(log)
+
+
+def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path, misread: Robot) -> None:
     """The noise of one drive is used for another one, whose ids are misread as often."""
-    first, second = (Drive(seed=seed, duration=150.0, landmarks=20, misread=0.08) for seed in (5, 6))
-    write_noise(Calibration.of(estimate_robot(first.simulate()[0])), tmp_path / "noise.toml", "first")
-    log, truth = second.simulate()
+    write_noise(Calibration.of(misread[1]), tmp_path / "noise.toml", "first")
+    log, truth = Drive(seed=6, duration=150.0, landmarks=20, misread=0.08).simulate()
     with_file = run(log, estimators=["graph"], noise=tmp_path / "noise.toml")
     assert with_file.noise_source == {"motion": "file", "sensor": "file"}
     assert any("contradict their id" in note for note in with_file.log.notes)
@@ -322,16 +330,15 @@ def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path) -> None:
     errors = [each.metrics["graph"].ate_m or np.inf for each in (with_file, right)]
     assert errors[0] < 1.3 * errors[1]
     # the configuration repeats the run
-    files = with_file.save(tmp_path / "results")
+    files = with_file.save(tmp_path / "results", figures=())
     again = run(
         log, estimators=["graph"], **{n: v for n, v in read_config(files["config"]).items() if n != "estimators"}
     )
     np.testing.assert_array_equal(again["graph"].poses, with_file["graph"].poses)
 
 
-def test_a_noise_file_of_another_robot_is_doubted(tmp_path: Path) -> None:
-    log = Drive(seed=5, duration=150.0, landmarks=20).simulate()[0]
-    right = Calibration.of(estimate_robot(log))
+def test_a_noise_file_of_another_robot_is_doubted(tmp_path: Path, robot: Robot) -> None:
+    log, right = robot[0], Calibration.of(robot[1])
     assert right.motion is not None
     slight = MotionModel(**{name: value / 10 for name, value in vars(right.motion).items()})
     for file, doubt in (
@@ -346,9 +353,9 @@ def test_a_noise_file_of_another_robot_is_doubted(tmp_path: Path) -> None:
         assert any("mean log density" in note and "the noise that was given" in note for note in found.log.notes)
 
 
-def test_ids_that_are_not_checked(invoke: Invoke, tmp_path: Path) -> None:
-    log = Drive(seed=5, duration=150.0, landmarks=20, misread=0.08).simulate()[0]
-    write_noise(Calibration.of(estimate_robot(log)), tmp_path / "noise.toml", "drive")
+def test_ids_that_are_not_checked(invoke: Invoke, tmp_path: Path, misread: Robot) -> None:
+    log, found = misread
+    write_noise(Calibration.of(found), tmp_path / "noise.toml", "drive")
     save(log, tmp_path / "log.npz")
     plain = invoke("run", str(tmp_path / "log.npz"), "--estimators", "graph", "--noise", str(tmp_path / "noise.toml"),
                    "--no-check-ids", "--out", str(tmp_path / "a"))  # fmt: skip

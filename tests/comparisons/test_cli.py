@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import Result
+from typer.testing import CliRunner, Result
 
 import graphslam.log
 from comparisons.cli import app
@@ -25,8 +25,9 @@ def log() -> Log:
     return simulate(seed=2, steps=24, clean=True)
 
 
-def test_run_leaves_a_figure_and_json(invoke: Invoke, log_file: Path, tmp_path: Path) -> None:
-    result = invoke("run", log_file, "--particles", 50)
+def test_run_leaves_a_figure_and_json(log_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["run", str(log_file), "--particles", "50"])
     assert result.exit_code == 0, result.output
     (folder,) = (p for p in (tmp_path / "results").iterdir() if not p.is_symlink())
     names = ["comparison.json", "comparison.pdf", "comparison.png", "config.toml"]
@@ -138,7 +139,9 @@ def test_a_figure_and_a_page_that_fail_are_notes(
 
     monkeypatch.setattr("comparisons.comparison.Comparison.figure", breaks)
     monkeypatch.setattr("comparisons.show.report.page.page_of", breaks)
-    result = invoke("run", log_file, *QUICK, "--out", "here", "--html", "page.html", "--json", "out.json")
+    result = invoke(
+        "run", log_file, *QUICK, "--out", "here", "--html", "page.html", "--json", "out.json", "--figures", "png"
+    )
     assert result.exit_code == 0
     assert "There is no figure: ZeroDivisionError." in result.stdout
     expected = ["there is no figure: ZeroDivisionError", "there is no interactive report: ZeroDivisionError"]
@@ -153,7 +156,7 @@ def test_nothing_is_left_behind_when_a_run_breaks(
         raise ZeroDivisionError
 
     monkeypatch.setattr("comparisons.comparison.write_json", breaks)
-    result = invoke("run", log_file, *QUICK, "--out", "here")
+    result = invoke("run", log_file, *QUICK, "--out", "here", "--figures", "svg")
     assert isinstance(result.exception, ZeroDivisionError)
     assert [p.name for p in tmp_path.iterdir()] == ["log.npz"]
 

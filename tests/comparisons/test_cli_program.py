@@ -43,7 +43,7 @@ def program(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 def test_the_program_as_a_process(log_file: Path, tmp_path: Path) -> None:
-    process = program("run", "log.npz", *QUICK, "--out", "here", "--json", "-", cwd=tmp_path)
+    process = program("run", "log.npz", *QUICK, "--out", "here", "--figures", "", "--json", "-", cwd=tmp_path)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert json.loads(out)["estimators"][1]["converged"] is True
@@ -63,6 +63,7 @@ def wait_for_work(process: subprocess.Popen[str]) -> None:
         time.sleep(0.2)
 
 
+@pytest.mark.nightly
 def test_ctrl_c(tmp_path: Path) -> None:
     # far more variants than a test can wait for
     weights = ",".join(str(k) for k in range(1, 2000))

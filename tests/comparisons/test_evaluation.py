@@ -144,7 +144,7 @@ def test_gospa_against_all_assignments() -> None:
 def test_what_run_writes_has_the_errors_of_its_table(tmp_path: Path) -> None:
     """Also against the log, whose true poses and map count."""
     comparison = comparisons.run(sample_log_path(), estimators=["graph"])
-    comparison.save(tmp_path)
+    comparison.save(tmp_path, figures=())
     save(load(sample_log_path()), tmp_path / "log.npz")
     for right in (tmp_path / "truth.tum", tmp_path / "log.npz"):
         options = {"maps": [str(tmp_path / "graph-map.npz")], "true_map": str(tmp_path / "truth-map.csv")}

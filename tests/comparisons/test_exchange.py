@@ -22,7 +22,7 @@ def saved(tmp_path_factory):
         simulate(steps=40, seed=4), estimators=["dead-reckoning", "graph", "gtsam", "fastslam1"], particles=50
     )
     folder = tmp_path_factory.mktemp("saved")
-    return comparison, folder, comparison.save(folder)
+    return comparison, folder, comparison.save(folder, figures=())
 
 
 @pytest.mark.parametrize("name", ["dead-reckoning", "graph", "fastslam1"])
@@ -109,7 +109,7 @@ def test_a_second_run_into_the_folder_leaves_nothing_of_the_first(tmp_path):
     log = simulate(steps=15, seed=1)
     mine = tmp_path / "notes.txt"
     mine.write_text("mine")
-    comparisons.run(log, estimators=["graph", "fastslam1"], particles=10).save(tmp_path, figures=("svg", "png"))
+    comparisons.run(log, estimators=["graph", "fastslam1"], particles=10).save(tmp_path, figures=("svg",))
     assert (tmp_path / "fastslam1.tum").exists()
-    files = comparisons.run(log, estimators=["graph"]).save(tmp_path)
+    files = comparisons.run(log, estimators=["graph"]).save(tmp_path, figures=())
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in files.values()} | {"notes.txt"}

@@ -44,7 +44,7 @@ particles = 10
 @pytest.mark.slow
 def test_every_verb_writes_what_the_schema_says(write):
     valid("simulate", write("simulate", "log.npz", "--steps", 15, "--seed", 3))
-    found = write("run", "log.npz", "--particles", 20, "--noise", "book", "--out", "out")
+    found = write("run", "log.npz", "--particles", 20, "--noise", "book", "--out", "out", "--figures", "png")
     valid("run", found)
     assert json.loads(Path("out/comparison.json").read_text()) == found
     valid("evaluate", write("evaluate", "log.npz", "out/graph.tum", "--maps", "out/graph-map.npz"))
@@ -77,12 +77,12 @@ def test_the_json_of_an_import(write, tmp_path):
 
 def test_logs_that_know_less_are_valid_too(write):
     write("simulate", "log.npz", "--steps", 15, "--no-orientation")
-    valid("run", write("run", "log.npz", "--particles", 20, "--out", "out"))
+    valid("run", write("run", "log.npz", "--particles", 20, "--out", "out", "--figures", ""))
 
 
 def test_the_schema_refuses_what_is_not_said(write):
     write("simulate", "log.npz", "--steps", 15)
-    found = write("run", "log.npz", "--estimators", "graph", "--out", "out")
+    found = write("run", "log.npz", "--estimators", "graph", "--out", "out", "--figures", "")
     for broken in (
         found | {"surprise": 1},
         {k: v for k, v in found.items() if k != "log"},

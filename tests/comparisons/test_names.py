@@ -69,7 +69,9 @@ def test_figures_show_names_as_they_are(name: str) -> None:
 
 
 def test_a_run_on_any_name(named: Path, invoke: Invoke, tmp_path: Path) -> None:
-    result = invoke("run", named, *QUICK, "--out", "out", "--html", "page.html", "--json", "result.json")
+    result = invoke(
+        "run", named, *QUICK, "--out", "out", "--figures", "png", "--html", "page.html", "--json", "result.json"
+    )
     assert result.exit_code == 0, result.output
     assert "\x1b" not in result.output
     assert "failed" not in result.output

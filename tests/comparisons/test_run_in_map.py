@@ -37,7 +37,20 @@ def test_the_map_of_one_run_is_the_prior_of_the_next(invoke: Invoke, logs: tuple
     made = invoke("run", first, "--estimators", "graph,gtsam", "--out", "one")
     assert made.exit_code == 0, made.output
     assert "Localise in this map: slam-compare run OTHER_LOG --map one/graph-map.npz" in " ".join(made.output.split())
-    result = invoke("run", second, "--map", "one/graph-map.npz", "--out", "two", "--particles", 100, "--json", "-")
+    result = invoke(
+        "run",
+        second,
+        "--map",
+        "one/graph-map.npz",
+        "--out",
+        "two",
+        "--particles",
+        100,
+        "--json",
+        "-",
+        "--figures",
+        "png",
+    )
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     rows = {each["name"]: each for each in document["estimators"]}

@@ -42,7 +42,18 @@ def files(tmp_path: Path) -> list[Path]:
 
 
 def test_three_logs_are_one_graph_one_map_and_a_table_each(invoke: Invoke, files: list[Path], tmp_path: Path) -> None:
-    result = invoke("run", *files, "--estimators", "dead-reckoning,graph,gtsam", "--out", "out", "--json", "o.json")
+    result = invoke(
+        "run",
+        *files,
+        "--estimators",
+        "dead-reckoning,graph,gtsam",
+        "--out",
+        "out",
+        "--json",
+        "o.json",
+        "--figures",
+        "png",
+    )
     assert result.exit_code == 0, result.output
     for k, part in enumerate(drives(), start=1):
         assert f"log {k}, day{k}: {part.num_poses} poses" in result.output

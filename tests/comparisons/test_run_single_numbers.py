@@ -34,7 +34,19 @@ def test_empty_cells_go_through_the_command_line(invoke: Invoke, tmp_path: Path,
     ):
         text = "".join(",".join(map(str, line)) + "\n" for line in lines)
         (folder / f"{name}.csv").write_text(f"{head}\n{text}")
-    result = invoke("run", "drive", *NOISE, "--estimators", "graph,gtsam,isam2", "--json", "o.json", "--out", "out")
+    result = invoke(
+        "run",
+        "drive",
+        *NOISE,
+        "--estimators",
+        "graph,gtsam,isam2",
+        "--json",
+        "o.json",
+        "--out",
+        "out",
+        "--figures",
+        "png",
+    )
     assert result.exit_code == 0, result.output
     document = json.loads((tmp_path / "o.json").read_text())
     graph, gtsam, isam2 = document["estimators"]

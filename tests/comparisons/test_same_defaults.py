@@ -54,7 +54,7 @@ KINDS = {
 
 def of_the_command_line(path, folder, estimator, *options):
     file = folder / "run.json"
-    call = ["run", path, "--estimators", estimator, "--out", folder / "out", "--json", file, *options]
+    call = ["run", path, "--estimators", estimator, "--out", folder / "out", "--figures", "", "--json", file, *options]
     result = CliRunner().invoke(app, list(map(str, call)))
     assert result.exit_code == 0, result.output
     (row,) = json.loads(file.read_text())["estimators"]
@@ -85,7 +85,8 @@ def test_python_and_the_command_line_solve_the_same_problem(kind, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("folder", "robot"), [("lnpr/log2_for_book.txt", None), ("mrclam6", 1), ("simulated_535", None)]
+    ("folder", "robot"),
+    [("lnpr/log2_for_book.txt", None), pytest.param("mrclam6", 1, marks=pytest.mark.nightly), ("simulated_535", None)],
 )
 def test_logs_of_others(folder, robot, shared_data, tmp_path):
     path = shared_data(folder)

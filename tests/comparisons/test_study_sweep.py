@@ -158,13 +158,13 @@ def test_logs_that_fail_to_load_among_many(make: Callable[..., Study], tmp_path:
 
 @pytest.mark.slow
 def test_the_time_limit_ends_one_run_and_no_other(make: Callable[..., Study]) -> None:
-    # a billion moves of particles do not fit into five seconds
-    text = "seeds = 1\ntime_limit = 5\nestimators = ['fastslam1', 'dead-reckoning']\n[simulate]\nsteps = 5000\n"
+    # six hundred million moves of particles do not fit into three seconds
+    text = "seeds = 1\ntime_limit = 3\nestimators = ['fastslam1', 'dead-reckoning']\n[simulate]\nsteps = 2000\n"
     study = make(text + "[options]\nparticles = 300000\n")
     outcome = sweep(study, jobs=1)
     assert outcome.failed == 1
     slow, quick = rows(study.database)
-    assert (slow["status"], slow["error"]) == (TIMEOUT, "took longer than the limit of 5 s")
+    assert (slow["status"], slow["error"]) == (TIMEOUT, "took longer than the limit of 3 s")
     assert quick["status"] == DONE
 
 
@@ -237,7 +237,7 @@ def test_an_estimator_that_cannot_be_sent_is_named(make: Callable[..., Study], m
     assert sweep(study, jobs=0).failed == 0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_whose_process_dies_is_an_error(make: Callable[..., Study]) -> None:
     text = "estimators = ['fastslam1', 'dead-reckoning']\n[simulate]\nsteps = 5000\n[options]\nparticles = 300000\n"
     slow, quick = make(text).runs
@@ -342,7 +342,7 @@ def wait_for_rows(process: subprocess.Popen[str], study: Study, count: int) -> N
 LONGER = SMALL.replace("seeds = 3", "seeds = 10").replace("particles = 20", "particles = 20000")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_killed_and_continued(make: Callable[..., Study]) -> None:
     study = make(LONGER)
     known: list[dict[str, Any]] = []
@@ -362,7 +362,7 @@ def test_killed_and_continued(make: Callable[..., Study]) -> None:
     assert intact(study.database)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ctrl_c_keeps_what_is_finished(make: Callable[..., Study]) -> None:
     study = make(LONGER)
     # in a group of its own, so that Ctrl-C reaches all of its processes, as on a terminal

@@ -62,7 +62,7 @@ def linear_posterior(log: Log) -> list[tuple[np.ndarray, np.ndarray]]:
     return posterior
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 def test_convergence_to_the_closed_form_as_one_over_root_n(kind: type[ParticleFilter]) -> None:
     """Mean and covariance of pose and map: the slope of the errors over the number of particles is -1/2 in logarithms.
@@ -103,7 +103,7 @@ def test_exact_weights_stay_equal_in_a_linear_world_without_epsilon() -> None:
     assert np.all(ess["exact"] > 0.9 * ess["linearised"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("kind", "seed", "last", "particles"), [(FastSLAM2, 0, 60, 4000), (FastSLAM1, 1, 30, 8000)])
 def test_the_grown_graphs_posterior(kind: type[ParticleFilter], seed: int, last: int, particles: int) -> None:
     """A fifth of the book's noise: means and standard deviations at every tenth step, as a mean over 40 runs.
