@@ -274,8 +274,9 @@ class Comparison(Displayed):
         return config_text(self.source, self.estimators, self.options, time_limit=self.time_limit)
 
     def save(
-        self, directory: str | PathLike[str] | None = None, *, figures: Sequence[str] = OutputOptions().figures
-    ) -> SavedFiles:
+        self, directory: str | PathLike[str] | None = None, *, figures: Sequence[str] = OutputOptions().figures,
+        language: str = "en",
+    ) -> SavedFiles:  # fmt: skip
         """Write all files into a folder, or none where the folder cannot be written.
 
         A file that cannot be made for another reason, such as the figure, is left out with a note.
@@ -289,6 +290,7 @@ class Comparison(Displayed):
             directory: made where it does not exist; default: a new ``results/<time>/``, to which ``results/latest``
                 then points.
             figures: the formats of the figure: png, pdf, svg.
+            language: of the figure: "en" or "ja".
 
         Returns:
             {"json": path, "figure": path, "config": path, ...}: "figure" in the first format, "figure_pdf" and so on in
@@ -306,7 +308,7 @@ class Comparison(Displayed):
         with fill_results(directory, new=timed) as folder:
             with noted(files.notes, "there is no figure"):
                 if pictures:
-                    self.save_figure([folder / name for name in pictures.values()])
+                    self.save_figure([folder / name for name in pictures.values()], language=language)
                 files |= {kind: directory / name for kind, name in pictures.items()}
             for name, text in (("config.toml", lambda: self.config), *texts(self)):
                 with noted(files.notes, f"there is no {name}"):

@@ -38,10 +38,10 @@ class Displayed:
         """
         return presentation[0]().figure_of(self, **options)
 
-    def save_figure(self, paths: Sequence[str | PathLike[str]], **options: Any) -> None:
-        """Write the figure into files, in the formats that their suffixes name.
+    def save_figure(self, paths: Sequence[str | PathLike[str]], *, language: str = "en", **options: Any) -> None:
+        """Write the figure into files, in the formats that their suffixes name; its texts in English or Japanese ("ja").
 
         Raises:
             FormatError: a file cannot be written.
         """
-        presentation[0]().save_figure(self.figure(**options), paths)
+        presentation[0]().save_figure(self.figure(**options), paths, language)

@@ -6,17 +6,20 @@ Exit status: 0 success, 1 a comparison found a difference or a run failed, 2 wro
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 from collections.abc import Collection
 from typing import Annotated
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from .logs import backends, calibrate, datasets, evaluate, import_, show, simulate, solvers
+from .output import in_language, language_of_words, sentences
 from .run import animate, report, run
 from .studies import consistency, particles, study, sweep
-from .verb import add_verb, list_verb, name_of
+from .verb import Lang, add_verb, epilog_of, list_verb, name_of
 
 
 def _version(asked: bool) -> None:
@@ -31,11 +34,18 @@ def _version(asked: bool) -> None:
 
 
 def _app(
-    version: Annotated[
+    ctx: typer.Context,
+    version: Annotated[  # noqa: ARG001
         bool, typer.Option("--version", help="Show the version and exit.", callback=_version, is_eager=True)
     ] = False,
+    lang: Lang = None,
 ) -> None:
     """Compare planar SLAM on one log: a hand-written graph solver, GTSAM, FastSLAM and dead reckoning."""
+    if lang is not None:
+        with sentences(verbose=False):
+            from ..show.language import language_of
+
+            ctx.obj = language_of(lang)
 
 
 #: the verbs, in the order of the help
@@ -45,24 +55,32 @@ VERBS = (
 )  # fmt: skip
 
 
-def make_app(complete: Collection[str] | None = None) -> typer.Typer:
+def make_app(complete: Collection[str] | None = None, language: str = "en") -> typer.Typer:
     """The command line.
 
     Args:
         complete: the verbs that have all their options; the others are only listed. Default: all.
+        language: of the help, and of what the parser says.
     """
+    group, command = TyperGroup, TyperCommand
+    if language != "en":
+        from .help import classes_of
+
+        group, command = classes_of(language)
     app = typer.Typer(
+        cls=group,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         rich_markup_mode="rich",
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     )
-    app.callback(epilog="Examples:\n\n  slam-compare run\n\n  slam-compare run LOG --estimators graph,fastslam1")(_app)
+    examples = ("slam-compare run", "slam-compare run LOG --estimators graph,fastslam1")
+    app.callback(help=in_language(inspect.getdoc(_app) or "", language), epilog=epilog_of(examples, language))(_app)
     for verb in VERBS:
         if complete is None or name_of(verb) in complete:
-            add_verb(app, verb)
+            add_verb(app, verb, command, language)
         else:
-            list_verb(app, verb)
+            list_verb(app, verb, language)
     return app
 
 
@@ -77,4 +95,5 @@ def main() -> None:
     """The command line on the words of ``sys.argv``."""
     # only the verb that is called needs its options; completion in a shell needs those of all
     words = None if "_SLAM_COMPARE_COMPLETE" in os.environ else sys.argv[1:]
-    make_app(words)(prog_name="slam-compare")
+    language = language_of_words(sys.argv[1:])
+    make_app(words, language)(prog_name="slam-compare", obj=language)

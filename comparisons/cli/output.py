@@ -13,7 +13,7 @@ import shutil
 import sys
 import textwrap
 import traceback
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from json import dumps
 from pathlib import Path
@@ -25,6 +25,10 @@ from graphslam.errors import SlamError, printable
 
 #: exit statuses
 DIFFERENT, WRONG_INPUT, INTERRUPTED = 1, 2, 130
+#: where a figure cannot have the letters of a language
+NO_FONT = (
+    "Figures are in English, because no font with Japanese letters is installed; install one, such as fonts-noto-cjk."
+)
 #: the width of tables that are not written to a terminal
 WIDTH = 140
 
@@ -86,7 +90,7 @@ def _in_language(text: str, lang: str | None, stream: Any) -> str:
         found = translated(text, language_of(lang))
     except SlamError:
         return text
-    return found if _encodable(found, stream) else text
+    return found if encodable(found, stream) else text
 
 
 def _by_interrupt(error: BaseException | None) -> bool:
@@ -125,7 +129,7 @@ class Output:
         stream = sys.stderr if self._to_stdout else sys.stdout
         language = language_of(lang)
         #: English where the stream has no codes for the letters of the language
-        self.language = language if _encodable("日本", stream) else "en"
+        self.language = language if encodable("日本", stream) else "en"
         # without a terminal the width is that of the variable COLUMNS, if it is set
         width = None if stream.isatty() or "COLUMNS" in os.environ else WIDTH
         self.console = Console(file=stream, width=width, highlight=False)
@@ -150,8 +154,17 @@ class Output:
     def draw(self, result: Any, path: Path | None, **options: Any) -> None:
         """Write the figure of a result, if it is asked for."""
         if path is not None:
-            result.save_figure([path], **options)
+            result.save_figure([path], language=self.language_of_figures(), **options)
             self.hint(f"Wrote {path}.")
+
+    def language_of_figures(self) -> str:
+        """The language of figures: English, with a hint, where no font has the letters of another one."""
+        from ..show.canvas import font_of
+
+        if self.language == "en" or font_of(self.language) is not None:
+            return self.language
+        self.hint(NO_FONT)
+        return "en"
 
     def say(self, *lines: str) -> None:
         """Write sentences without markup; a terminal gets them broken between words, anything else one a line."""
@@ -178,7 +191,7 @@ class Output:
 
         if self._to_stdout:
             text = json_text(payload)
-            if not _encodable(text):
+            if not encodable(text):
                 # JSON may hold any letter as an escape in ASCII
                 text = re.sub(r"[^\x00-\x7f]", lambda letter: dumps(letter[0])[1:-1], text)
             typer.echo(text, nl=False)
@@ -255,7 +268,36 @@ class Output:
             yield advance
 
 
-def _encodable(text: str, stream: Any = None) -> bool:
+def in_language(text: str, language: str) -> str:
+    """A text of the help in a language; the catalogue is loaded only where it is needed."""
+    if language == "en":
+        return text
+    from ..show.language import translated
+
+    return translated(text, language)
+
+
+def language_of_words(words: Sequence[str]) -> str:
+    """The language of a command line before it is parsed: that of --lang, else of the environment.
+
+    English where the output has no codes for the letters, or where there is no such language, which the verb then says.
+    """
+    from ..show.language import language_of
+
+    given = None
+    for word, following in zip(words, [*words[1:], None]):
+        if word == "--lang":
+            given = following
+        elif word.startswith("--lang="):
+            given = word.partition("=")[2]
+    try:
+        language = language_of(given)
+    except SlamError:
+        return "en"
+    return language if encodable("日本", sys.stdout) else "en"
+
+
+def encodable(text: str, stream: Any = None) -> bool:
     """Whether a stream, standard output by default, has a code for every letter of a text."""
     try:
         text.encode(getattr(stream or sys.stdout, "encoding", None) or "utf-8")

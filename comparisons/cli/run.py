@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -61,7 +62,9 @@ def run(
     if saving.live:
         _draw_live(output, [log, *others] if others else log, options)
     outcome = _compared(output, [log, *others] if others else log, chosen, options)
-    files = outcome.save(saving.out, figures=saving.figures)
+    files = outcome.save(
+        saving.out, figures=saving.figures, language=output.language_of_figures() if saving.figures else "en"
+    )
     output.show(outcome)
     for kind, (path, write) in writers.items():
         with noted(files.notes, "there is no interactive report" if kind == "html" else f"there is no {path}"):
@@ -190,6 +193,7 @@ def animate(
     begin = time.perf_counter()
     with output.bar(animation.estimator) as advance:
         film = film_of(log, progress=lambda: advance(1), **animation.keywords(), **options.keywords())
+    film = replace(film, language=output.language_of_figures())
     with output.bar("drawing", len(film)) as advance:
         film.save(out, progress=lambda: advance(1))
     seconds, size = time.perf_counter() - begin, out.stat().st_size

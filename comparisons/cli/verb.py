@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from .output import Output, sentences
+from .output import Output, in_language, sentences
 
 if TYPE_CHECKING:
+    from typer.core import TyperCommand
+
     from ..options.option import Option, Options
 
 #: the argument LOG of most verbs
@@ -33,8 +35,15 @@ LogFile = Annotated[
 _META = "comparisons.estimators.config"
 
 
-def add_verb(app: typer.Typer, function: Callable[..., None]) -> None:
-    """Add a function as a verb of its name to the command line; its docstring is the help, with "Examples:" at its end."""
+def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCommand], language: str = "en") -> None:
+    """Add a function as a verb of its name to the command line; its docstring is the help, with "Examples:" at its end.
+
+    Args:
+        app: the command line.
+        function: the verb.
+        kind: the class of its command.
+        language: of its help.
+    """
     from ..options import options as declared
     from ..options.option import Options, options_of
     from .output import hint_of_import
@@ -56,6 +65,8 @@ def add_verb(app: typer.Typer, function: Callable[..., None]) -> None:
     def command(
         ctx: typer.Context, quiet: bool, verbose: bool, lang: str | None, config: Path | None = None, **values: Any
     ) -> None:
+        # of the command line, where the verb has none of its own
+        lang = lang or ctx.obj
         with sentences(verbose, lambda text: hint_of_import(text, options), lang):
             values = _without_outranked(ctx, values, options)
             if config is not None:
@@ -72,14 +83,24 @@ def add_verb(app: typer.Typer, function: Callable[..., None]) -> None:
 
     context = inspect.Parameter("ctx", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context)
     extra = [_CONFIG] if configurable else []
-    signature = [context, *arguments, *extra, *map(_parameter, options.values()), *_VERBOSITY]
+    signature = [context, *arguments, *extra, *(_parameter(each, language) for each in options.values()), *_VERBOSITY]
     signature = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in signature]
     command.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
     command.__annotations__ = {p.name: p.annotation for p in signature}
-    command.__doc__, _, examples = inspect.cleandoc(function.__doc__ or "").partition("Examples:\n")
-    # blank lines between, because neighbouring lines are joined
-    epilog = "\n\n".join(["Examples:", *(f"  {line.strip()}" for line in examples.splitlines())])
-    app.command(name_of(function), epilog=epilog)(command)
+    command.__doc__, examples = _help_of(function, language)
+    app.command(name_of(function), cls=kind, epilog=epilog_of(examples, language))(command)
+
+
+def _help_of(function: Callable[..., None], language: str) -> tuple[str, list[str]]:
+    """The help of a verb in a language, and its examples."""
+    text, _, examples = inspect.cleandoc(function.__doc__ or "").partition("Examples:\n")
+    paragraphs = (in_language(paragraph, language) for paragraph in text.strip().split("\n\n"))
+    return "\n\n".join(paragraphs), examples.splitlines()
+
+
+def epilog_of(examples: Sequence[str], language: str) -> str:
+    """Examples below a help, with blank lines between, because neighbouring lines are joined."""
+    return "\n\n".join([in_language("Examples:", language), *(f"  {line.strip()}" for line in examples)])
 
 
 def _check_places(options: Options) -> None:
@@ -106,17 +127,17 @@ def name_of(function: Callable[..., None]) -> str:
     return function.__name__.rstrip("_")
 
 
-def list_verb(app: typer.Typer, function: Callable[..., None]) -> None:
+def list_verb(app: typer.Typer, function: Callable[..., None], language: str = "en") -> None:
     """Add a function for the list of verbs only, without its options."""
 
     def listed() -> None:
         pass
 
-    listed.__doc__ = (function.__doc__ or "").partition("Examples:\n")[0]
+    listed.__doc__, _ = _help_of(function, language)
     app.command(name_of(function))(listed)
 
 
-def _parameter(option: Option) -> inspect.Parameter:
+def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
     """The option as a parameter that typer understands; its default None stands for the option's own."""
     # several values are one word with commas
     kind: Any = option.each if option.kind in (str, int, float, bool) else str
@@ -124,19 +145,22 @@ def _parameter(option: Option) -> inspect.Parameter:
         f"{option.flag}/--no-{option.flag[2:]}" if option.kind is bool and option.default is not False else option.flag
     )
     flags = [flag, *([f"--{option.alias}"] if option.alias else [])]
-    first, dot, more = option.help.removesuffix(".").partition(". ")
-    text = first + (f" [{option.unit}]" if option.unit else "") + f"{dot}{more}."
+    # the unit is in the first sentence
+    stop, between = (".", ". ") if language == "en" else ("。", "。")
+    first, dot, more = in_language(option.help, language).removesuffix(stop).partition(between)
+    text = first + (f" [{option.unit}]" if option.unit else "") + f"{dot}{more}{stop}"
     if not all(choice in option.help for choice in option.choices):
-        several = "One or several of, with commas between" if option.kind is tuple else "One of"
-        text += f" {several}: {', '.join(option.choices)}."
-    default = option.default_text or (option.default not in (None, False) and option.text(option.default))
+        several = "One or several of, with commas between: {}." if option.kind is tuple else "One of: {}."
+        text += f" {in_language(several, language).format(', '.join(option.choices))}"
+    text_of_default = in_language(option.default_text, language) if option.default_text else ""
+    default = text_of_default or (option.default not in (None, False) and option.text(option.default))
     metavar = option.metavar or None
     settings = typer.Option(
         *flags,
         help=text.replace("[", r"\["),
         metavar=metavar,
         show_default=default,
-        rich_help_panel=option.panel or None,
+        rich_help_panel=in_language(option.panel, language) or None,
     )
     annotation = Annotated[kind | None, settings]
     return inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
@@ -147,30 +171,25 @@ def _flag(name: str, short: str, text: str) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation)
 
 
+#: the language, before the verb or among its options
+Lang = Annotated[
+    str | None,
+    typer.Option(
+        "--lang", metavar="en|ja", show_default="that of LC_ALL or LANG, else en",
+        help="Language of tables, figures, messages, reports and this help. What has no translation appears in English.",
+    ),
+]  # fmt: skip
 _VERBOSITY = [
     _flag("quiet", "-q", "Results only: no progress, no hints."),
     _flag("verbose", "-v", "Also report each step of the work, and the traceback of an error."),
-    inspect.Parameter(
-        "lang",
-        inspect.Parameter.KEYWORD_ONLY,
-        default=None,
-        annotation=Annotated[
-            str | None,
-            typer.Option(
-                "--lang",
-                metavar="en|ja",
-                show_default="that of LC_ALL or LANG, else en",
-                help="Language of tables, messages and reports. What has no translation appears in English.",
-            ),
-        ],
-    ),
+    inspect.Parameter("lang", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Lang),
 ]
 
 
 def _read_config(ctx: typer.Context, path: Path | None) -> Path | None:
     """Make the values of a configuration file the defaults of the options, so that the command line takes precedence."""
     if path is not None and not ctx.resilient_parsing:
-        with sentences(verbose=False):
+        with sentences(verbose=False, lang=ctx.obj):
             from ..estimators.config import read_config
 
             values = read_config(path)

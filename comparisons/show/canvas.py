@@ -16,7 +16,8 @@ from __future__ import annotations
 import warnings
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from importlib.resources import as_file, files
 from io import BytesIO
 from os import PathLike
@@ -25,9 +26,12 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager, get_font
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
 from graphslam import Log, MotionModel, SensorModel, control_path
@@ -36,6 +40,8 @@ from graphslam.files import write_whole
 from graphslam.log.continuous_time import ControlPath
 from graphslam.metrics import alignment_of
 from graphslam.se2 import Array, compose, rotation, transform
+
+from .language import translated
 
 if TYPE_CHECKING:
     from ..comparison import Comparison
@@ -71,19 +77,63 @@ def paper_style() -> Iterator[None]:
         yield
 
 
-def save_figure(figure: Figure, paths: Sequence[str | PathLike[str]]) -> None:
+def save_figure(figure: Figure, paths: Sequence[str | PathLike[str]], language: str = "en") -> None:
     """Write a figure in the formats that the suffixes name, without a time stamp: the same data give the same file.
+
+    Its texts are in the language, in English where no font has the letters, see `font_of`.
 
     Raises:
         FormatError: a file cannot be written.
     """
     with paper_style(), matplotlib.rc_context({"figure.constrained_layout.use": False}):
+        if (font := font_of(language)) is not None:
+            translate_texts(figure, language, font)
+            figure.draw_without_rendering()
         # the figure is laid out already: with a layout engine, each file would be laid out and drawn once more
         figure.set_layout_engine(None)
         for path in map(Path, paths):
             metadata = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(path.suffix.lower(), {})
             with write_whole(path) as temporary:
                 figure.savefig(temporary, metadata=metadata)
+
+
+#: fonts that have the letters of a language, on Linux, Windows and macOS, the best first
+_FONTS = {
+    "ja": (
+        "Noto Sans CJK JP", "Noto Sans JP", "IPAexGothic", "IPAPGothic", "IPAGothic", "TakaoPGothic", "VL PGothic",
+        "BIZ UDPGothic", "Yu Gothic", "Meiryo", "MS Gothic", "Hiragino Sans", "Hiragino Kaku Gothic Pro",
+    ),
+}  # fmt: skip
+#: letters that the fonts of other languages lack
+_LETTERS = {"ja": "語あン図"}
+
+
+@cache
+def font_of(language: str) -> str | None:
+    """An installed font that has the letters of a language; None without one, and for English."""
+    if language not in _FONTS:
+        return None
+    installed = {font.name: font.fname for font in fontManager.ttflist}
+    known = next((name for name in _FONTS[language] if name in installed), None)
+    return known or next((name for name, file in installed.items() if _has(file, _LETTERS[language])), None)
+
+
+def _has(file: str, letters: str) -> bool:
+    with suppress(RuntimeError, OSError):
+        font = get_font(file)
+        return all(font.get_char_index(ord(letter)) for letter in letters)
+    return False
+
+
+def translate_texts(drawn: Artist, language: str, font: str) -> None:
+    """Translate all texts below an artist; the font has the letters that the font of the figure lacks."""
+    for text in drawn.findobj(Text):
+        assert isinstance(text, Text)
+        english = text.get_text()
+        if (found := translated(english, language)) != english:
+            # an empty line at the end keeps a place
+            text.set_text(found + english[len(english.rstrip()) :])
+            text.set_fontfamily(["DejaVu Sans", font])
 
 
 def png_as_html(figure: Figure) -> str:

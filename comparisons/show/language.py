@@ -1,8 +1,9 @@
 """What is shown, in another language: a finished sentence is looked up by its English template.
 
-English is the source. Code below this module makes English sentences and knows of no other language; where text is printed
-or drawn, `translated` looks for the template of the catalogue (`japanese.toml`) that the sentence has, and translates what
-stands in its places likewise. What has no template stays English. JSON, files and names of estimators are not translated.
+English is the source. Code below this module makes English sentences and knows of no other language; where text is
+printed or drawn, `translated` looks for the template of the catalogue (the files of `japanese/`) that the sentence has, and
+translates what stands in its places likewise. What has no template stays English. JSON, files and names of estimators are
+not translated.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from graphslam import OptionError
+from graphslam.errors import OptionError
 
-#: code of a language -> its catalogue
-CATALOGUES = {"ja": "japanese.toml"}
+#: code of a language -> the folder of its catalogue
+CATALOGUES = {"ja": "japanese"}
 LANGUAGES = ("en", *CATALOGUES)
-#: a place for a value in a template, and one for a number
-PLACE, NUMBER = "{}", "{#}"
+#: a place for a value in a template, one for a number, and one for a name or value that stays as it is
+PLACE, NUMBER, VERBATIM = "{}", "{#}", "{=}"
 
 
 def language_of(given: str | None = None, environment: Mapping[str, str] = os.environ) -> str:
@@ -44,30 +45,37 @@ def language_of(given: str | None = None, environment: Mapping[str, str] = os.en
 
 def key_of(template: str) -> str:
     """A template as the catalogue has it: without the space around it, and without its full stop."""
-    return " ".join(template.split()).removesuffix(".")
+    key = " ".join(template.split())
+    return key if key.endswith("..") else key.removesuffix(".")
 
 
 @cache
 def catalogue(language: str) -> dict[str, str]:
     """{English template: translation}; the places of a translation may have numbers, {0}, {1}."""
-    text = files("comparisons.show").joinpath(CATALOGUES[language]).read_text(encoding="utf-8")
-    return {key_of(k): v for group in tomllib.loads(text).values() for k, v in group.items()}
+    parts = files("comparisons.show").joinpath(CATALOGUES[language]).iterdir()
+    groups = [group for part in parts for group in tomllib.loads(part.read_text(encoding="utf-8")).values()]
+    return {key_of(template): text for group in groups for template, text in group.items()}
 
 
 @cache
-def _patterns(language: str) -> list[tuple[re.Pattern[str], str]]:
-    """The templates with places as patterns, with their translations."""
+def _patterns(language: str) -> list[tuple[re.Pattern[str], str, list[bool]]]:
+    """The templates with places as patterns, with their translations, and which of the places stay as they are."""
     found = []
     for template, translation in catalogue(language).items():
-        if PLACE in template or NUMBER in template:
-            pattern = re.escape(template).replace(r"\{\}", "(.*?)").replace(r"\{\#\}", r"([-+\d.,e]+)")
-            found.append((re.compile(pattern, re.IGNORECASE), translation))
+        if places := re.findall(r"\{[#=]?\}", template):
+            pattern = re.escape(template).replace(r"\{\#\}", r"([-+\d.,e]+)")
+            pattern = pattern.replace(r"\{\}", "(.*?)").replace(r"\{=\}", "(.*?)")
+            found.append((re.compile(pattern, re.IGNORECASE), translation, [place == VERBATIM for place in places]))
     return found
 
 
 def translated(text: str, language: str) -> str:
     """The text in a language, unchanged where the catalogue has no template for it."""
-    return text if language not in CATALOGUES else _translated(text, language)[0]
+    if language not in CATALOGUES:
+        return text
+    found = _translated(text, language)[0]
+    # headings of tables are broken into lines; elsewhere the same words are not
+    return found if "\n" in text else found.replace("\n", "")
 
 
 #: what is between sentences, and between a name and a sentence, in English and in the other language
@@ -78,24 +86,38 @@ _BETWEEN = ((re.compile(r"(?<=[a-z)\]%])\. "), "。"), (re.compile("; "), "。")
 def _translated(text: str, language: str) -> tuple[str, int]:
     """The translation that covers the most letters of the text, and how many these are.
 
-    Short templates may match by chance: "{} of {}" has a place for half of all sentences.
+    Short templates may match by chance: "{} of {}" has a place for half of all sentences. Nothing is translated by half:
+    where English prose without a translation would stand in a place, the whole sentence stays English.
     """
     key, stop, best = key_of(text), "。" if text.rstrip().endswith(".") else "", (text, 0)
     for candidate in (key, key[:1].lower() + key[1:]):
         if candidate in catalogue(language):
             return catalogue(language)[candidate] + stop, len(key)
-    for pattern, translation in _patterns(language):
+    specific = 0
+    for pattern, translation, verbatim in _patterns(language):
         if (match := pattern.fullmatch(key)) is not None:
-            values = [_translated(part, language) for part in match.groups()]
-            covered = len(key) - sum(len(part) for part in match.groups()) + sum(score for _, score in values)
-            if covered > best[1]:
-                best = _filled(translation, [value for value, _ in values]) + stop, covered
+            places = zip(match.groups(), verbatim)
+            values = [(part, len(part)) if kept else _translated(part, language) for part, kept in places]
+            letters = len(key) - sum(map(len, match.groups()))
+            covered = letters + sum(score for _, score in values)
+            if (covered, letters) > (best[1], specific) and not any(map(_is_english, values)):
+                specific, best = letters, (_filled(translation, [value for value, _ in values]) + stop, covered)
     for separator, between in _BETWEEN:
         if len(parts := separator.split(text, maxsplit=1)) > 1:
             values = [_translated(part, language) for part in parts]
-            if (covered := sum(score for _, score in values)) > best[1]:
+            whole = between == "。" or not any(map(_is_english, values))
+            if whole and (covered := sum(score for _, score in values)) >= max(best[1], 1):
                 best = between.join(value for value, _ in values), covered
     return best
+
+
+#: three words that are no command, path or name
+_PROSE = re.compile(r"(?<![\w./-])[A-Za-z][a-z]+,? [a-z]{2,},? [a-z]{2,}(?![\w./-])")
+
+
+def _is_english(translation: tuple[str, int]) -> bool:
+    """Whether a text of which nothing was translated is English prose."""
+    return translation[1] == 0 and _PROSE.search(translation[0]) is not None
 
 
 def _filled(translation: str, values: list[str]) -> str:

@@ -17,7 +17,7 @@ def test_a_small_study(tmp_path):
 
 
 def test_the_numbers_are_saved_before_the_figure(tmp_path, monkeypatch):
-    def fail(*_):
+    def fail(*_, **__):
         raise OSError("no space left")
 
     monkeypatch.setattr("comparisons.display.Displayed.save_figure", fail)

@@ -4,24 +4,35 @@ from __future__ import annotations
 
 import ast
 import inspect
+import io
 import json
 import re
+import sys
 import textwrap
+import tomllib
+import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.text import Text
+from rich.cells import cell_len
+from typer import rich_utils
 from typer.testing import CliRunner
 
-from comparisons import comparison, run, write_report
-from comparisons.cli import app
+from comparisons import animate, comparison, run, write_report
+from comparisons.cli import VERBS, app, make_app
+from comparisons.cli.help import line_breaks
+from comparisons.cli.output import language_of_words
+from comparisons.cli.verb import name_of
 from comparisons.estimators import filters
 from comparisons.results import exchange
-from comparisons.show import log_tables, tables
-from comparisons.show.language import NUMBER, PLACE, _translated, catalogue, key_of, language_of, translated
+from comparisons.show import canvas, log_tables, tables
+from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
 from comparisons.show.report import curves, matches, page
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults, tracking
@@ -29,6 +40,7 @@ from graphslam.identification.result import RobotEstimate
 
 #: the module, whose package has a function of the same name
 verbs = import_module("comparisons.cli.run")
+ROOT = Path(__file__).parents[2]
 JAPANESE = re.compile("[\u3040-\u30ff\u4e00-\u9fff]")
 #: what makes the sentences of `run` and of its report
 SOURCES: tuple[Callable[..., Any], ...] = (
@@ -74,7 +86,7 @@ def strings_of(function: Callable[..., Any]) -> Iterator[str]:
 
 @pytest.mark.parametrize("function", SOURCES, ids=lambda f: f.__name__)
 def test_each_template_has_a_translation(function: Callable[..., Any]) -> None:
-    keys = [template.replace(NUMBER, PLACE) for template in catalogue("ja")]
+    keys = [template.replace(NUMBER, PLACE).replace(VERBATIM, PLACE) for template in catalogue("ja")]
     missing = {
         text
         for text in strings_of(function)
@@ -86,9 +98,195 @@ def test_each_template_has_a_translation(function: Callable[..., Any]) -> None:
     assert missing == set()
 
 
+#: parts of templates that are put together when they are shown
+PUT_TOGETHER = {
+    "shares only one with the rest", "share only one with the rest", "speed x", "turn rate x", "range x", "start J =",
+    "but maximum-likelihood where a log has no ids", "a log and a file to write", "give at most a log and a file to write",
+}  # fmt: skip
+
+
+def test_no_template_is_stale() -> None:
+    """Each template of the catalogue, between its places and sentences, is a text of the source."""
+    spaces, texts = re.compile(r"\s+"), []
+    for path in (path for package in ("graphslam", "fastslam", "comparisons") for path in (ROOT / package).rglob("*")):
+        if path.suffix == ".py":
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.JoinedStr):
+                    texts.append("".join(v.value if isinstance(v, ast.Constant) else PLACE for v in node.values))  # type: ignore[misc]
+                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    texts.append(node.value)
+        elif path.suffix in (".html", ".js"):
+            texts.append(path.read_text(encoding="utf-8"))
+    source = spaces.sub(" ", "\n".join(texts)).lower()
+    stale = []
+    for part in sorted((ROOT / "comparisons" / "show" / "japanese").iterdir()):
+        groups = tomllib.loads(part.read_text(encoding="utf-8"))
+        for template in (t for name, group in groups.items() if name not in ("typer", "system") for t in group):
+            pieces = (p.strip(" .,:;()") for p in re.split(r"\{[#=]?\}|[.;:,] |[()]", spaces.sub(" ", template)))
+            stale += [(template, p) for p in pieces if len(p) > 2 and p.lower() not in source and p not in PUT_TOGETHER]
+    assert stale == []
+
+
+def test_no_template_is_there_twice() -> None:
+    parts = (ROOT / "comparisons" / "show" / "japanese").iterdir()
+    groups = [group for part in parts for group in tomllib.loads(part.read_text(encoding="utf-8")).values()]
+    keys = [key_of(template) for group in groups for template in group]
+    assert [key for key in set(keys) if keys.count(key) > 1] == []
+
+
+def shown_help(*words: str) -> str:
+    """What --help shows of a verb, without the frames of its panels and line breaks."""
+    result = CliRunner().invoke(make_app(language="ja"), [*words, "--help"], env={"COLUMNS": "2000"}, obj="ja")
+    assert result.exit_code == 0, result.output
+    return str(result.stdout)
+
+
+@pytest.mark.parametrize("verb", ["", *(name_of(verb) for verb in VERBS)])
+def test_help_is_japanese(verb: str) -> None:
+    lines = [line.strip(" │") for line in shown_help(*verb.split()).splitlines()]
+    examples = lines.index("例:")
+    described = [line for line in lines[:examples] if len(line.split()) > 2 and "使い方:" not in line]
+    assert len(described) > 5
+    assert [line for line in described if not JAPANESE.search(line) and not line.startswith(("╭", "╰"))] == []
+    # no sentence is English in part: three words in a row without a letter of Japanese
+    english = re.compile(r"(?<![\w./-])[A-Za-z]?[a-z]+ [a-z]{2,} [a-z]{2,}(?![\w./-])")
+    assert [line for line in described if english.search(line)] == []
+
+
+def test_what_the_parser_says_is_japanese() -> None:
+    def said(*words: str) -> str:
+        result = CliRunner().invoke(make_app(language="ja"), words, obj="ja")
+        assert result.exit_code == 2
+        return " ".join(result.stderr.split())
+
+    assert "エラー" in said("run", "--foo") and "--foo というオプションはありません" in said("run", "--foo")
+    assert "'rn' というコマンドはありません" in said("rn")
+    assert "引数 '[LOG] OUT.html' を指定してください" in said("report")
+    assert "'--particles' の値が正しくありません" in said("run", "--particles", "x")
+    assert "余分な引数があります" in said("datasets", "x")
+    # the fixed texts of Typer are put back
+    assert rich_utils.ERRORS_PANEL_TITLE == "Error"
+
+
+@pytest.mark.parametrize(
+    ("words", "language"),
+    [
+        (["run", "--lang", "ja"], "ja"), (["--lang=ja", "run"], "ja"), (["run", "--lang", "fr"], "en"),
+        (["run", "--lang"], "en"), ([], "en"),
+    ],
+)  # fmt: skip
+def test_the_language_is_known_before_the_words_are_parsed(
+    words: list[str], language: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("LC_ALL", "LC_MESSAGES", "LANG"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="utf-8"))
+    assert language_of_words(words) == language
+    # a stream without the letters of the language
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding="ascii"))
+    assert language_of_words(words) == "en"
+
+
+def test_lines_of_japanese_break_where_they_may() -> None:
+    text = "姿勢、地図（ランドマーク）を推定します。"
+    breaks = line_breaks(text, 10)
+    lines = [text[a:b] for a, b in zip([0, *breaks], [*breaks, len(text)])]
+    assert "".join(lines) == text
+    assert all(cell_len(line) <= 10 for line in lines)
+    assert not any(line.startswith(("、", "）", "。", "ー")) or line.endswith("（") for line in lines)
+    assert line_breaks("a sentence of words", 10) == [11]
+
+
+@pytest.mark.parametrize(
+    ("message", "japanese"),
+    [
+        ("particles must be at least 1, not 0", "particlesは1以上にしてください（指定された値は0）"),
+        (
+            "kernel must be one of none, huber, not 'hubr'; did you mean 'huber'?",
+            "kernelはnone, huberのどれかにしてください（指定された値は'hubr'）。'huber'のことですか？",
+        ),
+        ("a.txt: there is no such file", "a.txt: そのファイルはありません"),
+        ("b/u.csv:3: 'omega' should be a number, not 'x'", "b/u.csv:3: 'omega'は数にしてください（値は'x'）"),
+        # names stay as they are, though tables translate some of these words
+        (
+            "n.toml:1: unknown key 'a'; known are motion, odometry, sightings",
+            "n.toml:1: 'a'というキーはありません。キーはmotion, odometry, sightingsです",
+        ),
+    ],
+)
+def test_frequent_errors_are_japanese(message: str, japanese: str) -> None:
+    assert translated(message, "ja") == japanese
+
+
+def test_a_sentence_is_not_translated_by_half() -> None:
+    for text in (
+        "error: log.txt: nothing of this kind was expected here",
+        "graph failed: the reason is not in the catalogue",
+        "Wrote a file with words of its own into out/",
+    ):
+        assert translated(text, "ja") == text
+
+
+def test_figures_are_japanese_where_a_font_has_the_letters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = run(simulate(seed=2, steps=24, clean=True), estimators=["graph"])
+    monkeypatch.setattr(canvas, "font_of", lambda language: "DejaVu Sans" if language == "ja" else None)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        found.save_figure([tmp_path / "en.svg"])
+        found.save_figure([tmp_path / "ja.svg"], language="ja")
+    texts = {
+        # each text is drawn as curves, with a comment that has it
+        name: set(re.findall("<!-- (.+?) -->", (tmp_path / f"{name}.svg").read_text()))
+        for name in ("en", "ja")
+    }
+    assert not any(JAPANESE.search(text) for text in texts["en"])
+    assert {"真値", "センサ値", "位置の誤差 [m]", "(b) 各姿勢の位置の誤差"} <= texts["ja"]
+    kept = {text for text in texts["ja"] if re.search("[a-z]{2,}", text) and not JAPANESE.search(text)}
+    assert kept <= {"graph (pairs)", "graph"}
+
+
+@pytest.mark.skipif(canvas.font_of("ja") is None, reason="needs a font with Japanese letters")
+def test_the_font_has_the_letters(tmp_path: Path) -> None:
+    found = run(simulate(seed=2, steps=24, clean=True), estimators=["graph"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # of a letter that no font has
+        for suffix in ("png", "pdf", "svg"):
+            figure = found.figure()
+            canvas.translate_texts(figure, "ja", str(canvas.font_of("ja")))
+            figure.savefig(tmp_path / f"figure.{suffix}")
+
+
+def test_without_a_font_figures_are_english_and_say_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(canvas, "font_of", lambda _: None)
+    monkeypatch.setenv("COLUMNS", "500")
+    shown = output("show", "--figure", str(tmp_path / "a.png"), "--lang", "ja")
+    assert "日本語のフォントがないので、図は英語です" in shown
+
+
+@pytest.mark.parametrize("estimator", ["graph", "fastslam1", "isam2", "particle-gibbs"])
+def test_animations_are_japanese(estimator: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("comparisons.show.films.scene.font_of", lambda _: "DejaVu Sans")
+    few: dict[str, Any] = {"gibbs_iterations": 3, "gibbs_warm_up": 1, "gibbs_particles": 5, "gibbs_chains": 1}
+    film = animate(
+        simulate(seed=2, steps=12, clean=True), estimator=estimator, particles=10, **few if "gibbs" in estimator else {}
+    )
+    film = replace(film, language="ja")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        film.pictures[len(film) - 1]
+    texts = [text.get_text() for text in film.pictures._canvas.figure.findobj(Text)]
+    words = [text for text in texts if re.search("[A-Za-z]{3}", re.sub(r"\$.*?\$", "", text))]
+    names = {"graph", "isam2"}
+    assert {text for text in words if not JAPANESE.search(text)} <= names
+    assert len([text for text in texts if JAPANESE.search(text)]) >= 6
+
+
 def test_translations_use_the_places_of_their_templates() -> None:
     for template, translation in catalogue("ja").items():
-        used, places = re.findall(r"\{(\d*)\}", translation), template.replace(NUMBER, PLACE).count(PLACE)
+        used, places = (
+            re.findall(r"\{(\d*)\}", translation),
+            template.replace(NUMBER, PLACE).replace(VERBATIM, PLACE).count(PLACE),
+        )
         assert len(set(used) - {""}) == len([u for u in used if u]), template
         assert not ("" in used and set(used) != {""}), template
         assert len(used) <= places, template

@@ -322,7 +322,7 @@ def test_save_makes_a_folder_of_its_own(
 
 
 def test_a_figure_that_fails_is_a_note(comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object) -> None:
+    def fails(*_: object, **__: object) -> None:
         raise ValueError("an axis is infinite")
 
     monkeypatch.setattr("comparisons.comparison.Comparison.save_figure", fails)
@@ -351,7 +351,7 @@ def test_an_export_that_fails_is_a_note(
 def test_nothing_is_left_where_the_folder_cannot_be_written(
     comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fails(*_: object) -> None:
+    def fails(*_: object, **__: object) -> None:
         raise FormatError("comparison.png", None, "cannot be written: disk full")
 
     monkeypatch.chdir(tmp_path)

@@ -2,92 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import shutil
-import subprocess
-import sys
-import threading
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from chromium import Chromium, find_browser
+from chromium import Chromium
+from live_pages import FIGURE, MARKS, Open, drag, switch
 
-from fastslam import FastSLAM1, FastSLAM2
-from fastslam.options import draw_key
 from graphslam import Graph, Log, MotionModel, SensorModel, load, solve, textbook
 from graphslam.se2 import wrap
 from graphslam.solvers.certificate import prove
 
-ROOT = Path(__file__).parents[2]
-SITE = ROOT / "docs" / "_site"
-sys.path.insert(0, str(SITE))
-BROWSER = find_browser()
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.browser,
-    pytest.mark.skipif(BROWSER is None, reason="needs a browser: apt-get install chromium"),
-    pytest.mark.skipif(
-        importlib.util.find_spec("markdown") is None, reason="needs the packages of the site: make docs"
-    ),
-    pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="needs ziglang: make engine-wasm"),
-]
-FIGURE = "document.querySelector('figure.live')"
-PAGE = """<!doctype html><html lang="{language}"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<link rel="stylesheet" href="_site/extra.css"><link rel="icon" href="data:,"><body>{figure}
-<script src="_site/live.js"></script></body></html>"""
-Open = Callable[..., Chromium]
-
-
-class Quiet(SimpleHTTPRequestHandler):
-    """A handler that writes no log."""
-
-    def log_message(self, *_: object) -> None:
-        """Write nothing."""
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A site of the scripts and the engine alone."""
-    import live
-
-    wasm = ["make", "-C", ROOT / "engine" / "wasm", "-j2", f"PYTHON={sys.executable}", f"BUILD={live.ENGINE[0].parent}"]
-    done = subprocess.run(wasm, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    site = tmp_path_factory.mktemp("site")
-    shutil.copytree(SITE, site / "_site", ignore=shutil.ignore_patterns("*.py", "katex", "__pycache__"))
-    live.copy_files(site)
-    return site
-
-
-@pytest.fixture(scope="module")
-def open_page(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Open]:
-    """Open a page with one figure, given as in a marker, and wait until it is ready."""
-    import live
-
-    assert BROWSER is not None
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(folder)))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    with Chromium(BROWSER, tmp_path_factory.mktemp("profile")) as browser:
-
-        def opened(*arguments: str, language: str = "en", until: str = f"{FIGURE}.matches('.ready')") -> Chromium:
-            figure = live.figure([*arguments, "A figure."])
-            (folder / "page.html").write_text(PAGE.format(language=language, figure=figure))
-            browser.events.clear()
-            browser.send("Network.setCacheDisabled", cacheDisabled=True)
-            browser.send("Page.navigate", url=f"http://127.0.0.1:{server.server_port}/page.html")
-            browser.wait_for(f"document.readyState === 'complete' && {FIGURE} && {until}")
-            return browser
-
-        yield opened
-    server.shutdown()
-    server.server_close()
+pytestmark = MARKS
 
 
 def graph_of(log: Log, shown: dict[str, Any], **options: Any) -> Graph:
@@ -106,28 +36,6 @@ def agrees(page: Chromium, log: Log, **options: Any) -> float:
     shown = float(page.evaluate(f"{FIGURE}.dataset.cost"))
     assert shown == pytest.approx(graph.cost(poses), rel=1e-9, abs=1e-9)
     return shown
-
-
-def switch(page: Chromium, name: str) -> None:
-    page.click(f"figure.live input[data-name={name}]")
-
-
-def drag(page: Chromium, selector: str, dx: float, dy: float, *, touch: bool = False) -> None:
-    """Drag the middle of an element by pixels, with the mouse or a finger."""
-    x, y = page.evaluate(f"""(() => {{
-        const element = document.querySelector({selector!r});
-        element.scrollIntoView({{ block: "center" }});
-        const box = element.getBoundingClientRect();
-        return [box.x + box.width / 2, box.y + box.height / 2]; }})()""")
-    if touch:
-        page.send("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
-        page.send("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": x + dx, "y": y + dy}])
-        page.send("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
-        return
-    page.move_mouse(x, y)
-    page.send("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", buttons=1, clickCount=1)
-    page.send("Input.dispatchMouseEvent", type="mouseMoved", x=x + dx, y=y + dy, button="left", buttons=1)
-    page.send("Input.dispatchMouseEvent", type="mouseReleased", x=x + dx, y=y + dy, button="left", clickCount=1)
 
 
 @pytest.mark.parametrize("name", ["three_poses", "loop"])
@@ -361,78 +269,6 @@ def test_figures_fit_on_a_phone(open_page: Open) -> None:
     page.resize(390, 844)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     page.resize(1280, 900)
-
-
-@pytest.mark.parametrize("version", [1, 2])
-def test_fastslam_has_the_numbers_of_python(open_page: Open, version: int) -> None:
-    import live
-
-    log, particles, seed, factor = live.log("drive"), 50, 3, 2
-    book = MotionModel()
-    motion = MotionModel(nn=book.nn * factor, no=book.no * factor, on=book.on * factor, oo=book.oo * factor)
-    filter_ = (FastSLAM1, FastSLAM2)[version - 1](
-        log, particles=particles, seed=seed, motion=motion, sensor=SensorModel(), ess_threshold=0.5
-    )
-    result = filter_.run()
-    assert any(result.resampled)
-    # the numbers that the filter has drawn, in its order
-    rng, keys, offsets = np.random.default_rng(seed), ["0"], []
-    for t, due in enumerate(result.resampled):
-        keys += [str(draw_key(rng))] if t else []
-        offsets += [rng.random()] if due else []
-
-    page = open_page("fastslam", "drive")
-    slam = f"{FIGURE}.live"
-    page.evaluate(f"""(() => {{ const keys = {keys[1:]}.map(BigInt), offsets = {offsets};
-        {slam}.random.key = () => keys.shift(); {slam}.random.offset = () => offsets.shift();
-        Object.assign({slam}.state, {{ noise: {factor}, version: {version} }}); {slam}.change("particles")({particles});
-        while ({slam}.step()); }})()""")
-    found = page.evaluate(f"{slam}.particles()")
-    state = filter_.state
-    np.testing.assert_allclose(np.array(found["poses"])[:, :2], state.poses[:, :2], atol=1e-9)
-    np.testing.assert_allclose(found["logWeights"], state.log_weights, atol=1e-9)
-    best = state.map()
-    names = page.evaluate(f"{slam}.names")
-    np.testing.assert_allclose(
-        [row[:2] for row in page.evaluate(f"{slam}.map()")], [best[j].mean[:2] for j in names], atol=1e-9
-    )
-    assert f"of {particles}" in page.evaluate("document.querySelector('.live-status').textContent")
-    assert page.complaints() == []
-
-
-def test_fastslam_runs_and_shows_the_particle_that_is_clicked(open_page: Open) -> None:
-    page = open_page("fastslam", "drive")
-    page.click("figure.live button[data-name=run]")
-    page.wait_for(f"{FIGURE}.live.state.t >= 3")
-    page.click("figure.live button[data-name=run]")
-    page.click("svg.live-stage")
-    assert page.evaluate(f"{FIGURE}.live.state.chosen") is not None
-    page.click("figure.live button[data-name=other]")
-    switch(page, "resampling")
-    assert page.evaluate(f"[{FIGURE}.live.state.t, {FIGURE}.live.state.resampling]") == [0, False]
-    assert page.complaints() == []
-
-
-def test_a_kidnapped_robot_is_lost(open_page: Open) -> None:
-    page = open_page("fastslam", "drive")
-    slam = f"{FIGURE}.live"
-    away = f"""(() => {{ const {{ poses, logWeights }} = {slam}.particles();
-        const best = poses[logWeights.indexOf(Math.max(...logWeights))], [x, y] = {slam}.truth();
-        return Math.hypot(best[0] - x, best[1] - y); }})()"""
-    page.evaluate(f"""(() => {{ let k = 0n; const random = {slam}.random; random.key = () => (k += 1n) * 7919n;
-        random.offset = () => 0.5; random.normal = () => 0;
-        {slam}.restart(); while ({slam}.state.t < 8) {slam}.step(); }})()""")
-    before = page.evaluate(away)
-    page.click("figure.live button[data-name=kidnap]")
-    page.evaluate(f"while ({slam}.state.t < 14) {slam}.step()")
-    assert page.evaluate(away) > before + 1
-    assert "was not told" in page.evaluate("document.querySelector('.live-status').textContent")
-    assert page.evaluate(
-        "[...document.querySelectorAll('.true-path')].every((path) => !path.getAttribute('d').includes('NaN'))"
-    )
-    page.click("figure.live button[data-name=restart]")
-    assert page.evaluate(f"{slam}.state.kidnapped") is False
-    assert page.complaints() == []
 
 
 def test_covariances_are_those_of_python(open_page: Open) -> None:

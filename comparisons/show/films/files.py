@@ -23,6 +23,7 @@ from graphslam.errors import printable
 from graphslam.files import write_whole
 
 from ...results.saving import check_can_write
+from ..language import translated
 
 if TYPE_CHECKING:
     from .scene import Film
@@ -72,9 +73,12 @@ def player(film: Film, progress: Callable[[], None]) -> str:
         layer.putpalette(image.getpalette() or [])
         layers.append(_data_url(layer, transparency=CLEAR))
         progress()
+    names = ("Play", "Pause", "speed", "picture", "space bar")
+    words = {name.lower().replace(" ", "_"): translated(name, film.language) for name in names}
     template = Template(files("comparisons.show.films").joinpath("player.html").read_text(encoding="utf-8"))
     return template.substitute(
-        title=escape(film.title), width=still.shape[1], height=still.shape[0], last=len(layers) - 1,
+        lang=film.language, title=escape(translated(film.title, film.language)), **words,
+        width=still.shape[1], height=still.shape[0], last=len(layers) - 1,
         fps=json.dumps(film.fps), still=_data_url(Image.fromarray(still)), first=layers[0], pictures=json.dumps(layers),
     )  # fmt: skip
 

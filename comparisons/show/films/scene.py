@@ -28,6 +28,7 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
 from graphslam import Graph, Log, MotionModel
@@ -45,12 +46,14 @@ from ..canvas import (
     between_poses,
     colour_of,
     ellipse_style,
+    font_of,
     paper_figure,
     place_map,
     placed,
     placement_of,
     set_limits,
     style_of,
+    translate_texts,
     true_landmarks,
     true_line,
 )
@@ -112,13 +115,14 @@ class Pictures(Sequence[np.ndarray]):
     What does not move is drawn once; each picture is a copy of it with a few artists on top.
     """
 
-    def __init__(self, frames: Sequence[Frame], set_up: Callable[[Figure], Show]) -> None:
-        self._frames = frames
+    def __init__(self, frames: Sequence[Frame], set_up: Callable[[Figure], Show], language: str = "en") -> None:
+        self._frames, self._language, self._font = frames, language, font_of(language)
         with paper_figure(SIZE) as figure:
             figure.set_dpi(DPI)
             # a layout that is computed at each frame would move the panels
             figure.set_layout_engine("none")
             self._show = set_up(figure)
+            self._translate(figure)
             canvas = figure.canvas
             assert isinstance(canvas, FigureCanvasAgg)
             # within the style: ticks are made when they are first drawn
@@ -136,10 +140,16 @@ class Pictures(Sequence[np.ndarray]):
         """The pixels (height, width, 3) that are the same in all frames."""
         return self._drawn([])
 
+    def _translate(self, drawn: Artist) -> None:
+        if self._font is not None:
+            translate_texts(drawn, self._language, self._font)
+
     def _drawn(self, artists: Sequence[Artist]) -> np.ndarray:
         self._canvas.restore_region(self._background)
         renderer = self._canvas.get_renderer()
         for artist in artists:
+            if isinstance(artist, Text):
+                self._translate(artist)
             artist.draw(renderer)
         return np.asarray(self._canvas.buffer_rgba())[:, :, :3].copy()
 
@@ -162,6 +172,7 @@ class Film:
         aligned: whether the last path has to be aligned to the ground truth; localisation is in its axes.
         fps: frames per second.
         source: the file or folder of the log, where there is one.
+        language: of the texts in the pictures: "en" or "ja".
     """
 
     title: str
@@ -177,6 +188,7 @@ class Film:
     aligned: bool = field(default=True, repr=False)
     fps: float = 10.0
     source: Path | None = None
+    language: str = "en"
 
     def set_up(self, figure: Figure) -> Show:
         """Draw everything that does not move onto an empty figure; returns what draws a frame."""
@@ -190,7 +202,7 @@ class Film:
     @cached_property
     def pictures(self) -> Pictures:
         """The pictures, each drawn when it is asked for: ``film.pictures[-1]``."""
-        return Pictures(self.frames, self.set_up)
+        return Pictures(self.frames, self.set_up, self.language)
 
     def save(self, path: str | PathLike[str], *, progress: Callable[[], None] | None = None) -> Path:
         """Write the film, whole or not at all; its last picture stays for two seconds.

@@ -7,8 +7,14 @@ const SIZES = 5, SHOWN = 100, PERIOD = 150;
 /** What the book's camera sees: ranges [m], bearings to both sides [rad]. A kidnapped robot is turned about the landmarks by so much. */
 const NEAR = 0.5, FAR = 6, ASIDE = Math.PI / 3, CARRIED = 2 * Math.PI / 3;
 
+const deviation = ([xx, xy, yy]) => Math.sqrt((xx + yy) / 2 + Math.hypot((xx - yy) / 2, xy));
+
 export function make(figure, engine, log, words, book) {
-  const state = { particles: 100, version: 1, noise: 1, resampling: true, chosen: null, t: -1, ess: null };
+  const given = figure.dataset, wanted = given.controls?.split(" ") ?? null;
+  const state = {
+    particles: Number(given.particles ?? 100), version: Number(given.version ?? 1), noise: Number(given.noise ?? 1),
+    resampling: given.resampling !== "no", weighted: given.weights !== "no", chosen: null, t: -1, ess: null, moved: false,
+  };
   // a test replaces these
   const random = {
     key: () => BigInt(Math.floor(Math.random() * 2 ** 53)) << 11n, offset: Math.random,
@@ -27,22 +33,40 @@ export function make(figure, engine, log, words, book) {
     const motion = ["nn", "no", "on", "oo"].map((name) => [name, book[name] * state.noise]);
     slam = engine.fastslam({ start: log.start, particles: state.particles, version: state.version, noise: Object.fromEntries(motion) });
     [history, seen, truth] = [[], recorded, log.truth];
-    Object.assign(state, { t: -1, ess: null, chosen: null, resampled: false, kidnapped: false });
+    Object.assign(state, { t: -1, ess: null, chosen: null, resampled: false, resamplings: 0, kidnapped: false, moved: false });
     step();
   }
-  /** Move, weigh and, if the effective sample size is at most half of N, resample. Returns false at the end of the drive. */
-  function step() {
+  /** Move all particles. Returns false at the end of the drive. */
+  function move() {
     if (state.t + 1 >= seen.length) return false;
     ++state.t;
     if (state.t > 0) slam.move(log.controls[state.t - 1], random.key());
+    history.push({ ...slam.particles(), ancestors: null });
+    Object.assign(state, { moved: true, resampled: false });
+    return true;
+  }
+  /** Weigh and, if the effective sample size is at most half of N, resample. */
+  function observe() {
     const ess = seen[state.t].length ? slam.weigh(seen[state.t]) : -1;
     if (ess >= 0) state.ess = ess;
-    state.resampled = state.resampling && ess >= 0 && ess <= state.particles / 2;
+    state.resampled = state.resampling && state.weighted && ess >= 0 && ess <= state.particles / 2;
     const ancestors = state.resampled ? slam.resample(random.offset()) : null;
-    history.push({ ...slam.particles(), ancestors });
-    if (ancestors) state.chosen = null;
+    history[state.t] = { ...slam.particles(), ancestors };
+    state.moved = false;
+    if (ancestors) [state.chosen, state.resamplings] = [null, state.resamplings + 1];
+  }
+  /** The step to the next pose, or what is left of it. Returns false at the end of the drive. */
+  function step() {
+    if (!state.moved && !move()) return false;
+    observe();
     draw();
     return true;
+  }
+  /** The motion of a step, and its sightings when it is called again. */
+  function half() {
+    if (state.moved) observe();
+    else move();
+    draw();
   }
   /** Carry the robot to another place: from now on it drives there by the same controls, and the sightings are measured anew. */
   function kidnap() {
@@ -73,28 +97,31 @@ export function make(figure, engine, log, words, book) {
     if (timer) return stop();
     if (state.t + 1 >= seen.length) restart();
     timer = setInterval(() => { if (!step() || !figure.isConnected) stop(); }, PERIOD);
-    button.textContent = words.pause;
+    if (button) button.textContent = words.pause;
   }
   function stop() {
     clearInterval(timer);
     timer = null;
-    button.textContent = words.run;
+    if (button) button.textContent = words.run;
   }
   const change = (name) => (value) => { state[name] = value; restart(); };
-  const controls = new Controls(figure);
+  const controls = new Controls(figure, wanted);
+  const next = controls.button("half", "", () => { stop(); half(); });
   controls.button("step", words.oneStep, () => { stop(); step(); });
   const button = controls.button("run", words.run, run);
   controls.button("restart", words.restart, () => { stop(); restart(); });
   controls.button("other", words.other, () => choose((chosen() + 1) % state.particles));
   controls.button("kidnap", words.kidnap, kidnap);
-  controls.toggle("version", "FastSLAM 2.0", false, (on) => change("version")(on ? 2 : 1));
-  controls.toggle("resampling", words.resampling, true, change("resampling"));
-  controls.slider("particles", "N =", NUMBERS, 100, change("particles"));
-  controls.slider("noise", words.motionNoise, FACTORS, 1, change("noise"));
+  controls.toggle("version", "FastSLAM 2.0", state.version === 2, (on) => change("version")(on ? 2 : 1));
+  controls.toggle("weights", words.weights, state.weighted, change("weighted"));
+  controls.toggle("resampling", words.resampling, state.resampling, change("resampling"));
+  controls.slider("particles", "N =", NUMBERS, state.particles, change("particles"));
+  controls.slider("noise", words.motionNoise, FACTORS, state.noise, change("noise"));
   const status = html("p", { class: "live-status", role: "status" }, figure);
   html("p", { class: "live-legend" }, figure).textContent = words.fastslamLegend;
 
-  const chosen = () => state.chosen ?? slam.best;
+  // without weights the first particle is as good as any other
+  const chosen = () => state.chosen ?? (state.weighted ? slam.best : 0);
   function choose(i) { state.chosen = i; draw(); }
   stage.svg.addEventListener("click", (event) => {
     const [x, y] = stage.point(event), squares = history.at(-1).poses.map((p) => (p[0] - x) ** 2 + (p[1] - y) ** 2);
@@ -126,7 +153,7 @@ export function make(figure, engine, log, words, book) {
     fill(stage, "paths", [lines.join("")], (d) => ({ d, class: "path" }));
     const sizes = Array.from({ length: SIZES }, () => "");
     poses.forEach((pose, p) => {
-      const [x, y] = stage.at(pose), size = Math.ceil((SIZES - 1) * Math.exp(logWeights[p] - most));
+      const [x, y] = stage.at(pose), size = Math.ceil((SIZES - 1) * (state.weighted ? Math.exp(logWeights[p] - most) : 0.5));
       sizes[size] += `M${x.toFixed(1)} ${y.toFixed(1)}h.01`;
     });
     fill(stage, "particles", sizes, (d, size) => ({ d, class: "particle", "stroke-width": 2 + 1.5 * size }));
@@ -134,12 +161,21 @@ export function make(figure, engine, log, words, book) {
     fill(stage, "ellipses", map, (m) => ({ d: stage.ellipse(m, m.slice(2)), class: "ellipse" }));
     const [x, y] = stage.at(poses[i]);
     fill(stage, "chosen", [stage.path(trajectory(i)), `M${x} ${y}h.01`], (d, k) => ({ d, class: k ? "chosen-pose" : "chosen-path" }));
+    if (next) next.textContent = state.moved ? words.halfSightings : words.halfMotion;
     status.innerHTML = `<strong>t = ${state.t}</strong>, <span></span>`;
-    status.lastChild.textContent = words.ess(state.ess, state.particles, state.resampled)
-      + (state.kidnapped ? words.kidnapped : "");
+    status.lastChild.textContent = (state.weighted ? words.ess(state.ess, state.particles, state.resampled, state.resamplings) : words.unweighted)
+      + (state.kidnapped ? words.kidnapped : "") + (given.sizes === "yes" ? words.sizes(sizesNow(i)) : "");
+  }
+  /** The landmarks that are seen now: name, and the largest standard deviation in the map of a particle, null if it has none yet. */
+  function sizesNow(i) {
+    return seen[state.t].map(([name]) => {
+      const found = slam.landmark(name, i);
+      return [name, found && deviation(found.slice(2))];
+    });
   }
   restart();
   stage.show([...log.truth, ...log.landmarks], 0.8);
-  return { state, random, step, restart, change, choose, particles: () => slam.particles(), map: () => names.map((name) => slam.landmark(name)), names, kidnap,
-           truth: () => truth[state.t] };
+  return { state, random, step, half, restart, change, choose, kidnap, names, particles: () => slam.particles(), sizes: () => sizesNow(chosen()),
+           map: (particle) => names.map((name) => slam.landmark(name, particle)), truth: () => truth[state.t], trajectory,
+           landmarks: log.landmarks };
 }

@@ -31,9 +31,12 @@ const WORDS = {
     fastslamLabel: "particles of FastSLAM, with the map of one of them",
     oneStep: "One step", run: "Run", pause: "Pause", restart: "From the start", other: "Next particle",
     kidnap: "Kidnap the robot", kidnapped: ", the robot was carried elsewhere, and the filter was not told",
+    halfMotion: "Motion", halfSightings: "Sightings", weights: "weights", unweighted: "weights are not used",
+    sizes: (seen) => (seen.length ? "; standard deviations: " + seen.map(([name, size]) =>
+      `landmark ${name} ${size === null ? "(new)" : `${size.toFixed(2)} m`}`).join(", ") : ""),
     resampling: "resampling", motionNoise: "motion noise ×",
-    ess: (ess, n, resampled) => (ess === null ? "no landmark seen yet" : `effective sample size ${ess.toFixed(1)} of ${n}`)
-      + (resampled ? ", resampled" : ""),
+    ess: (ess, n, resampled, times) => (ess === null ? "no landmark seen yet" : n === 1 ? "one particle"
+      : `effective sample size ${ess.toFixed(1)} of ${n}`) + (resampled ? ", resampled now" : "") + (times ? ` (${times} times so far)` : ""),
     fastslamLegend: "Dots: particles, larger with a larger weight. Thin lines: their trajectories. Click a particle to see its trajectory and "
       + "its map (ellipses of two standard deviations); at first it is the one with the largest weight. Dashed line and crosses: ground truth.",
     odometry: "Odometry (t, nu, omega):", sightings: "Sightings (t, id, range, bearing):", dropHere: "You can also drop both files here.",
@@ -80,9 +83,12 @@ const WORDS = {
     fastslamLabel: "FastSLAMのパーティクルと、そのうち1つの地図",
     oneStep: "1ステップ", run: "走らせる", pause: "止める", restart: "最初から", other: "次のパーティクル",
     kidnap: "ロボットを誘拐する", kidnapped: "、ロボットは別の場所へ運ばれましたが、フィルタには知らされていません",
+    halfMotion: "移動", halfSightings: "観測", weights: "重み", unweighted: "重みは使いません",
+    sizes: (seen) => (seen.length ? "。標準偏差: " + seen.map(([name, size]) =>
+      `ランドマーク${name} ${size === null ? "（初めて）" : `${size.toFixed(2)} m`}`).join("、") : ""),
     resampling: "リサンプリング", motionNoise: "移動の雑音 ×",
-    ess: (ess, n, resampled) => (ess === null ? "まだランドマークを観測していません" : `有効サンプルサイズ ${ess.toFixed(1)}（N = ${n}）`)
-      + (resampled ? "、リサンプリングしました" : ""),
+    ess: (ess, n, resampled, times) => (ess === null ? "まだランドマークを観測していません" : n === 1 ? "パーティクルは1つです"
+      : `有効サンプルサイズ ${ess.toFixed(1)}（N = ${n}）`) + (resampled ? "、リサンプリングしました" : "") + (times ? `（これまでに${times}回）` : ""),
     fastslamLegend: "点はパーティクルで、重みが大きいほど大きく描きます。細い線はその軌跡です。パーティクルをクリックすると、その軌跡と地図（標準偏差の2倍の楕円）を表示します。"
       + "最初は重みが最大のパーティクルです。破線と十字は真の軌跡とランドマークです。",
     odometry: "オドメトリ（t, nu, omega）:", sightings: "センサ値（t, id, range, bearing）:", dropHere: "2つのファイルをここにドロップすることもできます。",
