@@ -16,8 +16,9 @@ from graphslam import Log, load, simulate
 # messages are English wherever the tests run
 os.environ["LC_ALL"] = "C.UTF-8"
 
-# one fixed profile: the same examples in every run, no deadline on shared machines
-hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=100)
+# one fixed profile: the same examples in every run, no deadline on shared machines; `make test-nightly` takes more of them
+EXAMPLES = int(os.environ.get("EXAMPLES", 40))
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=EXAMPLES)
 hypothesis.settings.load_profile("repeatable")
 
 DATA = Path(os.environ.get("SLAM_DATA", Path(__file__).parents[2] / "shared" / "data"))

@@ -14,7 +14,8 @@ from graphslam import load, save, simulate
 ROOT = Path(__file__).parents[1]
 COMPILERS = ("c++", "g++", "clang++")
 
-pytestmark = pytest.mark.slow
+# the engine is built once more, as a library of its own
+pytestmark = pytest.mark.nightly
 
 
 def run(*command: object) -> str:

@@ -19,7 +19,7 @@ def kinds(notebook):
 
 
 # pyzmq and jupyter warn about their own event loops; nothing of ours is behind it
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore")
 def test_notebook_runs(tmp_path):
     stored = nbformat.read(NOTEBOOK, as_version=4)

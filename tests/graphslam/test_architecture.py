@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -32,9 +33,15 @@ def statements(node: ast.AST, in_functions: bool) -> Iterator[ast.AST]:
 
 def imports(name: str, *, in_functions: bool = True) -> set[str]:
     """The full names of what a module imports: modules, and objects as module.object; relative imports resolved."""
-    path, names = MODULES[name], set()
+    path = MODULES[name]
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-    for node in statements(ast.parse(path.read_text(encoding="utf-8")), in_functions):
+    return imported_by(path.read_text(encoding="utf-8"), tuple(package), in_functions)
+
+
+@cache
+def imported_by(text: str, inside: tuple[str, ...], in_functions: bool) -> set[str]:
+    names, package = set(), list(inside)
+    for node in statements(ast.parse(text), in_functions):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):

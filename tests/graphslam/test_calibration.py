@@ -77,7 +77,7 @@ def assert_found(found, name: str, true: float) -> None:
         assert true < 1.3 * found.bounds[name], name
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_noise_from_truth(seed: int) -> None:
     found = calibrate(drive(seed, orientation=True))
     assert found.source == "truth"
@@ -90,7 +90,7 @@ def test_noise_from_truth(seed: int) -> None:
     assert min(found.degrees.values()) > 20
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_standard_errors_are_those_of_many_logs() -> None:
     logs = [wrong(drive(seed, steps=100), 1.2, 0.5, 1.3, 0.1) for seed in range(6)]
     means = {"range_scale": 1.2, "range_bias": 0.5, "wheel_scale": 1.3, "turn_rate_bias": 0.1}
@@ -259,6 +259,7 @@ def test_all_biases_are_taken_out_again() -> None:
     np.testing.assert_array_equal(back.initial_poses, back.dead_reckoning())
 
 
+@pytest.mark.slow
 def test_several_logs_of_one_robot() -> None:
     """Information adds up: the error of a bias is below those of each, and the truth within four errors."""
     logs = [warehouse(seed)[0] for seed in (1001, 1003, 1004)]
@@ -393,7 +394,7 @@ def test_wrong_options() -> None:
         without_biases(log.replace(dt=None, controls=None), wheel_scale=1.1, sensor_delay=0.1, range_bias=0.1)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_noise_that_enters_by_the_controls(seed):
     """Speed and turn rate are off by noise, and the robot drives true arcs: nothing sideways but epsilon, 1e-8."""
     rng, steps = np.random.default_rng(seed), 1500

@@ -229,7 +229,7 @@ def test_random_drives_cover_the_range():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("precise", [False, True])
+@pytest.mark.parametrize("precise", [False, pytest.param(True, marks=pytest.mark.nightly)])
 def test_whoever_knows_noise_and_ids_finds_the_biases(precise):
     """With single controls in place of their mean around each pose the delay is 0.038 +- 0.002 s for 0.05 s."""
     biases = {name: value for name, value in BIASES.items() if name != "range_scale"}

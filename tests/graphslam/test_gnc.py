@@ -28,7 +28,14 @@ def with_phantoms(log, part, seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "options", [{"weight": w} for w in ("pairs", "tempered", "marginal")] + [{"edges": "landmark+motion"}], ids=str
+    "options",
+    [
+        {"weight": "pairs"},
+        {"edges": "landmark+motion"},
+        pytest.param({"weight": "tempered"}, marks=pytest.mark.nightly),
+        pytest.param({"weight": "marginal"}, marks=pytest.mark.nightly),
+    ],
+    ids=str,
 )
 def test_phantoms_are_found_and_do_no_harm(options):
     clean, plain, robust, found = [], [], [], []

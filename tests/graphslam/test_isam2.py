@@ -27,7 +27,7 @@ def largest_difference(a, b):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", VARIANTS, ids=str)
-@pytest.mark.parametrize("name", ["book", "sample"])
+@pytest.mark.parametrize("name", ["book", pytest.param("sample", marks=pytest.mark.nightly)])
 def test_it_ends_at_the_batch_answer(name, options, book_log):
     log = book_log if name == "book" else load(sample_log_path())
     options = {"edges": "virtual+motion", "kernel": "none"} | options

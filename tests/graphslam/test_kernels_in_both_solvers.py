@@ -33,7 +33,12 @@ def name(variant):
     return " ".join(str(getattr(part, "name", part)) for part in variant)
 
 
-@pytest.mark.parametrize("variant", VARIANTS, ids=name)
+@pytest.mark.parametrize(
+    "variant",
+    # a tempered edge is one of pairs times a number
+    [pytest.param(each, marks=[pytest.mark.nightly] * (each[1] == "tempered")) for each in VARIANTS],
+    ids=name,
+)
 def test_both_solvers_agree(variant, log):
     edges, kind, frame, dimensions, kernel = variant
     options = {"edges": edges, "frame": frame, "dimensions": dimensions}

@@ -77,6 +77,7 @@ def errors_of_fixes(seeds, share=0.0, **world):
     return np.array(squares)
 
 
+@pytest.mark.nightly
 def test_the_covariance_of_the_fix_is_that_of_its_errors():
     """The errors follow chi square with three degrees of freedom, although sightings share those of the odometry."""
     squares = errors_of_fixes(300, steps=8, max_range=10.0)
@@ -85,7 +86,7 @@ def test_the_covariance_of_the_fix_is_that_of_its_errors():
     assert np.mean(squares > chi2.ppf(0.99, 3)) < 0.01 + 3.3 * np.sqrt(0.01 / 300)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3])
+@pytest.mark.parametrize("share", [pytest.param(0.1, marks=pytest.mark.nightly), 0.3])
 def test_misread_ids_do_not_move_the_fix(share):
     squares = errors_of_fixes(100, share, steps=30)
     # of right fixes one in 10^5 has an error beyond 26

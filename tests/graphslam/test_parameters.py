@@ -98,7 +98,7 @@ def test_derivatives_are_those_of_the_corrections(biased: Log) -> None:
     "options",
     [
         {"edges": "landmark+motion", "kernel": "cauchy"},
-        {"edges": "landmark+motion", "frame": "world", "dimensions": 2},
+        pytest.param({"edges": "landmark+motion", "frame": "world", "dimensions": 2}, marks=pytest.mark.nightly),
         {"weight": "marginal"},
         {"weight": "tempered", "kernel": "huber"},
         {"weight": "pairs", "dimensions": 2},
@@ -126,6 +126,7 @@ def test_landmarks_as_nodes_and_eliminated_are_the_same(biased: Log) -> None:
     assert nodes.cost == pytest.approx(marginal.cost, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_known_biases_are_found_with_their_covariance() -> None:
     """e' P^-1 e over the number of parameters is 1 on average; 12 logs with 5 parameters leave it between 0.6 and 1.5."""
     truth, squares = np.array(list(BIASES.values())), []
