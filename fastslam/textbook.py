@@ -347,7 +347,7 @@ def fastslam1(
     Raises:
         LogError: the log has no controls, several controls in a step, a sensor at an offset, or a motion model with slip.
     """
-    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+    motion, sensor = log.noise_models(motion, sensor)
     current = start(particles, log.initial_poses[0])
     for u, dt, ids, sightings in measurements(log, motion, sensor):
         if u is not None:
@@ -374,7 +374,7 @@ def fastslam2(
         OptionError: there is no such proposal_weight.
     """
     check_choice("proposal_weight", proposal_weight, PROPOSAL_WEIGHTS)
-    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+    motion, sensor = log.noise_models(motion, sensor)
     current = start(particles, log.initial_poses[0])
     for u, dt, ids, sightings in measurements(log, motion, sensor):
         if u is None:

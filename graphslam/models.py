@@ -20,8 +20,8 @@ from .errors import OptionError, quoted
 from .errors.checks import check_positive, check_real, checked_offset, option
 from .se2 import Array, mounted, wrap
 
-#: the variances of speed, turn rate and sideways speed of a control of a second that says nothing, as between two drives: a
-#: kilometre, and several turns, in any direction
+#: the variances of speed, turn rate and sideways speed of a control of one second that stands for an unknown motion, such as
+#: that between two drives: a kilometre, and several turns, in any direction
 ANYWHERE = (1e6, 1e3, 1e6)
 
 

@@ -85,6 +85,19 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
     return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrap(d[..., 2])], axis=-1)
 
 
+def chained(start: ArrayLike, motions: Array) -> Array:
+    """The poses (T+1, 3) that motions (T, 3) lead to, one after the other, each in the axes of the pose before it.
+
+    Headings are not wrapped.
+    """
+    poses = np.empty((len(motions) + 1, 3))
+    poses[0] = start
+    poses[1:, 2] = poses[0, 2] + np.cumsum(motions[:, 2])
+    moved = np.einsum("tij,tj->ti", rotation(poses[:-1, 2]), motions[:, :2])
+    poses[1:, :2] = poses[0, :2] + np.cumsum(moved, axis=0)
+    return poses
+
+
 def interpolate(a: ArrayLike, b: ArrayLike, share: ArrayLike) -> Array:
     """The pose a exp(share log(a^-1 b)): on the arc that leads from a to b with one twist; (..., 3), (..., 3), (...).
 

@@ -102,7 +102,7 @@ def solve(
         raise OptionError(f"dimensions must be 2 or 3 and not more than the log has, not {quoted(dimensions)}")
     if motion_copies < 1:
         raise OptionError(f"motion_copies must be at least 1, not {motion_copies}")
-    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+    motion, sensor = log.noise_models(motion, sensor)
     with_motion = edges == "virtual+motion"
     if with_motion and log.composite:
         raise GraphError(f"{log.name} has motions of several controls each, and the lectures' program takes one a step")

@@ -48,7 +48,7 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class CandidatePairs:
-    """CandidatePairs (C,) of an item and an older landmark, with what is needed to weigh them jointly.
+    """Pairs (C,) of an item and an older landmark, with what is needed to weigh them jointly.
 
     Attributes:
         item, landmark: (C,) numbers from 0.
@@ -65,10 +65,10 @@ class CandidatePairs:
     gate: float
 
     def evidence(self, chosen: np.ndarray) -> float:
-        """E of the pairs (n,), wherever they lie."""
+        """E of the pairs (n,), without a gate."""
         return float(self._grown(np.atleast_2d(chosen), 1e300, grow=False)[1][0]) if len(chosen) else 0.0
 
-    def several(self, seeds: np.ndarray, most: int, allowed: np.ndarray | None = None) -> list[Hypothesis]:
+    def k_best(self, seeds: np.ndarray, most: int, allowed: np.ndarray | None = None) -> list[Hypothesis]:
         """The best hypotheses, at most ``most``, begun from the pairs (n,), the best first; each has another set of pairs.
 
         Args:
@@ -228,7 +228,7 @@ def alternatives(
     pairs, item, other = _pairs(problem, apart, items, older, found)
     ours = np.flatnonzero([found.get(int(a)) == b for a, b in zip(item, other)])
     of_group = np.isin(apart.labels[item] - fresh, back.landmarks)
-    # what ids say is not doubted
+    # ids that the log gives are not doubted
     doubtful = of_group[ours] & (id_of_each(apart.which, backbone.known[apart.rows], len(apart.labels))[item[ours]] < 0)
     doubted, rest = ours[doubtful], ours[~doubtful]
     evidence = pairs.evidence(ours)
@@ -237,7 +237,7 @@ def alternatives(
     others = [Hypothesis(rest, pairs.evidence(rest))] if len(doubted) else []
     seeds = np.flatnonzero(of_group & allowed)
     if len(seeds):
-        others += pairs.several(seeds, most, allowed)
+        others += pairs.k_best(seeds, most, allowed)
         others += [pairs.completed(rest, allowed)] if len(rest) else []
     if len(doubted) and len(rest):
         others.append(Hypothesis(np.zeros(0, dtype=np.int64), 0.0))

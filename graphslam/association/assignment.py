@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..graph.build import pieces
 from ..log import UNIDENTIFIED, Log
 from ..models import SensorModel
 from ..se2 import Array, transform, turn_matrix, wrap
@@ -161,9 +162,6 @@ def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.n
     item, other, both = _near(solved, items, seen, gate, 0 if views is None else np.inf)
     if len(item) == 0:
         return []
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     chosen = np.unique(np.concatenate([item, other]))
     P = solved.joint_covariance(chosen)
     a, b = np.searchsorted(chosen, item), np.searchsorted(chosen, other)
@@ -184,8 +182,7 @@ def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.n
     nu, weights = nu[kept], weights[kept]
     found: list[Merge] = []
     # landmarks that share no candidate are decided on their own
-    pieces = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(chosen), len(chosen)))
-    label = connected_components(pieces, directed=False)[1][a] if len(a) else np.zeros(0, dtype=int)
+    label = pieces(len(chosen), [a], [b])[a]
     groups = (
         [np.arange(len(a))] if len(np.unique(item)) <= MOST_ITEMS else [np.flatnonzero(label == g) for g in set(label)]
     )

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GraphError, LogError, OptionError, quoted
-from ..errors.checks import array_of, check_type, suggestion
+from ..errors.checks import array_of, check_known, check_type
 from ..identification.declared import ParameterEstimate
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log, check_is_log
@@ -230,15 +230,10 @@ def associate(
     """
     begin = time.perf_counter()
     check_is_log(log)
-    check_type(MotionModel, motion=motion)
-    check_type(SensorModel, sensor=sensor)
     check_type(AssociationOptions, options=options)
-    known = [each.name for each in fields(AssociationOptions)]
-    for name in changes:
-        if name not in known:
-            raise OptionError(f"associate has no option {quoted(name)}{suggestion(name, known)}")
+    check_known("associate", changes, [each.name for each in fields(AssociationOptions)])
     options = replace(options or AssociationOptions(), **changes)
-    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+    motion, sensor = log.noise_models(motion, sensor)
     if log.controls is None:
         raise LogError(f"{log.name} has no controls, so nothing tells where sightings without ids were made")
     if len(log.steps) == 0:

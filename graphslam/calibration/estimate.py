@@ -14,7 +14,7 @@ from scipy.special import chdtri
 
 from ..association import associate
 from ..errors import GraphError, LogError
-from ..errors.checks import array_of, check_choice, check_not_negative, check_type
+from ..errors.checks import array_of, check_choice, check_not_negative
 from ..identification.corrections import without_biases
 from ..identification.declared import CORRECTIONS, PLACE, of_sensor_alone
 from ..identification.odometry import OF_SENSOR, with_variances
@@ -81,10 +81,10 @@ class Calibration:
         sensor: the sensor model, for sightings that are corrected by the numbers below; from residuals with the estimated
             place of the sensor.
         wheel_scale, turn_scale, turn_rate_bias, curvature_bias, range_scale, range_bias, bearing_bias, sensor_delay: the
-            biases of `PARAMETERS`. Residuals tell all but ``range_scale``; the truth tells ``wheel_scale``,
+            biases of `PARAMETERS`. Residuals determine all but ``range_scale``, the truth ``wheel_scale``,
             ``turn_rate_bias``, ``range_scale`` and ``range_bias``, which are 1 or 0 within three standard errors of that.
         errors: standard errors of all numbers, {"nn": ..., "range_bias": ...}; NaN for those near zero, and for noise that
-            residuals tell to no better than 100 %.
+            residuals determine to no better than 100 %.
         bounds: upper 95 % bounds of the numbers near zero, whose variance is less than two of its standard errors;
             infinite where the log gives no bound. From the truth only.
         degrees: {"motion": nu, "sensor": nu}, the degrees of freedom of Student's t; infinite where Gaussian. Where there
@@ -124,7 +124,7 @@ class Calibration:
 
     @classmethod
     def of(cls, found: RobotEstimate, *others: RobotEstimate) -> Calibration:
-        """What estimates from logs of one robot say together.
+        """The joint estimate from several logs of one robot.
 
         Logarithms of standard deviations, and biases, are weighted by their information; the factors for correlated errors,
         whose errors are not known, count alike. The prior of a bias counts once.
@@ -135,7 +135,7 @@ class Calibration:
         ideal = {name: mean for name, (mean, _) in priors.items()}
         information, pulled = np.zeros((len(priors), len(priors))), np.zeros(len(priors))
         for one in every:
-            # a log that holds a bias at its ideal value does not tell it
+            # a log that holds a bias at its ideal value has no information on it
             k = [list(priors).index(name) for name in one.parameters.names]
             own = np.linalg.inv(one.parameters.covariance)
             weights = [
@@ -232,7 +232,7 @@ def calibrate(
     sensor: SensorModel | None = None,
     degrees: float | None = None,
 ) -> Calibration:
-    """Estimate the noise of motion and sensor from one log or several, and what is wrong with all their measurements.
+    """Estimate the noise and the systematic errors (scales, biases, delay) of motion and sensor from one log or several.
 
     With ground truth, by maximum likelihood: true motions are compared with the commanded ones, and sightings with those
     that the true poses imply (`from_truth`). The residuals have t-distributions with unknown degrees of freedom, so that
@@ -261,14 +261,12 @@ def calibrate(
     """
     for each in (log, *others):
         check_is_log(each)
-    check_type(MotionModel, motion=motion)
-    check_type(SensorModel, sensor=sensor)
     if degrees is not None:
         check_not_negative(degrees=degrees)
         degrees = float(array_of("degrees", degrees))
     check_choice("source", source, SOURCES)
     logs = (log, *others)
-    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+    motion, sensor = log.noise_models(motion, sensor)
     if auto := source == "auto":
         source = "truth" if all(map(knows_enough, logs)) else "residuals"
     _check(logs, source)
@@ -321,7 +319,7 @@ def _heavy_tails(fits: dict[str, VarianceFit]) -> tuple[str, ...]:
 def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFit, odometry: Means) -> Calibration:
     """The calibration from residuals, with the numbers of the motion from true poses without a map.
 
-    Residuals tell the scale of the wheels relative to that of ranges. The true one therefore gives that of ranges, and all
+    Residuals determine the scale of the wheels relative to that of ranges. So the true one gives that of ranges, and all
     lengths that the sensor measures change by this factor.
     """
     means, errors = odometry
@@ -348,7 +346,7 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
 
 
 def _noise(every: Sequence[RobotEstimate]) -> _Noise:
-    """The noise that estimates say together, and on what they disagree beyond chance.
+    """The pooled noise of the estimates, and the numbers on which they differ beyond chance.
 
     Values of one number from R logs, weighted by their information, scatter by chi-square with R - 1 degrees of freedom.
     Errors of sightings that last make their noise differ from log to log, and so only biases are doubtful.
@@ -358,7 +356,7 @@ def _noise(every: Sequence[RobotEstimate]) -> _Noise:
     widths = 0.5 * np.log([one.inflation for one in every])[:, None] * np.isin(names, OF_SENSOR)
     models = [vars(one.motion) | vars(one.sensor) for one in every]
     values = np.log([[model[name] for name in names] for model in models]) - widths
-    # a log that holds a bias at its ideal value does not tell it
+    # a log that holds a bias at its ideal value has no information on it
     estimates = [dict(zip(one.parameters.names, one.parameters.values.tolist())) for one in every]
     biases = np.array([[each.get(name, 0.0) for name in biased] for each in estimates])
     spreads = [[one.parameters.deviations.get(name, np.inf) for name in biased] for one in every]

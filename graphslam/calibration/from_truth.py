@@ -49,7 +49,7 @@ def knows_poses(log: Log) -> bool:
 
 
 def motion_noise(logs: Sequence[Log], degrees: float | None = None) -> tuple[VarianceFit, Means]:
-    """The variances of the motion, and "wheel_scale" and "turn_rate_bias" [rad/s], which true motions tell.
+    """The variances of the motion, and "wheel_scale" and "turn_rate_bias" [rad/s], from true motions.
 
     The residuals are the differences of true and commanded motions in the frame of their start. Motions across gaps in the
     odometry, and those whose true start or end is unknown, do not count.

@@ -168,6 +168,13 @@ def suggestion(word: object, known: Collection[str]) -> str:
     return f"; did you mean {quoted(matches[0])}?" if matches else ""
 
 
+def check_known(who: str, given: Collection[str], known: Collection[str], more: str = "") -> None:
+    """Raise `OptionError` for the first of the given options that ``who`` does not have; the message ends with ``more``."""
+    for name in given:
+        if name not in known:
+            raise OptionError(f"{who} has no option {quoted(name)}{suggestion(name, known)}{more}")
+
+
 def make_read_only(owner: object, *names: str) -> None:
     """Replace arrays that are attributes of a frozen dataclass by views that cannot be written to."""
     for name in names:

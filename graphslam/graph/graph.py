@@ -23,7 +23,7 @@ from ..edges import (
 )
 from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..errors import GraphError, OptionError
-from ..errors.checks import array_of, check_choice, check_positive, check_type, make_read_only
+from ..errors.checks import array_of, check_choice, check_positive, make_read_only
 from ..identification.declared import Parameters, declared
 from ..identification.robot import AUTO, BOOK, known_robot
 from ..linear.information import BlockSystem
@@ -159,8 +159,6 @@ class Graph:
             OptionError: an option has an impossible value.
         """
         check_is_log(log)
-        check_type(MotionModel, motion=motion)
-        check_type(SensorModel, sensor=sensor)
         if edges is not None:
             check_choice("edges", edges, EDGES)
         check_choice("frame", frame, FRAMES)
@@ -172,7 +170,7 @@ class Graph:
         log = with_dimensions(log, dimensions)
         if motion is None and sensor is None:
             log, _ = known_robot(log, noise)
-        motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+        motion, sensor = log.noise_models(motion, sensor)
         known_map: LandmarkMap | None = None
         found: tuple[str, ...] = ()
         if map is not None:

@@ -147,7 +147,7 @@ class LandmarkMap(dict[int, Array]):
     def joint_information(self, ids: Iterable[int], coordinates: int) -> Array:
         """The information (3K, 3K) of landmarks with covariances, ``coordinates`` of each, whatever the others are.
 
-        Rows of coordinates about which the map says nothing are zero. Of a joint covariance it is the inverse of the block
+        Rows of coordinates that the map does not give are zero. Of a joint covariance it is the inverse of the block
         of these landmarks, that is, the Schur complement of the others.
 
         Raises:
@@ -171,7 +171,7 @@ class LandmarkMap(dict[int, Array]):
         return information
 
     def own_information(self, id: int, coordinates: int) -> Array:
-        """The information (3, 3) of one landmark, zero for coordinates about which the map says nothing.
+        """The information (3, 3) of one landmark, zero for coordinates that the map does not give.
 
         Raises:
             OptionError: the covariance is singular.

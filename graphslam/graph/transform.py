@@ -50,7 +50,7 @@ from ..edges import (
 )
 from ..errors import GraphError
 from ..errors.checks import array_of
-from ..se2 import Array, between, inverse, perpendicular, rotation, turn_matrix
+from ..se2 import Array, between, chained, inverse, perpendicular, rotation, turn_matrix
 from .graph import Graph
 
 
@@ -168,13 +168,13 @@ def of_nodes(graph: Graph, used: np.ndarray) -> tuple[Graph, np.ndarray]:
     number[nodes] = np.arange(len(nodes))
     kept, landmarks = nodes[nodes < poses], nodes[nodes >= poses] - poses
     return replace(
-        graph, initial=graph.initial[nodes], families=tuple(_edgesof_nodes(f, used, number) for f in graph.families),
+        graph, initial=graph.initial[nodes], families=tuple(_edges_of_nodes(f, used, number) for f in graph.families),
         steps=graph.steps[kept], trajectory=graph.initial[kept], pose_ids=graph.pose_ids[kept],
         landmark_ids=graph.landmark_ids[landmarks], fixed=number[graph.fixed[used[graph.fixed]]], log=None,
     ), nodes  # fmt: skip
 
 
-def _edgesof_nodes(family: EdgeFamily, used: np.ndarray, number: np.ndarray) -> EdgeFamily:
+def _edges_of_nodes(family: EdgeFamily, used: np.ndarray, number: np.ndarray) -> EdgeFamily:
     """The edges between nodes that are used (n,), with the new number (n,) of each node."""
     if isinstance(family, PriorEdges):
         return replace(family, nodes=number[family.nodes])
@@ -195,7 +195,7 @@ def filled(graph: Graph, kept: np.ndarray, poses: Array) -> Array:
     """All poses (P, 3) from those kept (k,): each other pose follows from the kept one before it by the motions."""
     chain = _chain(graph)
     assert chain is not None
-    driven = _driven(chain.measured)
+    driven = chained(np.zeros(3), chain.measured)
     before = np.searchsorted(kept, np.arange(len(graph.steps)), side="right") - 1
     offset, turned = driven - driven[kept[before]], turn_matrix(poses[before, 2] - driven[kept[before], 2])
     return poses[before] + np.einsum("kij,kj->ki", turned, offset)
@@ -212,16 +212,9 @@ def _chain(graph: Graph) -> RelativePoseEdges | None:
     return chains[0] if whole and any(isinstance(family, ObservationEdges) for family in graph.families) else None
 
 
-def _driven(measured: Array) -> Array:
-    """The poses (E+1, 3) that the relative poses (E, 3) lead to, one after the other from the origin."""
-    heading = np.concatenate([[0.0], np.cumsum(measured[:, 2])])
-    steps = np.einsum("kij,kj->ki", turn_matrix(heading[:-1]), measured)
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-
-
 def _joined(chain: RelativePoseEdges, kept: np.ndarray) -> RelativePoseEdges:
     """The relative poses between kept nodes, with covariance sum of J C J', J = [I, lever; 0, 1] after each motion."""
-    driven = _driven(chain.measured)
+    driven = chained(np.zeros(3), chain.measured)
     start, end = driven[kept[:-1]], driven[kept[1:]]
     last = np.repeat(np.arange(len(kept) - 1), np.diff(kept))
     J = turn_matrix(driven[:-1, 2])

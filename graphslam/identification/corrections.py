@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import LogError
-from ..errors.checks import check_choice, check_number, check_positive, check_type, first
+from ..errors.checks import check_choice, check_number, check_positive, first
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
@@ -24,7 +24,7 @@ LONGEST = 0.5
 
 
 def corrected_controls(parameters: Parameters) -> Array:
-    """The controls (S, 2) without what the parameters say is wrong."""
+    """The controls (S, 2) corrected by the parameters."""
     p, log = parameters.by_name(), parameters.recorded
     assert log.controls is not None
     nu = log.controls[:, 0] / p["wheel_scale"]
@@ -80,7 +80,7 @@ def corrected_sensor(parameters: Parameters) -> SensorModel:
 
 
 def corrected_sightings(parameters: Parameters, rows: np.ndarray, d: int) -> Array:
-    """The sightings (M, d) in rows (M,) of the log without what the parameters say is wrong."""
+    """The sightings (M, d) in rows (M,) of the log, corrected by the parameters."""
     p, z = parameters.by_name(), parameters.recorded.sightings[rows, :d].copy()
     z[:, 0] = (z[:, 0] - p["range_bias"]) / p["range_scale"]
     z[:, 1] -= p["bearing_bias"]
@@ -194,7 +194,7 @@ def _means(total: Array, ends: Array, times: Array, window: float) -> Array:
 
 
 def corrected_log(parameters: Parameters) -> Log:
-    """The log without what the parameters say is wrong; its initial poses stay.
+    """The log corrected by the parameters; its initial poses stay.
 
     Raises:
         LogError: a corrected range would not be above zero.
@@ -215,7 +215,7 @@ def corrected_log(parameters: Parameters) -> Log:
 def without_biases(
     log: Log, *, motion: MotionModel | None = None, sensor: SensorModel | None = None, **values: float
 ) -> Log:
-    """The log without what is wrong in all its sightings and controls.
+    """The log with its sightings and controls corrected for known biases.
 
     Where controls change, the initial poses are those of dead reckoning.
 
@@ -231,8 +231,6 @@ def without_biases(
         OptionError: there is no such parameter, a scale is not positive, or a value is not finite.
     """
     check_is_log(log)
-    check_type(MotionModel, motion=motion)
-    check_type(SensorModel, sensor=sensor)
     for name, value in values.items():
         check_choice("a bias", name, tuple(CORRECTIONS))
         if name.endswith("_scale"):
@@ -243,7 +241,7 @@ def without_biases(
         return log
     if log.controls is None and len(lost := wrong.keys() - of_sensor_alone(wrong)):
         raise LogError(f"{log.name} has no controls, and {', '.join(sorted(lost))} cannot be taken out of them")
-    motion, sensor = motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel()
+    motion, sensor = log.noise_models(motion, sensor)
     numbers, none = np.array(list(wrong.values())), np.full(len(wrong), np.inf)
     corrected = corrected_log(Parameters(tuple(wrong), numbers, numbers, none, log, motion, sensor, 1.0))
     corrected = corrected.replace(sensor=log.sensor)

@@ -26,7 +26,7 @@ import numpy as np
 
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, rotation
+from ..se2 import Array, chained, rotation
 from .corrections import controls_at_steps, corrected_controls, motion_slopes
 from .declared import Parameters
 
@@ -107,7 +107,7 @@ class Odometry:
         assert log.controls is not None and log.dt is not None and log.times is not None
         self.log, self.times = log, log.times
         self._parts = motion_parts(log, ESTIMATED)
-        # what the log itself says of the noise of single controls, such as across a silence of the odometry
+        # the log's own variances of single controls, such as those across a silence of the odometry
         self._recorded, self._of_gaps = STILL.accumulate(
             log.controls, log.dt, log.control_starts, log.control_variances
         )
@@ -124,7 +124,7 @@ class Odometry:
         return np.searchsorted(self.times, log.times)
 
     def parts(self, steps: np.ndarray) -> tuple[Mapping[str, Array], Array]:
-        """C_p (n, 3, 3) of each field of the motion model for the motions between poses, and what is known of gaps."""
+        """C_p (n, 3, 3) of each field of the motion model for the motions between poses, and the covariance of gaps."""
         if len(steps) == len(self.times):
             return self._parts, self._of_gaps
         inside = slice(steps[0], steps[-1])
@@ -146,10 +146,7 @@ class Odometry:
 
     def poses(self, parameters: Parameters) -> Array:
         """The poses (T+1, 3) of the corrected controls."""
-        start, motions = self.log.initial_poses[0], self._single(parameters)[0]
-        heading = start[2] + np.concatenate([[0.0], np.cumsum(motions[:, 2])])
-        ways = np.einsum("eij,ej->ei", rotation(heading[:-1]), motions[:, :2])
-        return np.column_stack([start[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(ways, axis=0)]), heading])
+        return chained(self.log.initial_poses[0], self._single(parameters)[0])
 
     def speeds(self, parameters: Parameters) -> Array:
         """The control (T+1, 2) at each pose, `controls_at_steps`."""

@@ -32,7 +32,7 @@ from .unknowns import DEGREES_SIGHTINGS, Unknowns
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
 #: before and after what edges hide is known
 DURATION, FOLDS, STEPS = 10.0, 3, (3, 2)
-#: a drive with fewer parts tells nothing
+#: drives with fewer parts are not scored
 FEWEST_PARTS = 6
 
 
@@ -109,7 +109,7 @@ def _log_densities(drive: Log, candidate: Unknowns, rng: np.random.Generator) ->
             covariances = rest.covariances(edges) + errors @ np.swapaxes(errors, 1, 2) / errors.shape[2]
             found[rows] = student_t(edges.residuals, covariances)
         except (GraphError, np.linalg.LinAlgError):
-            # this part tells nothing with this candidate
+            # the part is not scored with this candidate
             continue
     return found
 
@@ -131,7 +131,7 @@ KINDS = {
 ESTIMATE, DEAD_RECKONING, BOOK_NOISE, GIVEN_NOISE = (
     "the estimate from this log", "dead reckoning", "the book's noise", "the noise that was given"
 )  # fmt: skip
-#: a log tells a bias where its standard deviation is below so many times that of the prior
+#: a bias is identified where its standard deviation is below so many times that of the prior
 MIN_INFORMATION = 0.7
 #: an estimate is doubtful with fewer sightings than this, with more than this part of the ids wrong, and with a bias that is
 #: so many standard deviations of its prior from its ideal value, for which these are likely causes

@@ -85,10 +85,10 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
 
     Args:
         noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
-            the log where it brings some, the book's for logs of `simulate`, and else "auto" as far as the log can tell.
+            the log where it brings some, the book's for logs of `simulate`, and else "auto" where the noise is identifiable.
 
     Raises:
-        LogError, GraphError: the log does not tell its noise, and ``noise`` is "auto".
+        LogError, GraphError: the log does not determine its noise, and ``noise`` is "auto".
     """
     if noise == BOOK:
         place = {name: getattr(log.sensor or SensorModel(), name) for name in SensorModel.GEOMETRY}
@@ -111,7 +111,7 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
 
 
 def unknown_noise(log: Log) -> bool:
-    """Whether nothing is known of the noise of a log, although it could tell it."""
+    """Whether the noise of a log is unknown, and can be estimated from it."""
     if log.simulated or log.motion is not None or log.controls is None or np.all(log.landmarks == UNIDENTIFIED):
         return False
     sensor, book = log.sensor or SensorModel(), SensorModel()
@@ -303,7 +303,7 @@ def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel, *, seed
 
 
 def _check(log: Log) -> None:
-    """Raise `LogError` where a log cannot tell noise and biases."""
+    """Raise `LogError` where a log does not determine noise and biases."""
     if log.controls is None:
         raise LogError(f"{log.name} has no odometry, without which sightings do not tell the noise; give it by hand")
     count = int(np.count_nonzero(log.landmarks != UNIDENTIFIED))
@@ -400,7 +400,7 @@ def _fitted(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]
 
 
 def _hold_needless(fitted: Unknowns) -> dict[str, float]:
-    """Hold the biases of the kinds of which the log shows none: {name: the standard deviation that it may still have}.
+    """Hold the biases of the kinds that the log does not show: {name: its remaining standard deviation}.
 
     With the evidence K the ideal values have the probability P = K / (1 + K), and the mean square of a bias about them is
     (1 - P) times that of the estimate.

@@ -34,7 +34,7 @@ RIGHT = 2.0
 WEAK = 0.33
 #: limits of the lags [s] over which correlations are averaged
 LAGS = np.array([0.0, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0])
-#: errors correlated by less than this count as independent, and fewer pairs than this tell no correlation
+#: errors correlated by less than this count as independent, and correlations of fewer pairs than this are not computed
 INDEPENDENT, FEWEST = 0.1, 20
 #: errors are correlated where rho of one of so many of the shortest lags is above so many of its standard errors
 SHORT, SIGNIFICANT = 5, 2.0
@@ -171,7 +171,7 @@ def _unlikely(log: Log, rows: np.ndarray, density: Array) -> np.ndarray:
 
 
 def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.Generator) -> Array:
-    """rho of the errors of one landmark for the lags between `LAGS`, NaN where too few pairs tell it.
+    """rho of the errors of one landmark for the lags between `LAGS`, NaN where there are too few pairs.
 
     The numbers of a sighting count together, each by how much of its residuals is the sensor's own noise. All are zero where
     none is significant: their standard errors come from the differences between landmarks, whose errors are independent.

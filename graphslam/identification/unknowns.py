@@ -31,13 +31,13 @@ from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, interpolate, inverse, perpendicular, rotation, turn_matrix, wrap
+from ..se2 import Array, between, chained, compose, interpolate, inverse, perpendicular, rotation, turn_matrix, wrap
 from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
 from .odometry import Edges, Odometry, add_at, near, sensor_parts, with_variances
 
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
-#: a log tells only its quotient with the scale of the wheels.
+#: only its quotient with the scale of the wheels is identifiable.
 PRIORS = {
     "wheel_scale": 0.03, "turn_scale": 0.03, "turn_rate_bias": 0.01, "curvature_bias": 0.01, "range_bias": 0.03,
     "bearing_bias": 0.03, "sensor_ahead": 0.05, "sensor_left": 0.03, "sensor_delay": 0.1,
@@ -362,9 +362,7 @@ class Unknowns:
         moves += (motions.by_first @ step[self.before, :, None] + motions.by_second @ step[self.after, :, None])[
             :, :, 0
         ]
-        new[: self.poses, 2] = x[0, 2] + np.concatenate([[0.0], np.cumsum(moves[:, 2])])
-        along = np.einsum("eij,ej->ei", rotation(new[: self.poses - 1, 2]), moves[:, :2])
-        new[: self.poses, :2] = x[0, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(along, axis=0)])
+        new[: self.poses] = chained(x[0], moves)
         rows = self._first_sightings
         at, nodes = self.seen_from[rows], self.seen[rows]
         offset = self.state[nodes] - x[at]

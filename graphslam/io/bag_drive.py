@@ -255,7 +255,7 @@ def _is_parent(name: str, frames: Frames) -> bool:
 
 
 def _stated(options: TableOptions) -> bool:
-    """Whether the user says where the sensor is."""
+    """Whether the user states the place of the sensor."""
     return options.sensor_offset is not None or options.sensor_yaw is not None or options.axes != TableOptions().axes
 
 
@@ -302,7 +302,7 @@ def _poses_table(collector: Collector) -> Columns:
 def _sightings_table(
     collector: Collector, options: TableOptions, frames: Frames, base: str
 ) -> tuple[Columns, tuple[float, float] | None]:
-    """The sightings in the axes of the robot, and the place of the sensor where the bag says it."""
+    """The sightings in the axes of the robot, and the place of the sensor where the bag has it."""
     ids, classes = collector.ids(), collector.classes()
     if ids is None and "class" not in options.columns_of("sightings"):
         # the only name that a detection has is that of its landmark, unless the user says that it is a class

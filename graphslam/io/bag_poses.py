@@ -43,7 +43,7 @@ _FIX = "sensor_msgs/msg/NavSatFix"
 APART, GAP, JUMP = 1.0, 2.0, 5.0
 #: the standard deviation of a fix whose covariance is not known [m]: that of a receiver without corrections, in the open
 FIX = 5.0
-#: variances from here on say that something was not measured [m², rad²]
+#: variances from here on mean that something was not measured [m², rad²]
 UNKNOWN = 1e4
 #: the half axis [m] and the eccentricity squared of WGS 84
 _AXIS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
@@ -127,7 +127,7 @@ class Poses:
 
     @property
     def explicit(self) -> np.ndarray:
-        """The times [ns] (N,) of the poses that relations are measured from; -1 where the message does not say it."""
+        """The times [ns] (N,) of the poses that relations are measured from; -1 where the message has no such time."""
         return np.array(self._from, dtype=np.int64)
 
 

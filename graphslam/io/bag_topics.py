@@ -100,7 +100,7 @@ TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 @dataclass(frozen=True)
 class Candidate:
-    """A topic with what it could be, and how well it suits; ``chosen`` says what it would be taken for."""
+    """A topic with its possible role and the score of that; ``chosen`` is the role for which it would be read."""
 
     topic: Topic
     could_be: str = ""

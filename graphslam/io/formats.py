@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError, OptionError, quoted
-from ..errors.checks import check_choice
+from ..errors.checks import check_choice, check_known
 from ..files import check_file, check_path, check_unpacked, path_of
 from ..graph import Graph
 from ..graph.pose_graph import DIALECTS, is_pose_graph
@@ -48,9 +48,8 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     path = path_of(path)
     chosen = _format_of(path, format)
     known = {f.name: f.metadata.get("needs") for f in fields(ReadOptions)}
+    check_known("load", options, known, f"; its options are format, {', '.join(known)}")
     for name in options:
-        if name not in known:
-            raise OptionError(f"load has no option {quoted(name)}; its options are format, {', '.join(known)}")
         needs = known[name]
         if options[name] is not None and needs is not None and not getattr(chosen, needs):
             raise OptionError(

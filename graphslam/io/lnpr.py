@@ -27,9 +27,9 @@ from ..log.rows import Fault, ReadOptions, sound_rows
 from ..models import MotionModel, SensorModel
 from .base import Format, errors_name
 
-#: the columns of each kind of line; the last one of z may be missing
 #: numbers that nothing was measured with
 _NO_NUMBERS = ("nan", "inf", "infinity")
+#: the columns of each kind of line; the last one of z may be missing
 _COLUMNS = {"delta": "DT", "u": "t NU OMEGA", "x": "t X Y THETA", "z": "t ID RANGE BEARING PSI"}
 
 

@@ -94,7 +94,7 @@ def _read(path: Path, options: ReadOptions) -> Log:
 
 
 def _left_out(content: dict[str, np.ndarray], path: Path, strict: bool) -> tuple[str, ...]:
-    """Leave out the sightings of an archive that cannot be, and say so; arrays of a wrong shape are refused elsewhere."""
+    """Remove impossible sightings from the arrays of an archive; notes on them. `Log` refuses arrays of a wrong shape."""
     sightings = content["sightings"]
     if sightings.ndim != 2 or sightings.shape[1] not in (2, 3) or sightings.dtype.kind != "f":
         return ()

@@ -26,7 +26,7 @@ from .text_table import MISSING
 
 #: nanoseconds of each unit
 UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
-#: floating-point numbers of seconds tell nanoseconds up to here, with their rounding and that of the product
+#: floating-point numbers of seconds resolve nanoseconds up to here, with their rounding and that of the product
 _EXACT = 2.0**51
 #: whole nanoseconds in 64 bits are below this
 _LARGEST = 2.0**63

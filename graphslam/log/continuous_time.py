@@ -89,7 +89,7 @@ def control_path(
     if log.controls is None or log.dt is None or log.times is None or len(log.controls) == 0:
         T = log.num_poses - 1
         return ControlPath(np.arange(T + 1.0), np.arange(T + 1), np.zeros((T, 3)), np.tile(np.eye(3), (T, 1, 1)))
-    motion = motion or log.motion or MotionModel()
+    motion, _ = log.noise_models(motion)
     pieces = np.maximum(1, np.ceil(np.abs(log.controls[:, 1]) * log.dt / most_turn)).astype(np.int64)
     controls, dt = np.repeat(log.controls, pieces, axis=0), np.repeat(log.dt / pieces, pieces)
     rows = np.concatenate([[0], np.cumsum(pieces)])[log.control_starts]

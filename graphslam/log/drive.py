@@ -6,7 +6,7 @@ the unit silences the check of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -30,7 +30,7 @@ from .cells import (
     time_faults,
 )
 from .rows import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
-from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Chosen, Kept, Table, find, unit_of
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Kept, Table, find, unit_of
 from .table_options import ANGLES, LENGTHS, TableOptions
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
@@ -472,20 +472,3 @@ def ordered(
     note = f"{reader.table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
     order = np.argsort(ns, kind="stable")
     return ns[order], order, (note,)
-
-
-READERS: Mapping[str, Callable[[Table, TableOptions], Timed]] = {
-    "odometry": odometry_of, "sightings": sightings_of, "truth": truth_of,
-}  # fmt: skip
-__all__ = [
-    "READERS",
-    "ROLES",
-    "Chosen",
-    "Reader",
-    "Timed",
-    "map_of",
-    "odometry_of",
-    "ordered",
-    "sightings_of",
-    "truth_of",
-]

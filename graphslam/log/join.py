@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import LogError, OptionError, quoted
-from ..errors.checks import check_type, checked_offset, first, suggestion
+from ..errors import LogError, OptionError
+from ..errors.checks import check_known, check_type, checked_offset, first
 from ..models import SensorModel
 from ..se2 import Array
 from .cells import Doubt, seconds
@@ -269,11 +269,7 @@ def from_tables(
     check_type(TableOptions, options=options)
     if options is not None and changes:
         raise OptionError(f"give {next(iter(changes))} as a field of options, or leave out options")
-    for change in changes:
-        if change not in (names := [f.name for f in fields(TableOptions)]):
-            raise OptionError(
-                f"from_tables has no option {quoted(change)}{suggestion(change, names) or '; see TableOptions'}"
-            )
+    check_known("from_tables", changes, [f.name for f in fields(TableOptions)], "; see TableOptions")
     tables = {"truth": truth, "map": map, "relations": relations, "positions": positions}
     drive = read_drive(odometry, sightings, **tables, options=options or TableOptions(**changes))
     return drive.log(ReadOptions(keep_every=keep_every), name)

@@ -331,9 +331,9 @@ class Log:
 
     @property
     def robot_truth(self) -> Array | None:
-        """The true poses of the robot itself, (T+1, 3); ``true_poses`` unless ``truth_offset`` says otherwise.
+        """The true poses of the robot itself, (T+1, 3); ``true_poses`` where ``truth_offset`` is zero.
 
-        With an offset a row is NaN where the true heading is not known: it says where the robot is from the point.
+        With an offset a row is NaN where the true heading is not known, which the direction to the robot depends on.
         """
         if self.true_poses is None or self.truth_offset == (0.0, 0.0):
             return self.true_poses
@@ -368,11 +368,22 @@ class Log:
         controls, dt, motion = self._driven(motion)
         return motion.accumulate(controls, dt, self.control_starts, self.control_variances, self.recorded_dt)
 
+    def noise_models(
+        self, motion: MotionModel | None = None, sensor: SensorModel | None = None
+    ) -> tuple[MotionModel, SensorModel]:
+        """The noise models that are given, else those of the log, else the book's.
+
+        Raises:
+            OptionError: one of them is no such model.
+        """
+        check_type(MotionModel, motion=motion)
+        check_type(SensorModel, sensor=sensor)
+        return motion or self.motion or MotionModel(), sensor or self.sensor or SensorModel()
+
     def _driven(self, motion: MotionModel | None) -> tuple[Array, Array, MotionModel]:
         if self.controls is None or self.dt is None:
             raise LogError(f"{self.name} has no controls to compute motions from")
-        check_type(MotionModel, motion=motion)
-        return self.controls, self.dt, motion or self.motion or MotionModel()
+        return self.controls, self.dt, self.noise_models(motion)[0]
 
     def without_orientation(self) -> Log:
         """The same log without psi, as from a range-bearing sensor."""

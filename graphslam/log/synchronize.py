@@ -189,7 +189,7 @@ def _positions(stream: Stream | None, times: Array) -> AbsolutePositions | None:
 
 
 def _why_not_covered(times: Array, truth: Stream) -> str:
-    """Why `truth_at` finds nothing: rows too far apart, or another time; nothing to say for fewer than two rows."""
+    """The cause why `truth_at` finds nothing: rows too far apart, or another time; empty for fewer than two rows."""
     if len(truth) < 2:
         return ""
     at = np.unique(truth.times)

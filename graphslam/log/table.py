@@ -203,7 +203,7 @@ NAMES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 #: names too short or too general to be recognised at the end of a longer one
 WHOLE = ("v", "w", "r", "l", "d", "b", "kind", "type", "from", "to", "std", "sx", "sy", "t1", "t2")
-#: words at the end of a name that say its unit -> the unit
+#: units at the end of the name of a column -> the unit
 UNITS = {
     "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms",
     "us": "us", "usec": "us", "micros": "us", "microseconds": "us", "ns": "ns", "nanos": "ns",

@@ -178,7 +178,7 @@ def moves(sensor: SensorModel, poses: Array, sightings: Array) -> Array:
 
 
 def _direction(sign: int, degrees: int) -> tuple[str, str]:
-    """The name of the check, and what is said about a sensor whose bearings b are read as sign * b + degrees."""
+    """The name of the check, and the finding about a sensor whose bearings b are read as sign * b + degrees."""
     yaw = f"--sensor-yaw {np.deg2rad(degrees):.4f}"
     if (sign, degrees) == (-1, 0):
         return "bearing sign", "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise)"

@@ -22,7 +22,7 @@ GROWTH = 1.5
 
 
 class Localizer:
-    """A backend in a map, which finds where the robot is, says what it sees, and notices when it was lifted.
+    """A backend in a map: global localisation, association of sightings without ids, and detection of a lifted robot.
 
     Until the robot has been found, the backend has no map, and its first pose is the origin. Then, and when the robot was
     lifted, a new backend gets all measurements again, from the new place.
@@ -92,7 +92,7 @@ class Localizer:
         self._motions: list[Array] = []
         self._noise: list[Array] = []
         self._rows: list[tuple[int, int, Array]] = []
-        #: the sightings, and the doubt, from which the next search is worth its time
+        #: the numbers of sightings and of doubts from which the next search is due
         self._due, self._tried = 2, DOUBT
 
     def _see(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
@@ -117,7 +117,7 @@ class Localizer:
         return sightings[:, : self._backend.columns or sightings.shape[1]]
 
     def _found(self) -> tuple[int, Fix] | None:
-        """A pose that is elsewhere than was known, and where."""
+        """The pose whose place in the map was found, for the first time or anew, and its fix; None for none."""
         tracker = self.tracker
         if tracker is None:
             if len(self._rows) < self._due:

@@ -6,7 +6,6 @@ import inspect
 import sys
 from copy import deepcopy
 from functools import partial
-from importlib import import_module
 from numbers import Real
 from typing import Any, TypeVar, cast
 
@@ -17,7 +16,7 @@ from scipy.special import expit
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import check_choice, check_count, check_positive, check_type, suggestion
+from ..errors.checks import check_choice, check_count, check_known, check_positive, check_type
 from ..graph.integrity import beyond, inflation
 from ..graph.landmark_map import as_map
 from ..linear.precision import check_model, inverses
@@ -27,8 +26,9 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array, wrap
 from .backend import Backend, array_or_none, information_of, numbers
 from .localizer import Localizer
+from .own import OwnBackend
 
-#: the backends; each is a module of this package
+#: the backends
 BACKENDS = ("own", "isam2")
 
 Model = TypeVar("Model", MotionModel, SensorModel)
@@ -76,12 +76,7 @@ class OnlineSolver:
         check_positive(motion_weight=motion_weight)
         kind: Any = backend_class(backend)
         known = backend_options(backend)
-        for name in options:
-            if name not in known:
-                raise OptionError(
-                    f"the backend {backend} has no option {quoted(name)}{suggestion(name, known)}; its own options are "
-                    f"{', '.join(known)}"
-                )
+        check_known(f"the backend {backend}", options, known, f"; its own options are {', '.join(known)}")
         self.motion = _model("motion", motion, MotionModel)
         self.sensor = _model("sensor", sensor, SensorModel)
         self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
@@ -394,8 +389,11 @@ def backend_class(backend: str) -> type[Any]:
         OptionError: there is no such backend.
     """
     check_choice("backend", backend, BACKENDS)
-    found: type[Any] = getattr(import_module(f".{backend}", __package__), f"{backend.capitalize()}Backend")
-    return found
+    if backend == "isam2":
+        from .isam2 import Isam2Backend
+
+        return Isam2Backend
+    return OwnBackend
 
 
 def backend_options(backend: str) -> list[str]:

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import OptionError, quoted
-from ..errors.checks import check_count, check_not_negative, check_type, option, suggestion
+from ..errors import OptionError
+from ..errors.checks import check_count, check_known, check_not_negative, check_type, option
 from ..errors.options import check_options
 from ..log import Log
 from ..models import MotionModel, SensorModel
@@ -109,10 +109,7 @@ def simulate(
     check_type(SensorFaults, sensor_faults=sensor_faults)
     check_type(MotionModel, motion=motion)
     check_type(SensorModel, sensor=sensor)
-    known = [each.name for each in fields(World)]
-    for option_name in options:
-        if option_name not in known:
-            raise OptionError(f"simulate has no option {quoted(option_name)}{suggestion(option_name, known)}")
+    check_known("simulate", options, [each.name for each in fields(World)])
     if not isinstance(seed, np.random.Generator):
         check_count(seed=seed)
     world = replace(world or World(), **options)

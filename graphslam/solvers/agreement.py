@@ -34,7 +34,7 @@ from ..edges import RelationEdges
 from ..graph import Graph
 from ..linear.precision import inverses
 from ..se2 import Array, between, compose, inverse, turn_matrix
-from .iteration import Run, levenberg_marquardt
+from .iteration import end_of, levenberg_marquardt, rough
 from .minimize import minimize
 from .starts import dead_reckoning, odometry
 from .uncertainty import Uncertainty
@@ -87,7 +87,7 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
     pairs = agreeing(graph, edges, limit)
     careful = pairs.sum() < FEW * edges.count
     trusted, left_out = pairs.copy(), np.zeros(edges.count, dtype=int)
-    rough, share = 1e-3 * len(graph.steps) ** 0.5, FIRST if careful else 1.0
+    share = FIRST if careful else 1.0
     covariances, state = np.linalg.inv(edges.information), dead_reckoning(graph)
     own_size, volume = np.sqrt(np.linalg.det(covariances)), _volume(edges.measured)
     rounds, settled, bent = 0, False, bool(pairs.any())
@@ -96,9 +96,9 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
         trusting = graph.with_trust(trusted.astype(float))
         if bent:
             # what was wrong may have left bends that other starts do not have
-            state = minimize(trusting, tolerance=rough, initialize=initialize).state
+            state = minimize(trusting, tolerance=rough(graph), initialize=initialize).state
         else:
-            state = _solved(trusting, state, rough)
+            state = end_of(levenberg_marquardt, trusting, state, max_iterations=STEPS)
         linear = edges.linearize(state, state)
         by_poses = Uncertainty(trusting, state).of_edges(linear)
         # rounding may make a relation that alone determines something more certain than it is
@@ -123,15 +123,9 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
         before, trusted = trusted, (edges.squares(state) <= limit) & ~chance
         if np.array_equal(trusted, before):
             break
-        state = _solved(graph.with_trust(trusted.astype(float)), state, rough)
+        state = end_of(levenberg_marquardt, graph.with_trust(trusted.astype(float)), state, max_iterations=STEPS)
     certain = settled and not careful and float(np.sum(pairs & ~trusted)) <= DOUBTFUL * float(pairs.sum())
     return Grown(state, trusted.astype(float), rounds, settled, certain)
-
-
-def _solved(graph: Graph, state: Array, tolerance: float) -> Array:
-    run = Run(state, tolerance, STEPS)
-    levenberg_marquardt(graph, run)
-    return run.state
 
 
 def _ellipsoid(squares: Array, size: Array) -> Array:

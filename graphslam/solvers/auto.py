@@ -22,7 +22,7 @@ from ..graph import Graph
 from ..se2 import Array
 from .certificate import GLOBAL, Certificate, prove
 from .initialize import AUTO, GROWING, starting_state
-from .iteration import Run, factorized, gauss_newton, levenberg_marquardt
+from .iteration import Run, end_of, factorized, gauss_newton, levenberg_marquardt
 from .starts import descents, lower_by_turns, most_steps
 
 DAMPED = "levenberg-marquardt"
@@ -170,7 +170,7 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
                 break
         good = _counted(ends, given)
         if not _finished(good, further):
-            ends += _turned(graph, run_from, ends, tried, initialize, effort)
+            ends += _with_other_turns(graph, run_from, ends, tried, initialize, effort)
             good = _counted(ends, given)
         if _finished(good, further):
             break
@@ -213,7 +213,7 @@ def _end(graph: Graph, run_from: Callable[..., Run], start: Array, search: str, 
     return End(graph, run, search, before)
 
 
-def _turned(
+def _with_other_turns(
     graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: int, started: str, effort: _Effort
 ) -> list[End]:
     """The lower end that other turns lead to from the last end, if it has converged and no end before it has its cost.
@@ -333,10 +333,7 @@ def _narrowed(graph: Graph, state: Array) -> Array:
         GraphError: the edges do not determine the nodes.
     """
     for factor in WIDER:
-        run = Run(state.copy(), tolerance=1e-3 * graph.num_nodes**0.5, max_iterations=STEPS)
-        gauss_newton(graph.with_wider_kernel(factor), run)
-        if np.isfinite(run.state).all():
-            state = run.state
+        state = end_of(gauss_newton, graph.with_wider_kernel(factor), state, 1e-3 * graph.num_nodes**0.5, STEPS)
     return state
 
 

@@ -49,7 +49,7 @@ from ..se2 import Array
 from .agreement import grown_trust
 from .corrected import corrected, sighted_edges
 from .initialize import partial_edges
-from .iteration import Run, levenberg_marquardt
+from .iteration import end_of, levenberg_marquardt, rough
 from .minimize import minimize, without_parameters
 from .solution import Solution
 from .starts import place_landmarks
@@ -140,7 +140,7 @@ def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
     seen = sighted_edges(graph)
     robust = replace(seen, kernel=Cauchy())  # type: ignore[type-var]
     families = tuple(robust if family is seen else family for family in graph.families)
-    found = minimize(replace(graph, families=families), tolerance=_rough(graph), initialize=initialize)
+    found = minimize(replace(graph, families=families), tolerance=rough(graph), initialize=initialize)
     assert found.graph is not None and found.graph.parameters is not None
     return corrected(graph, found.graph.parameters.values, found.state).with_initial(found.state)
 
@@ -259,7 +259,7 @@ def _sequence(
 ) -> _Sequence:
     """The sequence from plain squares to squares truncated at c²; the edges have the measurements in an order (N,)."""
     trust = np.ones(len(order))
-    state = minimize(graph, tolerance=_rough(graph), initialize=initialize).state
+    state = minimize(graph, tolerance=rough(graph), initialize=initialize).state
     squares = measured.squares(state, trust)
     largest = float(squares.max(initial=0.0))
     mu = 1 / (2 * largest - 1) if 2 * largest > 1 else np.inf
@@ -280,7 +280,7 @@ def _from_kernel(graph: Graph, measured: _Measurements, initialize: str) -> _Seq
     Plain squares put their landmarks so far from where they are that the sequence from there rejects most of them.
     """
     robust = tuple(replace(f, kernel=Cauchy()) if isinstance(f, DoubtedEdges) else f for f in graph.families)  # type: ignore[type-var]
-    state = minimize(replace(graph, families=robust), tolerance=_rough(graph), initialize=initialize).state
+    state = minimize(replace(graph, families=robust), tolerance=rough(graph), initialize=initialize).state
     trust = truncated_trust(measured.squares(state, np.ones(len(measured.limits))), 1.0, np.inf)
     return _settled(graph, _Sequence(state, trust, 0, settled=True), measured)
 
@@ -307,14 +307,7 @@ def _settled(graph: Graph, sequence: _Sequence, measured: _Measurements) -> _Seq
 
 def _damped(graph: Graph, trust: Array, state: Array, steps: int = STEPS) -> Array:
     """The state (n, 3) after some damped steps with this trust."""
-    run = Run(state, _rough(graph), steps)
-    levenberg_marquardt(graph.with_trust(trust), run)
-    return run.state
-
-
-def _rough(graph: Graph) -> float:
-    """The step norm below which the trust in measurements is determined."""
-    return 1e-3 * len(graph.steps) ** 0.5
+    return end_of(levenberg_marquardt, graph.with_trust(trust), state, max_iterations=steps)
 
 
 def truncated_trust(squares: Array, limit: float, mu: float) -> Array:

@@ -74,7 +74,7 @@ def _is_point(graph: Graph, node: int) -> bool:
 
 
 def _prior_factor(graph: Graph, nodes: np.ndarray, values: Array, information: Array) -> gtsam.NonlinearFactor:
-    """The factor of a prior of landmarks with information (3K, 3K), zero for coordinates about which it says nothing."""
+    """The factor of a prior of landmarks with information (3K, 3K), zero for coordinates without a prior."""
     known = np.diagonal(information).reshape(-1, 3) > 0
     rows = known.ravel()
     return factor_types.PriorFactor(

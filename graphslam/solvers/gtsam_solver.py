@@ -388,7 +388,7 @@ def _promises_little(
 
 
 def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str) -> tuple[Array, list[float], bool]:
-    """Freeze the information, solve, and freeze it again, until the solution no longer moves."""
+    """Freeze the information, solve, and freeze it again, until the solution does not change."""
     state, mixing = graph.initial.copy(), engine.AndersonMixing()
     norms: list[float] = []
     while len(norms) < max_iterations:

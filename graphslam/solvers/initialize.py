@@ -33,7 +33,7 @@ from ..graph.transform import (
 )
 from ..graph.trilateration import Places, places_of
 from ..se2 import Array, compose
-from .iteration import Run, gauss_newton, levenberg_marquardt
+from .iteration import end_of, gauss_newton, levenberg_marquardt, rough
 from .starts import dead_reckoning, place_landmarks, rotation_first, sequential_start
 
 #: other places of a landmark are tried at the end when J there, on the same trajectory, is higher by at most this much
@@ -44,7 +44,7 @@ DOUBTED = 2 * np.log(1000.0)
 SWEEPS = 5
 #: a landmark that ends nearer to its place than this part of the way to the other one has come back
 BACK = 0.1
-#: a motion with less information [1/m²] says nothing, as from the end of one drive to the start of the next
+#: a motion with less information [1/m²] counts as unknown, such as that from the end of one drive to the start of the next
 NOTHING = 1e-4
 #: the poses of the first graph, and how much larger the next one is
 FIRST, GROWTH = 10, 1.25
@@ -126,7 +126,7 @@ def doubtful_images(graph: Graph, state: Array) -> dict[int, float]:
 
 
 def image_notes(graph: Graph, state: Array) -> tuple[str, ...]:
-    """A sentence for each landmark that may as well be elsewhere; see `doubtful_images`."""
+    """A note for each landmark with another place that is nearly as likely; see `doubtful_images`."""
     return tuple(
         f"landmark {j} may be elsewhere, such as in its mirror image: the odds for this place are {odds:.3g} to 1"
         for j, odds in doubtful_images(graph, state).items()
@@ -163,9 +163,7 @@ def _seen_whole(graph: Graph) -> list[int]:
 
 
 def _solved(graph: Graph, start: Array) -> Array:
-    run = Run(start.copy(), tolerance=1e-4 * len(graph.steps) ** 0.5, max_iterations=40)
-    levenberg_marquardt(graph, run)
-    return run.state
+    return end_of(levenberg_marquardt, graph, start, 0.1 * rough(graph), max_iterations=40)
 
 
 def _all_places(graph: Graph, state: Array, count: int, but: set[int]) -> Iterator[tuple[int, Places]]:
@@ -223,9 +221,7 @@ def cartesian_first(graph: Graph) -> Array:
     easier = with_cartesian_sightings(graph)
     if easier is None:
         raise GraphError("there are no sightings with a polar residual")
-    run = Run(starting_state(easier, "auto"), tolerance=_roughly(graph))
-    gauss_newton(easier, run)
-    return run.state
+    return end_of(gauss_newton, easier, starting_state(easier, "auto"))
 
 
 def virtual_motion_first(graph: Graph) -> Array:
@@ -241,9 +237,7 @@ def virtual_motion_first(graph: Graph) -> Array:
         smaller, nodes = coarser
         poses = virtual_motion_first(smaller)[: len(smaller.steps)]
         easier = easier.with_initial(filled(graph, nodes[: len(poses)], poses))
-    run = Run(easier.initial.copy(), tolerance=_roughly(graph))
-    gauss_newton(easier, run)
-    return place_landmarks(graph, _in_map(graph, run.state))
+    return place_landmarks(graph, _in_map(graph, end_of(gauss_newton, easier, easier.initial)))
 
 
 def _in_map(graph: Graph, poses: Array) -> Array:
@@ -253,11 +247,6 @@ def _in_map(graph: Graph, poses: Array) -> Array:
         return poses
     ids = graph.landmark_ids[family.second - len(graph.steps)]
     return registered(poses, family.first, family.sightings, ids, graph.map, family.sensor)
-
-
-def _roughly(graph: Graph) -> float:
-    """The tolerance of steps on the way to a starting state, which needs little accuracy."""
-    return 1e-3 * len(graph.steps) ** 0.5
 
 
 def _given(graph: Graph) -> Array:

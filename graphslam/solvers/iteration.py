@@ -120,7 +120,7 @@ def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: fl
     run.state, run.costs, run.step_norms = inside.state, inside.costs, inside.norms
     run.converged, run.factorizations = inside.converged, inside.factorizations
     if inside.end == engine.End.not_determined:
-        # the same again in Python, which says where
+        # repeated in Python, whose error names the nodes
         factorized(graph, run.state, inside.damping).solve(graph.system.xi)
         raise AssertionError("a factorisation that failed in the engine succeeded")
     run.reason = _reason(run, inside)
@@ -143,6 +143,29 @@ def _reason(run: Run, inside: Any) -> str:
         End.singular: "stuck: damped steps lead to a state where Omega is singular",
     }
     return reasons[inside.end]
+
+
+def end_of(
+    method: Callable[[Graph, Run], None], graph: Graph, start: Array, tolerance: float | None = None,
+    max_iterations: int = 100,
+) -> Array:  # fmt: skip
+    """The state (n, 3) at which an iteration ends; the start where that is not finite.
+
+    Args:
+        method: `gauss_newton` or `levenberg_marquardt`.
+        tolerance: default: `rough`.
+
+    Raises:
+        GraphError: the edges do not determine the nodes.
+    """
+    run = Run(start.copy(), rough(graph) if tolerance is None else tolerance, max_iterations)
+    method(graph, run)
+    return run.state if np.isfinite(run.state).all() else start
+
+
+def rough(graph: Graph) -> float:
+    """The step norm below which an iteration on the way to a solution ends: 1 mm or 1 mrad for each pose."""
+    return 1e-3 * len(graph.steps) ** 0.5
 
 
 def rounding(state: Array, system: BlockSystem) -> float:

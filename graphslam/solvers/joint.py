@@ -12,7 +12,7 @@ at the price of K further right-hand sides. S^-1 is the covariance of the parame
 J of a sighting is its Jacobian by its pose times the move of this pose (`identification.corrections`). So every sighting
 gets a copy of its pose, the family writes the Omega of these copies as it does for any graph, and C, D and g are sums of it.
 
-Whether a log tells the parameters: the information that it would have without any noise.
+Observability of the parameters: the information that the log would have without any noise.
 
 With all measurements replaced by what the state predicts, a change of the parameters that the nodes can follow exactly, such
 as one scale for wheels and ranges, has no information at all. (With the measured values such a change still has some: a
@@ -260,9 +260,9 @@ NAMED = 0.1
 
 
 def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
-    """Raise `GraphError` where the log does not tell the parameters, at nodes (n, 3) and values (K,), with names and reason.
+    """Raise `GraphError` where the parameters are not observable, at nodes (n, 3) and values (K,), with names and reason.
 
-    A prior does not help: what the log does not tell at all would only be the prior.
+    Priors are left out: without information in the log the estimate would be the prior.
     """
     parameters, K = joint.parameters.at(values), len(values)
     graph, slopes = _without_noise(corrected(joint.graph, values, nodes), nodes)

@@ -18,7 +18,7 @@ from numbers import Real
 from typing import Any
 
 from ..errors import GraphError, OptionError, SlamError, quoted
-from ..errors.checks import check_choice, check_count, check_positive, suggestion
+from ..errors.checks import check_choice, check_count, check_known, check_positive
 from ..graph import Graph, check_graph
 from ..linear.information import Structures, sharing
 from .gnc import solve_gnc
@@ -143,11 +143,7 @@ def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: A
         OptionError: an option does not exist or has an impossible value; or, in its turn, something is no `Graph`.
     """
     known = [name for name in signature(solve).parameters if name not in ("graph", "callback")]
-    for name in options:
-        if name not in known:
-            raise OptionError(
-                f"solve_many has no option {quoted(name)}{suggestion(name, known)}; it takes jobs and {', '.join(known)}"
-            )
+    check_known("solve_many", options, known, f"; it takes jobs and {', '.join(known)}")
     defaults = {name: signature(solve).parameters[name].default for name in known}
     check_options(**(defaults | options))
     if jobs is not None:

@@ -27,6 +27,7 @@ cost about E² / V there, and (2 pi - abs(E))² / V after the other turn.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,8 +40,8 @@ from ..graph import Graph
 from ..graph.transform import first_poses
 from ..linear.cholesky import FactorizationError
 from ..linear.information import BlockSystem
-from ..se2 import Array, compose, rotation, wrap
-from .iteration import Run, gauss_newton
+from ..se2 import Array, chained, compose, rotation, wrap
+from .iteration import Run, end_of, gauss_newton
 
 
 def rotation_first(graph: Graph) -> Array:
@@ -116,9 +117,8 @@ def dead_reckoning(graph: Graph) -> Array:
     """
     state, (step, _) = graph.initial.copy(), odometry(graph, "dead-reckoning")
     poses = slice(0, len(step))
-    turned = np.cumsum(np.append(state[:1, 2], step[1:, 2]))
-    moved = np.einsum("kij,kj->ki", rotation(turned[:-1]), step[1:, :2])
-    state[poses] = np.column_stack([np.cumsum(np.concatenate([state[:1, :2], moved]), axis=0), wrap(turned)])
+    state[poses] = chained(state[0], step[1:])
+    state[poses, 2] = wrap(state[poses, 2])
     return state
 
 
@@ -249,14 +249,8 @@ def sequential_start(graph: Graph, poses: int) -> Array:
         seen_from = tree.parents[total:]
         _place(state, tree, np.flatnonzero((seen_from >= before) & (seen_from < count)) + total)
         piece, nodes = first_poses(graph, count)
-        # a start needs little accuracy
-        run = Run(state[nodes], tolerance=1e-3 * count**0.5, max_iterations=STEPS_EACH)
-        try:
-            gauss_newton(piece, run)
-        except GraphError:
-            continue  # more poses may determine what these leave open
-        if np.isfinite(run.state).all():
-            state[nodes] = run.state
+        with suppress(GraphError):  # more poses may determine what these leave open
+            state[nodes] = end_of(gauss_newton, piece, state[nodes], max_iterations=STEPS_EACH)
     return state
 
 

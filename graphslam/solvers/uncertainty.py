@@ -1,6 +1,6 @@
 """Covariances from the factor of Omega at a solution: blocks of Omega^-1, which itself is never formed.
 
-What speaks against estimated parameters although the log determines them.
+Doubts about estimated parameters that the log determines.
 """
 
 from __future__ import annotations
@@ -150,9 +150,10 @@ class Uncertainty:
         return square
 
 
-#: the parameters that turns tell: a shift of the sensor moves sightings differently only where the robot turns
+#: the parameters that are identifiable from turns only: where the robot does not turn, a shift of the sensor moves all
+#: sightings alike
 BY_TURNS = ("sensor_ahead", "sensor_left", "sensor_delay")
-#: the parameters that change the size of the world; a log tells only their quotient
+#: the parameters that change the size of the world; only their quotient is identifiable
 SCALES = ("wheel_scale", "range_scale")
 #: a scale that is so many standard deviations from 1 is wrong, or the other one is
 CLEAR = 3.0

@@ -131,7 +131,7 @@ def test_grown_hypotheses_have_the_joint_evidence_and_the_best_is_found() -> Non
                 joint[tuple(rows)] = float(weights[rows].sum() + density)
         for rows, value in joint.items():
             assert pairs.evidence(np.array(rows)) == pytest.approx(value, abs=1e-8)
-        best = pairs.several(np.arange(9), 3)
+        best = pairs.k_best(np.arange(9), 3)
         assert best[0].evidence == pytest.approx(max(joint.values()), abs=1e-8)
         assert all(joint[tuple(each.pairs)] == pytest.approx(each.evidence, abs=1e-8) for each in best)
 
