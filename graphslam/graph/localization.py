@@ -2,13 +2,15 @@
 
 The first fix needs no start pose: the first sightings of landmarks of the map, carried back to the first pose by the
 odometry, are registered in the map (`graph.registration`). More of them are taken until the odds of the fix, against any
-other place and against none, are above `SURE`, and until three landmarks agree, because two fit a mirrored map as well,
-or two with headings, because one fits a map in any unit, and few contradict.
+other place and against the map of another place, are above `SURE` by their joint evidence (`graph.map_evidence`), and until
+three landmarks agree, because two fit a mirrored map as well, or two with headings, because one fits a map in any unit, and
+more than contradict. Where all sightings together do not reach `SURE`, the fix says its odds. The pose and its covariance are
+those of the drive smoothed by the sightings that agree (`graph.carried`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 
@@ -18,14 +20,16 @@ from ..errors import GraphError
 from ..errors.checks import check_type, listed
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, turn_matrix, wrap
+from ..se2 import Array, between, compose, turn_matrix
+from .carried import by_pose, paired, points_of, seen_from, smoothed, together
 from .constellation import Constellations, Merged, match, merged
 from .landmark_map import LandmarkMap, as_map
-from .registration import STEPS, Match, Points, linear, register
+from .map_evidence import Weighed
+from .registration import Match, Points, register
 from .stretch import Drift, Stretch
 
 #: odds from which a fix is taken at once, and below which there is none even after all sightings
-SURE, LEAST = 1e3, 1.0
+SURE, LEAST = 1e3, 0.1
 #: a fix whose heading has a larger standard deviation [rad] leaves it open
 OPEN = 0.5
 #: the most sightings by which a whole trajectory is put into a map
@@ -60,7 +64,7 @@ class Fix:
         step: the last step whose sightings were used.
         agree, disagree: the rows of the log's sightings that were used, and of those that contradict the fix: their ids were
             misread, or their landmarks have moved.
-        odds: of the fix against all other places and against none.
+        odds: of the fix against all other places, and against the map of another place.
     """
 
     pose: Array
@@ -84,7 +88,10 @@ class Fix:
         """The source of the fix, in words."""
         wrong = f", {len(self.disagree)} contradict it" if len(self.disagree) else ""
         sightings = "sighting agrees" if len(self.agree) == 1 else "sightings agree"
-        return f"{len(self.agree)} {sightings} up to step {self.step}{wrong}"
+        doubt = (
+            "" if self.odds > SURE else f"; the odds against other places and other maps are only {self.odds:.2g} to 1"
+        )
+        return f"{len(self.agree)} {sightings} up to step {self.step}{wrong}{doubt}"
 
 
 def first_fix(
@@ -118,23 +125,23 @@ def first_fix(
         count = int(np.searchsorted(log.steps[rows], step, side="right"))
         used = rows[:count]
         drift.go_to(step)
-        points = _points(log, landmarks, sensor, used, drift)
+        points = points_of(log, landmarks, sensor, used, drift)
         matches = register(points)
-        odds = _odds(matches)
         whole = count == len(rows)
-        if odds > (LEAST if whole else SURE):
-            best = matches[0]
-            fits, contradict = _landmarks(points, best)
-            # one landmark with a heading fits a map in any unit
-            enough = fits > contradict if whole else fits > max(3 * contradict, 1 + _flat(points, best))
-            if best.covariance[2, 2] < OPEN**2 and enough:
-                agree = used[best.agree]
-                pose, covariance = _refined(
-                    points.among(np.flatnonzero(best.agree)), best.pose, _noise(log, landmarks, sensor, agree, drift)
-                )
-                return Fix(pose, covariance, step, agree, used[~best.agree], odds)
-        if count == len(rows):
-            raise _no_fix(log, points, matches)
+        # one by one they are surer than together, because they share the errors of the odometry
+        if whole or _odds(matches) > SURE:
+            found = together(log, landmarks, sensor, used, drift, points, matches)
+            odds = _odds(found)
+            if odds > (LEAST if whole else SURE):
+                best = found[0]
+                # one landmark with a heading fits a map in any unit, and two without one a mirrored map
+                enough = best.fits > best.contradict and (whole or best.fits > 2 - best.oriented)
+                if best.covariance[2, 2] < OPEN**2 and enough:
+                    agree = used[best.agree]
+                    pose, covariance = smoothed(log, landmarks, sensor, agree, best.pose)
+                    return Fix(pose, covariance, step, agree, used[~best.agree], odds)
+            if whole:
+                raise _no_fix(log, points, matches, found)
 
 
 def possible_fixes(
@@ -195,8 +202,8 @@ def _fixes_here(log: Stretch, known: Constellations, sensor: SensorModel) -> lis
         rows = order[: int(np.searchsorted(log.steps[order], step, side="right"))]
         drift.go_to(step)
         at = log.steps[rows]
-        y, sensed, lever = _seen(drift.poses[at], log.sightings[rows], sensor)
-        J = _by_pose(lever)
+        y, sensed, lever = seen_from(drift.poses[at], log.sightings[rows], sensor)
+        J = by_pose(lever)
         seen = merged(y, sensed, J @ drift.covariances[at] @ np.swapaxes(J, 1, 2), at)
         found = match(seen, known)
         best = found[0][0] if found else None
@@ -280,8 +287,8 @@ def registered(
     """Poses (P, 3), moved as a whole to where the sightings (M, 2 or 3) from them fit a map best; unmoved where none fits."""
     known = np.flatnonzero(np.isin(ids, list(landmarks)))
     known = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), ENOUGH)).round().astype(int))]
-    y = _seen(poses[nodes[known]], sightings[known], sensor)
-    matches = register(_of(y, np.zeros((len(y[0]), 3, 3)), ids[known], landmarks))
+    y = seen_from(poses[nodes[known]], sightings[known], sensor)
+    matches = register(paired(y, np.zeros((len(y[0]), 3, 3)), ids[known], landmarks))
     if not matches:
         return poses
     moved = compose(matches[0].pose, poses)
@@ -321,88 +328,6 @@ def _rows(log: Stretch, landmarks: LandmarkMap) -> np.ndarray:
     return rows
 
 
-def _points(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, drift: Drift) -> Points:
-    at = log.steps[rows]
-    seen = _seen(drift.poses[at], log.sightings[rows], sensor)
-    return _of(seen, drift.covariances[at], log.landmarks[rows], landmarks)
-
-
-def _noise(
-    log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, drift: Drift
-) -> tuple[Array, Array]:
-    """The covariances (K, K, 3, 3) of sightings from one another: of the drive and the sensor, and of the map.
-
-    Sightings share the errors of the odometry before them, and those of one landmark its error in the map.
-    """
-    at, ids = log.steps[rows], log.landmarks[rows]
-    _, C, lever = _seen(drift.poses[at], log.sightings[rows], sensor)
-    J = _by_pose(lever)
-    measured = J[:, None] @ drift.between(at) @ np.swapaxes(J, 1, 2)[None]
-    each = np.arange(len(rows))
-    measured[each, each] += C
-    of_map = np.zeros((len(rows), len(rows), 3, 3))
-    for j in np.unique(ids).tolist():
-        if j in landmarks.covariances:
-            same, d = np.flatnonzero(ids == j), len(landmarks[j])
-            of_map[same[:, None], same, :d, :d] = landmarks.covariances[j]
-    return measured, of_map
-
-
-def _refined(points: Points, pose: Array, noise: tuple[Array, Array]) -> tuple[Array, Array]:
-    """The pose (3,) of generalised least squares over measurements with covariances between them, and its covariance."""
-    count = len(points.ids)
-    some = np.unique(np.linspace(0, count - 1, min(count, ENOUGH)).round().astype(int))
-    points, (measured, of_map) = points.among(some), (part[some[:, None], some] for part in noise)
-    rows = np.column_stack([np.ones((len(some), 2), dtype=bool), points.oriented]).ravel()
-    for _ in range(STEPS):
-        e, _, J = linear(points, pose)
-        turn = turn_matrix(pose[2])
-        V = (turn @ measured @ turn.T + of_map).transpose(0, 2, 1, 3).reshape(len(rows), -1)[np.ix_(rows, rows)]
-        weighed = np.linalg.solve(V, np.column_stack([J.reshape(-1, 3)[rows], e.ravel()[rows]]))
-        covariance = np.linalg.inv(J.reshape(-1, 3)[rows].T @ weighed[:, :3])
-        pose = pose - covariance @ (J.reshape(-1, 3)[rows].T @ weighed[:, 3])
-    pose[2] = wrap(pose[2])
-    return pose, (covariance + covariance.T) / 2
-
-
-def _by_pose(lever: Array) -> Array:
-    """The derivatives (M, 3, 3) of places by the poses from which they are seen."""
-    J = np.tile(np.eye(3), (len(lever), 1, 1))
-    J[:, :2, 2] = lever
-    return J
-
-
-def _seen(poses: Array, sightings: Array, sensor: SensorModel) -> tuple[Array, Array, Array]:
-    """The landmarks (M, 3) of sightings with covariances (M, 3, 3), and their levers (M, 2) about the poses."""
-    d = sightings.shape[1]
-    y, C = np.full((len(poses), 3), np.nan), np.zeros((len(poses), 3, 3))
-    y[:, :d], C[:, :d, :d] = sensor.places(sightings, poses)
-    lever = y[:, :2] - poses[:, :2]
-    return y, C, np.column_stack([-lever[:, 1], lever[:, 0]])
-
-
-def _of(seen: tuple[Array, Array, Array], drift: Array, ids: np.ndarray, landmarks: LandmarkMap) -> Points:
-    """The points of sightings from poses with covariances ``drift`` (M, 3, 3), and their counterparts in a map."""
-    y, C, lever = seen
-    J = _by_pose(lever)
-    unique, which = np.unique(ids, return_inverse=True)
-    m, S = np.full((len(unique), 3), np.nan), np.zeros((len(unique), 3, 3))
-    for k, j in enumerate(unique.tolist()):
-        m[k, : len(landmarks[j])] = landmarks[j]
-        if j in landmarks.covariances:
-            d = len(landmarks[j])
-            S[k, :d, :d] = landmarks.covariances[j]
-    whole = np.array([place[:2] for place in landmarks.values()])
-    reach = 2 * float(np.median(np.hypot(*lever.T)))
-    area = float(np.prod(np.ptp(whole, axis=0) + reach))
-    return Points(y, C + J @ drift @ np.swapaxes(J, 1, 2), m[which], S[which], ids, area)
-
-
-def _flat(points: Points, match: Match) -> bool:
-    """Whether no heading distinguishes the map from a mirrored one."""
-    return not points.oriented[match.agree].any()
-
-
 def _landmarks(points: Points, match: Match) -> tuple[int, int]:
     """The numbers of landmarks most of whose sightings agree, and of the others."""
     _, which = np.unique(points.ids, return_inverse=True)
@@ -410,7 +335,7 @@ def _landmarks(points: Points, match: Match) -> tuple[int, int]:
     return int(np.sum(share > 0.5)), int(np.sum(share <= 0.5))
 
 
-def _odds(matches: list[Match]) -> float:
+def _odds(matches: Sequence[Match]) -> float:
     """The odds of the best hypothesis against the others and none; 0 where there is none."""
     if not matches:
         return 0.0
@@ -418,7 +343,7 @@ def _odds(matches: list[Match]) -> float:
     return float(np.exp(np.minimum(matches[0].evidence - others, 700.0)))
 
 
-def _no_fix(log: Stretch, points: Points, matches: list[Match]) -> GraphError:
+def _no_fix(log: Stretch, points: Points, matches: list[Match], found: list[Weighed]) -> GraphError:
     """The reason why no place in the map fits, with the likely cause."""
     count = len(np.unique(points.ids))
     if count == 1 and not points.oriented.any():
@@ -439,6 +364,11 @@ def _no_fix(log: Stretch, points: Points, matches: list[Match]) -> GraphError:
         places = " and ".join(f"({m.pose[0]:.2f}, {m.pose[1]:.2f}) m" for m in matches[:2])
         return GraphError(
             f"{what} fit several first poses of {log.name} alike, such as {places}; more sightings are needed"
+        )
+    if not cause and found and found[0].fits > found[0].contradict and found[0].evidence < 0:
+        return GraphError(
+            f"{what} fit it no better than that of another place (odds {np.exp(found[0].evidence):.2g}): is it that, "
+            "or are more sightings of other landmarks needed?"
         )
     best = int(np.sum(matches[0].agree)) if matches else 0
     cause = cause or "; is it the map of another place, are ids misread, or has the noise of the sensor another size?"

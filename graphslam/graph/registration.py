@@ -18,7 +18,9 @@ MacKay, *Information Theory, Inference, and Learning Algorithms*, chapter 28.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -64,6 +66,11 @@ class Points:
         """Whether both headings are known (K,)."""
         return np.asarray(np.isfinite(self.measured[:, 2]) & np.isfinite(self.places[..., 2]))
 
+    @property
+    def known(self) -> np.ndarray:
+        """Which coordinates (K, 3) are known."""
+        return np.column_stack([np.ones((len(self.ids), 2), dtype=bool), self.oriented])
+
 
 @dataclass(frozen=True, eq=False)
 class Match:
@@ -73,6 +80,9 @@ class Match:
     covariance: Array
     agree: np.ndarray
     evidence: float
+
+
+M = TypeVar("M", bound=Match)
 
 
 def register(points: Points) -> list[Match]:
@@ -106,9 +116,9 @@ def distinct(squares: Array, near: np.ndarray, most: int) -> np.ndarray:
     return np.asarray(best[kept])
 
 
-def those_that_differ(matches: list[Match | None]) -> list[tuple[int, Match]]:
+def those_that_differ(matches: Sequence[M | None]) -> list[tuple[int, M]]:
     """The matches by decreasing evidence, with their numbers, each place once."""
-    found: list[tuple[int, Match]] = []
+    found: list[tuple[int, M]] = []
     known = [(k, match) for k, match in enumerate(matches) if match is not None]
     for k, match in sorted(known, key=lambda each: -each[1].evidence):
         if found:
@@ -172,6 +182,13 @@ def linear(points: Points, poses: Array) -> tuple[Array, Array, Array]:
     J = np.tile(np.eye(3), (*moved.shape[:-1], 1, 1))
     J[..., :2, 2] = perpendicular(moved)
     return e, W, J
+
+
+def padded(covariances: Array, known: np.ndarray) -> Array:
+    """Covariances (k, k, 3, 3) as a matrix (3k, 3k), with variances of 1 for coordinates that are not known."""
+    both = known[:, None, :, None] & known[None, :, None, :]
+    V = np.where(both, covariances, 0.0).transpose(0, 2, 1, 3).reshape(known.size, known.size)
+    return np.asarray(V + np.diag((~known).ravel().astype(float)))
 
 
 def refined(points: Points, poses: Array) -> list[Match | None]:

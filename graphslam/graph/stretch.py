@@ -8,7 +8,7 @@ import numpy as np
 
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel
-from ..se2 import Array, between, compose, rotation
+from ..se2 import Array, between, compose, rotation, turn_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +58,15 @@ class Stretch:
 
 
 class Drift:
-    """The poses (n, 3) of a stretch seen from the first one, and their covariances, as far as they are asked for."""
+    """The poses (n, 3) of a stretch seen from the first one, and their covariances, as far as they are asked for.
 
-    def __init__(self, stretch: Stretch) -> None:
+    ``errors`` (T, 3) of the motions, where they are known about, are where the covariances are linearised.
+    """
+
+    def __init__(self, stretch: Stretch, errors: Array | None = None) -> None:
         self.poses, self.covariances = np.zeros((1, 3)), np.zeros((1, 3, 3))
-        self._stretch = stretch
+        self._stretch, self._errors = stretch, errors
+        self._motions = stretch.motions if errors is None else stretch.motions + errors
 
     def go_to(self, step: int) -> None:
         """Compute them up to a step, or farther."""
@@ -70,7 +74,7 @@ class Drift:
         if step <= done:
             return
         new = slice(done, max(step, 2 * done))
-        more = drifted(self.poses[-1], self._stretch.motions[new], self._stretch.noise[new], self.covariances[-1])
+        more = drifted(self.poses[-1], self._motions[new], self._stretch.noise[new], self.covariances[-1])
         self.poses = np.concatenate([self.poses, more[0][1:]])
         self.covariances = np.concatenate([self.covariances, more[1][1:]])
 
@@ -87,6 +91,28 @@ class Drift:
         upper = own[:, None] @ np.swapaxes(moved, 2, 3)
         later = np.arange(len(x))[:, None] > np.arange(len(x))
         return np.where(later[:, :, None, None], np.transpose(upper, (1, 0, 3, 2)), upper)
+
+    def shifts(self, steps: np.ndarray) -> Array:
+        """How far, to first order, the errors move the poses at steps (K,): (K, 3), the sum of what `between` describes."""
+        if self._errors is None:
+            return np.zeros((len(steps), 3))
+        x = self.poses
+        a = np.zeros((len(x), 3))
+        a[1:] = (turn_matrix(x[:-1, 2]) @ self._errors[: len(x) - 1, :, None])[..., 0]
+        sums = np.cumsum(a + np.column_stack([x[:, 1] * a[:, 2], -x[:, 0] * a[:, 2], 0 * a[:, 2]]), axis=0)
+        turn = sums[:, 2]
+        return np.asarray((sums + np.column_stack([-x[:, 1] * turn, x[:, 0] * turn, 0 * turn]))[steps])
+
+    def multipliers(self, steps: np.ndarray, forces: Array) -> Array:
+        """D' f (T, 3), with D the derivatives of the poses at steps (K,) by the motions, and forces f (K, 3) on the poses."""
+        x, f = self.poses, np.zeros((len(self.poses), 3))
+        np.add.at(f, steps, forces)
+        f[:, 2] += x[:, 0] * f[:, 1] - x[:, 1] * f[:, 0]
+        later = np.cumsum(f[::-1], axis=0)[::-1]
+        later[:, 2] += x[:, 1] * later[:, 0] - x[:, 0] * later[:, 1]
+        found = np.zeros((len(self._stretch.motions), 3))
+        found[: len(x) - 1] = (np.swapaxes(turn_matrix(x[:-1, 2]), 1, 2) @ later[1:, :, None])[..., 0]
+        return found
 
 
 def drifted(start: Array, motions: Array, noise: Array, covariance: Array | None = None) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from graphslam import GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, simulate
+from graphslam import Graph, GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, simulate, solve
 from graphslam.graph.registration import Points, register
 from graphslam.se2 import between, compose, wrap
 
@@ -91,6 +91,41 @@ def test_misread_ids_do_not_move_the_fix(share):
     squares = errors_of_fixes(100, share, steps=30)
     # of right fixes one in 10^5 has an error beyond 26
     assert np.all(squares < 26)
+
+
+@pytest.mark.parametrize("orientation", [False, True])
+def test_the_fix_is_that_of_the_graph_of_the_sightings_that_agree(orientation):
+    """With the noise of the book, the odometry of a few steps is far from linear; the graph is another way to the minimum."""
+    for seed in range(6):
+        log = simulate(seed=seed, clean=True, arena=8.0, landmarks=8, steps=20, orientation=orientation)
+        known = {j: m[: 2 + orientation] for j, m in log.true_landmarks.items()}
+        fix = first_fix(log, known)
+        used = np.isin(np.arange(len(log.steps)), fix.agree)
+        part = log.with_sightings(used).at_steps(np.arange(fix.step + 1))
+        best = solve(Graph.from_log(part, map=known, kernel=None), initialize="given")
+        way, P = fix.pose - best.poses[0], best.covariance(poses=0)
+        way[2] = wrap(way[2])
+        assert way @ np.linalg.solve(P, way) < 0.02**2
+        assert np.allclose(fix.covariance, P, atol=0.01 * np.trace(P))
+
+
+def test_maps_of_another_place_with_the_same_ids_are_refused_or_said_to_be_possible():
+    """The expectation of the odds is 1, so that less than one map in a thousand has odds above a thousand."""
+    refused = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        log = simulate(
+            seed=seed, clean=True, arena=8.0, landmarks=int(rng.integers(4, 12)), steps=int(rng.integers(8, 60))
+        )
+        places = rng.uniform([-4, -4, -np.pi], [4, 4, np.pi], (len(log.true_landmarks), 3))
+        try:
+            fix = first_fix(log, dict(zip(log.true_landmarks, places)))
+        except GraphError:
+            refused += 1
+            continue
+        assert fix.odds < 1000
+        assert "the odds against other places and other maps are only" in fix.sentence
+    assert refused > 30
 
 
 def test_where_the_robot_is_in_the_log_does_not_matter():
