@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import pickle
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import NoReturn, TypeVar
 
 import cloudpickle  # type: ignore[import-untyped]
 import numpy as np
@@ -24,14 +22,11 @@ from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Log, OptionError, SlamError
 from graphslam import processes as local
-from graphslam.processes import default_jobs, how_it_ended
+from graphslam.processes import how_it_ended
 
 from ..options import RunOptions
 from ..results import EstimatorResult, sentence
 from .estimators import BUILT_IN, ESTIMATORS, warm_up
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
 
 
 def process_pool(jobs: int, estimators: Sequence[str]) -> ProcessPool:
@@ -79,58 +74,6 @@ def _warm_up(estimators: Sequence[str], added: bytes, prepare: Callable[[], obje
     for load in loads:
         with suppress(Exception):  # it shows again, with its message, in the run
             load()
-
-
-def results(
-    function: Callable[[Task], Result],
-    tasks: Iterable[Task],
-    *,
-    jobs: int | None,
-    estimators: Sequence[str] = (),
-    prepare: Callable[[], object] = list,
-    limit: float | None = None,
-    instead: Callable[[Task, str], Result] | None = None,
-) -> Iterator[Result]:
-    """``map(function, tasks)`` over local processes, results in the order of the tasks.
-
-    Args:
-        function: of a module, so that it can be named to a process.
-        tasks: plain data.
-        jobs: how many processes; 0 for this process, None for one on each core.
-        estimators: whose modules are loaded before the first task.
-        prepare: called in each process after that.
-        limit: of the time of each task [s]; None for no limit.
-        instead: makes the result of a task that took longer, or whose process died, from the task and the reason. Without
-            it they are errors.
-
-    Raises:
-        OptionError: there is a limit and no process to stop.
-        SlamError: a process died, a task took too long, or the function raised it.
-    """
-    if jobs == 0:
-        if limit is not None:
-            raise OptionError("time_limit needs local processes, which can be stopped: jobs must be at least 1, not 0")
-        for name in estimators:
-            warm_up(name)
-        yield from map(function, tasks)
-        return
-    with processes(jobs or default_jobs(), estimators, prepare) as pool:
-        for task, future in [(task, pool.schedule(function, (task,), timeout=limit)) for task in tasks]:
-            yield ended(future, limit, _raised if instead is None else partial(instead, task))
-
-
-def ended(future: Future[Result], limit: float | None, instead: Callable[[str], Result]) -> Result:
-    """The result of a task in a pool, or what ``instead`` makes of the reason: it took longer, or its process died."""
-    try:
-        return future.result()
-    except TimeoutError:
-        return instead(too_long(limit))
-    except ProcessExpired as error:
-        return instead(how_it_ended(error))
-
-
-def _raised(reason: str) -> NoReturn:
-    raise SlamError(reason)
 
 
 def too_long(limit: float | None) -> str:

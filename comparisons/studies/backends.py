@@ -33,11 +33,11 @@ from graphslam.solvers.gtsam_solver import from_values, to_values
 from graphslam.solvers.initialize import starting_state
 
 from ..display import Displayed
-from ..estimators.attempt import results
 from ..options import BackendOptions
 from ..results import of_expected
 from ..results.documents import Count
 from ..results.saving import jsonable
+from .execute import rows_of
 
 
 @dataclass(frozen=True)
@@ -364,7 +364,7 @@ def compare_backends(
     names = given.backends or BACKENDS
     paths = [files] if isinstance(files, (str, PathLike)) else files
     graphs = ((str(path), *_graph(path, given)) for path in paths)
-    for row in results(
+    for row in rows_of(
         partial(_measured, options=given), ((name, *of_file) for of_file in graphs for name in names),
         jobs=0 if given.time_limit is None else 1, prepare=partial(_warm_up_all, tuple(names)), limit=given.time_limit,
         instead=_stopped,

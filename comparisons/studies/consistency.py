@@ -27,10 +27,10 @@ from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, wrap
 
 from ..display import Displayed
-from ..estimators.attempt import results
 from ..estimators.filters import FILTERS, particle_filter
 from ..options import ConsistencyOptions, RunOptions
 from ..results.documents import Band, Count, Numbers, one_of
+from .execute import rows_of
 
 #: the graphs that can be tested, by name: keywords of `Graph.from_log`
 GRAPHS: dict[str, dict[str, Any]] = {
@@ -149,7 +149,7 @@ def study_consistency(*, progress: Callable[[int], None] | None = None, **option
     sightings: list[float] = []
     work = partial(_one_log, options=given)
     warm = ("graph", *(name for name in given.estimators if name in FILTERS))
-    for per_landmark, row in results(
+    for per_landmark, row in rows_of(
         work, range(given.seed, given.seed + given.logs), jobs=given.jobs, estimators=warm
     ):
         rows.append(row)

@@ -2,7 +2,7 @@
 
 The outcome of one run: the columns of a study's table.
 
-The executors of a study: this process, local processes, or a Dask cluster (`cluster`).
+The executors of all studies: this process, local processes, or a Dask cluster (`sweep`).
 """
 
 from __future__ import annotations
@@ -12,27 +12,33 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from pebble import ProcessExpired, ProcessPool
+from pebble import ProcessExpired
 
-from graphslam import Log, LogError, OptionError
+from graphslam import Log, LogError, OptionError, SlamError
 from graphslam.identification.declared import CORRECTIONS
+from graphslam.processes import default_jobs, how_it_ended
 
 from ..comparison import compare
-from ..estimators.attempt import add_estimators, default_jobs, how_it_ended, processes
+from ..estimators import warm_up
+from ..estimators.attempt import add_estimators, processes, too_long
 from ..options import NoiseOptions, ReadingOptions, RunOptions
 from ..options.option import options_of
 from ..options.reading import read_log, sha256_of
 from ..results import Figures, sentence
 from .plan import Run, simulated_log
+
+Task = TypeVar("Task")
+Row = TypeVar("Row")
 
 #: a run ended well, raised (or its process died), or took longer than the limit
 DONE, ERROR, TIMEOUT = "done", "error", "timeout"
@@ -125,68 +131,117 @@ def _execute(run: Run) -> dict[str, Any]:
     return figures | {"poses_sha256": hashlib.sha256(result.poses.tobytes()).hexdigest()[:16]}
 
 
-@dataclass(frozen=True)
-class Place:
-    """An executor of runs.
-
-    Attributes:
-        room: how many runs may be there at a time, executing or waiting.
-        submit: begins a run with a limit of its time [s].
-        outcome: the outcome of a run whose future is done; raises `SlamError` where the place is lost.
-    """
-
-    room: int
-    submit: Callable[[Run, float], Future[Outcome]]
-    outcome: Callable[[Future[Outcome], Run, float], Outcome]
+def stopped(run: Run, reason: str, limit: float) -> Outcome:
+    """The outcome of a run that took too long, or whose process died; it costs nothing but itself."""
+    if reason != too_long(limit):
+        return Outcome(key=run.key, status=ERROR, error=reason)
+    return Outcome(key=run.key, status=TIMEOUT, error=reason, total_seconds=limit)
 
 
-@contextmanager
-def this_process() -> Iterator[Place]:
-    """This process, for a debugger and for tests: each run is executed as it is submitted, without a limit of time."""
-
-    def submit(run: Run, limit: float) -> Future[Outcome]:  # noqa: ARG001
-        future: Future[Outcome] = Future()
-        future.set_result(execute(run))
-        return future
-
-    yield Place(1, submit, pool_outcome)
-
-
-@contextmanager
-def local_processes(jobs: int | None, estimators: Sequence[str]) -> Iterator[Place]:
-    """Processes of this machine, by default one for each core.
-
-    Raises:
-        OptionError: jobs is below 1.
-    """
-    jobs = default_jobs() if jobs is None else jobs
-    if jobs < 1:
-        raise OptionError(f"jobs must be at least 1, not {jobs}")
-    with processes(jobs, estimators) as pool:
-        # a run that waits in the pool keeps its process from waiting for the next one
-        yield Place(jobs + 1, lambda run, limit: in_pool(pool, run, limit), pool_outcome)
-
-
-def in_pool(pool: ProcessPool, run: Run, limit: float, added: bytes = b"") -> Future[Outcome]:
-    """Begin a run in a pool. Starting a process and compiling do not count towards the limit [s], reading the log does.
-
-    ``added`` are estimators of the user that the processes of the pool may not have, see `attempt.added_estimators`.
-    """
-    future: Future[Outcome] = pool.schedule(_execute_with, (run, added), timeout=limit)
-    return future
-
-
-def _execute_with(run: Run, added: bytes) -> Outcome:
+def execute_added(run: Run, added: bytes) -> Outcome:
+    """Do a run in a process that may not have the user's estimators, see `attempt.added_estimators`."""
     add_estimators(added)
     return execute(run)
 
 
-def pool_outcome(future: Future[Outcome], run: Run, limit: float) -> Outcome:
-    """The outcome of a run in a pool; a run that took too long, or whose process died, costs nothing but itself."""
+@dataclass(frozen=True)
+class Place(Generic[Task, Row]):
+    """An executor of the tasks of a study.
+
+    Attributes:
+        room: how many tasks may be there at a time, executing or waiting.
+        submit: begins a task.
+        row: what a task gives whose future is done; raises `SlamError` where the place is lost.
+    """
+
+    room: int
+    submit: Callable[[Task], Future[Row]]
+    row: Callable[[Future[Row], Task], Row]
+
+
+@contextmanager
+def this_process(work: Callable[[Task], Row]) -> Iterator[Place[Task, Row]]:
+    """This process, for a debugger and for tests: each task is done as it is submitted, without a limit of time."""
+
+    def submit(task: Task) -> Future[Row]:
+        future: Future[Row] = Future()
+        future.set_result(work(task))
+        return future
+
+    yield Place(1, submit, lambda future, _: future.result())
+
+
+@contextmanager
+def local_processes(
+    work: Callable[[Task], Row],
+    *,
+    jobs: int | None = None,
+    estimators: Sequence[str] = (),
+    prepare: Callable[[], object] = list,
+    limit: float | None = None,
+    instead: Callable[[Task, str], Row] | None = None,
+) -> Iterator[Place[Task, Row]]:
+    """Processes of this machine. Starting one and loading its modules do not count towards the limit, reading a log does.
+
+    Args:
+        work: of a module, so that it can be named to a process; tasks are plain data.
+        jobs: how many processes; None for one on each core.
+        estimators: whose modules are loaded before the first task.
+        prepare: called in each process after that.
+        limit: of the time of each task [s]; None for no limit.
+        instead: makes the row of a task that took longer, or whose process died, from the task and the reason. Without
+            it they are errors.
+
+    Raises:
+        SlamError: a process died, or a task took too long, where nothing stands instead of its row.
+    """
+    jobs = jobs or default_jobs()
+    with processes(jobs, estimators, prepare) as pool:
+        # a task that waits in the pool keeps its process from waiting for the next one
+        yield Place(
+            jobs + 1,
+            lambda task: pool.schedule(work, (task,), timeout=limit),
+            lambda future, task: ended(future, task, limit, instead),
+        )
+
+
+def ended(
+    future: Future[Row], task: Task, limit: float | None, instead: Callable[[Task, str], Row] | None = None
+) -> Row:
+    """The row of a task in a pool, or what ``instead`` makes of the reason: it took longer, or its process died."""
     try:
         return future.result()
     except TimeoutError:
-        sentence = f"took longer than the limit of {limit:g} s"
-        return Outcome(key=run.key, status=TIMEOUT, error=sentence, total_seconds=limit)
+        reason = too_long(limit)
     except ProcessExpired as error:
-        return Outcome(key=run.key, status=ERROR, error=how_it_ended(error))
+        reason = how_it_ended(error)
+    if instead is None:
+        raise SlamError(reason)
+    return instead(task, reason)
+
+
+def rows_of(work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | None, **keywords: Any) -> Iterator[Row]:
+    """``map(work, tasks)`` in a place, rows in the order of the tasks.
+
+    Args:
+        work, tasks: see `local_processes`.
+        jobs: how many processes; 0 for this process, None for one on each core.
+        keywords: the other arguments of `local_processes`.
+
+    Raises:
+        OptionError: there is a limit and no process to stop.
+        SlamError: see `local_processes`, or ``work`` raised it.
+    """
+    if jobs == 0:
+        if keywords.get("limit") is not None:
+            raise OptionError("time_limit needs local processes, which can be stopped: jobs must be at least 1, not 0")
+        for name in keywords.get("estimators", ()):
+            warm_up(name)
+    with this_process(work) if jobs == 0 else local_processes(work, jobs=jobs, **keywords) as place:
+        waiting: deque[tuple[Future[Row], Task]] = deque()
+        for task in tasks:
+            waiting.append((place.submit(task), task))
+            if len(waiting) >= place.room:
+                yield place.row(*waiting.popleft())
+        for each in waiting:
+            yield place.row(*each)

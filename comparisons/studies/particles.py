@@ -13,15 +13,16 @@ import numpy as np
 from fastslam.particles import FilterResult
 from graphslam import Log, SlamError
 from graphslam.metrics import ate, evaluate
+from graphslam.processes import default_jobs
 from graphslam.se2 import Array
 
 from ..display import Displayed
 from ..estimators import ESTIMATORS
-from ..estimators.attempt import default_jobs, results
 from ..estimators.filters import Announce, announce_memory
 from ..options import ParticleStudyOptions, RunOptions
 from ..options.reading import prepare
 from ..results.documents import Count, Numbers
+from .execute import rows_of
 from .summary import quartiles
 
 #: the figures of a run: field of `ParticleRun` -> label of its axis
@@ -167,7 +168,7 @@ def study_particles(
     runs: list[ParticleRun] = []
     notes: list[str] = []
     work = partial(_run, log=data, options=of_run)
-    for run in results(
+    for run in rows_of(
         work, tasks, jobs=given.jobs, estimators=given.filters, limit=given.time_limit, instead=_stopped
     ):  # fmt: skip
         if isinstance(run, str):

@@ -18,12 +18,12 @@ from graphslam.se2 import wrap
 from graphslam.solvers.initialize import starting_state
 
 from ..display import Displayed
-from ..estimators.attempt import results
 from ..options import GraphOptions, SolverCheckOptions
 from ..options.option import options_of
 from ..options.reading import prepare
 from ..results import of_expected
 from ..results.documents import Count
+from .execute import rows_of
 
 #: what two solvers may differ by: any x, y [m] or heading [rad], and J relative to itself
 POSE_TOLERANCE, COST_TOLERANCE = 1e-6, 1e-9
@@ -173,7 +173,7 @@ def compare_solvers(
     solved: list[VariantResult] = []
     skipped: list[SkippedVariant] = []
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
-    for outcome in results(
+    for outcome in rows_of(
         work, variants(data, given), jobs=given.jobs, limit=given.time_limit,
         instead=lambda variant, reason: SkippedVariant(variant.name, reason),
     ):  # fmt: skip

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 from os import PathLike
@@ -30,9 +31,10 @@ from pebble import ProcessPool
 
 from graphslam import Log, OptionError, SlamError
 from graphslam.errors import quoted
+from graphslam.processes import default_jobs
 
 from ..estimators import ESTIMATORS
-from ..estimators.attempt import added_estimators, default_jobs, process_pool
+from ..estimators.attempt import added_estimators, process_pool
 from ..estimators.filters import FILTERS, Announce, announce_memory
 from ..options import RunOptions, SweepOptions
 from ..results import sentence
@@ -44,11 +46,13 @@ from .execute import (
     ERROR,
     Outcome,
     Place,
+    ended,
+    execute,
+    execute_added,
     filter_options,
-    in_pool,
     local_processes,
     log_of,
-    pool_outcome,
+    stopped,
     this_process,
 )
 from .plan import Run, Study, read_study
@@ -75,12 +79,13 @@ def _pool_of_worker() -> ProcessPool:
 
 def execute_on_worker(run: Run, limit: float, added: bytes = b"") -> Outcome:
     """The task of the cluster: a run in the pool of its worker; ``added`` are the user's own estimators."""
-    return pool_outcome(in_pool(_pool_of_worker(), run, limit, added), run, limit)
+    future = _pool_of_worker().schedule(execute_added, (run, added), timeout=limit)
+    return ended(future, run, limit, partial(stopped, limit=limit))
 
 
 @contextmanager
-def dask_cluster(address: str) -> Iterator[Place]:
-    """The cluster of a Dask scheduler, tcp://host:8786 or the like.
+def dask_cluster(address: str, limit: float) -> Iterator[Place[Run, Outcome]]:
+    """The cluster of a Dask scheduler, tcp://host:8786 or the like, with a limit of the time of each run [s].
 
     Raises:
         OptionError: Dask is not installed, the address is no address, it does not answer within 10 s, there is no
@@ -100,9 +105,9 @@ def dask_cluster(address: str) -> Iterator[Place]:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     _check_handshake(address)
 
-    def outcome(future: Future[Outcome], run: Run, limit: float) -> Outcome:
+    def outcome(future: Future[Outcome], run: Run) -> Outcome:
         try:
-            return pool_outcome(future, run, limit)
+            return future.result()
         except KilledWorker as error:
             return Outcome(key=run.key, status=ERROR, error=f"given up by the cluster: {sentence(error)}")
         except (CancelledError, CommClosedError) as error:
@@ -120,7 +125,7 @@ def dask_cluster(address: str) -> Iterator[Place]:
         try:
             # several runs wait on each worker, so that short ones do not wait for the network
             added = added_estimators()
-            yield Place(8 * threads, lambda run, limit: executor.submit(execute_on_worker, run, limit, added), outcome)
+            yield Place(8 * threads, lambda run: executor.submit(execute_on_worker, run, limit, added), outcome)
         finally:
             # without waiting, which cancels the runs that have not begun
             executor.shutdown(wait=False)
@@ -270,7 +275,7 @@ def sweep(
         if progress is not None:
             progress(before, len(plan.runs), None, None)
         with _ctrl_c() as events:
-            for run, outcome in _outcomes(place, missing, plan.time_limit, events):
+            for run, outcome in _outcomes(place, missing, events):
                 if run is None or outcome is None:
                     interrupted = True
                     break
@@ -292,14 +297,17 @@ def _large(runs: Sequence[Run]) -> Iterator[tuple[str, Log, RunOptions]]:
                 yield run.estimator, log_of(run), filter_options(run)
 
 
-def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place]:
+def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place[Run, Outcome]]:
     if options.dask is not None:
         if options.jobs is not None:
             raise OptionError("give --jobs for processes of this machine or --dask for a cluster, not both")
-
-        return dask_cluster(options.dask)
-    estimators = tuple(dict.fromkeys(run.estimator for run in study.runs))
-    return this_process() if options.jobs == 0 else local_processes(options.jobs, estimators)
+        return dask_cluster(options.dask, study.time_limit)
+    if options.jobs == 0:
+        return this_process(execute)
+    estimators, limit = tuple(dict.fromkeys(run.estimator for run in study.runs)), study.time_limit
+    return local_processes(
+        execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=partial(stopped, limit=limit)
+    )
 
 
 #: futures that are done, and None for Ctrl-C
@@ -307,7 +315,7 @@ Events = SimpleQueue[Future[Outcome] | None]
 
 
 def _outcomes(
-    place: Place, runs: Sequence[Run], limit: float, events: Events
+    place: Place[Run, Outcome], runs: Sequence[Run], events: Events
 ) -> Iterator[tuple[Run, Outcome] | tuple[None, None]]:
     """Every run with its outcome, as they end; at Ctrl-C those that have ended, and a last pair of None."""
     waiting = iter(runs)
@@ -315,7 +323,7 @@ def _outcomes(
 
     def submit(count: int) -> None:
         for run in islice(waiting, count):
-            future = place.submit(run, limit)
+            future = place.submit(run)
             pending[future] = run
             future.add_done_callback(events.put)
 
@@ -324,7 +332,7 @@ def _outcomes(
         event = events.get()
         for future in [event] if event is not None else [future for future in pending if future.done()]:
             run = pending.pop(future)
-            yield run, place.outcome(future, run, limit)
+            yield run, place.row(future, run)
         if event is None:
             yield None, None
             return

@@ -188,14 +188,14 @@ def test_an_interrupt_within_an_import_is_an_interrupt(
 
 
 def test_solvers_agree(invoke: Invoke, log_file: Path) -> None:
-    result = invoke("solvers", log_file, "--motion-weights", "1", "--jobs", 2, "--json", "a.json")
+    result = invoke("solvers", log_file, "--motion-weights", "1", "--jobs", 0, "--json", "a.json")
     assert result.exit_code == 0, result.output
     assert "agree in all" in result.stdout
     assert {"variants", "skipped"} == set(json.loads(Path("a.json").read_text()))
 
 
 def test_only_the_graphs_that_are_named(invoke: Invoke, log_file: Path) -> None:
-    command = ["solvers", log_file, "--motion-weights", "2", "--jobs", 1]
+    command = ["solvers", log_file, "--motion-weights", "2", "--jobs", 0]
     result = invoke(*command, "--edges", "virtual+motion", "--json", "-")
     assert {entry["name"].split()[0] for entry in json.loads(result.stdout)["variants"]} == {"virtual+motion"}
     unknown = invoke(*command, "--edges", "virtual,some")

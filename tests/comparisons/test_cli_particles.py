@@ -7,8 +7,8 @@ from comparisons.cli import app
 
 def test_a_small_study(tmp_path):
     picture = tmp_path / "study.png"
-    words = ["particles", "--particles", "5,10", "--seeds", "2", "--filters", "fastslam1", "--figure", str(picture)]
-    result = CliRunner().invoke(app, [*words, "--json", "-"])
+    words = ["particles", "--particles", "5,10", "--seeds", "2", "--filters", "fastslam1", "--jobs", "0"]
+    result = CliRunner().invoke(app, [*words, "--figure", str(picture), "--json", "-"])
     assert result.exit_code == 0, result.output
     payload = json.loads(result.stdout)
     assert len(payload["runs"]) == 4
@@ -21,7 +21,7 @@ def test_the_numbers_are_saved_before_the_figure(tmp_path, monkeypatch):
         raise OSError("no space left")
 
     monkeypatch.setattr("comparisons.display.Displayed.save_figure", fail)
-    words = ["particles", "--particles", "5", "--seeds", "1", "--filters", "fastslam1"]
+    words = ["particles", "--particles", "5", "--seeds", "1", "--filters", "fastslam1", "--jobs", "0"]
     files = ["--figure", str(tmp_path / "study.png"), "--json", str(tmp_path / "study.json")]
     result = CliRunner().invoke(app, [*words, *files])
     assert result.exit_code == 2 and "no space left" in result.output

@@ -25,7 +25,9 @@ def saved(tmp_path_factory):
     return comparison, folder, comparison.save(folder, figures=())
 
 
-@pytest.mark.parametrize("name", ["dead-reckoning", "graph", "fastslam1"])
+@pytest.mark.parametrize(
+    "name", ["graph", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("dead-reckoning", "fastslam1"))]
+)
 def test_evo_ape_finds_our_ate(saved, tmp_path, name):
     comparison, folder, _ = saved
     evo_ape = Path(sys.executable).with_name("evo_ape")

@@ -105,7 +105,7 @@ def test_filters_calibration_and_films_on_any_name(named: Path, invoke: Invoke, 
 def test_a_study_of_any_name(named: Path, invoke: Invoke, tmp_path: Path) -> None:
     study = tmp_path / "study.toml"
     study.write_text('logs = ["*.npz"]\nestimators = ["dead-reckoning"]\n', encoding="utf-8")
-    result = invoke("sweep", study, "--jobs", "1")
+    result = invoke("sweep", study, "--jobs", "0")
     assert result.exit_code == 0, result.output
     result = invoke("study", study, "--csv", "r.csv", "--jsonl", "r.jsonl", "--figure", "s.png", "--json", "s.json")
     assert result.exit_code == 0, result.output

@@ -48,7 +48,7 @@ def test_solvers_agree_on_a_real_log(log: Log) -> None:
     assert set(payload["skipped"][0]) == {"name", "reason"}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_jobs_change_nothing_but_the_time(log: Log) -> None:
     alone, together = (compare_solvers(log, motion_weights=(1.0,), jobs=jobs) for jobs in (0, 2))
     assert [v.name for v in together.variants] == [v.name for v in alone.variants]

@@ -66,11 +66,11 @@ def test_bad_input() -> None:
 
 
 def test_the_time_limit_ends_one_run_and_no_other():
-    # a billion moves of particles do not fit into two seconds
+    # a billion moves of particles do not fit into a second
     log = simulate(seed=1, steps=5000)
-    study = study_particles(log, filters=["fastslam1"], particles=[1, 300_000], seeds=1, jobs=1, time_limit=2.0)
+    study = study_particles(log, filters=["fastslam1"], particles=[1, 300_000], seeds=1, jobs=1, time_limit=1.0)
     assert [run.particles for run in study.runs] == [1]
     assert study.notes == (
-        "fastslam1 with 300000 particles and seed 0 has no result: it was stopped at the time limit of 2 s",
+        "fastslam1 with 300000 particles and seed 0 has no result: it was stopped at the time limit of 1 s",
     )
     assert study.to_json()["notes"] == list(study.notes)

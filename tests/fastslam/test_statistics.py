@@ -137,6 +137,7 @@ def test_the_grown_graphs_posterior(kind: type[ParticleFilter], seed: int, last:
     assert np.all(errors < 0.1 + bound(errors.size, 39) * mean_error(runs))
 
 
+@pytest.mark.nightly
 def test_the_exact_weight_makes_1_and_2_agree() -> None:
     """Two landmarks, three motions at the book's noise: the same means; linearised they are not."""
     motion, sensor, rng = MotionModel(), SensorModel(), np.random.default_rng(0)
