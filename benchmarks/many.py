@@ -1,9 +1,8 @@
-"""Many graphs of the same structure with different noise: processor time of `solve_many` and of `solve` one by one.
+"""Many graphs of the same structure with different noise: the time of `solve_many` by the number of its threads.
 
     python benchmarks/many.py [--data ../shared/data] [--start given] [--copies 200]
 
-The two take turns, graph by graph, in this process. The last column is the processor time that this process spends on a
-graph when another process solves it. All results are compared bit by bit.
+All results are compared bit by bit.
 """
 
 from __future__ import annotations
@@ -12,13 +11,12 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from graphslam import Graph, Log, load, sample_log_path, solve, solve_many
+from graphslam import Graph, Log, load, sample_log_path, solve_many
 from graphslam.edges import RelativePointEdges, RelativePoseEdges
 
 
@@ -50,36 +48,14 @@ def of_file(path: Path) -> Callable[[np.random.Generator], Graph]:
     return lambda random: with_other_noise(graph, random)
 
 
-def timed(function: Callable[[], Any]) -> tuple[float, Any]:
-    """Processor time [s] and result."""
-    begin = time.process_time()
-    result = function()
-    return time.process_time() - begin, result
-
-
-def measured(make: Callable[[np.random.Generator], Graph], copies: int, start: str) -> tuple[float, float, float]:
-    """Processor times [s] of a graph alone, in `solve_many`, and for this process when another one solves it."""
-
-    def graphs() -> list[Graph]:
-        return [make(np.random.default_rng(seed)) for seed in range(copies)]
-
-    alone = (solve(graph, initialize=start) for graph in graphs())
-    together = solve_many(graphs(), jobs=0, initialize=start)
-    solve(graphs()[0], initialize=start)
-    seconds, states = {id(alone): 0.0, id(together): 0.0}, []
-    for number in range(copies):
-        # the second of a pair finds warmer caches
-        pair = (alone, together) if number % 2 else (together, alone)
-        first, second = (timed(partial(next, solutions)) for solutions in pair)
-        for solutions, (spent, _) in zip(pair, (first, second), strict=True):
-            seconds[id(solutions)] += spent
-        assert first[1].cost == second[1].cost
-        assert np.array_equal(first[1].state, second[1].state)
-        states.append(first[1].state)
-    others = graphs()
-    sending, results = timed(lambda: [*solve_many(others, jobs=1, initialize=start)])
-    assert all(np.array_equal(state, result.state) for state, result in zip(states, results, strict=True))
-    return seconds[id(alone)] / copies, seconds[id(together)] / copies, sending / copies
+def measured(
+    make: Callable[[np.random.Generator], Graph], copies: int, start: str, jobs: int
+) -> tuple[float, list[Any]]:
+    """The time [s] for each graph with a number of threads, and the states."""
+    graphs = [make(np.random.default_rng(seed)) for seed in range(copies)]
+    begin = time.perf_counter()
+    states = [solution.state for solution in solve_many(graphs, jobs=jobs, initialize=start)]
+    return (time.perf_counter() - begin) / copies, states
 
 
 def main() -> None:
@@ -98,13 +74,12 @@ def main() -> None:
         "M3500": (of_file(files / "input_M3500_g2o.g2o"), 0.1),
         "city10000": (of_file(files / "city10000.g2o"), 0.1),
     }
-    columns = f"{'copies':>6} {'solve':>8} {'solve_many':>10} {'ratio':>6} {'sending':>8}"
-    print(f"{'structure':28} {columns}  (ms for each graph, start {options.start})")
+    print(f"{'structure':28} {'copies':>6} {'caller':>8} {'1':>8} {'2':>8}  (ms for each graph, start {options.start})")
     for name, (make, share) in cases.items():
         copies = max(6, int(share * options.copies))
-        one, many, sending = measured(make, copies, options.start)
-        row = f"{1e3 * one:8.2f} {1e3 * many:10.2f} {many / one:6.3f} {1e3 * sending:8.2f}"
-        print(f"{name:28} {copies:6} {row}", flush=True)
+        seconds, states = zip(*(measured(make, copies, options.start, jobs) for jobs in (0, 1, 2)))
+        assert all(np.array_equal(a, b) for others in states[1:] for a, b in zip(states[0], others, strict=True))
+        print(f"{name:28} {copies:6} " + " ".join(f"{1e3 * each:8.2f}" for each in seconds), flush=True)
 
 
 if __name__ == "__main__":

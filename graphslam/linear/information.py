@@ -3,15 +3,11 @@
 Omega is symmetric, of 3 x 3 blocks, and kept as upper block-CSC in the order of the nodes: column j has the row nodes
 ``indices[indptr[j]:indptr[j+1]]`` <= j in increasing order, the diagonal always last, and block k is ``values[k]``.
 A slot is the number k of a block.
-
-The pattern of Omega and the symbolic analysis of its factor, which graphs of the same structure can share.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -24,9 +20,6 @@ from .cholesky import Factor, HermitianSymbolic, Symbolic, analyze, analyze_herm
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
-
-#: structures are kept as long as they have together at most so many blocks; the last one is always kept
-MOST_BLOCKS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,64 +40,11 @@ class Structure:
         return analyze_hermitian(self.indptr, self.indices, self.symbolic.order)
 
 
-class Structures:
-    """The structures that were used last, by the groups of nodes that they were made from.
-
-    A structure depends on nothing else, so that a shared one is the same to the last bit as one made again.
-    """
-
-    def __init__(self, most_blocks: int = MOST_BLOCKS) -> None:
-        self._most_blocks, self._blocks = most_blocks, 0
-        self._kept: dict[tuple[int, bytes, bytes], Structure] = {}
-
-    def __len__(self) -> int:
-        return len(self._kept)
-
-    def of(self, num_nodes: int, sizes: np.ndarray, nodes: np.ndarray) -> Structure:
-        """The structure of nodes in groups: the one in stock, or a new one; the oldest ones are dropped."""
-        # the dictionary compares whole keys, so that equal hashes cannot confuse two structures
-        key = num_nodes, sizes.tobytes(), nodes.tobytes()
-        structure = self._kept.pop(key, None)
-        if structure is None:
-            structure = _made(num_nodes, sizes, nodes)
-            self._blocks += len(structure.indices)
-        self._kept[key] = structure
-        while self._blocks > self._most_blocks and len(self._kept) > 1:
-            self._blocks -= len(self._kept.pop(next(iter(self._kept))).indices)
-        return structure
-
-
-def _made(num_nodes: int, sizes: np.ndarray, nodes: np.ndarray) -> Structure:
-    return Structure(*engine.pattern(num_nodes, np.asarray(sizes, np.int64), np.asarray(nodes, np.int64)))
-
-
-_SHARED: ContextVar[Structures | None] = ContextVar("structures", default=None)
-
-
-def structure_of(num_nodes: int, sizes: np.ndarray, nodes: np.ndarray) -> Structure:
-    """The structure of nodes tied in groups of given sizes, whose nodes follow each other; shared inside `sharing`."""
-    shared = _SHARED.get()
-    if shared is not None:
-        return shared.of(num_nodes, sizes, nodes)
-    return _made(num_nodes, sizes, nodes)
-
-
-@contextmanager
-def sharing(structures: Structures) -> Iterator[None]:
-    """Inside the block, systems of the same structure share it."""
-    token = _SHARED.set(structures)
-    try:
-        yield
-    finally:
-        _SHARED.reset(token)
-
-
 @dataclass(frozen=True, eq=False)
 class BlockSystem:
     """Omega and xi of a graph with n nodes; see the module for the layout.
 
-    The `structure` may be shared with other systems, the numbers are the system's own. ``workspace`` (n,) is scratch space
-    for edges that look up slots column by column.
+    ``workspace`` (n,) is scratch space for edges that look up slots column by column.
     """
 
     structure: Structure
@@ -120,7 +60,7 @@ class BlockSystem:
         parts = list(cliques)
         nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
         sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
-        structure = structure_of(num_nodes, sizes, nodes)
+        structure = Structure(*engine.pattern(num_nodes, np.asarray(sizes, np.int64), np.asarray(nodes, np.int64)))
         values = np.zeros((len(structure.indices), 3, 3))
         return cls(structure, values, np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64))
 

@@ -1,26 +1,21 @@
 """`solve`: the hand-written solver.
 
-`solve_many`: solve one graph after another, on several processes, with what graphs of the same structure share.
+`solve_many`: solve one graph after another, on several threads.
 """
 
 from __future__ import annotations
 
-import pickle
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future
-from contextlib import suppress
-from dataclasses import replace
-from functools import cache
+from concurrent.futures import Future, ThreadPoolExecutor
 from inspect import signature
 from numbers import Real
 from typing import Any
 
-from ..errors import GraphError, OptionError, SlamError, quoted
+from ..engine import available_threads
+from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_choice, check_count, check_known, check_positive
 from ..graph import Graph, check_graph
-from ..linear.information import Structures, sharing
 from .gnc import solve_gnc
 from .initialize import INITIALIZE
 from .iteration import Iteration
@@ -113,31 +108,25 @@ def check_options(
         raise OptionError(f"probability must lie between 0 and 1, not {quoted(probability)}")
 
 
-#: by default processes are started after so many seconds of work in this process; starting them takes about two
-ALONE = 3.0
-#: graphs that are read ahead for each process, so that none waits
+#: graphs that are read ahead for each thread, so that none waits
 AHEAD = 2
 
 
-def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: Any) -> Iterator[Solution | SlamError]:
+def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: Any) -> Iterator[Solution | GraphError]:
     """Solve many graphs; the results come in the order of the graphs, each as soon as those before it are done.
 
-    Graphs with edges between the same nodes share the pattern of Omega, its ordering and the structure of its factor. Every
-    number except ``seconds`` is the same, to the last bit, as from `solve` on one thread, whatever ``jobs`` is. A graph that
-    no other process can make again, because a class of its edges belongs to the caller's script or notebook, is solved in
-    this process.
+    Every number except ``seconds`` is the same, to the last bit, as from `solve`, whatever ``jobs`` is.
 
     Args:
-        graphs: a list, or an iterator of any length: at most two graphs for each process are held at a time. An error
+        graphs: a list, or an iterator of any length: at most two graphs for each thread are held at a time. An error
             that the iterator raises is raised here after the results of the graphs before it.
-        jobs: how many processes; 0 for this process only; None (default) for this process during the first seconds,
-            and one process on each core after that.
+        jobs: how many threads; 0 for that of the caller; by default one for each core that this process may use.
         options: those of `solve`, the same for all graphs: method, tolerance, max_iterations, initialize,
-            cost_tolerance. A ``callback`` would not be called in this process, and is refused.
+            cost_tolerance. A ``callback`` would be called by several threads, and is refused.
 
     Returns:
-        An iterator of results. In place of a graph that could not be solved stands the error: the `GraphError` of
-        `solve`, or a `SlamError` where the process died in the middle of the graph. Not converging is no error.
+        An iterator of results. In place of a graph that could not be solved stands the `GraphError` of `solve`. Not
+        converging is no error.
 
     Raises:
         OptionError: an option does not exist or has an impossible value; or, in its turn, something is no `Graph`.
@@ -151,7 +140,7 @@ def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: A
     if not isinstance(graphs, Iterable):
         given = f"a {type(graphs).__name__}"
         raise OptionError(f"graphs must be a list or an iterator of graphs, not {given}; for one graph use solve")
-    return _results(_checked(graphs), jobs, options)
+    return _results(_checked(graphs), available_threads() if jobs is None else jobs, options)
 
 
 def _checked(graphs: Iterable[Graph]) -> Iterator[Graph]:
@@ -160,89 +149,29 @@ def _checked(graphs: Iterable[Graph]) -> Iterator[Graph]:
         yield graph
 
 
-def _results(graphs: Iterator[Graph], jobs: int | None, options: dict[str, Any]) -> Iterator[Solution | SlamError]:
-    from ..processes import default_jobs
-
-    limit = 0.0 if jobs else float("inf")
-    if jobs is None:
-        jobs = default_jobs()
-        limit = ALONE if jobs > 1 else limit
-    structures, spent = Structures(), 0.0
-    while spent < limit:
-        graph = next(graphs, None)
-        if graph is None:
-            return
-        begin = time.perf_counter()
-        result = _solved(graph, options, structures)
-        spent += time.perf_counter() - begin
-        yield result
-    yield from _in_processes(graphs, jobs, options, structures)
-
-
-def _in_processes(
-    graphs: Iterator[Graph], jobs: int, options: dict[str, Any], structures: Structures
-) -> Iterator[Solution | SlamError]:
-    from ..processes import processes
-
-    waiting: deque[tuple[Graph, Future[Solution | SlamError | None] | None]] = deque()
+def _results(graphs: Iterator[Graph], jobs: int, options: dict[str, Any]) -> Iterator[Solution | GraphError]:
+    if jobs == 0:
+        yield from (_solved(graph, options) for graph in graphs)
+        return
+    waiting: deque[Future[Solution | GraphError]] = deque()
     more, failure = True, None
-    with processes(jobs) as pool:
+    with ThreadPoolExecutor(jobs) as pool:
         while more or waiting:
             while more and len(waiting) < AHEAD * jobs:
                 try:
-                    graph = next(graphs, None)
+                    waiting.append(pool.submit(_solved, next(graphs), options))
+                except StopIteration:
+                    more = False
                 except Exception as error:
-                    graph, failure = None, error
-                more = graph is not None
-                if graph is not None:
-                    data = _packed(graph)
-                    waiting.append((graph, None if data is None else pool.schedule(_task, (data, options))))
+                    more, failure = False, error
             if waiting:
-                graph, future = waiting.popleft()
-                yield _received(graph, future) or _solved(graph, options, structures)
+                yield waiting.popleft().result()
     if failure is not None:
         raise failure
 
 
-def _solved(graph: Graph, options: dict[str, Any], structures: Structures) -> Solution | SlamError:
-    with sharing(structures):
-        try:
-            return solve(graph, **options)
-        except GraphError as error:
-            return error
-
-
-def _packed(graph: Graph) -> bytes | None:
-    # a pool would not survive an object that cannot be made again in its processes, so it is given bytes
-    with suppress(Exception):
-        return pickle.dumps(graph, protocol=pickle.HIGHEST_PROTOCOL)
-    return None
-
-
-@cache
-def _of_this_process() -> Structures:
-    return Structures()
-
-
-def _task(data: bytes, options: dict[str, Any]) -> Solution | SlamError | None:
-    """The task of a process: the result without the graph, or None where it cannot make the graph from its bytes."""
+def _solved(graph: Graph, options: dict[str, Any]) -> Solution | GraphError:
     try:
-        graph = pickle.loads(data)
-    except Exception:
-        return None
-    result = _solved(graph, options, _of_this_process())
-    return replace(result, graph=None) if isinstance(result, Solution) and result.graph is graph else result
-
-
-def _received(graph: Graph, future: Future[Solution | SlamError | None] | None) -> Solution | SlamError | None:
-    if future is None:
-        return None
-    from pebble import ProcessExpired
-
-    from ..processes import how_it_ended
-
-    try:
-        result = future.result()
-    except ProcessExpired as error:
-        return SlamError(how_it_ended(error))
-    return replace(result, graph=graph) if isinstance(result, Solution) and result.graph is None else result
+        return solve(graph, **options)
+    except GraphError as error:
+        return error

@@ -1,11 +1,10 @@
-"""`solve_many`: the same bits as `solve`, in order, whatever fails; structures are shared only where they are equal."""
+"""`solve_many`: the same bits as `solve`, in order, whatever fails."""
 
 from __future__ import annotations
 
-import os
 import pickle
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from graphslam import (
     Graph,
     GraphError,
     OptionError,
-    SlamError,
     Solution,
     load,
     sample_log_path,
@@ -22,8 +20,6 @@ from graphslam import (
     solve_many,
     solve_with_gtsam,
 )
-from graphslam.edges import AnchorEdges
-from graphslam.linear.information import Structures, sharing
 from graphslam.solvers import solve as many
 
 
@@ -54,7 +50,7 @@ def fresh(graph: Graph) -> Graph:
     return replace(graph)
 
 
-def assert_same(found: Solution | SlamError, expected: Solution) -> None:
+def assert_same(found: Solution | GraphError, expected: Solution) -> None:
     assert isinstance(found, Solution)
     for name in ("state", "poses", "costs", "step_norms", "estimated"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
@@ -72,44 +68,25 @@ def test_results_are_those_of_solve_and_a_failure_stays_alone(graph: Graph) -> N
         noisy(graph, 1),
         Graph.from_log(load(sample_log_path()), frame="world", edges="virtual+motion", kernel="none"),
     ]
-    first, failed, second, world = solve_many(map(fresh, graphs), jobs=0, initialize="given", tolerance=1e-7)
-    assert not np.array_equal(graphs[0].initial, first.state)
-    for found, one in ((first, graphs[0]), (second, graphs[2]), (world, graphs[3])):
-        assert_same(found, solve(fresh(one), initialize="given", tolerance=1e-7))
-    assert first.cost != second.cost
-    assert isinstance(failed, GraphError)
     with pytest.raises(GraphError) as caught:
         solve(graphs[1], initialize="given")
-    assert str(failed) == str(caught.value)
+    for jobs in (0, 1, 3):
+        first, failed, second, world = solve_many(map(fresh, graphs), jobs=jobs, initialize="given", tolerance=1e-7)
+        assert not np.array_equal(graphs[0].initial, first.state)
+        for found, one in ((first, graphs[0]), (second, graphs[2]), (world, graphs[3])):
+            assert_same(found, solve(fresh(one), initialize="given", tolerance=1e-7))
+        assert first.cost != second.cost
+        assert isinstance(failed, GraphError)
+        assert str(failed) == str(caught.value)
 
 
-class Deadly(AnchorEdges):
-    """The process that solves it dies."""
-
-    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
-        os._exit(3)
-
-
-@pytest.mark.slow
-def test_processes_return_the_same_and_what_goes_wrong_costs_one_graph(graph: Graph) -> None:
-    class Local(AnchorEdges):
-        """No other process finds this class."""
-
-    def anchored(kind: type[AnchorEdges]) -> Graph:
-        return replace(
-            graph,
-            families=(
-                kind(**{f.name: getattr(graph.families[0], f.name) for f in fields(AnchorEdges)}),
-                *graph.families[1:],
-            ),
-        )
-
-    read, wrong = [], {2: singular(graph), 4: anchored(Deadly), 5: anchored(Local)}
+def test_few_graphs_are_read_ahead_and_an_error_of_the_iterator_comes_in_its_turn(graph: Graph) -> None:
+    read = []
 
     def reading() -> Iterator[Graph]:
         for seed in range(7):
             read.append(seed)
-            yield wrong.get(seed) or noisy(graph, seed)
+            yield noisy(graph, seed)
         raise LookupError("end of the measurements")
 
     results = solve_many(reading(), jobs=1)
@@ -119,30 +96,8 @@ def test_processes_return_the_same_and_what_goes_wrong_costs_one_graph(graph: Gr
     with pytest.raises(LookupError, match="end of the measurements"):
         found.extend(results)
     assert len(found) == 7
-    for seed in (0, 1, 3, 6):
-        expected = noisy(graph, seed)
-        assert_same(found[seed], solve(expected))
-        assert found[seed].graph is not None
-        np.testing.assert_array_equal(found[seed].graph.initial, expected.initial)
-    assert isinstance(found[2], GraphError)
-    assert str(found[4]) == "the process ended with exit status 3"
-    assert_same(found[5], solve(fresh(graph)))
-
-
-def test_processes_are_started_only_for_work_that_lasts(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("graphslam.processes.default_jobs", lambda: 2)
-    elsewhere = []
-
-    def in_processes(graphs: Iterator[Graph], jobs: int, *_: object) -> Iterator[Solution]:
-        elsewhere.append((len([*graphs]), jobs))
-        return iter(())
-
-    monkeypatch.setattr(many, "_in_processes", in_processes)
-    assert len([*solve_many([graph] * 3)]) == 3
-    assert elsewhere == []
-    monkeypatch.setattr(many, "ALONE", 1e-9)
-    assert len([*solve_many([graph] * 3)]) == 1
-    assert elsewhere == [(2, 2)]
+    for seed in (0, 6):
+        assert_same(found[seed], solve(noisy(graph, seed)))
 
 
 @pytest.mark.parametrize(
@@ -173,27 +128,6 @@ def test_what_is_no_graph_is_refused_in_its_turn(graph: Graph) -> None:
     for one in (solve, solve_with_gtsam):
         with pytest.raises(OptionError, match=r"graph must be a Graph, not a Log; Graph.from_log"):
             one(load(sample_log_path()))
-
-
-def test_only_equal_structures_are_shared_and_few_are_kept(graph: Graph) -> None:
-    kept = Structures(most_blocks=12)
-    chain, other = np.array([0, 1, 1, 2]), np.array([0, 1, 0, 2])
-    sizes = np.array([2, 2])
-    first = kept.of(3, sizes, chain)
-    assert kept.of(3, sizes, chain.copy()) is first
-    assert kept.of(3, sizes, other) is not first
-    np.testing.assert_array_equal(kept.of(3, sizes, other).indices, [0, 0, 1, 0, 2])
-    np.testing.assert_array_equal(first.indices, [0, 0, 1, 1, 2])
-    assert kept.of(4, sizes, chain) is not first
-    # 5 + 5 + 6 blocks are more than 12: the first, which was used longest ago, was dropped
-    assert len(kept) == 2
-    assert kept.of(3, sizes, chain) is not first
-    with sharing(Structures()):
-        one, two = fresh(graph).system, noisy(graph, 1).system
-        assert one.structure is two.structure
-        assert one.symbolic is two.symbolic
-        assert not np.shares_memory(one.values, two.values)
-    assert fresh(graph).system.structure is not one.structure
 
 
 def test_a_pickled_graph_leaves_its_system_behind(graph: Graph) -> None:
