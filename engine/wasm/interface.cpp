@@ -7,7 +7,7 @@
 #include <numeric>
 #include <tuple>
 
-#include "proof.hpp"
+#include "vmslam/certificate/proof.hpp"
 #include "vmslam/edges/marginal.hpp"
 #include "vmslam/edges/virtual_motion.hpp"
 #include "vmslam/online/system.hpp"
@@ -66,13 +66,13 @@ struct LogGraph {
 
     /// A lower bound on J of all states, and J; with a kernel on the cost with its weights held at those of the poses.
     std::pair<double, double> proof(std::span<const double> poses) const {
-        certificate::EdgeList list;
+        std::vector<certificate::Edge> list;
         std::vector<double> state(poses.begin(), poses.end());
-        list.add(-1, 0, {log.start[0], log.start[1], log.start[2]}, {}, log.start[2], true, {1e6, 0.0, 1e6, 0.0, 0.0, 1e6});
+        list.push_back({-1, 0, {log.start[0], log.start[1]}, {}, log.start[2], true, upper({1e6, 0.0, 1e6, 0.0, 0.0, 1e6})});
         const auto size = static_cast<solve::Place>(log.poses());
         for (solve::Place t = 0; options.motions && t + 1 < size; ++t) {
             const auto [z, omega] = measured(log.motion(t), robot.motion);
-            list.add(t, t + 1, z, {}, z.t, true, omega);
+            list.push_back({t, t + 1, {z.x, z.y}, {}, z.t, true, upper(omega)});
         }
         const std::vector<double> squares = plain.costs(poses);
         double cost = std::accumulate(squares.begin(), squares.end(), 0.0);
@@ -86,8 +86,13 @@ struct LogGraph {
                 for (; k < static_cast<std::size_t>(seen.starts[g + 1]); ++k) {
                     const auto [z, omega] = measured(seen.sightings.z[k], robot.oriented, robot.sensor);
                     const edges::AroundMean& each = around.sightings[k];
-                    list.add(seen.nodes[k], size + static_cast<solve::Place>(g), z, {}, z.t, robot.oriented,
-                             each.factor * omega);
+                    list.push_back({seen.nodes[k],
+                                    size + static_cast<solve::Place>(g),
+                                    {z.x, z.y},
+                                    {},
+                                    z.t,
+                                    robot.oriented,
+                                    upper(each.factor * omega)});
                     const edges::Vector pull = each.W * each.e;
                     cost +=
                         each.factor * (each.e.x * pull.x + each.e.y * pull.y + (robot.oriented ? each.e.t * pull.t : 0.0));
@@ -101,17 +106,25 @@ struct LogGraph {
                 cost += weight * squares[before + k];
             }
         }
-        return {certificate::best_bound(state, list, cost), cost};
+        return {certificate::lower_bound(state, std::move(list), cost), cost};
     }
 
    private:
-    void add_pair(certificate::EdgeList& list, const LandmarkSighting& a, const LandmarkSighting& b, double weight) const {
+    static std::array<double, 6> upper(const edges::Symmetric& W) { return {W.xx, W.xy, W.yy, W.xt, W.yt, W.tt}; }
+    void add_pair(std::vector<certificate::Edge>& list, const LandmarkSighting& a, const LandmarkSighting& b,
+                  double weight) const {
         const edges::Vector first = measured(a.z, true, robot.sensor).z, second = measured(b.z, true, robot.sensor).z;
         // in the axes of the first pose, in which the landmark has the heading first.t
         const edges::Rotation from_a(a.z.bearing), from_b(b.z.orientation + first.t);
         const edges::Symmetric C = edges::landmark_covariance(robot.sensor, a.z.range, from_a, true) +
                                    edges::landmark_covariance(robot.sensor, b.z.range, from_b, true);
-        list.add(place(a), place(b), first, second, edges::wrap(first.t - second.t), true, weight * edges::inverse(C, true));
+        list.push_back({place(a),
+                        place(b),
+                        {first.x, first.y},
+                        {second.x, second.y},
+                        edges::wrap(first.t - second.t),
+                        true,
+                        upper(weight * edges::inverse(C, true))});
     }
 
     solve::Graph made(const edges::Kernel& kernel, int count) const {

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..engine import engine
+from ..engine import available_threads, engine
 from ..se2 import Array
-from .cholesky import Factor, HermitianSymbolic, Symbolic, analyze, analyze_hermitian, symmetric
+from .cholesky import Factor, Symbolic, analyze, symmetric
 
 if TYPE_CHECKING:
     import scipy.sparse as sp
@@ -28,6 +28,8 @@ class Structure:
 
     indptr: np.ndarray
     indices: np.ndarray
+    #: a proof that nobody uses, whose memory is used again
+    spare: list[Any] = field(default_factory=list, repr=False)
 
     @cached_property
     def symbolic(self) -> Symbolic:
@@ -35,9 +37,21 @@ class Structure:
         return analyze(self.indptr, self.indices)
 
     @cached_property
-    def hermitian(self) -> HermitianSymbolic:
-        """The structure of the factor of a Hermitian matrix of this pattern, in the same order."""
-        return analyze_hermitian(self.indptr, self.indices, self.symbolic.order)
+    def _hermitian(self) -> Any:
+        """The structure of the factor of a Hermitian matrix of this pattern, in the order of `symbolic` if that is known."""
+        order = self.symbolic.order if "symbolic" in vars(self) else None
+        return engine.analyze(
+            self.indptr, self.indices.astype(np.int32), order, hermitian=True, threads=available_threads()
+        )
+
+    def proof(self) -> Any:
+        """A proof in the engine without edges: the ``spare`` one, where its user gives it back, or a new one."""
+        try:
+            proof = self.spare.pop()
+        except IndexError:
+            proof = engine.Proof(self.indptr, self.indices, self._hermitian)
+        proof.clear()
+        return proof
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from graphslam import Graph, GraphError, MotionModel, OptionError, certify, load
 from graphslam.edges import AnchorEdges, ConstantEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.se2 import between, compose, wrap
 from graphslam.simulation.simulator import SensorFaults
-from graphslam.solvers.certificate import _Problem, prove, prove_edges
+from graphslam.solvers.certificate import _of_graph, prove, prove_edges
 
 
 @pytest.fixture(scope="module")
@@ -63,20 +63,20 @@ def test_the_function_stays_below_the_cost_and_touches_it(sample):
         Graph.from_log(sample, weight="marginal", edges="virtual+motion", kernel="none"),
     ):
         state = solve(graph).state
-        problem = _Problem.of(graph, state)
-        n = graph.num_nodes
+        problem, parts = _of_graph(graph, state), [family.constant(state) for family in graph.families]
+        nodes = np.concatenate([state, *(part.landmarks for part in parts)])
         for share in (0.3, 0.1):
-            f = problem.quadratic_bound(problem.curvature(share))
-            cost = problem.forces.cost.sum()
-            S = hermitian(problem, f.values)
+            values, gradient = problem.proof.function_of(share)
+            cost = problem.proof.cost
+            S = hermitian(problem.structure, values)
             assert cost == pytest.approx(graph.cost(state), rel=1e-12)
-            base = variables(problem.state)
+            base = variables(nodes)
             for size in (1e-3, 0.1, 1.0, 10.0):
-                moved = problem.state + size * rng.standard_normal(problem.state.shape)
+                moved = nodes + size * rng.standard_normal(nodes.shape)
                 x = variables(moved) - base
                 # S is the matrix of the function with its multipliers, which add nothing where abs(z) = 1
-                below = cost + 2 * np.vdot(f.gradient.ravel(), x).real + np.vdot(x, S @ x).real
-                assert below <= cost_of(graph, problem, moved, n) + 1e-6
+                below = cost + 2 * np.vdot(gradient.ravel(), x).real + np.vdot(x, S @ x).real
+                assert below <= cost_of(graph, parts, moved) + 1e-6
 
 
 def variables(state):
@@ -85,32 +85,30 @@ def variables(state):
     return x
 
 
-def cost_of(graph, problem, state, n):
+def cost_of(graph, parts, state):
     """J with the landmarks of marginal edges where the state has them, computed from the edges in their constant form."""
-    first, second, start, end, turn, oriented, information = problem.edges
     total = 0.0
-    origin = np.zeros(3)
-    for k in range(len(first)):
-        a, b = origin if first[k] < 0 else state[first[k]], state[second[k]]
-        c, s = np.cos(b[2]), np.sin(b[2])
-        reached = b[:2] + [c * end[k, 0] - s * end[k, 1], s * end[k, 0] + c * end[k, 1]]
-        e = np.append(between(a, np.append(reached, 0.0))[:2] - start[k], 0.0)
-        if oriented[k]:
-            e[2] = wrap(b[2] - a[2] - turn[k])
-        w = information[k]
-        total += e @ np.array([[w[0], w[1], w[3]], [w[1], w[2], w[4]], [w[3], w[4], w[5]]]) @ e
-    if n == len(state):
+    for part in parts:
+        for k, (first, second) in enumerate(zip(part.first, part.second)):
+            a, b = np.zeros(3) if first < 0 else state[first], state[second]
+            c, s = np.cos(b[2]), np.sin(b[2])
+            reached = b[:2] + [c * part.end[k, 0] - s * part.end[k, 1], s * part.end[k, 0] + c * part.end[k, 1]]
+            e = between(a, np.append(reached, 0.0))[:2] - part.start[k]
+            if part.turn is not None:
+                e = np.append(e, wrap(b[2] - a[2] - part.turn[k]))
+            total += e @ part.information[k] @ e
+    if graph.num_nodes == len(state):
         assert total == pytest.approx(graph.cost(state), rel=1e-9)
     return total
 
 
-def hermitian(problem, values):
+def hermitian(structure, values):
     """The whole matrix (2N, 2N) of upper blocks."""
-    n = len(problem.indptr) - 1
+    n = len(structure.indptr) - 1
     S = np.zeros((2 * n, 2 * n), dtype=complex)
     for j in range(n):
-        for p in range(problem.indptr[j], problem.indptr[j + 1]):
-            i = problem.indices[p]
+        for p in range(structure.indptr[j], structure.indptr[j + 1]):
+            i = structure.indices[p]
             S[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = values[p]
             S[2 * j : 2 * j + 2, 2 * i : 2 * i + 2] = values[p].conj().T
     return S

@@ -2,6 +2,7 @@
 #include <numbers>
 
 #include "vmslam/certificate/minorant.hpp"
+#include "vmslam/edges/arithmetic.hpp"
 
 namespace vmslam::certificate {
 namespace {
@@ -14,26 +15,44 @@ constexpr double half_turn = pi - 1e-6;
 /// Shares to try for one edge, where its own split leaves no curvature in the heading.
 constexpr double more_shares[] = {0.5, 0.8, 0.95, 0.99};
 
-double wrap(double angle) { return angle - 2 * pi * std::floor((angle + pi) / (2 * pi)); }
+}  // namespace
 
-Force force(std::span<const double> state, const Edges& edges, Place e) {
-    const Place a = edges.first[e], b = edges.second[e];
-    const double* const w = edges.information.data() + 6 * e;
-    const auto axes = [&](Place i) { return Complex{std::cos(state[3 * i + 2]), std::sin(state[3 * i + 2])}; };
-    const auto place = [&](Place i) { return Complex{state[3 * i], state[3 * i + 1]}; };
-    const Complex za = a >= 0 ? axes(a) : Complex{1.0, 0.0}, ta = a >= 0 ? place(a) : Complex{};
-    const double heading = a >= 0 ? state[3 * a + 2] : 0.0, ahead = state[3 * b + 2];
-    const Complex tb = place(b), d_a = edges.d_a(e), d_b = edges.d_b(e);
+void State::set(std::span<const double> values) {
+    nodes_.resize(1 + values.size() / 3);
+    for (std::size_t i = 1; i < nodes_.size(); ++i) {
+        const double* const x = values.data() + 3 * (i - 1);
+        nodes_[i] = {{std::cos(x[2]), std::sin(x[2])}, {x[0], x[1]}, x[2]};
+    }
+}
+
+Split split(const double* w, double share) {
+    const double o00 = w[0], o01 = w[1], o11 = w[2], o02 = w[3], o12 = w[4], o22 = w[5];
+    const double mean = (o00 + o11) / 2, half = (o00 - o11) / 2, largest = mean + std::sqrt(half * half + o01 * o01);
+    // the determinant has an error of 3 units in o00 o11, and largest, of 4 units, is at least as large as both
+    const double smallest = largest > 0 ? (o00 * o11 - o01 * o01) / largest - 16 * roundoff * std::min(o00, o11) : 0.0;
+    if (o02 == 0 && o12 == 0) return {smallest > 0 ? smallest : -1.0, o22};
+    if (!(smallest > 0)) return {-1.0, 0.0};
+    const double beta = (1 - share) * smallest;
+    const double determinant = (smallest - beta) * (largest * (1 - 8 * roundoff) - beta);
+    if (!(determinant > 0)) return {-1.0, 0.0};
+    const double m00 = o00 - beta, m11 = o11 - beta;
+    const double first = o02 * o02 * m11, second = 2 * o02 * o12 * o01, third = o12 * o12 * m00;
+    const double size = (first + std::abs(second) + third) / determinant;
+    return {beta, o22 - (first - second + third) / determinant - 16 * roundoff * (o22 + size)};
+}
+
+Force force(const Node& a, const Node& b, const Edge& edge) {
+    const double* const w = edge.information.data();
     Force f;
-    f.reached = conj(za) * (tb + axes(b) * d_b - ta);
-    const Complex v = f.reached - d_a;
-    const double size = length(ta) + length(tb) + length(d_a) + 2 * length(d_b) + length(f.reached) + length(v);
+    f.reached = conj(a.z) * (b.t + b.z * edge.d_b - a.t);
+    const Complex v = f.reached - edge.d_a;
+    const double size = length(a.t) + length(b.t) + length(edge.d_a) + 2 * length(edge.d_b) + length(f.reached) + length(v);
     f.place_error = 16 * roundoff * size;
     f.heading_error = 0.0;
     double h = 0.0;
-    if (edges.oriented[e]) {
-        h = wrap(ahead - heading - edges.turn[e]);
-        f.heading_error = 16 * roundoff * (std::abs(heading) + std::abs(ahead) + std::abs(edges.turn[e]) + pi);
+    if (edge.oriented) {
+        h = edges::wrap(b.heading - a.heading - edge.turn);
+        f.heading_error = 16 * roundoff * (std::abs(a.heading) + std::abs(b.heading) + std::abs(edge.turn) + pi);
     }
     f.p = {dot(w[0], w[1], w[3], v.re, v.im, h), dot(w[1], w[2], w[4], v.re, v.im, h)};
     f.g = dot(w[3], w[4], w[5], v.re, v.im, h);
@@ -50,7 +69,9 @@ Force force(std::span<const double> state, const Edges& edges, Place e) {
     return f;
 }
 
-Curvature curvature(const double* w, bool oriented, const Force& force, double share) {
+Curvature curvature(const Edge& edge, const Force& force, double share) {
+    const double* const w = edge.information.data();
+    const bool oriented = edge.oriented;
     const bool coupled = w[3] != 0 || w[4] != 0;
     const double g = std::abs(force.g);
     auto [beta, kappa] = split(w, share);
@@ -84,44 +105,13 @@ Curvature curvature(const double* w, bool oriented, const Force& force, double s
         out.A = kappa * (1 - u * u);
         out.error = kappa;
     } else {
-        const double ratio = u / std::sin(u);
-        out.A = kappa * u / std::tan(u);
+        const double sine = std::sin(u), ratio = u / sine;
+        out.A = kappa * u * (std::cos(u) / sine);
         out.error = kappa + std::abs(out.A) + kappa * (ratio * ratio);
     }
     // cos f changes with the rounding of f by less than a part of f²
     const double lost = std::abs(out.A) * force.heading_error;
     out.slack += lost * lost / absorbing + 2 * lost * force.heading_error;
-    return out;
-}
-
-}  // namespace
-
-Split split(const double* w, double share) {
-    const double o00 = w[0], o01 = w[1], o11 = w[2], o02 = w[3], o12 = w[4], o22 = w[5];
-    const double mean = (o00 + o11) / 2, half = (o00 - o11) / 2, largest = mean + std::sqrt(half * half + o01 * o01);
-    // the determinant has an error of 3 units in o00 o11, and largest, of 4 units, is at least as large as both
-    const double smallest = largest > 0 ? (o00 * o11 - o01 * o01) / largest - 16 * roundoff * std::min(o00, o11) : 0.0;
-    if (o02 == 0 && o12 == 0) return {smallest > 0 ? smallest : -1.0, o22};
-    if (!(smallest > 0)) return {-1.0, 0.0};
-    const double beta = (1 - share) * smallest;
-    const double determinant = (smallest - beta) * (largest * (1 - 8 * roundoff) - beta);
-    if (!(determinant > 0)) return {-1.0, 0.0};
-    const double m00 = o00 - beta, m11 = o11 - beta;
-    const double first = o02 * o02 * m11, second = 2 * o02 * o12 * o01, third = o12 * o12 * m00;
-    const double size = (first + std::abs(second) + third) / determinant;
-    return {beta, o22 - (first - second + third) / determinant - 16 * roundoff * (o22 + size)};
-}
-
-std::vector<Force> forces(std::span<const double> state, const Edges& edges) {
-    std::vector<Force> out(edges.size());
-    for (Place e = 0; e < edges.size(); ++e) out[e] = force(state, edges, e);
-    return out;
-}
-
-std::vector<Curvature> curvatures(const Edges& edges, std::span<const Force> forces, double share) {
-    std::vector<Curvature> out(edges.size());
-    for (Place e = 0; e < edges.size(); ++e)
-        out[e] = curvature(edges.information.data() + 6 * e, edges.oriented[e], forces[e], share);
     return out;
 }
 

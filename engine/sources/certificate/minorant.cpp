@@ -7,11 +7,10 @@ namespace {
 
 void add(std::complex<double>& to, Complex a) { to = {to.real() + a.re, to.imag() + a.im}; }
 
-/// The function in work, and the directions of all nodes.
+/// The function in work.
 struct Sum {
     std::span<const Place> column_start, rows;
-    std::vector<Complex> axes;
-    Minorant out;
+    Minorant& out;
 
     std::complex<double>* block(Place k) { return out.values.data() + 4 * k; }
     std::complex<double>* diagonal(Place node) { return block(column_start[node + 1] - 1); }
@@ -45,23 +44,22 @@ struct Sum {
 
 }  // namespace
 
-Minorant minorant(std::span<const double> state, const Edges& edges, std::span<const bool> free,
-                  std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
-                  std::span<const Curvature> curvatures) {
-    const std::size_t n = state.size() / 3;
-    Sum sum{column_start, rows, std::vector<Complex>(n), {}};
-    for (std::size_t i = 0; i < n; ++i) sum.axes[i] = {std::cos(state[3 * i + 2]), std::sin(state[3 * i + 2])};
-    Minorant& out = sum.out;
-    out.values.resize(4 * rows.size());
-    out.gradient.resize(2 * n);
-    out.scale.resize(2 * n);
-    out.error.resize(2 * n);
+void write_minorant(const State& state, std::span<const Edge> edges, std::span<const char> free,
+                    std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
+                    std::span<const Curvature> curvatures, Minorant& out) {
+    const std::size_t n = state.size();
+    Sum sum{column_start, rows, out};
+    out.values.assign(4 * rows.size(), 0.0);
+    out.gradient.assign(2 * n, 0.0);
+    out.scale.assign(2 * n, 0.0);
+    out.error.assign(2 * n, 0.0);
+    out.touched = out.slack = 0.0;
     double rest = 0.0;
-    for (Place e = 0; e < edges.size(); ++e) {
-        const Place a = edges.first[e], b = edges.second[e];
+    for (std::size_t e = 0; e < edges.size(); ++e) {
+        const auto& [a, b, d_a, d_b, turn, oriented, information] = edges[e];
         const Force& force = forces[e];
         const auto [beta, A, A_error, split_slack] = curvatures[e];
-        const Complex p = force.p, reached = force.reached, d_b = edges.d_b(e);
+        const Complex p = force.p, reached = force.reached;
         const double g = force.g;
         // J_e >= 0 is the bound that remains
         if (beta < 0) continue;
@@ -71,7 +69,7 @@ Minorant minorant(std::span<const double> state, const Edges& edges, std::span<c
         out.slack += force.slack + split_slack + 8 * roundoff * std::abs(force.cost);
         // a constant
         if (a == b) continue;
-        const Complex za = a >= 0 ? sum.axes[a] : Complex{1.0, 0.0}, zb = sum.axes[b];
+        const Complex za = state[a].z, zb = state[b].z;
         const double strength = length(p), reach = length(reached), pulled = strength * (reach + length(d_b));
         // of p times the rounding error of the place, in units of 64
         const double far = strength * force.place_error / (64 * roundoff);
@@ -89,7 +87,7 @@ Minorant minorant(std::span<const double> state, const Edges& edges, std::span<c
             sum.add_diagonal(b, beta * square(d_b) + A - force_b.re, beta * conj(d_b), beta);
             sum.pull(b, zb * Complex{0.0, force_b.im + g}, p * za);
             // without a heading row and a lever, the node has no heading
-            if (edges.oriented[e] || !(d_b == Complex{})) out.scale[2 * b] += 4 * beta * square(d_b) + curved + 2 * pulled;
+            if (oriented || !(d_b == Complex{})) out.scale[2 * b] += 4 * beta * square(d_b) + curved + 2 * pulled;
             out.scale[2 * b + 1] += 8 * beta;
             out.error[2 * b] += 2 * pulled + std::abs(g);
             out.error[2 * b + 1] += 2 * strength;
@@ -101,22 +99,6 @@ Minorant minorant(std::span<const double> state, const Edges& edges, std::span<c
     }
     out.touched += rest;
     out.slack *= 1 + 4 * static_cast<double>(edges.size()) * roundoff;
-    return std::move(out);
-}
-
-Strains strains(std::span<const double> state, const Edges& edges, std::span<const Complex> reached,
-                std::span<const std::complex<double>> x) {
-    Strains out{std::vector<double>(edges.size()), std::vector<double>(edges.size())};
-    const auto axes = [&](Place i) { return Complex{std::cos(state[3 * i + 2]), std::sin(state[3 * i + 2])}; };
-    for (Place e = 0; e < edges.size(); ++e) {
-        const Place a = edges.first[e], b = edges.second[e];
-        const Complex za = a >= 0 ? axes(a) : Complex{1.0, 0.0}, zb = axes(b);
-        const Complex xa = a >= 0 ? Complex(x[2 * a]) : Complex{}, ta = a >= 0 ? Complex(x[2 * a + 1]) : Complex{};
-        const Complex xb = x[2 * b], tb = x[2 * b + 1];
-        out.stretched[e] = square(tb - ta + xb * edges.d_b(e) - xa * reached[e]);
-        out.turned[e] = square(xb * za * conj(zb) - xa);
-    }
-    return out;
 }
 
 }  // namespace vmslam::certificate

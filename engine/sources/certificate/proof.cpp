@@ -4,22 +4,28 @@
 #include <cmath>
 #include <numeric>
 
+#include "vmslam/edges/arithmetic.hpp"
+#include "vmslam/numbers/random.hpp"
+#include "vmslam/sparse/ordering.hpp"
+#include "vmslam/sparse/pattern.hpp"
+
 namespace vmslam::certificate {
+namespace {
 
-bool take_upper(std::span<const double> matrices, Place count, int d, double tolerance, std::span<double> rows) {
-    for (Place e = 0; e < count; ++e) {
-        const double* const W = matrices.data() + e * d * d;
-        for (int j = 0, k = 0; j < d; ++j)
-            for (int i = 0; i <= j; ++i, ++k) {
-                const double apart = std::abs(W[i * d + j] - W[j * d + i]);
-                if (apart > tolerance * (std::abs(W[i * d + i]) + std::abs(W[j * d + j]))) return false;
-                rows[6 * e + k] = W[i * d + j];
-            }
-    }
-    return true;
-}
+constexpr double infinity = std::numeric_limits<double>::infinity();
+/// The split of the information that is tried first, and those among which each edge may choose.
+constexpr double first_share = 0.3, shares[] = {0.02, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 0.95};
+/// The most times that the edges choose again.
+constexpr int rounds = 8;
+/// Factorisations spent on a lower bound where S is not positive definite.
+constexpr int attempts = 9;
+/// Residuals up to this part of what the edges measure count as zero: a solver stops at steps of 1e-9, not at the rounding
+/// error of the state. The scale of the information does not matter here: at a wrong minimum of perfect measurements some
+/// residuals are of the size of the world.
+constexpr double negligible = 1e-6;
 
-std::vector<Place> hold_roots(std::span<const Place> first, std::span<const Place> second, std::span<bool> free) {
+/// Hold one node of every piece that nothing ties to the world; the number of edges at each node.
+std::vector<Place> hold_roots(std::span<const Edge> edges, std::span<char> free) {
     const auto n = static_cast<Place>(free.size());
     std::vector<Place> ends(n, 0), parent(n + 1);
     // node n is the world, which is also every node that is held
@@ -33,10 +39,10 @@ std::vector<Place> hold_roots(std::span<const Place> first, std::span<const Plac
         a = root(a), b = root(b);
         if (a != b) parent[std::max(a, b)] = std::min(a, b);
     };
-    for (std::size_t e = 0; e < first.size(); ++e) {
-        if (first[e] >= 0) ++ends[first[e]];
-        ++ends[second[e]];
-        join(first[e] >= 0 ? first[e] : n, second[e]);
+    for (const Edge& edge : edges) {
+        if (edge.first >= 0) ++ends[edge.first];
+        ++ends[edge.second];
+        join(edge.first >= 0 ? edge.first : n, edge.second);
     }
     for (Place k = 0; k < n; ++k)
         if (!free[k]) join(n, k);
@@ -46,31 +52,229 @@ std::vector<Place> hold_roots(std::span<const Place> first, std::span<const Plac
     return ends;
 }
 
-Margins margins(std::span<const double> scale, std::span<const double> shifts, std::span<const double> summation,
-                std::span<const double> rounding, std::span<const Node> order) {
-    Margins out{std::vector<double>(scale.size()), std::vector<double>(scale.size(), 1.0)};
-    const double largest = rounding.empty() ? 0.0 : *std::max_element(rounding.begin(), rounding.end());
+}  // namespace
+
+std::vector<double> rounding_of(const sparse::Symbolic& symbolic) {
+    std::vector<double> out;
+    out.reserve(symbolic.row_length.size());
+    for (const sparse::Node length : symbolic.row_length) out.push_back(2 * roundoff * (16.0 + 4.0 * length));
+    return out;
+}
+
+std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const std::complex<double>> values,
+                                  std::span<const Place> column_start, std::span<const double> rounding) {
+    const sparse::Order& order = factor.symbolic().order;
+    std::vector<double> weight(2 * order.size()), error(2 * order.size());
+    for (std::size_t k = 0; k < order.size(); ++k)
+        for (int c = 0; c < 2; ++c)
+            weight[2 * k + c] = std::sqrt(rounding[k] / values[4 * (column_start[order[k] + 1] - 1) + 3 * c].real());
+    const std::vector<double> square = factor.magnitude_square(weight);
+    for (std::size_t k = 0; k < order.size(); ++k)
+        for (int c = 0; c < 2; ++c) error[2 * order[k] + c] = 1.001 * rounding[k] * square[2 * k + c] / weight[2 * k + c];
+    return error;
+}
+
+double square_bound(HermitianFactor& factor, std::span<const std::complex<double>> b, std::span<const double> rounding) {
+    const double lost = 1.001 + std::sqrt(2 * std::accumulate(rounding.begin(), rounding.end(), 0.0));
+    return factor.forward_square(b) * lost * lost;
+}
+
+void Proof::begin(std::span<const double> state, std::vector<char> free) {
+    state_.set(state);
+    free_ = std::move(free);
+    summation_.clear();
+    for (const Place ends : hold_roots(edges, free_))
+        summation_.push_back(roundoff * (128.0 + 4.0 * static_cast<double>(ends)));
+    forces_.clear();
+    for (const Edge& edge : edges) forces_.push_back(force(state_[edge.first], state_[edge.second], edge));
+    curves_.clear();
+    for (std::size_t e = 0; e < edges.size(); ++e) curves_.push_back(curvature(edges[e], forces_[e], first_share));
+    write_function(function_, curves_);
+}
+
+void Proof::write_function(Minorant& out, std::span<const Curvature> curves) const {
+    write_minorant(state_, edges, free_, column_start_, rows_, forces_, curves, out);
+}
+
+std::vector<Curvature> Proof::curvatures_for(double share) const {
+    std::vector<Curvature> curves;
+    for (std::size_t e = 0; e < edges.size(); ++e) curves.push_back(curvature(edges[e], forces_[e], share));
+    return curves;
+}
+
+Minorant Proof::function_of(double share) const {
+    Minorant out;
+    write_function(out, curvatures_for(share));
+    return out;
+}
+
+double Proof::cost() const {
+    return std::accumulate(forces_.begin(), forces_.end(), 0.0, [](double sum, const Force& f) { return sum + f.cost; });
+}
+
+bool Proof::zero() const {
+    if (std::all_of(forces_.begin(), forces_.end(), [](const Force& f) { return f.zero; })) return true;
+    double size = 0.0;
+    for (std::size_t e = 0; e < edges.size(); ++e)
+        if (edges[e].first >= 0) size = std::max(size, length(forces_[e].reached) + length(edges[e].d_b));
+    for (std::size_t e = 0; e < edges.size(); ++e) {
+        const Edge& edge = edges[e];
+        const double turned = vmslam::edges::wrap(state_[edge.second].heading - state_[edge.first].heading - edge.turn);
+        if (!(length(forces_[e].reached - edge.d_a) <= negligible * size)) return false;
+        if (edge.oriented && !(std::abs(turned) <= negligible)) return false;
+    }
+    return true;
+}
+
+/// Factorise S, its diagonal for headings shifted, less the rounding errors, until `margin` (2 N) is enough for those of the
+/// factor; false where S is not proven positive definite.
+///
+/// S is at least what is assembled minus `assembled`, and L L^H is at most that minus `assembled + margin`, so that S is at
+/// least L L^H plus `margin`.
+bool Proof::factorize(std::span<const double> shifts, std::vector<double>& margin) {
+    const std::vector<double>& scale = function_.scale;
+    const sparse::Order& order = factor_.symbolic().order;
+    const double largest = rounding_.empty() ? 0.0 : *std::max_element(rounding_.begin(), rounding_.end());
+    std::vector<double> assembled(scale.size(), 0.0);
+    margin.assign(scale.size(), 1.0);
     for (std::size_t k = 0; k < order.size(); ++k)
         for (int c = 0; c < 2; ++c) {
             const Place i = order[k], at = 2 * i + c;
             const double size = scale[at] + (c == 0 ? shifts[i] : 0.0);
-            out.assembled[at] = summation[i] * size;
-            if (scale[at] > 0) out.margin[at] = out.assembled[at] + 2 * std::sqrt(rounding[k] * largest) * size;
+            assembled[at] = summation_[i] * size;
+            if (scale[at] > 0) margin[at] = assembled[at] + 2 * std::sqrt(rounding_[k] * largest) * size;
         }
-    return out;
+    while (true) {
+        // 1 where a node is not free
+        values_ = function_.values;
+        for (std::size_t at = 0; at < scale.size(); ++at) {
+            const double change = (at % 2 == 0 ? shifts[at / 2] : 0.0) - assembled[at] - 2 * margin[at];
+            values_[4 * (column_start_[at / 2 + 1] - 1) + 3 * (at % 2)] += scale[at] > 0 ? change : 1.0;
+        }
+        negative_.clear();
+        if (const Place bad = factor_.factorize(values_); bad >= 0) {
+            negative_ = factor_.null_vector(bad);
+            return false;
+        }
+        const std::vector<double> error = factor_errors(factor_, values_, column_start_, rounding_);
+        if (std::equal(error.begin(), error.end(), margin.begin(), std::less_equal<>())) return true;
+        for (std::size_t at = 0; at < scale.size(); ++at)
+            margin[at] = scale[at] > 0 ? std::max(margin[at], assembled[at] + 2 * error[at]) : 1.0;
+    }
 }
 
-std::vector<std::complex<double>> changed(std::span<const std::complex<double>> values, std::span<const Place> column_start,
-                                          std::span<const double> scale, std::span<const double> shifts,
-                                          std::span<const double> assembled, std::span<const double> margin) {
-    std::vector<std::complex<double>> out(values.begin(), values.end());
-    for (std::size_t j = 0; j + 1 < column_start.size(); ++j)
-        for (int c = 0; c < 2; ++c) {
-            const std::size_t at = 2 * j + c;
-            const double change = (c == 0 ? shifts[j] : 0.0) - assembled[at] - 2 * margin[at];
-            out[4 * (column_start[j + 1] - 1) + 3 * c] += scale[at] > 0 ? change : 1.0;
+/// The bound with the multipliers of the headings shifted, in units of the scale of S: with lower multipliers S is positive
+/// definite, but its function touches J no longer at its own minimum.
+double Proof::shifted_bound(double shift) {
+    std::vector<double> shifts(state_.size()), margin;
+    for (Place i = 0; i < state_.size(); ++i) shifts[i] = shift * function_.scale[2 * i] / 8;
+    if (!factorize(shifts, margin)) return -infinity;
+    std::vector<std::complex<double>> gradient = function_.gradient;
+    double lost = 0.0;
+    for (std::size_t at = 0; at < margin.size(); ++at) {
+        const Place i = static_cast<Place>(at / 2);
+        const double moved = at % 2 == 0 ? shifts[i] : 0.0;
+        if (free_[i]) gradient[at] += moved * std::complex<double>(state_[i].z);
+        const double error = summation_[i] * (function_.error[at] + moved);
+        lost += error * error / margin[at];
+    }
+    const double step = std::sqrt(square_bound(factor_, gradient, rounding_)) + 1.001 * std::sqrt(lost);
+    return function_.touched - step * step - function_.slack;
+}
+
+/// The best lower bound among a few shifts.
+Proof::Shifted Proof::least_shift() {
+    Shifted found{shifted_bound(0.0), 0.0, true};
+    if (negative_.empty()) return found;
+    found.factored = false;
+    double low = 0.0, high = 1e-6;
+    for (int k = 0; k < attempts; ++k) {
+        const double middle = !found.factored ? high : low > 0 ? std::sqrt(low * high) : high / 10;
+        found.best = std::max(found.best, shifted_bound(middle));
+        if (negative_.empty()) {
+            high = found.shift = middle;
+            found.factored = true;
+        } else {
+            low = middle;
+            if (!found.factored) high *= 10;
         }
-    return out;
+    }
+    if (found.factored && !negative_.empty()) shifted_bound(found.shift);
+    return found;
+}
+
+/// About the smallest direction (N, 2) of S against its scale, by inverse iteration with the shifted factor.
+std::vector<std::complex<double>> Proof::smallest() {
+    const std::vector<double>& scale = function_.scale;
+    std::vector<std::complex<double>> x(scale.size()), weighted(scale.size());
+    for (std::size_t at = 0; at < x.size(); ++at) x[at] = numbers::normal_pair<double>(0, at, 0).first;
+    for (int k = 0; k < 5; ++k) {
+        for (std::size_t at = 0; at < x.size(); ++at) weighted[at] = std::max(scale[at], 0.0) * x[at];
+        factor_.solve(weighted, x);
+        double square = 0.0;
+        for (std::size_t at = 0; at < x.size(); ++at) square += std::max(scale[at], 0.0) * std::norm(x[at]);
+        for (auto& value : x) value /= std::sqrt(square);
+    }
+    return x;
+}
+
+/// Average the split of each edge with the choice that is best in the smallest direction of S. A change x of (z, t) stretches
+/// and turns each edge: these multiply beta and A in x^H S x.
+void Proof::choose_splits(std::span<const std::vector<Curvature>> choices, double part) {
+    const std::vector<std::complex<double>> x = smallest();
+    const auto change = [&](Place node, int c) { return node >= 0 ? Complex(x[2 * node + c]) : Complex{}; };
+    for (std::size_t e = 0; e < edges.size(); ++e) {
+        const auto [a, b] = std::pair(edges[e].first, edges[e].second);
+        const Complex za = change(a, 0), zb = change(b, 0);
+        const double stretched = square(change(b, 1) - change(a, 1) + zb * edges[e].d_b - za * forces_[e].reached);
+        const double turned = square(zb * state_[a].z * conj(state_[b].z) - za);
+        const auto gain = [&](const std::vector<Curvature>& choice) {
+            return choice[e].beta < 0 ? -infinity : choice[e].beta * stretched + choice[e].A * turned;
+        };
+        const auto best = std::max_element(choices.begin(), choices.end(),
+                                           [&](const auto& one, const auto& other) { return gain(one) < gain(other); });
+        const Curvature& chosen = (*best)[e];
+        Curvature& curve = curves_[e];
+        curve = {curve.beta < 0 || chosen.beta < 0 ? -1.0 : (1 - part) * curve.beta + part * chosen.beta,
+                 (1 - part) * curve.A + part * chosen.A, std::max(curve.error, chosen.error),
+                 std::max(curve.slack, chosen.slack)};
+    }
+}
+
+double Proof::raised_bound() {
+    std::vector<std::vector<Curvature>> choices;
+    for (const double share : shares) choices.push_back(curvatures_for(share));
+    double best = -infinity;
+    for (int k = 0; k < rounds; ++k) {
+        const Shifted found = least_shift();
+        best = std::max(best, found.best);
+        if (found.shift == 0.0 || !found.factored) break;
+        choose_splits(choices, 2.0 / (k + 3));
+        write_function(function_, curves_);
+    }
+    return best;
+}
+
+double lower_bound(std::span<const double> state, std::vector<Edge> edges, double cost) {
+    const auto nodes = static_cast<Place>(state.size() / 3);
+    std::vector<Place> sizes, tied;
+    for (const Edge& edge : edges) {
+        if (edge.first < 0) continue;
+        sizes.push_back(2);
+        tied.insert(tied.end(), {std::min(edge.first, edge.second), std::max(edge.first, edge.second)});
+    }
+    const sparse::WidePattern wide = sparse::pattern_of_groups(nodes, sizes, tied);
+    const std::vector<sparse::Node> rows(wide.rows.begin(), wide.rows.end());
+    const sparse::Pattern pattern{wide.start, rows};
+    Proof proof(wide.start, wide.rows,
+                std::make_shared<const sparse::Symbolic>(
+                    analyze(pattern, fill_reducing(pattern), {sparse::Hermitian2::rows, sparse::Hermitian2::columns}, 1)));
+    proof.edges = std::move(edges);
+    proof.begin(state, std::vector<char>(nodes, 1));
+    if (cost <= proven && proof.zero()) return cost;
+    double bound = proof.bound();
+    if (!proof.negative().empty()) bound = proof.raised_bound();
+    return std::clamp(bound, 0.0, cost);
 }
 
 }  // namespace vmslam::certificate

@@ -22,17 +22,31 @@ namespace vmslam::certificate {
 
 using sparse::Place;
 
-/// Edges whose information W = (w00, w01, w11, w02, w12, w22) is constant in the axes of their first node, which is -1 for
-/// the origin of the world. `oriented` edges measure the heading.
-struct Edges {
-    std::span<const Place> first, second;
-    std::span<const double> start, end, turn;
-    std::span<const bool> oriented;
-    std::span<const double> information;
+/// A node as a unit complex number z and a complex position t.
+struct Node {
+    Complex z{1.0, 0.0}, t;
+    double heading = 0.0;
+};
 
-    Place size() const { return static_cast<Place>(first.size()); }
-    Complex d_a(Place e) const { return {start[2 * e], start[2 * e + 1]}; }
-    Complex d_b(Place e) const { return {end[2 * e], end[2 * e + 1]}; }
+/// The values of all nodes; node -1 is the origin of the world.
+class State {
+   public:
+    void set(std::span<const double> values);
+    const Node& operator[](Place node) const { return nodes_[node + 1]; }
+    Place size() const { return static_cast<Place>(nodes_.size()) - 1; }
+
+   private:
+    std::vector<Node> nodes_{1};
+};
+
+/// An edge whose information (w00, w01, w11, w02, w12, w22) is constant in the axes of its first node. `oriented` edges measure
+/// the heading.
+struct Edge {
+    Place first, second;
+    Complex d_a, d_b;
+    double turn;
+    bool oriented;
+    std::array<double, 6> information;
 };
 
 /// An edge at a candidate state.
@@ -68,24 +82,16 @@ struct Split {
 };
 Split split(const double* information, double share);
 
-/// The edges at a state (N, 3).
-std::vector<Force> forces(std::span<const double> state, const Edges& edges);
+Force force(const Node& first, const Node& second, const Edge& edge);
 
-/// The split of each edge. `share` chooses it: beta = (1 - share) times the smallest eigenvalue of the position block of
+/// The split of an edge. `share` chooses it: beta = (1 - share) times the smallest eigenvalue of the position block of
 /// Omega, and kappa the largest number that this beta allows. Where Omega does not correlate position and heading, share
 /// counts as 0.
-std::vector<Curvature> curvatures(const Edges& edges, std::span<const Force> forces, double share);
+Curvature curvature(const Edge& edge, const Force& force, double share);
 
-/// The function below J. The cost is constant in nodes that are not `free`.
-Minorant minorant(std::span<const double> state, const Edges& edges, std::span<const bool> free,
-                  std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
-                  std::span<const Curvature> curvatures);
-
-/// By how much a change x (N, 2) of (z, t) stretches and turns each edge: what multiplies beta and A in x^H S x.
-struct Strains {
-    std::vector<double> stretched, turned;
-};
-Strains strains(std::span<const double> state, const Edges& edges, std::span<const Complex> reached,
-                std::span<const std::complex<double>> x);
+/// Write the function below J on the pattern of the graph. The cost is constant in nodes that are not `free`.
+void write_minorant(const State& state, std::span<const Edge> edges, std::span<const char> free,
+                    std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
+                    std::span<const Curvature> curvatures, Minorant& out);
 
 }  // namespace vmslam::certificate

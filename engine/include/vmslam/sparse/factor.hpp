@@ -47,7 +47,7 @@ class Factor {
 
     double log_determinant() const;
 
-    /// |L| |L|^H v for a positive vector v, in the order of elimination.
+    /// At least |L| |L|^H v for a positive vector v, in the order of elimination.
     std::vector<double> magnitude_square(std::span<const double> v) const;
 
    private:
