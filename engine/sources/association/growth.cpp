@@ -8,7 +8,6 @@
 namespace vmslam::association {
 namespace {
 
-using Small = std::array<double, most_coordinates * most_coordinates>;
 constexpr double infinity = std::numeric_limits<double>::infinity();
 
 /// nu' S^-1 nu and the evidence of a pair.
@@ -23,9 +22,9 @@ class Growth {
           rules_(rules),
           d_(pairs.residuals.d),
           count_(pairs.residuals.size()),
-          width_(count_ * d_),
           nu_(pairs.residuals.nu.begin(), pairs.residuals.nu.end()),
-          S_(pairs.residuals.covariance.begin(), pairs.residuals.covariance.end()),
+          white_(nu_.size()),
+          L_(nu_.size() * nu_.size()),
           free_(pairs.allowed.begin(), pairs.allowed.end()) {
         std::copy_if(begin.begin(), begin.end(), std::back_inserter(given_), [](Number c) { return c >= 0; });
         grown_.members.assign(count_, 0);
@@ -46,24 +45,32 @@ class Growth {
     }
 
    private:
-    /// w_c + log N(nu_c; 0, S_cc), both conditioned on the pairs so far, by the Cholesky factor of S_cc.
-    Weighed weigh(Number c) const {
-        Small L;
-        std::array<double, most_coordinates> white;
+    double* row(std::size_t c, std::size_t r) { return L_.data() + (c * d_ + r) * nu_.size(); }
+
+    /// S less the product of the rows of L that are there: what belongs to row r of pair c in the column of number q of pair b.
+    double rest(std::size_t c, std::size_t r, std::size_t b, std::size_t q) {
+        const double *const L = row(c, r), *const other = row(b, q);
+        double value = pairs_.residuals.row(c * d_ + r)[b * d_ + q];
+        for (std::size_t i = 0; i < taken_ * d_ + q; ++i) value -= L[i] * other[i];
+        return value;
+    }
+
+    /// w_c + log N(nu_c; 0, S_cc), both conditioned on the pairs so far, by the rows that L gets if the pair is taken.
+    Weighed weigh(std::size_t c) {
         double squares = 0.0, log_determinant = 0.0;
+        double* const white = white_.data() + c * d_;
         for (std::size_t j = 0; j < d_; ++j) {
-            const double* const S = row(c, j) + c * d_;
+            double* const L = row(c, j) + taken_ * d_;
             white[j] = nu_[c * d_ + j];
             for (std::size_t k = 0; k <= j; ++k) {
-                double value = S[k];
-                for (std::size_t i = 0; i < k; ++i) value -= L[j * d_ + i] * L[k * d_ + i];
+                const double value = rest(c, j, c, k);
                 if (k == j && !(value > 0)) return {infinity, -infinity};
-                L[j * d_ + k] = k == j ? std::sqrt(value) : value / L[k * d_ + k];
+                L[k] = k == j ? std::sqrt(value) : value / row(c, k)[taken_ * d_ + k];
+                if (k < j) white[j] -= L[k] * white[k];
             }
-            for (std::size_t k = 0; k < j; ++k) white[j] -= L[j * d_ + k] * white[k];
-            white[j] /= L[j * d_ + j];
+            white[j] /= L[j];
             squares += white[j] * white[j];
-            log_determinant += 2 * std::log(L[j * d_ + j]);
+            log_determinant += 2 * std::log(L[j]);
         }
         const double constant = 0.5 * static_cast<double>(d_) * std::log(2 * std::numbers::pi);
         return {squares, pairs_.weights[c] - 0.5 * (squares + log_determinant) - constant};
@@ -103,61 +110,32 @@ class Growth {
         grown_.evidence += evidence;
         if (!std::isfinite(grown_.evidence)) return false;
         grown_.members[b] = 1;
-        ++taken_;
         for (std::size_t c = 0; c < count_; ++c)
             if (pairs_.items[c] == pairs_.items[b] || pairs_.landmarks[c] == pairs_.landmarks[b]) free_[c] = false;
-        const Small inverse = inverse_of(b);
         const auto to_come = [&](std::size_t c) {
             return (rules_.grow && free_[c]) ||
                    std::find(given_.begin() + given_from, given_.end(), Number(c)) != given_.end();
         };
         for (std::size_t c = 0; c < count_; ++c)
-            if (to_come(c)) condition(c, b, inverse);
+            if (to_come(c)) condition(c, b);
+        ++taken_;
         return true;
     }
 
-    /// nu_c - G nu_b and S_c - G S_b with the gain G = S_cb S_bb^-1.
-    void condition(std::size_t c, std::size_t b, const Small& inverse) {
-        Small gain{};
+    /// The next columns of L, and nu_c given pair b, whose rows `weigh` has computed.
+    void condition(std::size_t c, std::size_t b) {
         for (std::size_t r = 0; r < d_; ++r)
-            for (std::size_t q = 0; q < d_; ++q)
-                for (std::size_t s = 0; s < d_; ++s) gain[r * d_ + q] += row(c, r)[b * d_ + s] * inverse[s * d_ + q];
-        for (std::size_t r = 0; r < d_; ++r)
-            for (std::size_t q = 0; q < d_; ++q) {
-                const double g = gain[r * d_ + q];
-                nu_[c * d_ + r] -= g * nu_[b * d_ + q];
-                double* const to = row(c, r);
-                const double* const from = row(b, q);
-                for (std::size_t column = 0; column < width_; ++column) to[column] -= g * from[column];
+            for (std::size_t q = 0, k = taken_ * d_; q < d_; ++q, ++k) {
+                row(c, r)[k] = rest(c, r, b, q) / row(b, q)[k];
+                nu_[c * d_ + r] -= row(c, r)[k] * white_[b * d_ + q];
             }
     }
-
-    /// S_bb^-1 by elimination without pivoting: `weigh` has found S_bb positive definite.
-    Small inverse_of(std::size_t b) const {
-        Small A, X{};
-        for (std::size_t r = 0; r < d_; ++r) {
-            for (std::size_t q = 0; q < d_; ++q) A[r * d_ + q] = row(b, r)[b * d_ + q];
-            X[r * d_ + r] = 1.0;
-        }
-        for (std::size_t p = 0; p < d_; ++p) {
-            const double pivot = 1.0 / A[p * d_ + p];
-            for (std::size_t q = 0; q < d_; ++q) A[p * d_ + q] *= pivot, X[p * d_ + q] *= pivot;
-            for (std::size_t r = 0; r < d_; ++r) {
-                if (r == p) continue;
-                const double f = A[r * d_ + p];
-                for (std::size_t q = 0; q < d_; ++q) A[r * d_ + q] -= f * A[p * d_ + q], X[r * d_ + q] -= f * X[p * d_ + q];
-            }
-        }
-        return X;
-    }
-
-    double* row(std::size_t c, std::size_t r) { return S_.data() + (c * d_ + r) * width_; }
-    const double* row(std::size_t c, std::size_t r) const { return S_.data() + (c * d_ + r) * width_; }
 
     const Pairs& pairs_;
     const GrowthRules& rules_;
-    std::size_t d_, count_, width_, taken_ = 0;
-    std::vector<double> nu_, S_;
+    std::size_t d_, count_, taken_ = 0;
+    std::vector<double> nu_, white_;  ///< given the pairs so far; L^-1 of that
+    std::vector<double> L_;           ///< by rows, S = L L' of the pairs so far, and the rows of those that may come
     std::vector<char> free_;  ///< which pairs may still be added
     std::vector<Number> given_;
     Grown grown_;

@@ -1,9 +1,8 @@
 // Joint hypotheses that are grown from seeds, for prior covariances so large that single pairs have no evidence.
 //
 // A hypothesis begins with given pairs. Then the pair with the most evidence given all pairs so far is added, while the
-// evidence rises. Given a pair b, residuals and covariance of the others are conditioned on it:
-//
-//     nu_c <- nu_c - S_cb S_bb^-1 nu_b,    S_ce <- S_ce - S_cb S_bb^-1 S_be.
+// evidence rises. Given a pair, residuals and covariance of the others are conditioned on it, by a Cholesky factor of which
+// each pair that may come keeps its rows.
 //
 // The sum of the steps is the joint evidence E of search.hpp.
 #pragma once
@@ -11,7 +10,7 @@
 #include <array>
 #include <vector>
 
-#include "vmslam/association/residuals.hpp"
+#include "vmslam/association/search.hpp"
 
 namespace vmslam::association {
 

@@ -10,11 +10,25 @@
 // Source: Neira and Tardos, Data association in stochastic mapping using the joint compatibility test, T-RA 2001.
 #pragma once
 
+#include <cstdint>
+#include <span>
 #include <vector>
 
-#include "vmslam/association/residuals.hpp"
-
 namespace vmslam::association {
+
+using Number = std::int64_t;
+
+/// Coordinates of a residual: position, or position and heading.
+inline constexpr std::size_t most_coordinates = 3;
+
+/// nu (C, d) and its covariance S (C d, C d) if all pairs are right. A view.
+struct Residuals {
+    std::span<const double> nu, covariance;
+    std::size_t d;
+
+    std::size_t size() const { return nu.size() / d; }
+    const double* row(std::size_t r) const { return covariance.data() + r * nu.size(); }
+};
 
 /// The candidates of item i are start[i] to start[i + 1] - 1. A view.
 struct Candidates {
