@@ -11,7 +11,6 @@
 #include "vmslam/sparse/factor.hpp"
 #include "vmslam/sparse/ordering.hpp"
 #include "vmslam/sparse/pattern.hpp"
-#include "vmslam/sparse/separator.hpp"
 
 namespace vmslam::python::sparse_bindings {
 
@@ -51,20 +50,11 @@ void bind_orders(nb::module_& m) {
     });
     m.def("flops_of",
           [](In<Place> start, In<Node> rows, In<Node> order) { return flops_of(pattern_of(start, rows), span(order)); });
-    m.def("separator_depths", [](In<Place> start, In<Node> list, Node limit) {
-        const Neighbours graph{{start.data(), start.data() + start.size()}, {list.data(), list.data() + list.size()}};
-        return array(separator_depths(graph, limit));
-    });
-    m.def("separate", [](In<Place> start, In<Node> list, InOut<signed char> side) {
-        const Neighbours graph{{start.data(), start.data() + start.size()}, {list.data(), list.data() + list.size()}};
-        Separator separator(graph);
-        std::copy_n(side.data(), side.size(), separator.side.begin());
-        std::vector<Node> nodes;
-        for (Node v = 0; v < graph.size(); ++v)
-            if (separator.side[v] >= 0) nodes.push_back(v);
-        const Node size = separator.separate(nodes);
-        std::copy_n(separator.side.begin(), side.size(), side.data());
-        return size;
+    const auto graph = [](const In<Place>& start, const In<Node>& list) { return Neighbours{copy_of(start), copy_of(list)}; };
+    m.def("separator_depths",
+          [graph](In<Place> start, In<Node> list, Node limit) { return array(separator_depths(graph(start, list), limit)); });
+    m.def("separate", [graph](In<Place> start, In<Node> list, InOut<signed char> side) {
+        return separate(graph(start, list), span(side));
     });
 }
 

@@ -15,22 +15,269 @@ namespace {
 /// members are chained, so that the order is written out as the pivots are chosen.
 class QuotientGraph {
    public:
-    QuotientGraph(const Neighbours& graph, Node limit, std::span<const Node> turn);
-    Order eliminate();
+    QuotientGraph(const Neighbours& graph, Node limit, std::span<const Node> turn)
+        : n_(graph.size()),
+          last_(graph.size()),
+          turn_(turn),
+          graph_(graph.list.size() * 3 / 2 + graph.size() + 1),
+          start_(graph.start.begin(), graph.start.end() - 1),
+          free_(static_cast<Place>(graph.list.size())),
+          length_(n_),
+          elements_(n_, 0),
+          weight_(n_, 1),
+          degree_(n_, 0),
+          alive_(n_, 1),
+          mark_(n_, 0),
+          head_(n_ + 1, -1),
+          after_(n_, -1),
+          before_(n_, -1),
+          chain_(n_, -1),
+          tail_(n_),
+          bucket_(std::bit_ceil(static_cast<unsigned>(std::max(n_, Node{1}))), -1),
+          sibling_(n_, -1),
+          code_(n_, 0),
+          order_(n_) {
+        std::copy(graph.list.begin(), graph.list.end(), graph_.begin());
+        std::iota(tail_.begin(), tail_.end(), 0);
+        if (!turn.empty()) now_ = *std::min_element(turn.begin(), turn.end());
+        for (Node i = 0; i < n_; ++i) {
+            length_[i] = graph.degree(i);
+            const bool dense = length_[i] > limit;
+            if (!dense && !(length_[i] == 0 && turn_of(i) == now_)) continue;
+            order_[dense ? --last_ : done_++] = i;
+            weight_[i] = 0;
+            alive_[i] = 0;
+        }
+        for (Node i = 0; i < n_; ++i) {
+            if (weight_[i] == 0) continue;
+            if (last_ < n_) {  // the dense nodes are left out
+                Place q = start_[i];
+                for (Place p = start_[i]; p < start_[i] + length_[i]; ++p)
+                    if (alive_[graph_[p]]) graph_[q++] = graph_[p];
+                length_[i] = static_cast<Node>(q - start_[i]);
+            }
+            degree_[i] = length_[i];
+            if (turn_of(i) == now_) link(i, degree_[i]);
+        }
+    }
+
+    Order eliminate() {
+        while (done_ < last_) {
+            const Node pivot = lowest_degree();
+            if (pivot < 0) {
+                start_turn();
+                continue;
+            }
+            unlink(pivot);
+            form_element(pivot);
+            measure_overlaps();
+            update_degrees(pivot);
+            merge_indistinguishable();
+            restore_degrees(pivot);
+            write(pivot);
+        }
+        return std::move(order_);
+    }
 
    private:
-    void link(Node i, Node d);
-    void unlink(Node i);
-    void start_turn();
-    Node lowest_degree();
-    void make_room(Place needed);
-    void form_element(Node pivot);
-    void measure_overlaps();
-    void update_degrees(Node pivot);
-    void merge_indistinguishable();
-    void restore_degrees(Node pivot);
-    void write(Node pivot);
     Node turn_of(Node i) const { return turn_.empty() ? 0 : turn_[i]; }
+
+    void link(Node i, Node d) {
+        degree_[i] = d;
+        after_[i] = head_[d];
+        before_[i] = -1;
+        if (head_[d] >= 0) before_[head_[d]] = i;
+        head_[d] = i;
+    }
+
+    void unlink(Node i) {
+        const Node a = after_[i], b = before_[i];
+        if (a >= 0) before_[a] = b;
+        (b >= 0 ? after_[b] : head_[degree_[i]]) = a;
+    }
+
+    void start_turn() {
+        ++now_;
+        lowest_ = 0;
+        for (Node i = 0; i < n_; ++i)
+            if (weight_[i] > 0 && turn_of(i) == now_) link(i, degree_[i]);
+    }
+
+    Node lowest_degree() {
+        while (lowest_ <= n_ && head_[lowest_] < 0) ++lowest_;
+        return lowest_ > n_ ? -1 : head_[lowest_];
+    }
+
+    /// Copy the live lists to the front of new memory, so that `needed` places are free.
+    void make_room(Place needed) {
+        Place total = 0;
+        for (Node i = 0; i < n_; ++i)
+            if (alive_[i]) total += length_[i];
+        std::vector<Node> fresh(total + total / 2 + needed);
+        free_ = 0;
+        for (Node i = 0; i < n_; ++i) {
+            if (!alive_[i]) continue;
+            std::copy_n(graph_.begin() + start_[i], length_[i], fresh.begin() + free_);
+            start_[i] = free_;
+            free_ += length_[i];
+        }
+        graph_ = std::move(fresh);
+    }
+
+    /// The pivot becomes an element: the variables that it reaches directly or through its elements, which it absorbs.
+    void form_element(Node pivot) {
+        const Node elements = elements_[pivot];
+        Place needed = 0;
+        for (Node s = 0; s < length_[pivot]; ++s) needed += s < elements ? length_[graph_[start_[pivot] + s]] : 1;
+        if (elements > 0 && free_ + needed > static_cast<Place>(graph_.size())) make_room(needed + n_);
+        pivot_weight_ = weight_[pivot];
+        weight_[pivot] = -pivot_weight_;
+        first_ = end_ = elements > 0 ? free_ : start_[pivot];
+        reach_ = 0;
+        for (Node s = 0; s <= elements; ++s) {
+            Place low = start_[pivot] + elements, high = start_[pivot] + length_[pivot];
+            if (s < elements) {
+                const Node e = graph_[start_[pivot] + s];
+                low = start_[e];
+                high = low + length_[e];
+                alive_[e] = 0;
+            }
+            for (Place p = low; p < high; ++p) {
+                const Node i = graph_[p];
+                if (weight_[i] <= 0) continue;
+                reach_ += weight_[i];
+                weight_[i] = -weight_[i];
+                graph_[end_++] = i;
+                if (turn_of(i) == now_) unlink(i);
+            }
+        }
+        if (elements > 0) free_ = end_;
+        start_[pivot] = first_;
+        length_[pivot] = static_cast<Node>(end_ - first_);
+    }
+
+    /// |Le \ Lp| of every element e that meets the new one.
+    void measure_overlaps() {
+        for (Place p = first_; p < end_; ++p) {
+            const Node i = graph_[p], w = -weight_[i];
+            for (Place q = start_[i]; q < start_[i] + elements_[i]; ++q) {
+                const Node e = graph_[q];
+                if (!alive_[e]) continue;
+                if (mark_[e] >= stamp_)
+                    mark_[e] -= w;
+                else
+                    mark_[e] = stamp_ + degree_[e] - w;
+            }
+        }
+    }
+
+    /// Approximate degrees of the variables of the new element; elements inside it are absorbed, equal variables eliminated.
+    void update_degrees(Node pivot) {
+        const unsigned mask = static_cast<unsigned>(bucket_.size()) - 1;
+        for (Place p = first_; p < end_; ++p) {
+            const Node i = graph_[p];
+            const Place low = start_[i], middle = low + elements_[i], high = low + length_[i];
+            Place q = low;
+            Place external = 0;
+            Place key = 0;
+            for (Place r = low; r < middle; ++r) {
+                const Node e = graph_[r];
+                if (!alive_[e]) continue;
+                const Place rest = mark_[e] - stamp_;
+                if (rest > 0) {
+                    external += rest;
+                    graph_[q++] = e;
+                    key += e;
+                } else {
+                    alive_[e] = 0;  // it lies inside the new element
+                }
+            }
+            const Place kept = q - low;
+            // the new element takes the entry of an absorbed element or an eliminated variable; there is at least one
+            for (Place r = middle; r < high; ++r) {
+                const Node j = graph_[r];
+                if (weight_[j] <= 0) continue;
+                external += weight_[j];
+                graph_[q++] = j;
+                key += j;
+            }
+            if (external == 0 && turn_of(i) == now_) {
+                const Node w = -weight_[i];
+                pivot_weight_ += w;
+                reach_ -= w;
+                weight_[i] = 0;
+                alive_[i] = 0;
+                chain_[tail_[pivot]] = i;
+                tail_[pivot] = tail_[i];
+                continue;
+            }
+            degree_[i] = static_cast<Node>(std::min<Place>(degree_[i], external));
+            if (q > low + kept) graph_[q] = graph_[low + kept];
+            graph_[low + kept] = pivot;
+            elements_[i] = static_cast<Node>(kept + 1);
+            length_[i] = static_cast<Node>(q - low + 1);
+            code_[i] = static_cast<Node>(static_cast<unsigned>(key) & mask);
+            sibling_[i] = bucket_[code_[i]];
+            bucket_[code_[i]] = i;
+        }
+    }
+
+    /// Variables with the same elements and variables become one.
+    void merge_indistinguishable() {
+        for (Place p = first_; p < end_; ++p) {
+            if (weight_[graph_[p]] >= 0) continue;
+            const Node h = code_[graph_[p]];
+            Node i = bucket_[h];
+            bucket_[h] = -1;
+            for (; i >= 0 && sibling_[i] >= 0; i = sibling_[i]) {
+                stamp_ += n_;  // this also lifts the stamp above every |Le \ Lp| stored so far
+                for (Place q = start_[i]; q < start_[i] + length_[i]; ++q) mark_[graph_[q]] = stamp_;
+                Node previous = i;
+                for (Node j = sibling_[i]; j >= 0; j = sibling_[j]) {
+                    bool same = length_[j] == length_[i] && elements_[j] == elements_[i] && turn_of(j) == turn_of(i);
+                    for (Place q = start_[j]; same && q < start_[j] + length_[j]; ++q) same = mark_[graph_[q]] == stamp_;
+                    if (!same) {
+                        previous = j;
+                        continue;
+                    }
+                    weight_[i] += weight_[j];
+                    weight_[j] = 0;
+                    alive_[j] = 0;
+                    chain_[tail_[i]] = j;
+                    tail_[i] = tail_[j];
+                    sibling_[previous] = sibling_[j];
+                }
+            }
+        }
+        stamp_ += n_ + 1;
+    }
+
+    /// The variables go back to the lists by degree; eliminated ones leave the new element.
+    void restore_degrees(Node pivot) {
+        const Node after = done_ + pivot_weight_;
+        Place kept = first_;
+        for (Place p = first_; p < end_; ++p) {
+            const Node i = graph_[p], w = -weight_[i];
+            if (w <= 0) continue;
+            weight_[i] = w;
+            const Node d = std::max(0, std::min(degree_[i] + reach_ - w, last_ - after - w));
+            degree_[i] = d;
+            if (turn_of(i) == now_) {
+                link(i, d);
+                lowest_ = std::min(lowest_, d);
+            }
+            graph_[kept++] = i;
+        }
+        if (free_ == end_) free_ = kept;
+        length_[pivot] = static_cast<Node>(kept - first_);
+        degree_[pivot] = reach_;
+        weight_[pivot] = 0;
+        if (kept == first_) alive_[pivot] = 0;
+    }
+
+    void write(Node pivot) {
+        for (Node i = pivot; i >= 0; i = chain_[i]) order_[done_++] = i;
+    }
 
     Node n_, done_ = 0, last_, now_ = 0, lowest_ = 0;
     std::span<const Node> turn_;
@@ -49,267 +296,6 @@ class QuotientGraph {
     Place first_ = 0, end_ = 0;
     Node reach_ = 0, pivot_weight_ = 0;
 };
-
-QuotientGraph::QuotientGraph(const Neighbours& graph, Node limit, std::span<const Node> turn)
-    : n_(graph.size()),
-      last_(graph.size()),
-      turn_(turn),
-      graph_(graph.list.size() * 3 / 2 + graph.size() + 1),
-      start_(graph.start.begin(), graph.start.end() - 1),
-      free_(static_cast<Place>(graph.list.size())),
-      length_(n_),
-      elements_(n_, 0),
-      weight_(n_, 1),
-      degree_(n_, 0),
-      alive_(n_, 1),
-      mark_(n_, 0),
-      head_(n_ + 1, -1),
-      after_(n_, -1),
-      before_(n_, -1),
-      chain_(n_, -1),
-      tail_(n_),
-      bucket_(std::bit_ceil(static_cast<unsigned>(std::max(n_, Node{1}))), -1),
-      sibling_(n_, -1),
-      code_(n_, 0),
-      order_(n_) {
-    std::copy(graph.list.begin(), graph.list.end(), graph_.begin());
-    std::iota(tail_.begin(), tail_.end(), 0);
-    if (!turn.empty()) now_ = *std::min_element(turn.begin(), turn.end());
-    for (Node i = 0; i < n_; ++i) {
-        length_[i] = graph.degree(i);
-        const bool dense = length_[i] > limit;
-        if (!dense && !(length_[i] == 0 && turn_of(i) == now_)) continue;
-        order_[dense ? --last_ : done_++] = i;
-        weight_[i] = 0;
-        alive_[i] = 0;
-    }
-    for (Node i = 0; i < n_; ++i) {
-        if (weight_[i] == 0) continue;
-        if (last_ < n_) {  // the dense nodes are left out
-            Place q = start_[i];
-            for (Place p = start_[i]; p < start_[i] + length_[i]; ++p)
-                if (alive_[graph_[p]]) graph_[q++] = graph_[p];
-            length_[i] = static_cast<Node>(q - start_[i]);
-        }
-        degree_[i] = length_[i];
-        if (turn_of(i) == now_) link(i, degree_[i]);
-    }
-}
-
-void QuotientGraph::link(Node i, Node d) {
-    degree_[i] = d;
-    after_[i] = head_[d];
-    before_[i] = -1;
-    if (head_[d] >= 0) before_[head_[d]] = i;
-    head_[d] = i;
-}
-
-void QuotientGraph::unlink(Node i) {
-    const Node a = after_[i], b = before_[i];
-    if (a >= 0) before_[a] = b;
-    (b >= 0 ? after_[b] : head_[degree_[i]]) = a;
-}
-
-void QuotientGraph::start_turn() {
-    ++now_;
-    lowest_ = 0;
-    for (Node i = 0; i < n_; ++i)
-        if (weight_[i] > 0 && turn_of(i) == now_) link(i, degree_[i]);
-}
-
-Node QuotientGraph::lowest_degree() {
-    while (lowest_ <= n_ && head_[lowest_] < 0) ++lowest_;
-    return lowest_ > n_ ? -1 : head_[lowest_];
-}
-
-Order QuotientGraph::eliminate() {
-    while (done_ < last_) {
-        const Node pivot = lowest_degree();
-        if (pivot < 0) {
-            start_turn();
-            continue;
-        }
-        unlink(pivot);
-        form_element(pivot);
-        measure_overlaps();
-        update_degrees(pivot);
-        merge_indistinguishable();
-        restore_degrees(pivot);
-        write(pivot);
-    }
-    return std::move(order_);
-}
-
-/// Copy the live lists to the front of new memory, so that `needed` places are free.
-void QuotientGraph::make_room(Place needed) {
-    Place total = 0;
-    for (Node i = 0; i < n_; ++i)
-        if (alive_[i]) total += length_[i];
-    std::vector<Node> fresh(total + total / 2 + needed);
-    free_ = 0;
-    for (Node i = 0; i < n_; ++i) {
-        if (!alive_[i]) continue;
-        std::copy_n(graph_.begin() + start_[i], length_[i], fresh.begin() + free_);
-        start_[i] = free_;
-        free_ += length_[i];
-    }
-    graph_ = std::move(fresh);
-}
-
-/// The pivot becomes an element: the variables that it reaches directly or through its elements, which it absorbs.
-void QuotientGraph::form_element(Node pivot) {
-    const Node elements = elements_[pivot];
-    Place needed = 0;
-    for (Node s = 0; s < length_[pivot]; ++s) needed += s < elements ? length_[graph_[start_[pivot] + s]] : 1;
-    if (elements > 0 && free_ + needed > static_cast<Place>(graph_.size())) make_room(needed + n_);
-    pivot_weight_ = weight_[pivot];
-    weight_[pivot] = -pivot_weight_;
-    first_ = end_ = elements > 0 ? free_ : start_[pivot];
-    reach_ = 0;
-    for (Node s = 0; s <= elements; ++s) {
-        Place low = start_[pivot] + elements, high = start_[pivot] + length_[pivot];
-        if (s < elements) {
-            const Node e = graph_[start_[pivot] + s];
-            low = start_[e];
-            high = low + length_[e];
-            alive_[e] = 0;
-        }
-        for (Place p = low; p < high; ++p) {
-            const Node i = graph_[p];
-            if (weight_[i] <= 0) continue;
-            reach_ += weight_[i];
-            weight_[i] = -weight_[i];
-            graph_[end_++] = i;
-            if (turn_of(i) == now_) unlink(i);
-        }
-    }
-    if (elements > 0) free_ = end_;
-    start_[pivot] = first_;
-    length_[pivot] = static_cast<Node>(end_ - first_);
-}
-
-/// |Le \ Lp| of every element e that meets the new one.
-void QuotientGraph::measure_overlaps() {
-    for (Place p = first_; p < end_; ++p) {
-        const Node i = graph_[p], w = -weight_[i];
-        for (Place q = start_[i]; q < start_[i] + elements_[i]; ++q) {
-            const Node e = graph_[q];
-            if (!alive_[e]) continue;
-            if (mark_[e] >= stamp_)
-                mark_[e] -= w;
-            else
-                mark_[e] = stamp_ + degree_[e] - w;
-        }
-    }
-}
-
-/// Approximate degrees of the variables of the new element; elements inside it are absorbed, equal variables eliminated.
-void QuotientGraph::update_degrees(Node pivot) {
-    const unsigned mask = static_cast<unsigned>(bucket_.size()) - 1;
-    for (Place p = first_; p < end_; ++p) {
-        const Node i = graph_[p];
-        const Place low = start_[i], middle = low + elements_[i], high = low + length_[i];
-        Place q = low;
-        Place external = 0;
-        Place key = 0;
-        for (Place r = low; r < middle; ++r) {
-            const Node e = graph_[r];
-            if (!alive_[e]) continue;
-            const Place rest = mark_[e] - stamp_;
-            if (rest > 0) {
-                external += rest;
-                graph_[q++] = e;
-                key += e;
-            } else {
-                alive_[e] = 0;  // it lies inside the new element
-            }
-        }
-        const Place kept = q - low;
-        // the new element takes the entry of an absorbed element or an eliminated variable; there is at least one
-        for (Place r = middle; r < high; ++r) {
-            const Node j = graph_[r];
-            if (weight_[j] <= 0) continue;
-            external += weight_[j];
-            graph_[q++] = j;
-            key += j;
-        }
-        if (external == 0 && turn_of(i) == now_) {
-            const Node w = -weight_[i];
-            pivot_weight_ += w;
-            reach_ -= w;
-            weight_[i] = 0;
-            alive_[i] = 0;
-            chain_[tail_[pivot]] = i;
-            tail_[pivot] = tail_[i];
-            continue;
-        }
-        degree_[i] = static_cast<Node>(std::min<Place>(degree_[i], external));
-        if (q > low + kept) graph_[q] = graph_[low + kept];
-        graph_[low + kept] = pivot;
-        elements_[i] = static_cast<Node>(kept + 1);
-        length_[i] = static_cast<Node>(q - low + 1);
-        code_[i] = static_cast<Node>(static_cast<unsigned>(key) & mask);
-        sibling_[i] = bucket_[code_[i]];
-        bucket_[code_[i]] = i;
-    }
-}
-
-/// Variables with the same elements and variables become one.
-void QuotientGraph::merge_indistinguishable() {
-    for (Place p = first_; p < end_; ++p) {
-        if (weight_[graph_[p]] >= 0) continue;
-        const Node h = code_[graph_[p]];
-        Node i = bucket_[h];
-        bucket_[h] = -1;
-        for (; i >= 0 && sibling_[i] >= 0; i = sibling_[i]) {
-            stamp_ += n_;  // this also lifts the stamp above every |Le \ Lp| stored so far
-            for (Place q = start_[i]; q < start_[i] + length_[i]; ++q) mark_[graph_[q]] = stamp_;
-            Node previous = i;
-            for (Node j = sibling_[i]; j >= 0; j = sibling_[j]) {
-                bool same = length_[j] == length_[i] && elements_[j] == elements_[i] && turn_of(j) == turn_of(i);
-                for (Place q = start_[j]; same && q < start_[j] + length_[j]; ++q) same = mark_[graph_[q]] == stamp_;
-                if (!same) {
-                    previous = j;
-                    continue;
-                }
-                weight_[i] += weight_[j];
-                weight_[j] = 0;
-                alive_[j] = 0;
-                chain_[tail_[i]] = j;
-                tail_[i] = tail_[j];
-                sibling_[previous] = sibling_[j];
-            }
-        }
-    }
-    stamp_ += n_ + 1;
-}
-
-/// The variables go back to the lists by degree; eliminated ones leave the new element.
-void QuotientGraph::restore_degrees(Node pivot) {
-    const Node after = done_ + pivot_weight_;
-    Place kept = first_;
-    for (Place p = first_; p < end_; ++p) {
-        const Node i = graph_[p], w = -weight_[i];
-        if (w <= 0) continue;
-        weight_[i] = w;
-        const Node d = std::max(0, std::min(degree_[i] + reach_ - w, last_ - after - w));
-        degree_[i] = d;
-        if (turn_of(i) == now_) {
-            link(i, d);
-            lowest_ = std::min(lowest_, d);
-        }
-        graph_[kept++] = i;
-    }
-    if (free_ == end_) free_ = kept;
-    length_[pivot] = static_cast<Node>(kept - first_);
-    degree_[pivot] = reach_;
-    weight_[pivot] = 0;
-    if (kept == first_) alive_[pivot] = 0;
-}
-
-void QuotientGraph::write(Node pivot) {
-    for (Node i = pivot; i >= 0; i = chain_[i]) order_[done_++] = i;
-}
 
 Order joined(const Reduced& reduced, const Order& tail) {
     Order order = reduced.head;

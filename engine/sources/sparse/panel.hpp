@@ -23,10 +23,10 @@ constexpr Step packing(Step widest, Step tallest) {
 
 /// The rows of a right factor for one or two node columns, side by side, so that they lie in few cache lines.
 template <class Block>
-inline Right pack(const double* b, Step step, Step depth, int few, double* packed) {
+inline Right pack(Right b, Step depth, int few, double* packed) {
     if constexpr (Block::planes == 2) {
         for (Step k = 0; k < depth; k += 2) {
-            const double *re = b + k * step, *im = re + step;
+            const double *re = b.at + k * b.down, *im = re + b.down;
             double* t = packed + 4 * k;
             for (int c = 0; c < 2; ++c) {
                 t[2 * c] = re[c];
@@ -38,7 +38,7 @@ inline Right pack(const double* b, Step step, Step depth, int few, double* packe
         return {packed, 4, 1};
     } else {
         for (Step k = 0; k < depth; ++k)
-            for (int c = 0; c < 3 * few; ++c) packed[6 * k + c] = b[k * step + c];
+            for (int c = 0; c < 3 * few; ++c) packed[6 * k + c] = b.at[k * b.down + c * b.across];
         return {packed, 6, 1};
     }
 }
@@ -54,19 +54,19 @@ inline void product_nodes(Columns c, ConstColumns a, Right b, Step rows, int few
         product_columns<3, add>(c, a, b, rows, depth);
 }
 
-/// C = [C] - A B^H for `nodes` node columns. The rows of B are those of `b` on, one node after the other, in columns that
-/// are `step` apart. With `diagonal` >= 0, the row of C in which the diagonal of its first node is, only the lower triangle.
+/// C = [C] - A B^H for `nodes` node columns. The rows of B begin at `b`; for complex blocks they are those of a panel. With
+/// `diagonal` >= 0, the row of C in which the diagonal of its first node is, only the lower triangle.
 template <class Block, bool add>
-void product(Columns c, ConstColumns a, const double* b, Step step, Step rows, Step nodes, Step depth, Step diagonal,
-             double* packed) {
+void product(Columns c, ConstColumns a, Right b, Step rows, Step nodes, Step depth, Step diagonal, double* packed) {
     constexpr int pair = Block::planes == 2 ? 1 : 2;
     const auto skipped = [&](Step j) { return diagonal < 0 ? Step{0} : group_of(diagonal + Block::rows * j); };
-    if (rows * depth <= 2 * pack_rows * pack_depth) {
+    // for few columns A is read once only
+    if (rows * depth <= 2 * pack_rows * pack_depth || nodes <= pair) {
         for (Step j = 0; j < nodes; j += pair) {
             const int few = static_cast<int>(std::min<Step>(pair, nodes - j));
             const Step skip = skipped(j);
-            const Right right = Block::planes == 2 ? pack<Block>(b + Block::rows * j, step, depth, few, packed)
-                                                   : Right{b + Block::rows * j, step, 1};
+            const Right own{b.at + Block::rows * j * b.across, b.down, b.across};
+            const Right right = Block::planes == 2 ? pack<Block>(own, depth, few, packed) : own;
             product_nodes<Block, add>({c.at + Block::columns * j * c.step + skip, c.step}, {a.at + skip, a.step}, right,
                                       rows - skip, few, depth);
         }
@@ -85,7 +85,8 @@ void product(Columns c, ConstColumns a, const double* b, Step step, Step rows, S
                 const Step skip = std::max<Step>(0, skipped(j) - i);
                 if (skip >= high) break;
                 const int few = static_cast<int>(std::min<Step>(pair, nodes - j));
-                const Right right = pack<Block>(b + Block::rows * j + k * step, step, deep, few, right_at);
+                const Right right =
+                    pack<Block>({b.at + Block::rows * j * b.across + k * b.down, b.down, b.across}, deep, few, right_at);
                 const Columns target{c.at + Block::columns * j * c.step + i + skip, c.step};
                 const ConstColumns source{left + skip, pack_rows};
                 if (add || k > 0)

@@ -20,44 +20,6 @@ void solve_from_right(double* x, Step h, Step count, const Real3::Pivot& p) {
     Real3::solve_rows(x + 2 * h, -h, count, {p.i2, p.l21, p.l20, p.i1, p.l10, p.i0});
 }
 
-/// C = [C] - A B for `columns` columns, a multiple of three.
-template <bool add>
-void product_of_columns(Columns c, ConstColumns a, Right b, Step rows, Step columns, Step depth) {
-    for (Step j = 0; j < columns;) {
-        const Columns target{c.at + j * c.step, c.step};
-        const Right right{b.at + j * b.across, b.down, b.across};
-        const bool pair = columns - j >= 6;
-        if (pair)
-            product_columns<6, add>(target, a, right, rows, depth);
-        else
-            product_columns<3, add>(target, a, right, rows, depth);
-        j += pair ? 6 : 3;
-    }
-}
-
-/// C = -A B for `columns` columns, a multiple of three. Where A is large its blocks are copied to `packed`, so that they stay
-/// in the second-level cache.
-void negative_product(Columns c, ConstColumns a, Right b, Step rows, Step columns, Step depth, double* packed) {
-    if (rows * depth <= 2 * pack_rows * pack_depth || columns < 6) {
-        product_of_columns<false>(c, a, b, rows, columns, depth);
-        return;
-    }
-    for (Step k = 0; k < depth; k += pack_depth) {
-        const Step deep = std::min(pack_depth, depth - k);
-        for (Step i = 0; i < rows; i += pack_rows) {
-            const Step high = std::min(pack_rows, rows - i);
-            for (Step q = 0; q < deep; ++q)
-                std::memcpy(packed + q * pack_rows, a.at + i + (k + q) * a.step, high * sizeof(double));
-            const Columns target{c.at + i, c.step};
-            const Right right{b.at + k * b.down, b.down, b.across};
-            if (k > 0)
-                product_of_columns<true>(target, {packed, pack_rows}, right, high, columns, deep);
-            else
-                product_of_columns<false>(target, {packed, pack_rows}, right, high, columns, deep);
-        }
-    }
-}
-
 /// The inverse over one front: a full symmetric matrix, of which the rows and columns are those of the panel. Rows above those
 /// that a step is about hold anything: they are computed with their group of eight and written later.
 class FrontInverse {
@@ -68,8 +30,8 @@ class FrontInverse {
           product_(3 * wide * tallest),
           turned_(3 * wide * tallest),
           square_(3 * wide * 3 * wide) {
-        const Step size = tallest * tallest > 2 * pack_rows * pack_depth ? pack_rows * pack_depth : 0;
-        for (int k = 0; k < threads; ++k) packed_.emplace_back(size);
+        // all rows may be the depth of a product
+        for (int k = 0; k < threads; ++k) packed_.emplace_back(packing<Real3>(tallest / 3, tallest));
     }
 
     double* column(Step j) { return z_.data() + j * height_; }
@@ -111,8 +73,8 @@ class FrontInverse {
                     std::memcpy(y + c * h + below, l + c * h + below, (end - below) * sizeof(double));
                 }
                 solve_from_right(y + top, h, rows, p);
-                negative_product({f + top, h}, {column(below) + top, h}, {y + below, 1, h}, rows, 3, end - below,
-                                 packed_[0].data());
+                product<Real3, false>({f + top, h}, {column(below) + top, h}, {y + below, 1, h}, rows, 1, end - below, -1,
+                                      packed_[0].data());
             }
             set_diagonal(f, p, at, below, end);
         }
@@ -149,8 +111,8 @@ class FrontInverse {
                 std::memcpy(t + end, l + c * h + end, deep * sizeof(double));
             }
             const Right right{l + row(first + j) + 3, 1, h};
-            product_of_columns<true>({y + 3 * j * h + top, h}, {y + 3 * (j + 1) * h + top, h}, right, rows, 3,
-                                     k - 3 * (j + 1));
+            product<Real3, true>({y + 3 * j * h + top, h}, {y + 3 * (j + 1) * h + top, h}, right, rows, 1, k - 3 * (j + 1),
+                                 -1, packed_[0].data());
             solve_from_right(y + 3 * j * h + top, h, rows, Real3::Pivot::load(l + row(first + j), h));
         }
         double* const z = product_.data();
@@ -160,8 +122,8 @@ class FrontInverse {
         in_parallel(count, [&](int t) {
             const Step from = t * part, height = std::min(part, rows - from);
             if (height > 0)
-                negative_product({z + top + from, h}, {column(end) + top + from, h}, {y + end, 1, h}, height, k, deep,
-                                 packed_[t].data());
+                product<Real3, false>({z + top + from, h}, {column(end) + top + from, h}, {y + end, 1, h}, height, k / 3,
+                                      deep, -1, packed_[t].data());
         });
         for (Step j = 0; j < k; ++j) std::memcpy(column(row(first) + j) + end, z + j * h + end, deep * sizeof(double));
         for (Step i = end; i < h; ++i) std::memset(turned_.data() + (i - end) * padded + k, 0, (padded - k) * sizeof(double));
@@ -174,7 +136,8 @@ class FrontInverse {
                     column(i)[row(first) + c] = z[c * h + i];
                 }
         double* const square = square_.data();
-        negative_product({square, padded}, {turned_.data(), padded}, {z + end, 1, h}, padded, k, deep, packed_[0].data());
+        product<Real3, false>({square, padded}, {turned_.data(), padded}, {z + end, 1, h}, padded, k / 3, deep, -1,
+                              packed_[0].data());
         for (Step j = 0; j < k; ++j)
             for (Step i = 0; i < k; ++i) column(row(first) + j)[row(first) + i] += square[j * padded + i];
     }

@@ -46,7 +46,7 @@ struct Panel {
         for (Step j = begin; j < end; ++j) {
             double* const column = node(j);
             if (const Step top = group_of(row(j)); j > begin)
-                product<Block, true>({column + top, h}, {node(begin) + top, h}, node(begin) + row(j), h, h - top, 1,
+                product<Block, true>({column + top, h}, {node(begin) + top, h}, {node(begin) + row(j), h, 1}, h - top, 1,
                                      Block::columns * (j - begin), -1, packed());
             typename Block::Pivot pivot;
             const int bad = Block::factorize(column + row(j), h, limits + Block::rows * j, pivot);
@@ -64,7 +64,7 @@ struct Panel {
         const Step h = front.height, depth = Block::columns * (stop - begin);
         share(end - stop, h - row(stop), depth, [&](Step from, Step to, double* packed) {
             const Step first = row(stop + from), top = group_of(first);
-            product<Block, true>({node(stop + from) + top, h}, {node(begin) + top, h}, node(begin) + first, h, h - top,
+            product<Block, true>({node(stop + from) + top, h}, {node(begin) + top, h}, {node(begin) + first, h, 1}, h - top,
                                  to - from, depth, first - top, packed);
         });
     }
@@ -87,8 +87,8 @@ struct Panel {
         const Step h = front.height, hu = front.update_height, depth = Block::columns * front.w;
         share(front.r, hu, depth, [&](Step from, Step to, double* packed) {
             const Step first = front.update_pad + Block::rows * from, top = group_of(first);
-            product<Block, false>({u + Block::columns * from * hu + top, hu}, {x + h - hu + top, h}, x + row(front.w + from),
-                                  h, hu - top, to - from, depth, first - top, packed);
+            product<Block, false>({u + Block::columns * from * hu + top, hu}, {x + h - hu + top, h},
+                                  {x + row(front.w + from), h, 1}, hu - top, to - from, depth, first - top, packed);
         });
     }
 };

@@ -44,14 +44,11 @@ Reduced without_low_degrees(const Pattern& pattern);
 /// Minimum degree among nodes of the same `turn` (n, empty: all the same), turn after turn.
 Order minimum_degree(const Neighbours& graph, Node limit, std::span<const Node> turn);
 
-/// Clusters of up to 2^rounds neighbours as the nodes of a smaller graph (Karypis and Kumar 1998).
-struct Contracted {
-    std::vector<Node> cluster;  ///< of each node
-    Neighbours graph;
-};
-Contracted contracted(const Neighbours& graph, int rounds, Node limit);
-
 /// The depth of the separator that each node belongs to, 0 for the first; -1 for nodes in no separator.
 std::vector<Node> separator_depths(const Neighbours& graph, Node limit);
+
+/// A smallest set of nodes that separates those of side 0 from those of side 2 in the region of the nodes whose side is not
+/// negative; its size. Afterwards these have the side 1.
+Node separate(const Neighbours& graph, std::span<signed char> side);
 
 }  // namespace vmslam::sparse
