@@ -15,7 +15,6 @@ using namespace vmslam;
 using namespace vmslam::particles;
 
 double normal(std::mt19937& random) { return std::normal_distribution<>()(random); }
-double between(std::mt19937& random, double low, double high) { return std::uniform_real_distribution<>(low, high)(random); }
 Lanes each(double x) { return numbers::all<Lanes>(x); }
 
 /// A random Gaussian around a place.
@@ -194,69 +193,6 @@ void test_merge(bool alike) {
     }
 }
 
-/// The assignment of a scan against the plain greedy one, over all pairs and without a gate.
-void test_association(unsigned seed) {
-    std::mt19937 random(seed);
-    const bool oriented = seed % 2 == 0;
-    const std::size_t known = 1 + random() % 8, count = 1 + random() % 6;
-    const Gaussian belief = gaussian(random, 0.0, 0.0, 0.3, 0.1);
-    std::vector<Blocks> pool(known + count, Blocks(first_class_row, lanes));
-    std::vector<Gaussian> landmarks;
-    std::vector<Sighting> sightings;
-    AnonymousScan scan{};
-    const Confusion none;
-    for (std::size_t j = 0; j < known; ++j) {
-        landmarks.push_back(gaussian(random, between(random, 2, 4), between(random, -1, 1), between(random, -1, 1), 0.15));
-        // lanes differ in where the landmark is
-        for (int i = 0; i < lanes; ++i) landmarks[j].x[i] += 0.3 * normal(random);
-        write_gaussian(pool[j], true, 0, landmarks[j]);
-        for (int i = 0; i < lanes; ++i)
-            pool[j].at(evidence_row, i) = random() % 5 == 0 ? 0.0 : 1.0, pool[j].at(last_step_row, i) = 0.0;
-        scan.near.push_back(&pool[j]);
-    }
-    const double border = 9.0, variances[3]{0.04, 0.003, 0.003};
-    double log_q = 0.0;
-    for (int d = 0; d < (oriented ? 3 : 2); ++d) log_q += std::log(variances[d]) + log_2pi;
-    for (std::size_t k = 0; k < count; ++k) {
-        sightings.push_back({{between(random, 2, 4), between(random, -0.6, 0.1), between(random, -1, 1)},
-                             {variances[0], variances[1], variances[2]}});
-        scan.log_new.push_back(-0.5 * (border + log_q));
-        scan.fresh.push_back(&pool[known + k]);
-    }
-    const std::vector<std::int64_t> shown(count, 0);
-    scan.sightings = sightings, scan.shown = shown, scan.oriented = oriented, scan.gate = border, scan.step = 7,
-    scan.confusion = &none;
-    std::vector<std::vector<Lanes>> scores(count);
-    for (std::size_t k = 0; k < count; ++k)
-        for (std::size_t j = 0; j < known; ++j)
-            scores[k].push_back(predicted_likelihood(belief, landmarks[j], sightings[k], oriented));
-    std::vector<std::array<bool, lanes>> owned(known);
-    for (std::size_t j = 0; j < known; ++j)
-        for (int i = 0; i < lanes; ++i) owned[j][i] = pool[j].at(evidence_row, i) > 0.0;
-    AnonymousScan::Group group(scan);
-    group.begin(0, belief);
-    group.update(belief.mean(), true);
-    for (int i = 0; i < lanes; ++i) {
-        std::vector<bool> taken(known, false), done(count, false);
-        while (true) {
-            double best = -std::numeric_limits<double>::infinity();
-            std::size_t sighting = count, landmark = known;
-            for (std::size_t k = 0; k < count; ++k)
-                for (std::size_t j = 0; j < known; ++j)
-                    if (!done[k] && !taken[j] && owned[j][i] && scores[k][j][i] >= scan.log_new[k] && scores[k][j][i] > best)
-                        best = scores[k][j][i], sighting = k, landmark = j;
-            if (sighting == count) break;
-            done[sighting] = taken[landmark] = true;
-        }
-        for (std::size_t j = 0; j < known; ++j)
-            expect((pool[j].at(last_step_row, i) == 7.0) == taken[j], "the landmarks of a scan", seed);
-        for (std::size_t k = 0; k < count; ++k) {
-            const bool created = numbers::any(numbers::load(pool[known + k].group(last_step_row, 0)) == 7.0);
-            expect((created && pool[known + k].at(evidence_row, i) > 0.0) == !done[k], "the new landmarks of a scan", seed);
-        }
-    }
-}
-
 /// Filters of all kinds run, with one thread and with three to the same numbers.
 void test_filters(bool oriented, bool ids, Version version, std::size_t jointly) {
     const auto run = [&](std::size_t threads) {
@@ -308,7 +244,6 @@ void test_particles() {
         test_weights(seed);
         test_merged(seed);
     }
-    for (unsigned seed = 0; seed < 200; ++seed) test_association(seed);
     for (const double omega : {0.0, 1e-9, 0.05, 0.4, 0.5, 1.7, -2.5}) test_prediction(omega);
     test_merge(true);
     test_merge(false);

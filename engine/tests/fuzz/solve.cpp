@@ -46,6 +46,7 @@ void fuzz_solve(Input& input) {
     graph.solve(run, static_cast<int>(input.between(1, 2)));
     if (!run.converged) return;
     expect(finite(run.state) && finite(run.costs), "a solution is finite");
+    graph.covariances(run.state);
     // a maximum or a saddle is left again: an end is never above the start, up to rounding
     expect(run.costs.back() <= run.costs.front() * (1 + 1e-6) + 1e-9 || graph.state_dependent, "an end is below its start");
 }
