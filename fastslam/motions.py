@@ -131,7 +131,7 @@ class Sightings:
         y = np.stack([r * c, r * s, third * heading], axis=-1) + (R @ residual[..., None])[..., 0]
         y[:, 2] = wrap(y[:, 2])
         C = R @ (self.q[:, :, None] * np.swapaxes(R, 1, 2))
-        rows, columns = np.triu_indices(3)
+        rows, columns = np.tril_indices(3)
         return replace(self, y=y, C=np.ascontiguousarray(C[:, rows, columns]))
 
     def in_engine(
@@ -187,7 +187,7 @@ class Problem(Sightings):
     def of(cls, log: Log, motion: MotionModel, sensor: SensorModel) -> Problem:
         """Return a log's problem, the sightings linearised where they were measured."""
         motions, covariances = sensor_motions(sensor, *log.motions(motion))
-        rows, columns = np.triu_indices(3)
+        rows, columns = np.tril_indices(3)
         return cls.taken(
             log.num_poses,
             log.steps,

@@ -4,7 +4,10 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include <cstring>
+#include <functional>
 #include <span>
+#include <stdexcept>
 #include <type_traits>
 #include <vector>
 
@@ -38,17 +41,65 @@ auto copy_of(const Array& array) {
     return std::vector(array.data(), array.data() + array.size());
 }
 
-/// An array that takes over the memory of a vector.
-template <class T>
-Out<T> array(std::vector<T> values, std::initializer_list<std::size_t> shape) {
+inline void require(bool holds, const char* what) {
+    if (!holds) throw std::invalid_argument(what);
+}
+
+/// A record whose numbers are those of a row.
+template <class Record>
+inline constexpr std::size_t width = sizeof(Record) / sizeof(double);
+
+/// Rows of numbers as records of as many numbers, such as vectors.
+template <class Record>
+std::vector<Record> records(const In<double>& rows, std::size_t count) {
+    static_assert(std::is_trivially_copyable_v<Record> && sizeof(Record) % sizeof(double) == 0);
+    require(rows.size() == width<Record> * count, "an array has the wrong number of rows");
+    std::vector<Record> out(count);
+    if (count > 0) std::memcpy(out.data(), rows.data(), count * sizeof(Record));
+    return out;
+}
+/// Rows of two or three numbers as records of three, the last one `rest` where there are two.
+template <class Record>
+std::vector<Record> filled(const In<double>& rows, double rest = 0.0) {
+    require(rows.ndim() == 2 && (rows.shape(1) == 2 || rows.shape(1) == 3), "rows have two or three numbers");
+    std::vector<Record> out(rows.shape(0));
+    const std::size_t d = rows.shape(1);
+    for (std::size_t k = 0; k < out.size(); ++k) {
+        const double* const at = rows.data() + k * d;
+        out[k] = {at[0], at[1], d == 3 ? at[2] : rest};
+    }
+    return out;
+}
+
+/// An array that takes over the memory of a vector; numbers of another type with the same bytes where `As` is given.
+template <class As = void, class T>
+auto array(std::vector<T> values, std::initializer_list<std::size_t> shape) {
+    using Number = std::conditional_t<std::is_void_v<As>, T, As>;
     auto* const owned = new std::vector<T>(std::move(values));
     const nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
-    return Out<T>(owned->data(), shape, owner);
+    return Out<Number>(reinterpret_cast<Number*>(owned->data()), shape, owner);
 }
 template <class T>
 Out<T> array(std::vector<T> values) {
     const std::size_t size = values.size();
     return array(std::move(values), {size});
+}
+
+/// The numbers of a member of some records, (n, k) or (n,).
+template <class Record, class Member>
+Out<double> rows_of(const std::vector<Record>& records, Member Record::* member) {
+    std::vector<double> out(width<Member> * records.size());
+    for (std::size_t k = 0; k < records.size(); ++k)
+        std::memcpy(out.data() + k * width<Member>, &(records[k].*member), sizeof(Member));
+    if constexpr (width<Member> == 1)
+        return array(std::move(out));
+    else
+        return array(std::move(out), {records.size(), width<Member>});
+}
+/// The numbers of some records, (n, k).
+template <class Record>
+Out<double> rows_of(const std::vector<Record>& records) {
+    return array<double>(records, {records.size(), width<Record>});
 }
 
 }  // namespace vmslam::python

@@ -2,7 +2,6 @@
 #include <nanobind/stl/pair.h>
 
 #include <algorithm>
-#include <stdexcept>
 
 #include "arrays.hpp"
 #include "bindings.hpp"
@@ -13,10 +12,6 @@
 namespace vmslam::python::association_bindings {
 
 using namespace association;
-
-void require(bool holds, const char* what) {
-    if (!holds) throw std::invalid_argument(what);
-}
 
 /// Residuals (C, d) with their covariance (C d, C d), in as many numbers.
 Residuals residuals_of(const In<double>& nu, const In<double>& covariance) {
@@ -30,11 +25,7 @@ Out<std::int64_t> views(const In<double>& poses, const In<double>& landmarks, co
                         const In<double>& limits) {
     require(landmarks.ndim() == 2 && landmarks.shape(1) >= 2, "landmarks have at least two coordinates");
     require(poses.size() % 3 == 0 && origin.size() == 2 && limits.size() % 3 == 0, "poses and limits have three columns");
-    std::vector<FieldLimit> fields(limits.size() / 3);
-    for (std::size_t k = 0; k < fields.size(); ++k) {
-        const double* const row = limits.data() + 3 * k;
-        fields[k] = {row[0], row[1], row[2]};
-    }
+    const std::vector<FieldLimit> fields = records<FieldLimit>(limits, limits.size() / 3);
     std::vector<std::int64_t> counts;
     {
         const nb::gil_scoped_release other_threads;
@@ -94,10 +85,8 @@ nb::tuple grown(const In<Number>& begin, const In<Number>& items, const In<Numbe
             std::copy(one.second.begin(), one.second.end(), second.begin() + k * second_pairs);
         }
     }
-    auto* const owned = new std::vector<char>(std::move(members));
-    const nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<char>*>(p); });
-    Out<bool> flags(reinterpret_cast<bool*>(owned->data()), {rows, count}, owner);
-    return nb::make_tuple(flags, array(std::move(evidence)), array(std::move(second), {rows, second_pairs}));
+    return nb::make_tuple(array<bool>(std::move(members), {rows, count}), array(std::move(evidence)),
+                          array(std::move(second), {rows, second_pairs}));
 }
 
 void bind(nb::module_& m) {

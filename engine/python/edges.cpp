@@ -1,10 +1,9 @@
 // Edge families, robust kernels, and the linear systems of the starts.
 #include <nanobind/stl/array.h>
-#include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
 
-#include <optional>
+#include <bit>
 
 #include "arrays.hpp"
 #include "bindings.hpp"
@@ -30,34 +29,19 @@ Symmetric symmetric(const double* W, int d) {
 std::vector<RelativeEdge> relative_edges(const In<Place>& first, const In<Place>& second, const In<double>& measured,
                                          const In<double>& information) {
     const int d = static_cast<int>(measured.shape(1));
+    const std::vector<Vector> z = filled<Vector>(measured);
     std::vector<RelativeEdge> edges(first.size());
-    for (std::size_t k = 0; k < edges.size(); ++k) {
-        const double* const z = measured.data() + k * d;
-        edges[k] = {first.data()[k],
-                    second.data()[k],
-                    {z[0], z[1], d == 3 ? z[2] : 0.0},
-                    symmetric(information.data() + k * d * d, d)};
-    }
+    for (std::size_t k = 0; k < edges.size(); ++k)
+        edges[k] = {first.data()[k], second.data()[k], z[k], symmetric(information.data() + k * d * d, d)};
     return edges;
 }
 
 Kernel kernel_of(int code, double width) { return {static_cast<Robust>(code), width}; }
 
-std::vector<Sighting> sightings_of(const In<double>& z) {
-    const std::size_t d = z.shape(1);
-    std::vector<Sighting> out(z.shape(0));
-    for (std::size_t k = 0; k < out.size(); ++k) {
-        const double* const at = z.data() + k * d;
-        out[k] = {at[0], at[1], d == 3 ? at[2] : 0.0};
-    }
-    return out;
-}
-
 Sightings seen(const In<double>& z, const In<double>& noisy, const In<double>& trust, const std::array<double, 6>& sensor,
                int code, double width) {
-    return {sightings_of(z),        sightings_of(noisy),
-            copy_of(trust),         {sensor[0], sensor[1], sensor[2], sensor[3], sensor[4], sensor[5]},
-            kernel_of(code, width), z.shape(1) == 3};
+    return {filled<Sighting>(z),           filled<Sighting>(noisy), copy_of(trust),
+            std::bit_cast<Sensor>(sensor), kernel_of(code, width),  z.shape(1) == 3};
 }
 
 System system_of(const In<Place>& start, const In<Place>& rows, const InOut<double>& values, const InOut<double>& xi,
@@ -112,18 +96,9 @@ void bind_families(nb::module_& m) {
         // e (M, 3), W (M, 6), its factor of trust and kernel (M,), the lever (M, 2), m̂ (G, 3) and the cost
         .def("around_means", [](const MarginalEdges& edges, In<double> state, In<double> reference) {
             const AroundMeans around = edges.around_means({state.data(), reference.data()});
-            const std::size_t count = around.sightings.size(), groups = around.means.size();
-            std::vector<double> e, W, factor, lever, means;
-            e.reserve(3 * count), W.reserve(6 * count), factor.reserve(count), lever.reserve(2 * count);
-            for (const AroundMean& s : around.sightings) {
-                e.insert(e.end(), {s.e.x, s.e.y, s.e.t});
-                W.insert(W.end(), {s.W.xx, s.W.xy, s.W.yy, s.W.xt, s.W.yt, s.W.tt});
-                factor.push_back(s.factor);
-                lever.insert(lever.end(), {s.lever.x, s.lever.y});
-            }
-            for (const Vector& m : around.means) means.insert(means.end(), {m.x, m.y, m.t});
-            return nb::make_tuple(array(std::move(e), {count, 3}), array(std::move(W), {count, 6}), array(std::move(factor)),
-                                  array(std::move(lever), {count, 2}), array(std::move(means), {groups, 3}), around.cost);
+            return nb::make_tuple(rows_of(around.sightings, &AroundMean::e), rows_of(around.sightings, &AroundMean::W),
+                                  rows_of(around.sightings, &AroundMean::factor),
+                                  rows_of(around.sightings, &AroundMean::lever), rows_of(around.means), around.cost);
         });
 }
 

@@ -2,7 +2,6 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 
-#include <algorithm>
 #include <array>
 
 #include "arrays.hpp"
@@ -19,15 +18,18 @@ void bind_whitened(nb::module_& m) {
         .def("__init__",
              [](RelativeEdges* at, In<Place> first, In<Place> second, In<Place> rows, In<double> z, In<double> root,
                 In<double> frozen, In<Place> codes, In<double> widths, Place poses, bool world) {
-                 std::vector<WhitenedEdge> edges(first.size());
-                 for (std::size_t k = 0; k < edges.size(); ++k) {
-                     WhitenedEdge& edge = edges[k];
-                     edge.i = first.data()[k], edge.j = second.data()[k], edge.rows = static_cast<int>(rows.data()[k]);
-                     edge.z = {z.data()[3 * k], z.data()[3 * k + 1], z.data()[3 * k + 2]};
-                     std::copy_n(root.data() + 9 * k, 9, edge.root);
-                     edge.frozen = frozen.data()[k];
-                     edge.kernel = {static_cast<edges::Robust>(codes.data()[k]), widths.data()[k]};
-                 }
+                 const std::size_t count = first.size();
+                 const auto measured = records<edges::Vector>(z, count);
+                 const auto roots = records<std::array<double, 9>>(root, count);
+                 std::vector<WhitenedEdge> edges;
+                 for (std::size_t k = 0; k < count; ++k)
+                     edges.push_back({first.data()[k],
+                                      second.data()[k],
+                                      static_cast<int>(rows.data()[k]),
+                                      measured[k],
+                                      roots[k],
+                                      frozen.data()[k],
+                                      {static_cast<edges::Robust>(codes.data()[k]), widths.data()[k]}});
                  new (at) RelativeEdges(std::move(edges), poses, world);
              })
         .def("residuals", [](const RelativeEdges& edges, In<double> x) { return array(edges.residuals(span(x))); })
@@ -52,20 +54,12 @@ void bind_pairs(nb::module_& m) {
                                         offset[0],      offset[1],       turning,        copy_of(a),
                                         copy_of(b),     std::move(omega)};
              })
-        // y (K, d), the lever (K, 2), and the cosine and sine of the axes (K,)
+        // y (K, 3), the lever (K, 2), and the cosine and sine of the axes (K, 2)
         .def("placed",
              [](const LandmarkPairs& pairs, In<double> x) {
-                 std::vector<double> y, lever, c, s;
-                 for (const PlacedSighting& p : pairs.placed(span(x))) {
-                     y.insert(y.end(), {p.y.x, p.y.y});
-                     if (pairs.dimension == 3) y.push_back(p.y.t);
-                     lever.insert(lever.end(), {p.lever.x, p.lever.y});
-                     c.push_back(p.axes.c);
-                     s.push_back(p.axes.s);
-                 }
-                 const std::size_t count = c.size();
-                 return nb::make_tuple(array(std::move(y), {count, static_cast<std::size_t>(pairs.dimension)}),
-                                       array(std::move(lever), {count, 2}), array(std::move(c)), array(std::move(s)));
+                 const std::vector<PlacedSighting> at = pairs.placed(span(x));
+                 return nb::make_tuple(rows_of(at, &PlacedSighting::y), rows_of(at, &PlacedSighting::lever),
+                                       rows_of(at, &PlacedSighting::axes));
              })
         .def("cost", [](const LandmarkPairs& pairs, In<double> x) { return pairs.cost(span(x)); })
         .def("sums", [](const LandmarkPairs& pairs, In<double> x) {

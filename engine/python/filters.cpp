@@ -20,10 +20,6 @@ using namespace particles;
 using Numbers = In<double>;
 using Numbers64 = In<std::int64_t>;
 
-void require(bool holds, const char* message) {
-    if (!holds) throw std::invalid_argument(message);
-}
-
 /// A filter that one Python thread uses at a time, while the others run.
 class SharedFilter {
    public:
@@ -68,13 +64,6 @@ nb::object view_of(std::shared_ptr<const Rows> rows) {
                                                          {1, static_cast<std::int64_t>(r.stride())}));
 }
 
-Out<double> triples(const std::vector<std::array<double, 3>>& rows) {
-    std::vector<double> flat;
-    flat.reserve(3 * rows.size());
-    for (const auto& row : rows) flat.insert(flat.end(), row.begin(), row.end());
-    return array(std::move(flat), {rows.size(), 3});
-}
-
 std::size_t checked_particle(const Filter& f, std::size_t particle) {
     if (particle >= f.particles()) throw std::out_of_range("there is no such particle");
     return particle;
@@ -82,27 +71,23 @@ std::size_t checked_particle(const Filter& f, std::size_t particle) {
 
 /// The sightings (K, 2 or 3) with variances (K, 2 or 3).
 std::vector<Sighting> sightings_of(const Numbers& z, const Numbers& q) {
-    require(z.ndim() == 2 && (z.shape(1) == 2 || z.shape(1) == 3), "sightings (K, 2) or (K, 3)");
-    require(q.ndim() == 2 && q.shape(0) == z.shape(0) && q.shape(1) == z.shape(1), "as many variances as sightings");
-    const std::size_t d = z.shape(1);
+    const std::vector<Reading> measured = filled<Reading>(z), variances = filled<Reading>(q, 1.0);
+    require(q.shape(0) == z.shape(0) && q.shape(1) == z.shape(1), "as many variances as sightings");
     std::vector<Sighting> out;
-    for (std::size_t k = 0; k < z.shape(0); ++k) {
-        const double *const at = z.data() + k * d, *const variances = q.data() + k * d;
-        out.push_back({{at[0], at[1], d == 3 ? at[2] : 0.0}, {variances[0], variances[1], d == 3 ? variances[2] : 1.0}});
-    }
+    for (std::size_t k = 0; k < measured.size(); ++k) out.push_back({measured[k], variances[k]});
     return out;
 }
 
-Three three_of(const Numbers& mean) {
+Vector three_of(const Numbers& mean) {
     require(mean.size() == 2 || mean.size() == 3, "two or three coordinates");
     return {mean.data()[0], mean.data()[1], mean.size() == 3 ? mean.data()[2] : 0.0};
 }
 
-Six six_of(const Numbers& matrix) {
+Symmetric six_of(const Numbers& matrix) {
     require(matrix.size() == 4 || matrix.size() == 9, "a matrix (2, 2) or (3, 3)");
     const double* const P = matrix.data();
-    if (matrix.size() == 4) return {P[0], P[1], 0.0, P[3], 0.0, 0.0};
-    return {P[0], P[1], P[2], P[4], P[5], P[8]};
+    if (matrix.size() == 4) return {P[0], P[1], P[3], 0.0, 0.0, 0.0};
+    return {P[0], P[1], P[4], P[2], P[5], P[8]};
 }
 
 Version version_of(int code) {
@@ -205,8 +190,8 @@ void bind_maps(nb::class_<SharedFilter>& c) {
     });
     c.def("place", [](SharedFilter& s, LandmarkId id, Numbers mean, Numbers covariance) {
         require(covariance.size() == mean.size() * mean.size(), "a covariance of as many coordinates as the mean");
-        const Three m = three_of(mean);
-        const Six S = six_of(covariance);
+        const Vector m = three_of(mean);
+        const Symmetric S = six_of(covariance);
         s.with([&](Filter& f) {
             require(!identified(f).oriented() || mean.size() == 3, "landmarks with a heading");
             identified(f).place(id, m, S);
@@ -234,11 +219,9 @@ void bind_weighing(nb::class_<SharedFilter>& c) {
         const std::vector<Sighting> sightings = sightings_of(z, q);
         require(landmarks.size() == 3 * sightings.size() && oriented.size() == sightings.size(),
                 "as many landmarks as sightings");
+        const std::vector<Vector> places = records<Vector>(landmarks, sightings.size());
         std::vector<KnownSighting> known;
-        for (std::size_t k = 0; k < sightings.size(); ++k) {
-            const double* const m = landmarks.data() + 3 * k;
-            known.push_back({{m[0], m[1], m[2]}, sightings[k], oriented.data()[k]});
-        }
+        for (std::size_t k = 0; k < sightings.size(); ++k) known.push_back({places[k], sightings[k], oriented.data()[k]});
         s.with([&](Filter& f) { f.weigh_known(known); });
     });
     c.def("weigh_identified", [](SharedFilter& s, Numbers64 ids, Numbers z, Numbers q, int version) {
@@ -317,7 +300,7 @@ void bind_state(nb::class_<SharedFilter>& c) {
                               array(std::move(parents), {steps, particles}));
     });
     c.def("trajectory", [](SharedFilter& s, std::size_t particle) {
-        return triples(s.with([&](Filter& f) { return f.history().trajectory(checked_particle(f, particle)); }));
+        return rows_of(s.with([&](Filter& f) { return f.history().trajectory(checked_particle(f, particle)); }));
     });
     c.def("summary", [](SharedFilter& s) {
         History::Summary out = s.with([](Filter& f) {
@@ -325,20 +308,17 @@ void bind_state(nb::class_<SharedFilter>& c) {
             for (std::size_t i = 0; i < weights.size(); ++i) weights[i] = numbers::exp(f.log_weights()->row(0)[i]);
             return f.history().summary(weights);
         });
-        return nb::make_tuple(triples(out.means), array(std::move(out.distinct)));
+        return nb::make_tuple(rows_of(out.means), array(std::move(out.distinct)));
     });
 }
 
 void bind_random(nb::module_& m) {
     m.def("standard_normals", [](std::uint64_t key, std::size_t particles) {
         require(particles < (std::size_t{1} << 31), "particles");
-        std::vector<double> out;
-        out.reserve(5 * particles);
-        for (std::uint64_t i = 0; i < particles; ++i) {
-            const auto [n0, n1, n2, n3, n4] = numbers::five_normals<double>(key, i);
-            out.insert(out.end(), {n0, n1, n2, n3, n4});
-        }
-        return array(std::move(out), {particles, 5});
+        std::vector<numbers::FiveNormals<double>> out;
+        out.reserve(particles);
+        for (std::uint64_t i = 0; i < particles; ++i) out.push_back(numbers::five_normals<double>(key, i));
+        return rows_of(out);
     });
     m.def("at_positions", [](Numbers cumulative, Numbers positions) {
         require(cumulative.size() > 0, "weights");

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <atomic>
-#include <stdexcept>
 
 #include "arrays.hpp"
 #include "bindings.hpp"
@@ -14,47 +13,13 @@ namespace vmslam::python::gibbs_bindings {
 
 using namespace gibbs;
 using Index = std::int64_t;
+using python::rows_of;
 
-void require(bool holds, const char* what) {
-    if (!holds) throw std::invalid_argument(what);
-}
-
-/// Rows of three numbers.
-std::vector<Vector> vectors(const In<double>& rows, std::size_t count) {
-    require(rows.size() == 3 * count, "an array has the wrong number of rows of three numbers");
-    std::vector<Vector> out(count);
-    for (std::size_t k = 0; k < count; ++k) {
-        const double* const row = rows.data() + 3 * k;
-        out[k] = {row[0], row[1], row[2]};
-    }
-    return out;
-}
-
-/// Upper triangles, row by row.
-std::vector<Symmetric> symmetric(const In<double>& rows, std::size_t count) {
-    require(rows.size() == 6 * count, "an array has the wrong number of rows of six numbers");
-    std::vector<Symmetric> out(count);
-    for (std::size_t k = 0; k < count; ++k) {
-        const double* const row = rows.data() + 6 * k;
-        out[k] = {row[0], row[1], row[3], row[2], row[4], row[5]};
-    }
-    return out;
-}
-
-/// The rows of some vectors, (n, 3).
-Out<double> array_of(const std::vector<Vector>& vectors) {
-    std::vector<double> flat;
-    for (const Vector& v : vectors) flat.insert(flat.end(), {v.x, v.y, v.t});
-    return array(std::move(flat), {vectors.size(), 3});
-}
-
-/// Those of samples, (S, n, 3).
-Out<double> array_of(const std::vector<std::vector<Vector>>& samples, std::size_t rows) {
-    std::vector<double> flat;
-    flat.reserve(3 * rows * samples.size());
-    for (const std::vector<Vector>& sample : samples)
-        for (const Vector& v : sample) flat.insert(flat.end(), {v.x, v.y, v.t});
-    return array(std::move(flat), {samples.size(), rows, 3});
+/// The vectors of samples, (S, n, 3).
+Out<double> rows_of(const std::vector<std::vector<Vector>>& samples, std::size_t rows) {
+    std::vector<Vector> flat;
+    for (const std::vector<Vector>& sample : samples) flat.insert(flat.end(), sample.begin(), sample.end());
+    return array<double>(std::move(flat), {samples.size(), rows, 3});
 }
 
 Problem problem_of(const In<double>& motions, const In<double>& information, const In<Index>& first, const In<Index>& marks,
@@ -68,9 +33,11 @@ Problem problem_of(const In<double>& motions, const In<double>& information, con
     require(columns == 2 || columns == 3, "sightings have 2 or 3 columns");
     require(landmarks < (Number{1} << 31), "landmarks are numbered with 31 bits");
     Problem problem{{}, {}, {starts.begin(), starts.end()}, landmarks, columns == 3, exact, degrees};
-    const std::vector<Vector> means = vectors(motions, T), places = vectors(y, K), measured = vectors(z, K);
-    const std::vector<Vector> variances = vectors(q, K);
-    const std::vector<Symmetric> W = symmetric(information, T), spread = symmetric(C, K), weight = symmetric(weights, K);
+    const std::vector<Vector> means = records<Vector>(motions, T), places = records<Vector>(y, K),
+                              measured = records<Vector>(z, K);
+    const std::vector<Vector> variances = records<Vector>(q, K);
+    const std::vector<Symmetric> W = records<Symmetric>(information, T), spread = records<Symmetric>(C, K),
+                                 weight = records<Symmetric>(weights, K);
     for (std::size_t t = 0; t < T; ++t) problem.motions.push_back({means[t], W[t]});
     for (Number t = 0; t <= T; ++t)
         for (Number k = problem.first[t]; k < problem.first[t + 1]; ++k) {
@@ -83,8 +50,8 @@ Problem problem_of(const In<double>& motions, const In<double>& information, con
 
 /// The cost and e' C^-1 e (K,) of the sightings.
 std::pair<double, Out<double>> cost_of(const Problem& problem, const In<double>& poses, const In<double>& marks, bool exact) {
-    const Trajectory x = vectors(poses, problem.steps() + 1);
-    const Map m = vectors(marks, problem.marks);
+    const Trajectory x = records<Vector>(poses, problem.steps() + 1);
+    const Map m = records<Vector>(marks, problem.marks);
     std::vector<double> squares(problem.sightings.size());
     const double value = cost(problem, x, m, exact, squares);
     return {value, array(std::move(squares))};
@@ -100,8 +67,8 @@ BitSource source_of(nb::handle generator) {
 
 Out<double> drawn_map(const Problem& problem, const In<double>& poses, nb::object generator) {
     Random random(source_of(generator));
-    const Trajectory x = vectors(poses, problem.steps() + 1);
-    return array_of(draw_map(random, x, problem.sightings, problem.marks, problem.oriented));
+    const Trajectory x = records<Vector>(poses, problem.steps() + 1);
+    return rows_of(draw_map(random, x, problem.sightings, problem.marks, problem.oriented));
 }
 
 /// A chain with the generator that it keeps alive, for one thread at a time.
@@ -110,13 +77,13 @@ class SharedChain {
     SharedChain(nb::object generator, const In<double>& poses, const In<double>& guess)
         : generator_(std::move(generator)), random_(source_of(generator_)) {
         require(poses.size() >= 6 && poses.size() % 3 == 0, "a chain has at least two poses");
-        chain_.poses = vectors(poses, poses.size() / 3);
+        chain_.poses = records<Vector>(poses, poses.size() / 3);
         set_guess(guess);
     }
 
     void set_guess(const In<double>& guess) {
         const Use use(busy_);
-        chain_.guess = vectors(guess, chain_.poses.size() - 1);
+        chain_.guess = records<Vector>(guess, chain_.poses.size() - 1);
     }
     double accepted() const {
         const Use use(busy_);
@@ -124,7 +91,7 @@ class SharedChain {
     }
     Out<double> poses() const {
         const Use use(busy_);
-        return array_of(chain_.poses);
+        return rows_of(chain_.poses);
     }
 
     nb::tuple run(const Problem& problem, const In<double>& poses, const In<double>& marks, const In<double>& rows,
@@ -135,13 +102,14 @@ class SharedChain {
         require(particles >= 2 && block >= 1 && moves >= 0, "a chain needs two particles and stretches of at least one step");
         const std::size_t width = 3 * problem.steps() + (problem.oriented ? 3 : 2) * problem.marks;
         require(rows.size() == width * deviations.size(), "the directions have another width than the state");
-        const Directions directions{vectors(poses, count), vectors(marks, problem.marks), span(rows), span(deviations)};
+        const Directions directions{records<Vector>(poses, count), records<Vector>(marks, problem.marks), span(rows),
+                                    span(deviations)};
         ChainSamples samples;
         {
             const nb::gil_scoped_release other_threads;
             samples = chain_.run(random_, problem, directions, {particles, block, sweeps, moves, warm_up});
         }
-        return nb::make_tuple(array_of(samples.trajectories, count), array_of(samples.maps, problem.marks));
+        return nb::make_tuple(rows_of(samples.trajectories, count), rows_of(samples.maps, problem.marks));
     }
 
    private:
@@ -184,7 +152,7 @@ class SharedBackward {
             x = sampler_.draw(random);
             m = draw_map(random, x, problem_.sightings, problem_.marks, problem_.oriented);
         }
-        return nb::make_tuple(array_of(x), array_of(m));
+        return nb::make_tuple(rows_of(x), rows_of(m));
     }
 
    private:

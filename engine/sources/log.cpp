@@ -22,7 +22,7 @@ Measured measured(std::span<const Control> controls, const MotionNoise& noise) {
     for (const Control& u : controls) {
         const auto [angle, mean, each, epsilon] = particles::predict({noise.of(u), 0}, false);
         const Rotation chord(end.t + angle);
-        const edges::Vector d{chord.c * mean.x - chord.s * mean.y, chord.s * mean.x + chord.c * mean.y, mean.t};
+        const edges::Vector d = turned(chord, mean);
         // F = [I, f; 0, 1], f the motion turned by a quarter
         const edges::Lever f{-d.y, d.x};
         P = Symmetric{P.xx + 2 * f.x * P.xt + f.x * f.x * P.tt,
@@ -31,7 +31,7 @@ Measured measured(std::span<const Control> controls, const MotionNoise& noise) {
                       P.xt + f.x * P.tt,
                       P.yt + f.y * P.tt,
                       P.tt} +
-            turned(chord, {each.xx, each.xy, each.yy, each.xt, each.yt, each.tt});
+            turned(chord, each);
         end = {end.x + d.x, end.y + d.y, end.t + d.t};
     }
     return {end, inverse(P + noise.epsilon * Symmetric{1, 0, 1, 0, 0, 1}, true)};

@@ -2,14 +2,24 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <random>
 
 #include "expect.hpp"
+#include "gibbs/moves.hpp"
 #include "vmslam/gibbs/backward.hpp"
-#include "vmslam/gibbs/chain.hpp"
 
 namespace {
 
 using namespace vmslam::gibbs;
+
+/// A source of random bits.
+struct Bits {
+    std::mt19937_64 state;
+    explicit Bits(unsigned seed) : state(seed) {}
+    BitSource source() {
+        return {&state, [](void* at) -> std::uint64_t { return (*static_cast<std::mt19937_64*>(at))(); }};
+    }
+};
 
 double farthest(const Vector& a, const Vector& b) {
     return std::max({std::abs(a.x - b.x), std::abs(a.y - b.y), std::abs(wrap_angle(a.t - b.t))});
@@ -21,7 +31,7 @@ Symmetric covariance(Random& random) {
 }
 
 void random_numbers_have_their_moments() {
-    SplitMix64 bits{1};
+    Bits bits{1};
     Random random(bits.source());
     constexpr int count = 200'000;
     double mean = 0.0, square = 0.0, beyond = 0.0, gammas = 0.0;
@@ -45,7 +55,7 @@ void random_numbers_have_their_moments() {
 
 /// The order of sightings does not matter, and neither do the axes.
 void gaussians_are_fused(unsigned seed) {
-    SplitMix64 bits{seed};
+    Bits bits{seed};
     Random random(bits.source());
     const Vector y[] = {normals(random), normals(random), normals(random)};
     const Symmetric C[] = {covariance(random), covariance(random), covariance(random)};
@@ -88,7 +98,7 @@ Problem straight(bool exact) {
 
 void chains_sample_the_posterior(bool exact) {
     const Problem problem = straight(exact);
-    SplitMix64 bits{3};
+    Bits bits{3};
     Random random(bits.source());
     Chain chain;
     chain.poses = {{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {3.0, 0.0, 0.0}};
@@ -108,7 +118,7 @@ void chains_sample_the_posterior(bool exact) {
 /// Particles of equal weights: the rest of a trajectory is attached where the landmark has been seen.
 void trajectories_are_drawn_backwards(Number candidates) {
     constexpr Number N = 400;
-    SplitMix64 bits{5};
+    Bits bits{5};
     Random random(bits.source());
     Problem problem = straight(false);
     std::vector<double> poses, log_weights;
@@ -138,7 +148,7 @@ void trajectories_are_drawn_backwards(Number candidates) {
 void moves_leave_a_gaussian_unchanged() {
     Problem problem = straight(false);
     for (Motion& motion : problem.motions) motion.information = {1e6, 0.0, 1e6, 0.0, 0.0, 1e12};
-    SplitMix64 bits{4};
+    Bits bits{4};
     Random random(bits.source());
     Trajectory x{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {3.0, 0.0, 0.0}};
     Map m{{5.0, 0.0, 0.0}};
@@ -146,8 +156,7 @@ void moves_leave_a_gaussian_unchanged() {
     std::vector<double> row(12, 0.0), deviation{1 / std::sqrt(200.0)};
     row[11] = 1.0;
     const Directions directions{x, m, row, deviation};
-    Bends bends(problem, directions, x, m);
-    const int accepted = bends.move(random, 0.5, 2000);
+    const int accepted = move_along(random, problem, directions, 0.5, 2000, x, m);
     expect(accepted > 1990, "moves along the Gaussian are accepted", 0);
     expect(std::abs(m[0].t) < 0.5 && m[0].t != 0.0, "and move the state", 0);
 }

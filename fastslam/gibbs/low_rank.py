@@ -52,7 +52,7 @@ class Target:
         p, n = problem, problem.columns
         W = np.zeros((len(p.C), 3, 3))
         W[:, :n, :n] = np.linalg.inv(full(p.C)[:, :n, :n])
-        rows, columns = np.triu_indices(3)
+        rows, columns = np.tril_indices(3)
         degrees, exact = options.degrees_of_freedom or 0.0, options.density == "exact"
         in_engine = p.in_engine(p.motions, p.information, W[:, rows, columns], exact=exact, degrees=degrees)
         return cls(problem, degrees, exact, np.ascontiguousarray(W[:, :n, :n]), in_engine)
@@ -200,5 +200,5 @@ def displaced(poses: Array, marks: Array, step: Array) -> tuple[Array, Array]:
 
 
 def full(upper: Array) -> Array:
-    """Symmetric matrices (k, 3, 3) from their upper triangles (k, 6)."""
-    return upper[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+    """Symmetric matrices (k, 3, 3) from their upper triangles (k, 6), column by column."""
+    return upper[:, [[0, 1, 3], [1, 2, 4], [3, 4, 5]]]

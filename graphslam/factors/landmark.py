@@ -173,7 +173,8 @@ def _marginal(
     sightings = engine.LandmarkPairs(node, z, np.zeros(K), sensor.offset, not world, none, none, np.zeros((0, 3, 3)))
 
     def weighted(x: Array) -> tuple[Array, ...]:
-        y, lever, c, s = sightings.placed(x)
+        y, lever, turn = sightings.placed(x)
+        y, (c, s) = y[:, :d], turn.T
         # from the world's axes to those of the robot
         axes = np.zeros((K, d, d))
         axes[:] = np.eye(d)

@@ -35,7 +35,7 @@ def test_a_map_is_drawn_with_numpy_s_numbers(log: Log, target: Target) -> None:
         pose = x[p.steps[k]]
         c, s = np.cos(pose[2]), np.sin(pose[2])
         G = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        C = p.C[k][[[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        C = p.C[k][[[0, 1, 3], [1, 2, 4], [3, 4, 5]]]
         expected = pose + G @ p.y[k] + np.linalg.cholesky(G @ C @ G.T) @ normals[j]
         np.testing.assert_allclose(np.sin(drawn[j] - expected)[2], 0, atol=1e-12)
         np.testing.assert_allclose(drawn[j, :2], expected[:2], atol=1e-12)

@@ -45,24 +45,14 @@ void subtract_product(double* block, const Block& A, const Block& B) {
 }
 
 /// V = U L^-T with L L' = S and U = B' W, so that the block between two sightings is -V_a V_b'.
-struct Root {
-    double l00, l10, l20, l11, l21, l22;
-    explicit Root(const Symmetric& S) {
-        l00 = std::sqrt(S.xx);
-        l10 = S.xy / l00, l20 = S.xt / l00;
-        l11 = std::sqrt(S.yy - l10 * l10);
-        l21 = (S.yt - l20 * l10) / l11;
-        l22 = std::sqrt(S.tt - l20 * l20 - l21 * l21);
+void divide(const LowerRoot& L, const Symmetric& W, const Lever& t, Block& V) {
+    // the rows of U without its sign: the first two of W, and t' W + the third
+    const Vector rows[3] = {{W.xx, W.xy, W.xt}, {W.xy, W.yy, W.yt}, W * Vector{t.x, t.y, 1.0}};
+    for (int r = 0; r < 3; ++r) {
+        const Vector v = L.whitened(rows[r]);
+        V[3 * r] = v.x, V[3 * r + 1] = v.y, V[3 * r + 2] = v.t;
     }
-    void divide(const Symmetric& W, const Lever& t, Block& V) const {
-        // the rows of U without its sign: the first two of W, and t' W + the third
-        const Vector rows[3] = {{W.xx, W.xy, W.xt}, {W.xy, W.yy, W.yt}, W * Vector{t.x, t.y, 1.0}};
-        for (int r = 0; r < 3; ++r) {
-            const double v0 = rows[r].x / l00, v1 = (rows[r].y - v0 * l10) / l11;
-            V[3 * r] = v0, V[3 * r + 1] = v1, V[3 * r + 2] = (rows[r].t - v0 * l20 - v1 * l21) / l22;
-        }
-    }
-};
+}
 
 }  // namespace
 
@@ -106,9 +96,9 @@ double MarginalEdges::accumulate(const State& state, System* system, std::span<c
             if (body_) s.lever = {s.lever.x - s.e.y, s.lever.y + s.e.x};
             S = S + s.W;
         }
-        const Root root(S);
+        const LowerRoot L(S);
         for (Place k = starts_[g]; k < starts_[g + 1]; ++k)
-            root.divide(around.sightings[k].W, around.sightings[k].lever, roots[k].V);
+            divide(L, around.sightings[k].W, around.sightings[k].lever, roots[k].V);
     }
     for (Place j = 0; j <= last_node(); ++j) {
         if (from(j).empty()) continue;

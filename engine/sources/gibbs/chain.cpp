@@ -2,8 +2,7 @@
 
 #include <algorithm>
 
-#include "vmslam/gibbs/pivots.hpp"
-#include "vmslam/gibbs/stretches.hpp"
+#include "moves.hpp"
 
 namespace vmslam::gibbs {
 namespace {
@@ -11,7 +10,28 @@ namespace {
 /// The share of moves of the bends that should be accepted.
 constexpr double aim = 0.3;
 
+/// The sum of log N(z; h(x, m), diag(q)) - log N(y; relative place, C), without constants.
+double log_ratio(const Trajectory& x, const Map& m, std::span<const Sighting> sightings, bool oriented) {
+    double total = 0.0;
+    for (const Sighting& s : sightings) {
+        const Vector place = relative(Frame(x[s.step]), m[s.mark]);
+        Vector r = deviation(s.y, place);
+        if (!oriented) r.t = 0.0;
+        total -= 0.5 * (exact_squares(s.z, s.q, place, oriented) - squared(inverse(s.C).matrix, r));
+    }
+    return total;
+}
+
 }  // namespace
+
+bool Correction::accepts(Random& random, const Trajectory& trial, std::span<const Sighting> sightings, bool oriented) {
+    Map candidate = draw_map(random, trial, sightings, map.size(), oriented);
+    const double value = log_ratio(trial, candidate, sightings, oriented);
+    if (logarithm(random.uniform()) >= value - log_weight) return false;
+    map = std::move(candidate);
+    log_weight = value;
+    return true;
+}
 
 ChainSamples Chain::run(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules) {
     ChainSamples samples;
@@ -21,7 +41,7 @@ ChainSamples Chain::run(Random& random, const Problem& problem, const Directions
     for (Number sweep = 0; sweep < rules.sweeps; ++sweep) {
         if (problem.exact) state_.log_weight = log_ratio(poses, state_.map, sightings_, problem.oriented);
         Correction* const correction = problem.exact ? &state_ : nullptr;
-        Pivots(problem, sightings_, guess, rules.particles, correction).renew(random, poses);
+        renew_motions(random, problem, sightings_, guess, rules.particles, correction, poses);
         renew_stretches(random, problem, rules);
         if (!problem.exact) state_.map = draw_map(random, poses, sightings_, problem.marks, problem.oriented);
         bend(random, problem, directions, rules, sweep);
@@ -48,12 +68,11 @@ void Chain::weigh_sightings(const Problem& problem) {
 /// Renew all poses in stretches of `block` steps, the first one of a random length.
 void Chain::renew_stretches(Random& random, const Problem& problem, const ChainRules& rules) {
     const Number T = problem.steps();
-    const StretchRules stretch{rules.particles, !problem.exact};
     Number begin = 1;
     Number end = std::min(1 + static_cast<Number>(random.uniform() * static_cast<double>(rules.block)), T);
     while (begin <= T) {
         const Trajectory old(poses.begin() + begin, poses.begin() + end + 1);
-        renew_stretch(random, problem, sightings_, guess, stretch, begin, end, poses);
+        renew_stretch(random, problem, sightings_, guess, rules.particles, !problem.exact, begin, end, poses);
         ++tried_;
         if (!problem.exact || state_.accepts(random, poses, sightings_, problem.oriented))
             ++kept_;
@@ -67,7 +86,7 @@ void Chain::renew_stretches(Random& random, const Problem& problem, const ChainR
 void Chain::bend(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules,
                  Number sweep) {
     if (rules.moves == 0) return;
-    const int accepted_moves = Bends(problem, directions, poses, state_.map).move(random, step_, rules.moves);
+    const int accepted_moves = move_along(random, problem, directions, step_, rules.moves, poses, state_.map);
     if (!rules.warm_up) return;
     // Robbins and Monro: log b rises by (share - aim) / sqrt(sweep)
     const double share = static_cast<double>(accepted_moves) / rules.moves;

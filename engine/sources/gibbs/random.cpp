@@ -40,17 +40,7 @@ const Ziggurat& ziggurat() {
     return layers;
 }
 
-std::uint64_t split_mix(void* state) {
-    auto& counter = *static_cast<std::uint64_t*>(state);
-    std::uint64_t bits = counter += 0x9E3779B97F4A7C15;
-    bits = (bits ^ (bits >> 30)) * 0xBF58476D1CE4E5B9;
-    bits = (bits ^ (bits >> 27)) * 0x94D049BB133111EB;
-    return bits ^ (bits >> 31);
-}
-
 }  // namespace
-
-BitSource SplitMix64::source() { return {&state, split_mix}; }
 
 double exponential(double x) { return std::isnan(x) ? x : numbers::exp(x); }
 

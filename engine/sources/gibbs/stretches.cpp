@@ -1,10 +1,121 @@
-#include "vmslam/gibbs/stretches.hpp"
-
+// Renew a stretch of poses between two fixed ends: conditional SMC with ancestor sampling, landmarks integrated out.
+//
+// The poses x_s to x_e are renewed; those before and after stay where they are in the world, with what their sightings say of
+// the landmarks. N particles start at x_{s-1}; each has its own Gaussians of the landmarks that the stretch sees. Particle 0
+// is the present stretch. Each pose is drawn from the Gaussian of motion times guide, and weighed exactly:
+//
+//     p(x_t | x_{t-1}) p(z_t | x_t, map) psi_t(x_t) / (psi_{t-1}(x_{t-1}) q(x_t)),
+//
+// where psi_t, a Gaussian, looks ahead: roughly the likelihood of the sightings after t and of the fixed end x_{e+1}. At e it
+// is replaced by p(x_{e+1} | x_e) itself, so psi only makes the particles better. Particles are resampled where the effective
+// sample size falls below half; particle 0 then draws its ancestor with the weights
+//
+//     w_i p(x'_{t+1} | x_t^i) / psi_t(x_t^i) * prod p(z | x^i, m) / p(z | x^i)
+//
+// over the sightings of the stretch so far, where m is a draw of the map given the present trajectory. m is a last,
+// unweighted step of the SMC, which is what makes these weights those of the whole future without looking at it.
+//
+// Sources: Andrieu, Doucet and Holenstein, Particle Markov chain Monte Carlo methods, JRSS B 2010; Lindsten, Jordan and
+// Schön, Particle Gibbs with ancestor sampling, JMLR 2014; Kok, Solin and Schön, Rao-Blackwellized particle smoothing for
+// simultaneous localization and mapping, Data-Centric Engineering 2024; Guarniero, Johansen and Lee, The iterated auxiliary
+// particle filter, JASA 2017, for psi.
 #include <algorithm>
 #include <numeric>
 
+#include "moves.hpp"
+
 namespace vmslam::gibbs {
 namespace {
+
+/// The landmarks that a stretch sees, by numbers of their own, and what the rest of the log says of them.
+struct LocalMap {
+    std::vector<Number> number;  ///< (J) the local number of each landmark that the stretch sees
+    std::vector<Gaussian> before;
+
+    LocalMap(const Problem& problem, std::span<const Sighting> sightings, const Trajectory& x, Number begin, Number end);
+};
+
+/// psi: the information on displacements of the poses `middle` from what comes after each of them.
+///
+/// A landmark counts with what the rest of the log says of it; those that only the stretch sees are left out.
+struct Guide {
+    std::vector<Frame> middle;  ///< (n) the path about which sightings and motions are linearised
+    std::vector<Information> ahead;  ///< (n) without the sightings of the pose itself
+    std::vector<Information> full;  ///< (n) with them
+
+    /// Look back from the end: `following` is the first pose after the stretch, if there is one.
+    void compute(const Problem& problem, std::span<const Sighting> sightings, const LocalMap& map, Number begin,
+                 const Vector* following);
+};
+
+/// A Gaussian of the displacement of a pose from a place: N(mean, P).
+struct Proposal {
+    Vector mean;
+    Symmetric P;
+};
+
+LocalMap::LocalMap(const Problem& problem, std::span<const Sighting> sightings, const Trajectory& x, Number begin, Number end)
+    : number(problem.marks, problem.marks) {
+    const Number none = problem.marks;
+    Number count = 0;
+    for (const Sighting& s : seen_at(problem, sightings, begin, end))
+        if (number[s.mark] == none) number[s.mark] = count++;
+    before.resize(count);
+    const auto absorb_all = [&](Number from, Number to) {
+        Frame pose;
+        Number step = x.size();
+        for (const Sighting& s : seen_at(problem, sightings, from, to)) {
+            if (number[s.mark] == none) continue;
+            if (s.step != step) pose = Frame(x[step = s.step]);
+            absorb(before[number[s.mark]], pose, s.y, s.C, problem.oriented);
+        }
+    };
+    absorb_all(0, begin - 1);
+    if (end < problem.steps()) absorb_all(end + 1, problem.steps());
+}
+
+/// Of the next pose, with the information `next` at its place in the path, as a landmark whose sighting is the motion.
+void add_next(Information& ahead, const Frame& middle, const Frame& next_middle, const Motion& motion,
+              const Information& next) {
+    const Vector d = relative(middle, next_middle.at);
+    const Rotation axes = rotation(d.t);
+    const Symmetric &W = motion.information, M = edges::turned(axes, next.L);
+    const Vector pull = W * (inverse(W + M).matrix * turned(axes, next.eta));
+    const Symmetric reduced = passed(W, M);
+    ahead.add_at(d, reduced, pull + reduced * deviation(motion.mean, d));
+}
+
+void Guide::compute(const Problem& problem, std::span<const Sighting> sightings, const LocalMap& map, Number begin,
+                    const Vector* following) {
+    const Number n = middle.size();
+    ahead.assign(n, {});
+    full.resize(n);
+    for (Number i = n; i-- > 0;) {
+        const Number t = begin + i;
+        if (i + 1 < n) {
+            add_next(ahead[i], middle[i], middle[i + 1], problem.motions[t], full[i + 1]);
+        } else if (following) {
+            // a known pose, whose sighting is the motion
+            const Motion& motion = problem.motions[t];
+            const Gaussian known{*following, {}};
+            ahead[i].add_sighting(middle[i], known, motion.mean, inverse(motion.information).matrix, true);
+        }
+        full[i] = ahead[i];
+        for (const Sighting& s : seen_at(problem, sightings, t, t)) {
+            const Gaussian& mark = map.before[map.number[s.mark]];
+            if (mark.seen()) full[i].add_sighting(middle[i], mark, s.y, s.C, problem.oriented);
+        }
+    }
+}
+
+/// Motion times guide.
+Proposal proposal(const Frame& start, const Frame& middle, const Motion& motion, const Information& guide) {
+    const Vector predicted = relative(middle, composed(start, motion.mean));
+    // the prior's axes are those of the start
+    const Symmetric prior = edges::turned(rotation(start.at.t - middle.at.t), motion.information);
+    const Symmetric P = inverse(prior + guide.L).matrix;
+    return {P * (prior * predicted + guide.eta), P};
+}
 
 /// Particles are resampled below this share of N.
 constexpr double least_share = 0.5;
@@ -12,12 +123,13 @@ constexpr double least_share = 0.5;
 /// The particles of a stretch. The weights of particle p and what belongs to it are those of its whole path so far.
 class Stretch {
    public:
-    Stretch(Random& random, const Problem& problem, std::span<const Sighting> sightings, const StretchRules& rules,
+    Stretch(Random& random, const Problem& problem, std::span<const Sighting> sightings, Number particles, bool ancestors,
             Number begin, Number end, Trajectory& x)
         : random_(random),
           problem_(problem),
           sightings_(sightings),
-          rules_(rules),
+          particles_(particles),
+          draws_ancestors_(ancestors),
           begin_(begin),
           end_(end),
           x_(x),
@@ -25,7 +137,7 @@ class Stretch {
           count_(map_.before.size()) {}
 
     void renew(std::span<const Vector> guess) {
-        if (rules_.ancestors) draw_map();
+        if (draws_ancestors_) draw_map();
         linearise(guess);
         start();
         for (Number i = 0; i < size(); ++i) {
@@ -35,14 +147,14 @@ class Stretch {
         Number chosen = random_.choose(log_weights_);
         for (Number i = size(); i-- > 0;) {
             x_[begin_ + i] = at(i, chosen);
-            chosen = parents_[i * rules_.particles + chosen];
+            chosen = parents_[i * particles_ + chosen];
         }
     }
 
    private:
     Number size() const { return end_ - begin_ + 1; }
     const Vector* following() const { return end_ < problem_.steps() ? &x_[end_ + 1] : nullptr; }
-    Vector& at(Number i, Number p) { return poses_[i * rules_.particles + p]; }
+    Vector& at(Number i, Number p) { return poses_[i * particles_ + p]; }
     const Motion& motion_to(Number i) const { return problem_.motions[begin_ + i - 1]; }
 
     /// m, a map for the ancestors, drawn given the present trajectory.
@@ -71,7 +183,7 @@ class Stretch {
     }
 
     void start() {
-        const Number N = rules_.particles;
+        const Number N = particles_;
         poses_.resize(size() * N);
         parents_.resize(size() * N);
         maps_.reserve(N * count_);
@@ -85,7 +197,7 @@ class Stretch {
     void move(Number i) {
         const Frame& middle = guide_.middle[i];
         const Motion& motion = motion_to(i);
-        for (Number p = 0; p < rules_.particles; ++p) {
+        for (Number p = 0; p < particles_; ++p) {
             const Frame from(i == 0 ? x_[begin_ - 1] : at(i - 1, ancestors_[p]));
             const Proposal q = proposal(from, middle, motion, guide_.full[i]);
             const LowerRoot root(q.P);
@@ -100,7 +212,7 @@ class Stretch {
                 pose = composed(middle, d);
             }
             at(i, p) = pose;
-            parents_[i * rules_.particles + p] = ancestors_[p];
+            parents_[i * particles_ + p] = ancestors_[p];
             // log p(x_t | x_{t-1}) / q(x_t)
             double value = 0.5 * dot(n, n) + logarithm(root.determinant());
             value -= 0.5 * squared(motion.information, deviation(motion.mean, relative(from, pose)));
@@ -120,7 +232,7 @@ class Stretch {
             const double increment = fuse(maps_[p * count_ + j], place, spread, problem_.oriented);
             sum += increment;
             // log p(z | x, m) / p(z | x)
-            if (rules_.ancestors) surplus_[p] += density({drawn_[j], {}}, place, spread, problem_.oriented) - increment;
+            if (draws_ancestors_) surplus_[p] += density({drawn_[j], {}}, place, spread, problem_.oriented) - increment;
         }
         return sum;
     }
@@ -143,14 +255,14 @@ class Stretch {
 
     /// Draw the ancestors of the particles of the next pose, where the effective sample size has become small.
     void resample(Number i) {
-        const Number N = rules_.particles;
+        const Number N = particles_;
         std::vector<double> weights(N);
         const Sums sums = exponentials(log_weights_, weights);
         if (sums.weights * sums.weights >= least_share * static_cast<double>(N) * sums.squares) {
             std::iota(ancestors_.begin(), ancestors_.end(), Number{0});
             return;
         }
-        ancestors_[0] = rules_.ancestors ? ancestor_of_first(i) : 0;
+        ancestors_[0] = draws_ancestors_ ? ancestor_of_first(i) : 0;
         for (Number p = 1; p < N; ++p) ancestors_[p] = random_.pick(weights);
         const std::vector<double> surplus = surplus_, psi = psi_;
         spare_.resize(maps_.size());
@@ -164,7 +276,7 @@ class Stretch {
     }
 
     Number ancestor_of_first(Number i) {
-        std::vector<double> rho(rules_.particles);
+        std::vector<double> rho(particles_);
         for (Number p = 0; p < rho.size(); ++p)
             rho[p] = log_weights_[p] - psi_[p] + log_motion(begin_ + i, Frame(at(i, p)), x_[begin_ + i + 1]) + surplus_[p];
         return random_.choose(rho);
@@ -173,27 +285,28 @@ class Stretch {
     Random& random_;
     const Problem& problem_;
     std::span<const Sighting> sightings_;
-    const StretchRules& rules_;
+    Number particles_;
+    bool draws_ancestors_;
     Number begin_, end_;
     Trajectory& x_;
     LocalMap map_;
     Number count_;  ///< landmarks of the local map
-    Map drawn_;     ///< m
+    Map drawn_;  ///< m
     Guide guide_;
-    std::vector<Vector> poses_;           ///< (n, N)
-    std::vector<Number> parents_;         ///< (n, N) the particle of the pose before
+    std::vector<Vector> poses_;  ///< (n, N)
+    std::vector<Number> parents_;  ///< (n, N) the particle of the pose before
     std::vector<Gaussian> maps_, spare_;  ///< (N, count)
     std::vector<double> log_weights_;
     std::vector<double> surplus_;  ///< log prod p(z | x, m) / p(z | x)
-    std::vector<double> psi_;      ///< log psi of the pose before
+    std::vector<double> psi_;  ///< log psi of the pose before
     std::vector<Number> ancestors_;
 };
 
 }  // namespace
 
 void renew_stretch(Random& random, const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess,
-                   const StretchRules& rules, Number begin, Number end, Trajectory& x) {
-    Stretch(random, problem, sightings, rules, begin, end, x).renew(guess);
+                   Number particles, bool ancestors, Number begin, Number end, Trajectory& x) {
+    Stretch(random, problem, sightings, particles, ancestors, begin, end, x).renew(guess);
 }
 
 }  // namespace vmslam::gibbs

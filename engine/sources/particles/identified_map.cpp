@@ -34,7 +34,7 @@ std::shared_ptr<Blocks> IdentifiedMap::spare() {
     return rows;
 }
 
-void IdentifiedMap::place(LandmarkId id, const Three& mean, const Six& covariance) {
+void IdentifiedMap::place(LandmarkId id, const Vector& mean, const Symmetric& covariance) {
     const auto all = [](double x) { return numbers::all<Lanes>(x); };
     const Gaussian landmark{all(mean.x),        all(mean.y),        all(mean.t),
                             all(covariance.xx), all(covariance.xy), all(covariance.xt),

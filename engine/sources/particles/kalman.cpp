@@ -191,7 +191,7 @@ Innovation between(const Gaussian& a, const Gaussian& b, double blur_position, d
 
 }  // namespace
 
-Lanes known_likelihood(const Pose& pose, const Three& landmark, const Sighting& s, bool oriented) {
+Lanes known_likelihood(const Pose& pose, const Vector& landmark, const Sighting& s, bool oriented) {
     const Lanes dx = landmark.x - pose.x, dy = landmark.y - pose.y, direction = numbers::atan2(dy, dx);
     const Lanes r = root(Lanes(dx * dx + dy * dy));
     const Lanes e0 = s.z.range - r, e1 = wrap_angle(Lanes(s.z.bearing - direction + pose.t));
@@ -205,19 +205,24 @@ Lanes known_likelihood(const Pose& pose, const Three& landmark, const Sighting& 
     return log_density(squared, all<Lanes>(determinant), (oriented ? 1.5 : 1.0) * log_2pi, r);
 }
 
-Gaussian initial_landmark(const Pose& pose, const Sighting& sighting) {
+Gaussian landmark_from(const Pose& pose, const Sighting& sighting, double ahead, double along, double across,
+                       double bearing) {
     const auto& [z, q] = sighting;
     const auto [s, c] = sincos(Lanes(pose.t + z.bearing));
-    const double across = z.range * z.range * q.bearing, bearing = z.range * q.bearing;
-    return {pose.x + z.range * c,
-            pose.y + z.range * s,
+    return {pose.x + ahead * c,
+            pose.y + ahead * s,
             wrap_angle(Lanes(pose.t + z.bearing - z.psi)),
-            c * c * q.range + s * s * across,
-            c * s * (q.range - across),
+            c * c * along + s * s * across,
+            c * s * (along - across),
             -s * bearing,
-            s * s * q.range + c * c * across,
+            s * s * along + c * c * across,
             c * bearing,
             all<Lanes>(q.bearing + q.psi)};
+}
+
+Gaussian initial_landmark(const Pose& pose, const Sighting& sighting) {
+    const auto& [z, q] = sighting;
+    return landmark_from(pose, sighting, z.range, q.range, z.range * z.range * q.bearing, z.range * q.bearing);
 }
 
 Lanes update_landmark(Gaussian& m, const Pose& pose, const Sighting& s, const Lanes& range_variance, bool oriented) {

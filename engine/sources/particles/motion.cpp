@@ -27,31 +27,20 @@ class ControlDraw {
 // x_{t-1} moves, in its own axes, by mean + L n with L L' = covariance
 class WholeDraw {
    public:
-    explicit WholeDraw(const WholeMotion& m)
-        : d_(m.mean),
-          l00_(root(m.covariance.xx)),
-          l10_(over(m.covariance.xy, l00_)),
-          l20_(over(m.covariance.xt, l00_)),
-          l11_(root(m.covariance.yy - l10_ * l10_)),
-          l21_(over(m.covariance.yt - l20_ * l10_, l11_)),
-          l22_(root(m.covariance.tt - l20_ * l20_ - l21_ * l21_)) {}
+    explicit WholeDraw(const WholeMotion& m) : d_(m.mean), L_(m.covariance, true) {}
 
     Pose operator()(const Pose& x, std::uint64_t key, const Bits& particles) const {
         const auto [n0, n1] = normal_pair<Lanes>(key, particles, 0);
         const Lanes n2 = normal_pair<Lanes>(key, particles, 1).first;
-        const Lanes ahead = d_.x + l00_ * n0, left = d_.y + l10_ * n0 + l11_ * n1;
+        const Lanes ahead = d_.x + L_.xx * n0, left = d_.y + L_.yx * n0 + L_.yy * n1;
         const auto [s, c] = sincos(x.t);
         return {x.x + c * ahead - s * left, x.y + s * ahead + c * left,
-                wrap_angle(Lanes(x.t + d_.t + l20_ * n0 + l21_ * n1 + l22_ * n2))};
+                wrap_angle(Lanes(x.t + d_.t + L_.tx * n0 + L_.ty * n1 + L_.tt * n2))};
     }
 
    private:
-    // rounding may leave a singular covariance with a pivot below zero, in whose direction nothing is drawn
-    static double root(double pivot) { return std::sqrt(std::max(pivot, 0.0)); }
-    static double over(double covariance, double pivot) { return pivot > 0.0 ? covariance / pivot : 0.0; }
-
-    Three d_;
-    double l00_, l10_, l20_, l11_, l21_, l22_;
+    Vector d_;
+    LowerRoot L_;
 };
 
 template <class Draw>
@@ -85,19 +74,19 @@ Prediction predict(const Motion& motion, bool exact) {
     const auto& u = std::get<ControlMotion>(motion.model);
     const Chord f = chord(u.nu, u.omega, u.dt);
     const double nu_var = u.nu_std * u.nu_std, omega_var = u.omega_std * u.omega_std;
-    const Six AMA{f.by_nu * f.by_nu * nu_var + f.along * f.along * omega_var,
-                  f.along * f.across * omega_var,
-                  f.along * f.turn * omega_var,
-                  f.across * f.across * omega_var,
-                  f.across * f.turn * omega_var,
-                  f.turn * f.turn * omega_var};
+    const Symmetric AMA{f.by_nu * f.by_nu * nu_var + f.along * f.along * omega_var,
+                        f.along * f.across * omega_var,
+                        f.across * f.across * omega_var,
+                        f.along * f.turn * omega_var,
+                        f.across * f.turn * omega_var,
+                        f.turn * f.turn * omega_var};
     return {f.angle, f.mean, AMA, exact ? widened(u.epsilon, AMA.xx + AMA.yy + AMA.tt) : u.epsilon};
 }
 
 // mean: moved in axes turned by `angle`; covariance: R A M A' R' + epsilon I
 Gaussian Prediction::of(const Pose& x) const {
     const auto [s, c] = sincos(Lanes(x.t + angle));
-    const Six& P = covariance;
+    const Symmetric& P = covariance;
     return {x.x + c * mean.x - s * mean.y,
             x.y + s * mean.x + c * mean.y,
             wrap_angle(Lanes(x.t + mean.t)),

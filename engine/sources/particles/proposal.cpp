@@ -26,7 +26,7 @@ double widened(double epsilon, double variance) {
 WeightedDraw::WeightedDraw(const Motion& motion) : motion_(motion) {
     const Prediction predicted = predict(motion, true);
     angle_ = predicted.angle, mean_ = predicted.mean;
-    Six P = predicted.covariance;
+    Symmetric P = predicted.covariance;
     P.xx += predicted.epsilon, P.yy += predicted.epsilon, P.tt += predicted.epsilon;
     whiten(P);
     const auto* const u = std::get_if<ControlMotion>(&motion.model);
@@ -42,7 +42,7 @@ WeightedDraw::WeightedDraw(const Motion& motion) : motion_(motion) {
     c11_ = positive_root(1 - b1_.x * b1_.x - b1_.y * b1_.y - b1_.t * b1_.t - c10_ * c10_);
 }
 
-void WeightedDraw::whiten(const Six& P) {
+void WeightedDraw::whiten(const Symmetric& P) {
     const double l00 = std::sqrt(P.xx), l10 = P.xy / l00, l20 = P.xt / l00;
     const double l11 = std::sqrt(P.yy - l10 * l10), l21 = (P.yt - l20 * l10) / l11;
     const double l22 = std::sqrt(P.tt - l20 * l20 - l21 * l21);

@@ -55,7 +55,7 @@ class Steps {
        public:
         using Filter::Filter;
         void place(Input& input) {
-            identified()->place(3, {input.number(2.0), input.number(2.0), input.number(1.0)}, {0.1, 0.0, 0.0, 0.1, 0.0, 0.1});
+            identified()->place(3, {input.number(2.0), input.number(2.0), input.number(1.0)}, {0.1, 0.0, 0.1, 0.0, 0.0, 0.1});
         }
     };
 
@@ -78,7 +78,7 @@ class Steps {
 
     Motion motion() {
         if (input_.one_in(4))
-            return {WholeMotion{{input_.number(0.5), 0.0, input_.number(0.3)}, {0.01, 0, 0, 0.01, 0, 0.01}}, input_.bits()};
+            return {WholeMotion{{input_.number(0.5), 0.0, input_.number(0.3)}, {0.01, 0, 0.01, 0, 0, 0.01}}, input_.bits()};
         return {ControlMotion{input_.number(0.5), input_.number(0.5), input_.positive(0.1), input_.positive(0.1),
                               input_.positive(1.0), input_.positive(1e-4)},
                 input_.bits()};

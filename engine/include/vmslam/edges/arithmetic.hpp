@@ -4,6 +4,7 @@
 // called levers. `add_pair` adds B' Omega B to Omega and -B' Omega e to xi.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 
@@ -51,8 +52,13 @@ inline Vector operator*(const Symmetric& W, const Vector& e) {
     return {W.xx * e.x + W.xy * e.y + W.xt * e.t, W.xy * e.x + W.yy * e.y + W.yt * e.t, W.xt * e.x + W.yt * e.y + W.tt * e.t};
 }
 
+inline Vector operator+(const Vector& a, const Vector& b) { return {a.x + b.x, a.y + b.y, a.t + b.t}; }
+
 /// a' b
 inline double dot(const Vector& a, const Vector& b) { return a.x * b.x + a.y * b.y + a.t * b.t; }
+
+/// T v with T = blkdiag(R, 1), R the rotation.
+inline Vector turned(const Rotation& r, const Vector& v) { return {r.c * v.x - r.s * v.y, r.s * v.x + r.c * v.y, v.t}; }
 
 /// T W T' with T = blkdiag(R, 1), R the rotation.
 inline Symmetric turned(const Rotation& r, const Symmetric& W) {
@@ -80,6 +86,29 @@ inline Symmetric inverse(const Symmetric& W, bool oriented) {
             f * (W.xy * W.xt - W.xx * W.yt),
             f * (W.xx * W.yy - W.xy * W.xy)};
 }
+
+/// L with L L' = S, by rows. Where S may be `singular`, pivots that rounding leaves below zero give columns of zeros.
+struct LowerRoot {
+    double xx, yx, yy, tx, ty, tt;
+
+    explicit LowerRoot(const Symmetric& S, bool singular = false) {
+        const auto root = [=](double pivot) { return std::sqrt(singular ? std::max(pivot, 0.0) : pivot); };
+        const auto over = [=](double entry, double pivot) { return singular && pivot == 0.0 ? 0.0 : entry / pivot; };
+        xx = root(S.xx);
+        yx = over(S.xy, xx), tx = over(S.xt, xx);
+        yy = root(S.yy - yx * yx);
+        ty = over(S.yt - yx * tx, yy);
+        tt = root(S.tt - tx * tx - ty * ty);
+    }
+    /// L n
+    Vector operator*(const Vector& n) const { return {xx * n.x, yx * n.x + yy * n.y, tx * n.x + ty * n.y + tt * n.t}; }
+    /// L^-1 d
+    Vector whitened(const Vector& d) const {
+        const double a = d.x / xx, b = (d.y - yx * a) / yy;
+        return {a, b, (d.t - tx * a - ty * b) / tt};
+    }
+    double determinant() const { return xx * yy * tt; }
+};
 
 // --- sums into Omega and xi; blocks are given by rows
 

@@ -1,6 +1,7 @@
 // Many relative poses and points in one factor of GTSAM: whitened residuals, and Jacobians by the own axes of each node.
 #pragma once
 
+#include <array>
 #include <span>
 #include <vector>
 
@@ -16,7 +17,7 @@ struct WhitenedEdge {
     Place i, j;
     int rows;
     edges::Vector z;
-    double root[9];
+    std::array<double, 9> root;
     double frozen;
     edges::Kernel kernel;
 };

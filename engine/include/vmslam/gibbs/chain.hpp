@@ -1,10 +1,32 @@
 // One Markov chain of particle Gibbs: samples of whole trajectories and maps.
 #pragma once
 
-#include "vmslam/gibbs/bends.hpp"
-#include "vmslam/gibbs/exact.hpp"
+#include "vmslam/gibbs/problem.hpp"
 
 namespace vmslam::gibbs {
+
+/// Accepts or rejects trajectories drawn by a kernel that is reversible for the linearised density, each with a new map.
+///
+/// The map is drawn from the linearised density given the trajectory. So (trajectory, map) together are the proposal of a
+/// kernel that is reversible, too, and the probability of acceptance is the ratio of w = exact / linearised density.
+class Correction {
+   public:
+    Map map;                  ///< the present one
+    double log_weight = 0.0;  ///< log w of the present trajectory and map
+
+    bool accepts(Random& random, const Trajectory& trial, std::span<const Sighting> sightings, bool oriented);
+};
+
+/// A Gaussian's mode and its widest directions.
+///
+/// A state is a vector of 3 T + n J numbers: the poses after the first, and the n numbers of each landmark. Without psi n is
+/// 2: nothing depends on the headings of landmarks, so that they must not be among the directions.
+struct Directions {
+    Trajectory poses;
+    Map marks;
+    std::span<const double> rows;  ///< (r, 3 T + n J), V'
+    std::span<const double> deviations;  ///< (r) d
+};
 
 struct ChainRules {
     Number particles, block;  ///< N; the steps of a stretch

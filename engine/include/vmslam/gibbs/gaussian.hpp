@@ -16,6 +16,7 @@
 
 namespace vmslam::gibbs {
 
+using edges::LowerRoot;
 using edges::Rotation;
 using edges::Symmetric;
 using edges::Vector;
@@ -37,14 +38,9 @@ struct Frame {
     explicit Frame(const Vector& pose) : at(pose), axes(rotation(pose.t)) {}
 };
 
-inline Vector operator+(const Vector& a, const Vector& b) { return {a.x + b.x, a.y + b.y, a.t + b.t}; }
-
-/// G v, G = blkdiag(R(angle), 1).
-inline Vector turned(const Rotation& r, const Vector& v) { return {r.c * v.x - r.s * v.y, r.s * v.x + r.c * v.y, v.t}; }
-
 /// The pose that lies at d in the axes of a pose.
 inline Vector composed(const Frame& pose, const Vector& d) {
-    const Vector v = edges::Vector{pose.axes.c * d.x - pose.axes.s * d.y, pose.axes.s * d.x + pose.axes.c * d.y, d.t};
+    const Vector v = edges::turned(pose.axes, d);
     return {pose.at.x + v.x, pose.at.y + v.y, wrap_angle(pose.at.t + v.t)};
 }
 
@@ -74,27 +70,6 @@ inline Inverse inverse(const Symmetric& V) {
              (V.xx * V.yy - V.xy * V.xy) * i},
             determinant};
 }
-
-/// L, L L' = S, by rows.
-struct LowerRoot {
-    double xx, yx, yy, tx, ty, tt;
-
-    explicit LowerRoot(const Symmetric& S) {
-        xx = std::sqrt(S.xx);
-        yx = S.xy / xx, tx = S.xt / xx;
-        yy = std::sqrt(S.yy - yx * yx);
-        ty = (S.yt - yx * tx) / yy;
-        tt = std::sqrt(S.tt - tx * tx - ty * ty);
-    }
-    /// L n
-    Vector operator*(const Vector& n) const { return {xx * n.x, yx * n.x + yy * n.y, tx * n.x + ty * n.y + tt * n.t}; }
-    /// L^-1 d
-    Vector whitened(const Vector& d) const {
-        const double a = d.x / xx, b = (d.y - yx * a) / yy;
-        return {a, b, (d.t - tx * a - ty * b) / tt};
-    }
-    double determinant() const { return xx * yy * tt; }
-};
 
 inline Vector normals(Random& random) {
     const double x = random.normal(), y = random.normal(), t = random.normal();

@@ -1,4 +1,4 @@
-// What a sampler of trajectories and maps is given: the motions and sightings of a log.
+// What a sampler of trajectories and maps is given: the motions and sightings of a log, and their density.
 #pragma once
 
 #include <vector>
@@ -43,5 +43,15 @@ inline std::span<const Sighting> seen_at(const Problem& problem, std::span<const
                                          Number to) {
     return sightings.subspan(problem.first[from], problem.first[to + 1] - problem.first[from]);
 }
+
+/// -log of the posterior of a trajectory and a map, without constants, with the precisions of the sightings integrated out.
+/// `squares`, where not empty, receives e' C^-1 e of the sightings.
+double cost(const Problem& problem, const Trajectory& x, const Map& m, bool exact, std::span<double> squares);
+
+/// The errors of range, bearing and psi of a sighting whose landmark is at a relative place, squared, over their variances.
+double exact_squares(const Vector& z, const Vector& q, const Vector& place, bool oriented);
+
+/// A draw of the landmarks given a trajectory.
+Map draw_map(Random& random, const Trajectory& x, std::span<const Sighting> sightings, Number marks, bool oriented);
 
 }  // namespace vmslam::gibbs

@@ -14,13 +14,6 @@ struct BitSource {
     std::uint64_t (*next)(void*);
 };
 
-/// SplitMix64 (Steele, Lea and Flood, Fast splittable pseudorandom number generators, OOPSLA 2014), for programs without
-/// NumPy.
-struct SplitMix64 {
-    std::uint64_t state;
-    BitSource source();
-};
-
 /// A view of a source, which must live as long.
 class Random {
    public:

@@ -21,7 +21,7 @@ enum class Version { motion, corrected_exact, corrected_linearised };
 
 /// A sighting of a landmark at a known place; `oriented`: psi is used.
 struct KnownSighting {
-    Three landmark;
+    Vector landmark;
     Sighting sighting;
     bool oriented;
 };

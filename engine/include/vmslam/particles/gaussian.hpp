@@ -3,10 +3,15 @@
 
 #include <limits>
 
+#include "vmslam/edges/arithmetic.hpp"
 #include "vmslam/numbers/elementary.hpp"
 #include "vmslam/particles/rows.hpp"
 
 namespace vmslam::particles {
+
+using edges::LowerRoot;
+using edges::Symmetric;
+using edges::Vector;
 
 inline constexpr double infinity = std::numeric_limits<double>::infinity();
 
@@ -28,16 +33,6 @@ struct Reading {
 
 struct Sighting {
     Reading z, variances;
-};
-
-/// One number for each coordinate, of a motion for example.
-struct Three {
-    double x, y, t;
-};
-
-/// The upper triangle of a symmetric matrix.
-struct Six {
-    double xx, xy, xt, yy, yt, tt;
 };
 
 inline Pose read_pose(const Rows& rows, std::size_t first, const Index* ancestors = nullptr) {

@@ -41,7 +41,7 @@ class IdentifiedMap {
     bool has(LandmarkId id) const { return columns_.contains(id); }
     std::vector<LandmarkId> ids() const;
     /// Give all particles the same Gaussian of a landmark that is known beforehand.
-    void place(LandmarkId id, const Three& mean, const Six& covariance);
+    void place(LandmarkId id, const Vector& mean, const Symmetric& covariance);
 
     /// What a step does with one sighting.
     struct Task;

@@ -17,8 +17,8 @@ struct ControlMotion {
 
 /// Each particle moves, in its own axes, by a draw of N(mean, covariance).
 struct WholeMotion {
-    Three mean;
-    Six covariance;
+    Vector mean;
+    Symmetric covariance;
 };
 
 /// A motion, and the key of its random numbers.
@@ -31,7 +31,7 @@ struct Motion {
 struct Chord {
     double angle;
     /// (chord, 0, turn)
-    Three mean;
+    Vector mean;
     /// the entries of df/du that are not zero: nu moves along the chord; omega moves along and across it, and turns
     double by_nu, along, across, turn;
 };
@@ -40,8 +40,8 @@ Chord chord(double nu, double omega, double dt);
 /// A motion as a Gaussian in axes at `angle` to the robot, plus epsilon I.
 struct Prediction {
     double angle;
-    Three mean;
-    Six covariance;
+    Vector mean;
+    Symmetric covariance;
     double epsilon;
 
     /// The Gaussian of a pose after the motion.

@@ -44,18 +44,18 @@ class WeightedDraw {
     Drawn operator()(const Pose& start, const Gaussian& belief, const numbers::Bits& particles) const;
 
    private:
-    void whiten(const Six& P);
+    void whiten(const Symmetric& P);
     Pose with_control(const Pose& start, const Pose& deviation, const Pose& a, const Lanes& n3, const Lanes& n4) const;
 
     Motion motion_;
     double angle_;
-    Three mean_;
+    Vector mean_;
     /// L^-1 of P = L L', row by row, and log det L
     double w00_, w10_, w11_, w20_, w21_, w22_, log_scale_;
     /// the largest conditional variances that count as rounding
     double least_position_, least_heading_;
     /// B = A' L'^-1 (2 x 3), row by row, and the lower triangle of C, C C' = I - B B': c = B a + C w
-    Three b0_{}, b1_{};
+    Vector b0_{}, b1_{};
     double c00_ = 0.0, c10_ = 0.0, c11_ = 0.0;
     /// the nonzero entries of A, and sqrt(epsilon / the epsilon of the proposal)
     double along_nu_ = 0.0, along_ = 0.0, across_ = 0.0, turn_ = 0.0, scale_ = 0.0;

@@ -1,4 +1,4 @@
-#include "vmslam/gibbs/exact.hpp"
+#include "vmslam/gibbs/problem.hpp"
 
 namespace vmslam::gibbs {
 
@@ -11,6 +11,28 @@ double exact_squares(const Vector& z, const Vector& q, const Vector& place, bool
     if (!oriented) return squares;
     const double error = wrap_angle(z.t - bearing + place.t);
     return squares + error * error / q.t;
+}
+
+double cost(const Problem& problem, const Trajectory& x, const Map& m, bool exact, std::span<double> squares) {
+    double total = 0.0;
+    for (Number t = 0; t < problem.steps(); ++t) {
+        const Motion& motion = problem.motions[t];
+        total += squared(motion.information, deviation(motion.mean, relative(Frame(x[t]), x[t + 1])));
+    }
+    Frame pose;
+    Number step = x.size();
+    for (std::size_t k = 0; k < problem.sightings.size(); ++k) {
+        const Sighting& s = problem.sightings[k];
+        if (s.step != step) pose = Frame(x[step = s.step]);
+        const Vector place = relative(pose, m[s.mark]);
+        const double value =
+            exact ? exact_squares(s.z, s.q, place, problem.oriented) : squared(s.weight, deviation(s.y, place));
+        if (!squares.empty()) squares[k] = value;
+        // Student's t: (nu + n) log(1 + e' C^-1 e / nu)
+        const double degrees = problem.degrees;
+        total += degrees > 0 ? (degrees + problem.coordinates()) * logarithm(1.0 + value / degrees) : value;
+    }
+    return 0.5 * total;
 }
 
 Map draw_map(Random& random, const Trajectory& x, std::span<const Sighting> sightings, Number marks, bool oriented) {
@@ -26,26 +48,6 @@ Map draw_map(Random& random, const Trajectory& x, std::span<const Sighting> sigh
     map.reserve(marks);
     for (const Gaussian& mark : gaussians) map.push_back(drawn(random, mark.mean, mark.S));
     return map;
-}
-
-double log_ratio(const Trajectory& x, const Map& m, std::span<const Sighting> sightings, bool oriented) {
-    double total = 0.0;
-    for (const Sighting& s : sightings) {
-        const Vector place = relative(Frame(x[s.step]), m[s.mark]);
-        Vector r = deviation(s.y, place);
-        if (!oriented) r.t = 0.0;
-        total -= 0.5 * (exact_squares(s.z, s.q, place, oriented) - squared(inverse(s.C).matrix, r));
-    }
-    return total;
-}
-
-bool Correction::accepts(Random& random, const Trajectory& trial, std::span<const Sighting> sightings, bool oriented) {
-    Map candidate = draw_map(random, trial, sightings, map.size(), oriented);
-    const double value = log_ratio(trial, candidate, sightings, oriented);
-    if (logarithm(random.uniform()) >= value - log_weight) return false;
-    map = std::move(candidate);
-    log_weight = value;
-    return true;
 }
 
 }  // namespace vmslam::gibbs
