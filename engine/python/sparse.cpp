@@ -4,6 +4,7 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 
+#include <limits>
 #include <optional>
 
 #include "arrays.hpp"
@@ -103,29 +104,13 @@ void bind_inverse(nb::module_& m) {
     nb::class_<SelectedInverse>(m, "SelectedInverse")
         .def(nb::init<const Factor<Real3>&>(), release())
         .def("diagonal", [](const SelectedInverse& z) { return array(z.diagonal(), {z.diagonal().size() / 9, 3, 3}); })
-        // blocks (E, 3, 3) in the rows and columns of pairs of nodes, or None where the pattern of L lacks one
-        .def("pairs",
-             [](const SelectedInverse& z, In<Place> rows, In<Place> columns) -> std::optional<Out<double>> {
-                 std::vector<double> out(9 * rows.size());
-                 for (std::size_t e = 0; e < rows.size(); ++e) {
-                     const auto block = z.block(static_cast<Node>(rows.data()[e]), static_cast<Node>(columns.data()[e]));
-                     if (!block) return std::nullopt;
-                     std::copy(block->begin(), block->end(), out.begin() + 9 * e);
-                 }
-                 return array(std::move(out), {rows.size(), 3, 3});
-             })
-        // blocks (k, 3, k, 3) between all pairs of nodes, or None where the pattern of L lacks one
-        .def("blocks", [](const SelectedInverse& z, In<Place> nodes) -> std::optional<Out<double>> {
-            const std::size_t k = nodes.size();
-            std::vector<double> out(9 * k * k);
-            for (std::size_t a = 0; a < k; ++a)
-                for (std::size_t b = 0; b < k; ++b) {
-                    const auto block = z.block(static_cast<Node>(nodes.data()[a]), static_cast<Node>(nodes.data()[b]));
-                    if (!block) return std::nullopt;
-                    for (int r = 0; r < 3; ++r)
-                        for (int c = 0; c < 3; ++c) out[((3 * a + r) * k + b) * 3 + c] = (*block)[3 * r + c];
-                }
-            return array(std::move(out), {k, 3, k, 3});
+        // blocks (E, 3, 3) in the rows and columns of pairs of nodes, NaN where the pattern of L lacks one
+        .def("pairs", [](const SelectedInverse& z, In<Place> rows, In<Place> columns) {
+            std::vector<double> out(9 * rows.size(), std::numeric_limits<double>::quiet_NaN());
+            for (std::size_t e = 0; e < rows.size(); ++e)
+                if (const auto block = z.block(static_cast<Node>(rows.data()[e]), static_cast<Node>(columns.data()[e])))
+                    std::copy(block->begin(), block->end(), out.begin() + 9 * e);
+            return array(std::move(out), {rows.size(), 3, 3});
         });
 }
 

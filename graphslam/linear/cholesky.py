@@ -206,38 +206,34 @@ class Factor:
         n = self._num_nodes
         if not (0 <= i < n and 0 <= j < n):
             raise IndexError(f"nodes {i} and {j}: the graph has {n}")
-        if self._inverse is not None:
-            blocks = self._inverse.blocks(np.array([i, j]))
-            if blocks is not None:
-                return blocks[0, :, 1].copy()
-        unit = np.zeros((n, 3, 3))
-        unit[j] = np.eye(3)
-        return self.solve(unit)[i].copy()
+        return self._blocks(np.array([i]), np.array([j]))[0]
+
+    def _blocks(self, rows: NDArray[Any], columns: NDArray[Any]) -> NDArray[np.float64]:
+        """Blocks (E, 3, 3) of Omega^-1 in rows and columns (E,): read where the pattern of L has them, else by solves."""
+        blocks = np.full((len(rows), 3, 3), np.nan) if self._inverse is None else self._inverse.pairs(rows, columns)
+        missing = np.flatnonzero(np.isnan(blocks[:, 0, 0]))
+        if len(missing):
+            nodes, place = np.unique(columns[missing], return_inverse=True)
+            units = np.zeros((self._num_nodes, 3, nodes.size, 3))
+            units[nodes, :, np.arange(nodes.size), :] = np.eye(3)
+            solved = self.solve(units.reshape(len(units), 3, -1)).reshape(units.shape)
+            blocks[missing] = solved[rows[missing], :, place]
+        return blocks
 
     def covariances_between(self, first: NDArray[Any], second: NDArray[Any]) -> NDArray[np.float64]:
         """The blocks (E, 3, 3) of Omega^-1 in rows ``first`` and columns ``second`` (E,), such as the nodes of edges."""
-        first, second = np.asarray(first, dtype=np.int64), np.asarray(second, dtype=np.int64)
         self.diagonal_covariances()
-        blocks = self._inverse.pairs(first, second)
-        if blocks is None:
-            blocks = np.array([self.covariance(i, j) for i, j in zip(first.tolist(), second.tolist())]).reshape(
-                -1, 3, 3
-            )
-        return blocks
+        return self._blocks(np.asarray(first, dtype=np.int64), np.asarray(second, dtype=np.int64))
 
     def joint_covariance(self, nodes: NDArray[Any]) -> NDArray[np.float64]:
         """The covariance (3 k, 3 k) of nodes (k,) together: read where the pattern of L has it, else by solves.
 
         An ``ordering`` that ends with these nodes makes their blocks part of the pattern where the graph is connected.
         """
-        nodes = np.ascontiguousarray(nodes, dtype=np.int64)
+        nodes, k = np.asarray(nodes, dtype=np.int64), len(nodes)
         self.diagonal_covariances()
-        blocks = self._inverse.blocks(nodes)
-        if blocks is None:
-            units = np.zeros((self._num_nodes, 3, nodes.size, 3))
-            units[nodes, :, np.arange(nodes.size), :] = np.eye(3)
-            blocks = self.solve(units.reshape(len(units), 3, -1)).reshape(units.shape)[nodes]
-        return blocks.reshape(3 * nodes.size, 3 * nodes.size)
+        blocks = self._blocks(np.repeat(nodes, k), np.tile(nodes, k)).reshape(k, k, 3, 3)
+        return blocks.transpose(0, 2, 1, 3).reshape(3 * k, 3 * k)
 
 
 def analyze(indptr: NDArray[Any], indices: NDArray[Any], *, ordering: NDArray[Any] | None = None) -> Symbolic:
