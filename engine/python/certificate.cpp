@@ -18,7 +18,7 @@ using namespace certificate;
 using Complexes = std::complex<double>;
 
 /// The upper triangle of a symmetric matrix (d, d); false where it is not symmetric, but for rounding.
-bool take_upper(const double* W, int d, double tolerance, std::array<double, 6>& upper) {
+bool take_upper(const double* W, int d, double tolerance, double* upper) {
     for (int j = 0, k = 0; j < d; ++j)
         for (int i = 0; i <= j; ++i, ++k) {
             const double apart = std::abs(W[i * d + j] - W[j * d + i]);
@@ -47,7 +47,7 @@ class OwnedProof : public Proof {
                              turn ? turn->data()[e] : 0.0,
                              turn.has_value(),
                              {}});
-            if (!take_upper(information.data() + d * d * e, d, tolerance, edges.back().information)) return false;
+            if (!take_upper(information.data() + d * d * e, d, tolerance, &edges.back().information.xx)) return false;
         }
         return true;
     }
@@ -84,15 +84,15 @@ void bind(nb::module_& m) {
         .def("without_split",
              [](const OwnedProof& proof) {
                  std::vector<Place> ends;
-                 std::vector<double> information;
+                 std::vector<edges::Symmetric> information;
                  for (std::size_t e = 0; e < proof.edges.size(); ++e) {
                      if (proof.curvatures()[e].beta >= 0) continue;
                      const Edge& edge = proof.edges[e];
                      ends.insert(ends.end(), {edge.first, edge.second});
-                     information.insert(information.end(), edge.information.begin(), edge.information.end());
+                     information.push_back(edge.information);
                  }
                  const std::size_t count = ends.size() / 2;
-                 return std::pair(array(std::move(ends), {count, 2}), array(std::move(information), {count, 6}));
+                 return std::pair(array(std::move(ends), {count, 2}), rows_of(information));
              })
         // S and half the gradient (N, 2) of the function below J for a split
         .def("function_of", [](const OwnedProof& proof, double share) {
@@ -102,7 +102,7 @@ void bind(nb::module_& m) {
         });
     // beta and kappa of one edge
     m.def("split_information", [](In<double> w, double share) {
-        const Split s = split(w.data(), share);
+        const Split s = split(records<edges::Symmetric>(w, 1)[0], share);
         return std::pair(s.beta, s.kappa);
     });
     // of a factor: c (N,), the errors (N, 2) for blocks of a matrix, and the bound on b^H A^-1 b

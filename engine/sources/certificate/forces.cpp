@@ -25,8 +25,8 @@ void State::set(std::span<const double> values) {
     }
 }
 
-Split split(const double* w, double share) {
-    const double o00 = w[0], o01 = w[1], o11 = w[2], o02 = w[3], o12 = w[4], o22 = w[5];
+Split split(const edges::Symmetric& w, double share) {
+    const double o00 = w.xx, o01 = w.xy, o11 = w.yy, o02 = w.xt, o12 = w.yt, o22 = w.tt;
     const double mean = (o00 + o11) / 2, half = (o00 - o11) / 2, largest = mean + std::sqrt(half * half + o01 * o01);
     // the determinant has an error of 3 units in o00 o11, and largest, of 4 units, is at least as large as both
     const double smallest = largest > 0 ? (o00 * o11 - o01 * o01) / largest - 16 * roundoff * std::min(o00, o11) : 0.0;
@@ -42,7 +42,7 @@ Split split(const double* w, double share) {
 }
 
 Force force(const Node& a, const Node& b, const Edge& edge) {
-    const double* const w = edge.information.data();
+    const edges::Symmetric& w = edge.information;
     Force f;
     f.reached = conj(a.z) * (b.t + b.z * edge.d_b - a.t);
     const Complex v = f.reached - edge.d_a;
@@ -54,25 +54,25 @@ Force force(const Node& a, const Node& b, const Edge& edge) {
         h = edges::wrap(b.heading - a.heading - edge.turn);
         f.heading_error = 16 * roundoff * (std::abs(a.heading) + std::abs(b.heading) + std::abs(edge.turn) + pi);
     }
-    f.p = {dot(w[0], w[1], w[3], v.re, v.im, h), dot(w[1], w[2], w[4], v.re, v.im, h)};
-    f.g = dot(w[3], w[4], w[5], v.re, v.im, h);
+    f.p = {dot(w.xx, w.xy, w.xt, v.re, v.im, h), dot(w.xy, w.yy, w.yt, v.re, v.im, h)};
+    f.g = dot(w.xt, w.yt, w.tt, v.re, v.im, h);
     f.cost = f.p.re * v.re + f.p.im * v.im + f.g * h;
     f.zero = (f.p == Complex{} || length(v) <= f.place_error) && (f.g == 0 || std::abs(h) <= f.heading_error);
     // The function touches J_e at the computed residual. Its value at the state differs by the errors of v times p and g.
     // An error of g counts by the range of e_theta; those of p are absorbed by beta.
-    const double rows = std::abs(w[0]) + 2 * std::abs(w[1]) + std::abs(w[2]) + std::abs(w[3]) + std::abs(w[4]);
+    const double rows = std::abs(w.xx) + 2 * std::abs(w.xy) + std::abs(w.yy) + std::abs(w.xt) + std::abs(w.yt);
     const double p_size = length(f.p), v_size = length(v), unit = 4 * roundoff * (4 * roundoff);
     f.p_error = 2 * roundoff * p_size + unit * rows * (v_size + std::abs(h));
     const double g_error =
-        2 * roundoff * std::abs(f.g) + unit * ((std::abs(w[3]) + std::abs(w[4])) * v_size + std::abs(w[5] * h));
+        2 * roundoff * std::abs(f.g) + unit * ((std::abs(w.xt) + std::abs(w.yt)) * v_size + std::abs(w.tt * h));
     f.slack = 3 * p_size * f.place_error + 3 * std::abs(f.g) * f.heading_error + f.p_error * v_size + 16 * g_error;
     return f;
 }
 
 Curvature curvature(const Edge& edge, const Force& force, double share) {
-    const double* const w = edge.information.data();
+    const edges::Symmetric& w = edge.information;
     const bool oriented = edge.oriented;
-    const bool coupled = w[3] != 0 || w[4] != 0;
+    const bool coupled = w.xt != 0 || w.yt != 0;
     const double g = std::abs(force.g);
     auto [beta, kappa] = split(w, share);
     for (const double other : more_shares) {
@@ -84,7 +84,7 @@ Curvature curvature(const Edge& edge, const Force& force, double share) {
     }
     Curvature out{beta, 0.0, 0.0, 0.0};
     // an edge may measure the heading alone, or nothing about it
-    if (w[0] == 0 && w[1] == 0 && w[2] == 0 && !coupled) {
+    if (w.xx == 0 && w.xy == 0 && w.yy == 0 && !coupled) {
         out.beta = 0.0;
     } else if (beta > 0) {
         // with w0 the rounding error of w, beta |w|² - 2 p_error |w| is at least (1 - absorbed) beta |w - w0|² - slack

@@ -11,16 +11,15 @@
 // abs(z_i) = 1 this is a Hermitian form of (z, t). See docs/certificate.md for the derivation.
 #pragma once
 
-#include <array>
 #include <span>
 #include <vector>
 
 #include "vmslam/certificate/exact.hpp"
-#include "vmslam/sparse/graph.hpp"
+#include "vmslam/edges/arithmetic.hpp"
 
 namespace vmslam::certificate {
 
-using sparse::Place;
+using edges::Place;
 
 /// A node as a unit complex number z and a complex position t.
 struct Node {
@@ -39,14 +38,13 @@ class State {
     std::vector<Node> nodes_{1};
 };
 
-/// An edge whose information (w00, w01, w11, w02, w12, w22) is constant in the axes of its first node. `oriented` edges measure
-/// the heading.
+/// An edge whose information is constant in the axes of its first node. `oriented` edges measure the heading.
 struct Edge {
     Place first, second;
     Complex d_a, d_b;
     double turn;
     bool oriented;
-    std::array<double, 6> information;
+    edges::Symmetric information;
 };
 
 /// An edge at a candidate state.
@@ -80,7 +78,7 @@ struct Minorant {
 struct Split {
     double beta, kappa;
 };
-Split split(const double* information, double share);
+Split split(const edges::Symmetric& information, double share);
 
 Force force(const Node& first, const Node& second, const Edge& edge);
 
