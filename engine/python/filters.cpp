@@ -105,55 +105,43 @@ AnonymousMap& anonymous(Filter& f) {
     return *f.anonymous();
 }
 
-/// Means (k, n), covariances (k, n, n) and the evidence (k,) for a landmark in particles `first` to `first + count`.
-struct Estimates {
-    std::vector<double> means, covariances, evidence;
-};
-
-Estimates estimates_of(const Blocks& rows, const Index* ancestors, bool oriented, bool counted, std::size_t first,
-                       std::size_t count) {
-    // the stored rows of x, y, (heading,) and of the covariance, row by row of its upper triangle
-    const bool complete = rows.rows() != point_rows;
-    static constexpr int of_point[]{2, 3, 3, 4}, of_slice[]{3, 4, 4, 6}, of_three[]{3, 4, 5, 4, 6, 7, 5, 7, 8};
-    const int n = oriented ? 3 : 2;
-    const int* const entries = oriented ? of_three : complete ? of_slice : of_point;
-    Estimates out;
-    for (std::size_t i = first; i < first + count; ++i) {
-        const std::size_t at = ancestors ? static_cast<std::size_t>(ancestors[i]) : i;
-        for (int k = 0; k < n; ++k) out.means.push_back(rows.at(k, at));
-        for (int k = 0; k < n * n; ++k) out.covariances.push_back(rows.at(entries[k], at));
-        out.evidence.push_back(counted ? rows.at(evidence_row, at) : std::numeric_limits<double>::infinity());
-    }
-    return out;
+LandmarkView checked_view(Filter& f, LandmarkId id) {
+    const LandmarkView view = f.identified() ? f.identified()->view(id) : anonymous(f).view(id);
+    if (!view.numbers) throw std::out_of_range("there is no such landmark");
+    return view;
 }
 
+/// Means (k, n), covariances (k, n, n) and the evidence (k,) for a landmark in particles `first` to `first + count`.
 nb::tuple landmark(SharedFilter& shared, LandmarkId id, std::size_t first, std::size_t count) {
-    bool oriented = false;
-    Estimates out = shared.with([&](Filter& f) {
+    // the stored rows of the covariance, row by row of the matrix
+    static constexpr int of_point[]{2, 3, 3, 4}, of_slice[]{3, 4, 4, 6}, of_three[]{3, 4, 5, 4, 6, 7, 5, 7, 8};
+    std::vector<double> means, covariances, evidence;
+    const int n = shared.with([&](Filter& f) {
         require(first <= f.particles() && count <= f.particles() - first, "particles of the filter");
-        if (f.identified()) {
-            if (!f.identified()->has(id)) throw std::out_of_range("there is no such landmark");
-            oriented = f.identified()->oriented();
-            const auto view = f.identified()->view(id);
-            return estimates_of(*view.numbers, view.ancestors, oriented, false, first, count);
+        const LandmarkView view = checked_view(f, id);
+        const Blocks& rows = *view.numbers;
+        const bool oriented = f.identified() ? f.identified()->oriented() : anonymous(f).oriented();
+        const int coordinates = oriented ? 3 : 2;
+        const int* const entries = oriented ? of_three : rows.rows() != point_rows ? of_slice : of_point;
+        for (std::size_t i = first; i < first + count; ++i) {
+            const std::size_t at = view.at(i);
+            for (int k = 0; k < coordinates; ++k) means.push_back(rows.at(k, at));
+            for (int k = 0; k < coordinates * coordinates; ++k) covariances.push_back(rows.at(entries[k], at));
+            evidence.push_back(f.identified() ? infinity : rows.at(evidence_row, at));
         }
-        oriented = anonymous(f).oriented();
-        const auto view = anonymous(f).view(id);
-        if (!view.numbers) throw std::out_of_range("there is no such landmark");
-        return estimates_of(*view.numbers, view.ancestors, oriented, true, first, count);
+        return coordinates;
     });
-    const std::size_t n = oriented ? 3 : 2;
-    return nb::make_tuple(array(std::move(out.means), {count, n}), array(std::move(out.covariances), {count, n, n}),
-                          array(std::move(out.evidence)));
+    const auto columns = static_cast<std::size_t>(n);
+    return nb::make_tuple(array(std::move(means), {count, columns}), array(std::move(covariances), {count, columns, columns}),
+                          array(std::move(evidence)));
 }
 
 std::vector<double> class_probabilities(Filter& f, std::int64_t id, std::size_t particle) {
-    const auto view = anonymous(f).view(id);
-    if (!view.numbers) throw std::out_of_range("there is no such landmark");
-    const std::size_t at = view.ancestors ? static_cast<std::size_t>(view.ancestors[checked_particle(f, particle)])
-                                          : checked_particle(f, particle);
+    anonymous(f);
+    const LandmarkView view = checked_view(f, id);
     std::vector<double> out;
-    for (int row = first_class_row; row < view.numbers->rows(); ++row) out.push_back(view.numbers->at(row, at));
+    for (int row = first_class_row; row < view.numbers->rows(); ++row)
+        out.push_back(view.numbers->at(row, view.at(checked_particle(f, particle))));
     return out;
 }
 

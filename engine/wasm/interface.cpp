@@ -68,11 +68,11 @@ struct LogGraph {
     std::pair<double, double> proof(std::span<const double> poses) const {
         std::vector<certificate::Edge> list;
         std::vector<double> state(poses.begin(), poses.end());
-        list.push_back({-1, 0, {log.start[0], log.start[1]}, {}, log.start[2], true, upper({1e6, 0.0, 1e6, 0.0, 0.0, 1e6})});
+        list.push_back({-1, 0, {log.start[0], log.start[1]}, {}, log.start[2], true, {1e6, 0.0, 1e6, 0.0, 0.0, 1e6}});
         const auto size = static_cast<solve::Place>(log.poses());
         for (solve::Place t = 0; options.motions && t + 1 < size; ++t) {
             const auto [z, omega] = measured(log.motion(t), robot.motion);
-            list.push_back({t, t + 1, {z.x, z.y}, {}, z.t, true, upper(omega)});
+            list.push_back({t, t + 1, {z.x, z.y}, {}, z.t, true, omega});
         }
         const std::vector<double> squares = plain.costs(poses);
         double cost = std::accumulate(squares.begin(), squares.end(), 0.0);
@@ -92,7 +92,7 @@ struct LogGraph {
                                     {},
                                     z.t,
                                     robot.oriented,
-                                    upper(each.factor * omega)});
+                                    each.factor * omega});
                     const edges::Vector pull = each.W * each.e;
                     cost +=
                         each.factor * (each.e.x * pull.x + each.e.y * pull.y + (robot.oriented ? each.e.t * pull.t : 0.0));
@@ -110,7 +110,6 @@ struct LogGraph {
     }
 
    private:
-    static std::array<double, 6> upper(const edges::Symmetric& W) { return {W.xx, W.xy, W.yy, W.xt, W.yt, W.tt}; }
     void add_pair(std::vector<certificate::Edge>& list, const LandmarkSighting& a, const LandmarkSighting& b,
                   double weight) const {
         const edges::Vector first = measured(a.z, true, robot.sensor).z, second = measured(b.z, true, robot.sensor).z;
@@ -124,7 +123,7 @@ struct LogGraph {
                         {second.x, second.y},
                         edges::wrap(first.t - second.t),
                         true,
-                        upper(weight * edges::inverse(C, true))});
+                        weight * edges::inverse(C, true)});
     }
 
     solve::Graph made(const edges::Kernel& kernel, int count) const {
@@ -379,11 +378,9 @@ VMSLAM_EXPORT(vm_fastslam_particles) void vm_fastslam_particles(FastSlam* slam, 
 /// Write x and y of a landmark in the map of a particle and their covariance (xx, xy, yy); returns 0 if there is none of this name.
 VMSLAM_EXPORT(vm_fastslam_landmark)
 int vm_fastslam_landmark(FastSlam* slam, int particle, double name, double* landmark) {
-    particles::IdentifiedMap& map = *slam->filter.identified();
-    if (!map.has(static_cast<std::int64_t>(name))) return 0;
-    const auto [numbers, ancestors] = map.view(static_cast<std::int64_t>(name));
-    const auto at = static_cast<std::size_t>(ancestors ? ancestors[particle] : particle);
+    const particles::LandmarkView view = slam->filter.identified()->view(static_cast<std::int64_t>(name));
+    if (!view.numbers) return 0;
     const auto rows = slam->robot.oriented ? std::array{0, 1, 3, 4, 6} : std::array{0, 1, 2, 3, 4};
-    for (const int row : rows) *landmark++ = numbers->at(row, at);
+    for (const int row : rows) *landmark++ = view.numbers->at(row, view.at(static_cast<std::size_t>(particle)));
     return 1;
 }

@@ -56,7 +56,7 @@ std::vector<std::int64_t> AnonymousMap::ids() const {
     return out;
 }
 
-AnonymousMap::View AnonymousMap::view(std::int64_t landmark) {
+LandmarkView AnonymousMap::view(std::int64_t landmark) {
     for (const Slice& slice : slices_)
         if (slice.landmark == landmark && landmark >= 0) return {slice.rows.get(), history_.ancestors(slice.level)};
     return {nullptr, nullptr};

@@ -21,9 +21,10 @@ std::vector<LandmarkId> IdentifiedMap::ids() const {
     return out;
 }
 
-IdentifiedMap::View IdentifiedMap::view(LandmarkId id) {
-    const Column& column = columns_.at(id);
-    return {column.numbers.get(), history_.ancestors(column.level)};
+LandmarkView IdentifiedMap::view(LandmarkId id) {
+    const auto found = columns_.find(id);
+    if (found == columns_.end()) return {nullptr, nullptr};
+    return {found->second.numbers.get(), history_.ancestors(found->second.level)};
 }
 
 std::shared_ptr<Blocks> IdentifiedMap::spare() {
@@ -131,10 +132,6 @@ void IdentifiedMap::join(Sighted& sighted, const RatedSighting& sighting, const 
 
 bool IdentifiedMap::Scan::weighs() const {
     return std::any_of(tasks_.begin(), tasks_.end(), [](const Task& task) { return task.source != nullptr; });
-}
-
-bool IdentifiedMap::Scan::has_leading() const {
-    return std::any_of(tasks_.begin(), tasks_.end(), [](const Task& task) { return task.leading; });
 }
 
 Lanes IdentifiedMap::Scan::Group::correct(Gaussian& belief, bool weighs) const {

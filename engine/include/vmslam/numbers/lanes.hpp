@@ -33,27 +33,23 @@ inline Lanes gather(const double* p, const std::int32_t* places) {
                  p[places[4]], p[places[5]], p[places[6]], p[places[7]]};
 }
 
-/// The types of whole numbers, of bits and of conditions that belong to a type of numbers.
+/// The types of whole numbers and of bits that belong to a type of numbers.
 template <class Real>
 struct Of;
 template <>
 struct Of<double> {
     using Integer = std::int64_t;
     using Bits = std::uint64_t;
-    using Condition = bool;
 };
 template <>
 struct Of<Lanes> {
     using Integer = Integers;
     using Bits = numbers::Bits;
-    using Condition = Integers;
 };
 template <class Real>
 using IntegerOf = typename Of<Real>::Integer;
 template <class Real>
 using BitsOf = typename Of<Real>::Bits;
-template <class Real>
-using ConditionOf = typename Of<Real>::Condition;
 
 /// A number in every lane.
 template <class Real>

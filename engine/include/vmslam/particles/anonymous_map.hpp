@@ -48,12 +48,7 @@ class AnonymousMap {
     std::vector<std::int64_t> ids() const;
     std::size_t slices() const { return slices_.size(); }
     std::int64_t created() const { return created_; }
-    /// The numbers of a landmark, and the particles' ancestors by which they are read; null numbers: there is none.
-    struct View {
-        const Blocks* numbers;
-        const Index* ancestors;
-    };
-    View view(std::int64_t landmark);
+    LandmarkView view(std::int64_t landmark);
 
     /// `boxes`: for each sighting the box that holds the means of the landmarks that are hypotheses of some particle, as far
     /// as they are perfectly known; see `place_of`.

@@ -19,7 +19,7 @@ namespace vmslam::particles {
 
 inline constexpr int evidence_row = 9, last_step_row = 10, first_class_row = 11;
 /// The evidence is the number of sightings minus the number of misses: confirmed when seen twice, permanent when three times.
-inline constexpr double confirmed_evidence = 2.0, permanent_evidence = 3.0;
+inline constexpr double permanent_evidence = 3.0;
 
 /// Smallest and largest x and y.
 struct Box {

@@ -20,6 +20,17 @@
 
 namespace vmslam::particles {
 
+/// The numbers of a landmark, and the particles' ancestors by which they are read; null numbers: there is none.
+struct LandmarkView {
+    const Blocks* numbers;
+    const Index* ancestors;
+
+    /// The place of a particle's numbers.
+    std::size_t at(std::size_t particle) const {
+        return ancestors ? static_cast<std::size_t>(ancestors[particle]) : particle;
+    }
+};
+
 class History {
    public:
     explicit History(std::size_t particles);

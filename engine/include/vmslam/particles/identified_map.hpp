@@ -51,12 +51,7 @@ class IdentifiedMap {
     /// Columns that a scan has replaced can be reused.
     void end_scan();
 
-    /// The numbers of a landmark, and the particles' ancestors by which they are read.
-    struct View {
-        const Blocks* numbers;
-        const Index* ancestors;
-    };
-    View view(LandmarkId id);
+    LandmarkView view(LandmarkId id);
 
    private:
     /// All sightings of a landmark, of which the last `here` are from the poses `last` and the others from `past`.
@@ -112,7 +107,6 @@ class IdentifiedMap::Scan {
     Scan(bool oriented, std::vector<Task> tasks) : oriented_(oriented), tasks_(std::move(tasks)) {}
 
     bool weighs() const;
-    bool has_leading() const;
 
     /// The sightings as a group of particles sees them.
     class Group;
