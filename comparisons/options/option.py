@@ -117,7 +117,7 @@ class ImportOptions(Options):
 
     panel = "Tables and topics"
     components = {"tables": (TableOptions, "Units, clocks, columns and axes"), "reading": (ReadOptions, OUTPUT)}
-    hidden = ("robot", "strict")
+    hidden = ("robot",)
     odometry: str | None = option(
         None, "Table or topic of the odometry.", metavar="FILE|TOPIC", default_text="found by name and type"
     )
