@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import time
+from http.server import SimpleHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,13 @@ os.dup2(reads, 3), os.dup2(writes, 4)
 os.set_inheritable(3, True), os.set_inheritable(4, True)  # a copy may have been 3 or 4 already, and then dup2 does nothing
 os.execvp(sys.argv[3], sys.argv[3:])
 """
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    """A handler that writes no log."""
+
+    def log_message(self, *_: object) -> None:
+        """Write nothing."""
 
 
 def find_browser() -> str | None:

@@ -9,14 +9,14 @@ import threading
 import tomllib
 from collections.abc import Iterator
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import ThreadingHTTPServer
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from chromium import Chromium, find_browser
+from chromium import Chromium, Quiet, find_browser
 from matplotlib.image import imread
 
 SITE = Path(__file__).parents[2] / "site"
@@ -111,13 +111,6 @@ FOUND = """(async () => {
     for (const question of %s)
         found.push((await ask(2, question, 3)).items.map((sections) => sections[0].location.split("#")[0]));
     return found; })()"""
-
-
-class Quiet(SimpleHTTPRequestHandler):
-    """A handler that writes no log."""
-
-    def log_message(self, *_: object) -> None:
-        """Write nothing."""
 
 
 @pytest.fixture(scope="module")

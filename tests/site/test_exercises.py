@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chromium import Chromium, find_browser
-from test_live import Quiet
+from chromium import Chromium, Quiet, find_browser
 
 SITE = Path(__file__).parents[2] / "docs" / "_site"
 sys.path.insert(0, str(SITE))

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import Chromium, find_browser
-from test_live import Quiet
+from chromium import Chromium, Quiet, find_browser
 from test_pages import CHAPTERS, DOCS, FORMULA
 
 SITE = DOCS / "_site"
