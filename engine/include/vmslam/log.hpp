@@ -33,7 +33,7 @@ struct Log {
     bool oriented = true;               ///< whether orientations are measured
 
     /// Of motions that consist of several controls: the first control of each, and the number of all controls.
-    std::vector<std::size_t> starts{};
+    std::vector<std::size_t> starts;
 
     std::size_t poses() const { return starts.empty() ? controls.size() + 1 : starts.size(); }
     /// The controls that lead from pose t to pose t + 1.

@@ -125,6 +125,8 @@ bool OnlineSystem::solve_as_batch(std::span<const Number> newest) {
     std::vector<Triple> start = places();
     for (std::size_t k = 0; k < found.size() / 3; ++k)
         std::copy_n(found.begin() + 3 * k, 3, start[problem.nodes()[k]].begin());
+    // where passes have failed, second derivatives of all edges did not help
+    memory_.bent.convex = usual_bent().convex;
     if (begin_at(start, newest) && iterate(newest)) return true;
     begin_at(start, newest);
     return false;

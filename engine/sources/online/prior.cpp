@@ -86,11 +86,10 @@ void Prior::evaluate(const Graph& graph, bool renew) {
     std::vector<Triple> x;
     for (const Number member : members) x.push_back(graph.nodes[member].x);
     const Way way(*this, x, point);
-    if (renew) {
-        linear = way.information(*this);
-        at = x;
-    }
     carry = way.gradient(*this);
+    if (!renew) return;
+    linear = way.information(*this);
+    at = std::move(x);
 }
 
 bool Prior::outdated(const Graph& graph) const {

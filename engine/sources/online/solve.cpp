@@ -255,7 +255,7 @@ void Tree::evaluate(Graph& graph, Number s, Evaluation& found) {
         const double* const carry = child.carry();
         for (Number q = 0; q < child.r; ++q)
             for (int k = 0; k < 3; ++k) at[3 * child.relative[q] + k] += carry[3 * q + k];
-        group.energy += child.energy + child.strain;
+        group.energy = std::max(group.energy, child.energy);
         group.stress = std::max(group.stress, child.stress);
     }
     double square = 0.0;
@@ -268,14 +268,8 @@ void Tree::evaluate(Graph& graph, Number s, Evaluation& found) {
     });
     std::copy_n(at + 3 * group.w, 3 * group.r, group.force());
     std::copy_n(at + 3 * group.w, 3 * group.r, group.carry());
-    group.energy += square;
+    group.energy = std::max(group.energy, square);
     found.predicted += square;
-}
-
-double Tree::energy() const {
-    double total = 0.0;
-    for (Number c = groups[0].child; c > 0; c = groups[c].sibling) total += groups[c].energy;
-    return total;
 }
 
 // With the unit vectors E of the nodes, it is Y' Y, L Y = E. The columns of Y are zero beside the paths from their nodes to the

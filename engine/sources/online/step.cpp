@@ -10,17 +10,19 @@
 namespace vmslam::online {
 namespace {
 
-/// A pass leaves out subtrees below this part of J, or less where passes are slow: the edges there are not linearised again.
-constexpr double settled = 3e-7;
+/// A pass leaves out subtrees below this part of J: the edges there are not linearised again. Where passes of a step are slow,
+/// the next ones leave out less by the factor `finer`, because edges that are not looked at may be the reason.
+constexpr double settled = 2e-7, finer = 0.3;
 /// What rounding leaves of a prediction where J is zero.
 constexpr double rounding = 1e-15;
 /// Where a pass predicts more than `slow` times the decrease of the pass before, the limit beyond which an edge is linearised
 /// again is multiplied by `stricter`, and by `easier` after every step whose last pass does not.
 constexpr double slow = 0.2, stricter = 0.1, easier = 1.5;
 /// The same where edges were linearised again, more than `diverging` times. Where the predicted decrease grows `grows` times
-/// then, although it is below `near` times J and the limit below `strict`, all edges get their second derivatives. These make
-/// passes slow along directions that are hardly determined, so that they are not in the factor otherwise.
-constexpr double diverging = 0.5, grows = 1.5, near = 1e-6, strict = 1e-4;
+/// then, although it is below `near` times J, the limit below `strict` and what is left out below `fine` times the usual, all
+/// edges get their second derivatives. These make passes slow along directions that are hardly determined, so that they are not
+/// in the factor otherwise.
+constexpr double diverging = 0.5, grows = 1.5, near = 1e-6, strict = 1e-4, fine = 0.03;
 /// For so many passes second derivatives are convex once exact ones have made Omega indefinite.
 constexpr int held = 3;
 /// By so much the largest ratio of the predictions of two passes falls with each step.
@@ -34,38 +36,42 @@ constexpr double least_left = 0.3;
 
 OnlineSystem::Outcome OnlineSystem::advance(int& done) {
     Memory& m = memory_;
-    double last = infinity;
+    const auto is_small = [&](double decrease) { return decrease <= std::max(tolerance_ * m.cost, rounding); };
+    double last = infinity, part = 1.0;
     bool renewed = false;
     m.shrinks *= forget;
     while (done < most_passes_) {
-        if (last == infinity && tree_.energy() * least_left <= std::max(tolerance_ * m.cost, rounding)) return Outcome::done;
+        if (last == infinity && is_small(least_left * m.predicted)) return Outcome::done;
         if (m.hold > 0 && --m.hold == 0) m.bent.exact = usual_bent().exact;
-        const Pass pass = this->pass(settled * m.cost * m.limit / Memory{}.limit);
+        const Pass pass = this->pass(part * settled * m.cost);
         const double predicted = pass.predicted;
         // J cannot fall by more than itself: far from any minimum, undamped passes lead nowhere
         if (!(predicted < hopeless * m.cost + 1.0) || !std::isfinite(m.cost)) break;
         // what is left after this pass, if the predictions of further ones shrink as slowly as lately
         m.shrinks = std::max({m.shrinks, std::min(predicted / last, 0.9), m.bent.convex == 0.0 ? 0.75 : 0.0});
-        if (predicted * std::max(least_left, m.shrinks / (1 - m.shrinks)) <= std::max(tolerance_ * m.cost, rounding)) {
-            if (predicted < slow * last) m.limit = std::min(Memory{}.limit, easier * m.limit);
-            return Outcome::done;
-        }
-        if (predicted > (renewed ? diverging : slow) * last) {
-            const bool closing = grows * last < predicted && predicted < near * m.cost;
+        const bool ends = is_small(predicted * std::max(least_left, m.shrinks / (1 - m.shrinks)));
+        const bool is_slow = !ends && predicted > (renewed ? diverging : slow) * last;
+        if (ends && predicted < slow * last) m.limit = std::min(Memory{}.limit, easier * m.limit);
+        if (is_slow) {
+            const bool closing = grows * last < predicted && predicted < near * m.cost && part < fine;
             if (closing && renewed && m.hold == 0 && m.limit < strict && m.bent.convex > 0.0 && m.bent.convex < infinity)
                 m.bent.convex = 0.0;
-            else  // slow passes: more of the edges have to be linearised where they are
+            else  // more of the edges have to be linearised where they are
                 m.limit = std::max(stricter * m.limit, 1e-9);
+            part *= finer;
         }
         last = predicted;
         const std::vector<Number> above = renew_priors(pass.outdated);
         renewed = !pass.late.empty() || !above.empty();
+        if (ends && !renewed) return Outcome::done;
         ++done;
         while (renewed && !factorize_late(pass.late, above)) {
             if (m.hold > 0) return Outcome::indefinite;
             m.bent.exact = infinity;
             m.hold = held;
         }
+        // the factor before may have been too stiff along directions that are hardly determined, and predicted too little
+        if (ends && is_small(least_left * m.predicted)) return Outcome::done;
     }
     done = most_passes_;
     return Outcome::unfinished;
@@ -94,6 +100,7 @@ bool OnlineSystem::factorize_late(std::span<const Number> late, std::span<const 
     Evaluation found{memory_.limit, memory_.bent};
     const bool good = refactor(graph_, tree_, late, others, found);
     memory_.cost += found.change;
+    memory_.predicted = found.predicted;
     return good;
 }
 
@@ -139,6 +146,7 @@ bool OnlineSystem::eliminate(const Changes& changes) {
         Evaluation found{memory_.limit, memory_.bent};
         const bool good = rebuild(graph_, tree_, changes, found);
         memory_.cost += found.change;
+        memory_.predicted = found.predicted;
         if (good) return true;
         if (memory_.hold > 0) return false;
         memory_.bent.exact = infinity;

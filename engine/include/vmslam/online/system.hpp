@@ -14,6 +14,7 @@ namespace vmslam::online {
 /// What steps learn about the graph and keep for the next ones.
 struct Memory {
     double cost = 0.0;       ///< J at the last evaluation
+    double predicted = 0.0;  ///< by how much solving the supernodes that were factorised last would lower it
     double limit = 1e-4;     ///< how far an edge in the factor may be from the present one
     Bent bent;
     int hold = 0;            ///< for how many passes no second derivatives are exact

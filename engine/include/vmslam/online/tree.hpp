@@ -45,7 +45,7 @@ struct Supernode {
     bool marked = false;  ///< false between the calls
     bool ascending = true;  ///< whether `relative` ascends
     bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
-    double energy = 0.0;  ///< by how much solving the subtree would lower the cost where its separator was
+    double energy = 0.0;  ///< y' y, by how much solving a supernode lowers the cost: the largest in the subtree
     double strain = 0.0;  ///< w' U w
     double stress = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
     std::vector<Number> nodes;  ///< w nodes, then r nodes, both in the order of elimination
@@ -71,7 +71,7 @@ struct Evaluation {
     double limit;  ///< from which an edge in the factor is outdated
     Bent bent;
     double change = 0.0, predicted = 0.0;  ///< of the cost; its decrease by a solution of the tree
-    std::vector<Number> late{};  ///< edges that are outdated
+    std::vector<Number> late;  ///< edges that are outdated
 };
 
 class Tree {
@@ -115,8 +115,6 @@ class Tree {
         std::vector<Number> supernodes, priors;  ///< parents before their children; the priors below them
     };
     Moved descend(Graph& graph, double least);
-    /// By how much solving the tree would lower the cost.
-    double energy() const;
 
     /// The joint covariance (3k, 3k) of k nodes in world axes.
     std::vector<double> covariance(Graph& graph, std::span<const Number> nodes);

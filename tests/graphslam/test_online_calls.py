@@ -1,0 +1,330 @@
+"""Calls of the online solver: what is refused and changes nothing, copies, backends and threads."""
+
+import io
+import pickle
+import runpy
+import threading
+from copy import copy, deepcopy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from graphslam import (
+    Graph,
+    GraphError,
+    OnlineSolver,
+    OptionError,
+    SensorModel,
+    simulate,
+    solve,
+)
+from graphslam.log.rows import UNIDENTIFIED
+from graphslam.online import replay
+from graphslam.se2 import between, compose
+
+
+def step(solver, *control, ids=(), sightings=(), **motion):
+    """A motion, and what is seen after it."""
+    solver.move(*control, **motion)
+    solver.observe(ids, sightings)
+
+
+ONE = [[1.0, 0.0]]
+BAD_CALLS = [
+    ("move", {}, OptionError, "move takes a control"),
+    ("move", {"control": (1, 0), "dt": 1, "motion": (1, 0, 0), "covariance": np.eye(3)}, OptionError, "move takes"),
+    ("observe", {"ids": [1], "sightings": ONE, "pose": 9}, GraphError, "unknown pose 9"),
+    ("relate", {"first": 7, "second": 8, "motion": (1, 0, 0), "covariance": np.eye(3)}, GraphError, "poses 7 and 8"),
+    ("move", {"control": (1.0, 0.0), "dt": -1.0}, OptionError, "dt must be a positive number"),
+    ("move", {"control": (1.0, 0.0), "time": 0.5}, OptionError, "time runs backwards"),
+    ("observe", {"ids": [1], "sightings": ONE, "time": 0.5}, OptionError, "time runs backwards"),
+    ("move", {"motion": (1, 0, 0), "covariance": -np.eye(3)}, OptionError, "positive definite"),
+    ("move", {"motion": (1, 0, 0)}, OptionError, "covariance must be finite numbers"),
+    ("move", {"motion": (1, np.nan, 0), "covariance": np.eye(3)}, OptionError, "motion must be finite"),
+    ("move", {"control": (1.0, 0.0), "time": "noon"}, OptionError, "time must be a finite number"),
+    ("move", {"control": (1.0, 0.0), "time": 10**400}, OptionError, "time must be a finite number"),
+    ("observe", {"ids": [1, [2]], "sightings": ONE}, OptionError, "ids must be whole"),
+    ("move", {"control": (10**400, 0.0), "dt": 1.0}, OptionError, "control must be finite"),
+    ("move", {"control": (1, 0), "dt": 1.0, "covariance": np.eye(3)}, OptionError, "belongs to a measured motion"),
+    ("observe", {"ids": [1], "sightings": ONE, "pose": 0.5}, OptionError, "pose must be a whole number"),
+    ("relate", {"first": 0.7, "second": 1, "motion": (1, 0, 0), "covariance": np.eye(3)}, OptionError, "whole number"),
+    ("relate", {"first": 0, "second": 1, "motion": (1, 0), "covariance": np.eye(3)}, OptionError, "motion must be"),
+    ("observe", {"ids": (), "sightings": ONE}, OptionError, "needs the id"),
+    ("observe", {"ids": [UNIDENTIFIED], "sightings": ONE}, OptionError, "identified landmarks only"),
+    ("observe", {"ids": [1, 2], "sightings": [[1.0, 0.0], [1.0]]}, OptionError, "range, bearing"),
+    ("observe", {"ids": [3], "sightings": [[0.0, 0.0]]}, OptionError, "ranges above zero"),
+    ("observe", {"ids": [3], "sightings": [[1.0, 0.0, 0.0]]}, OptionError, "2 numbers each"),
+    ("observe", {"ids": [0.5], "sightings": ONE}, OptionError, "whole numbers"),
+]
+
+
+def everything(solver):
+    """All numbers of a solver, bit by bit."""
+    kept = {
+        key: value for key, value in (vars(solver) | vars(solver._backend)).items() if key not in ("system", "_backend")
+    }
+    return solver._backend.system.__getstate__(), repr(kept)
+
+
+@pytest.mark.parametrize(("call", "arguments", "error", "message"), BAD_CALLS)
+def test_a_bad_call_changes_nothing(call, arguments, error, message):
+    solver = OnlineSolver((1.0, 2.0, 0.5))
+    solver.move((1.0, 0.1), dt=1.0, time=1.0)
+    solver.observe([1, 2], [[2.0, 0.3], [1.5, -0.4]])
+    before = everything(solver)
+    with pytest.raises(error, match=message):
+        getattr(solver, call)(**arguments)
+    assert everything(solver) == before
+    solver.move((1.0, 0.0), time=2.0)
+    solver.observe([2], [[1.0, -0.8]], time=2.0)
+    assert solver.step == 2
+
+
+def test_dt_is_the_time_since_the_newest_pose():
+    solver, seen = OnlineSolver(), ([1], [[2.0, 0.3]])
+    solver.observe(*seen, time=0.0)
+    solver.move((1.0, 0.0), time=1.0)
+    # sightings from the newest pose at its time, then from an older one
+    solver.observe([1], [[1.1, 0.5]], time=1.0)
+    solver.observe(*seen, pose=0, time=1.5)
+    solver.move((1.0, 0.0), time=2.0)
+    solver.move((1.0, 0.0), 1.0)
+    solver.move((1.0, 0.0), time=4.0)
+    other = OnlineSolver()
+    other.observe(*seen)
+    other.move((1.0, 0.0), 1.0)
+    other.observe([1], [[1.1, 0.5]], pose=1)
+    other.observe(*seen, pose=0)
+    for _ in range(3):
+        other.move((1.0, 0.0), 1.0)
+    np.testing.assert_array_equal(solver.poses, other.poses)
+    with pytest.raises(OptionError, match="time runs backwards"):
+        solver.move((1.0, 0.0), time=4.0)
+    with pytest.raises(OptionError, match="time runs backwards"):
+        solver.observe(*seen, pose=2, time=3.9)
+    solver.move(motion=(1.0, 0.0, 0.0), covariance=np.eye(3))
+    with pytest.raises(OptionError, match="dt must be a positive number"):
+        solver.move((1.0, 0.0), time=6.0)
+
+
+@pytest.mark.parametrize("backend", ["own", "isam2"])
+def test_both_backends_take_the_same_calls(backend):
+    """Motions, sightings from the newest and from an earlier pose, a relation to a new pose, and a loop closure."""
+    rng, z = np.random.default_rng(0), np.diag([0.05, 0.05, 0.02]) ** 2
+    sensor = SensorModel.constant(0.05, 0.02)
+    truth, marks = [np.zeros(3)], {4: (2.0, 1.0), -7: (1.0, -2.0)}
+    solver = OnlineSolver(sensor=sensor, backend=backend)
+
+    def seen(pose):
+        return [sensor.h(pose, np.array(m)) + rng.normal(0, (0.05, 0.02)) for m in marks.values()]
+
+    solver.observe(list(marks), seen(truth[0]))
+    for k in range(1, 9):
+        move = np.array([0.5, 0.0, 0.3])
+        truth.append(compose(truth[-1], move))
+        if k % 3:
+            solver.move(motion=move, covariance=z)
+        else:
+            solver.relate(k, k - 1, between(truth[k], truth[k - 1]), z)
+        solver.observe(list(marks), seen(truth[k]))
+    solver.move((0.5, 0.3), 1.0)
+    solver.observe([4], seen(truth[2])[:1], pose=2)
+    solver.relate(0, 8, between(truth[0], truth[8]), z)
+    solver.relinearize()
+    assert solver.converged and solver.step == 9
+    assert list(solver.landmarks) == [-7, 4]
+    assert repr(solver) == f"<OnlineSolver by {backend}: 10 poses, 2 landmarks>"
+    found = [solver.poses, np.array(list(solver.landmarks.values())), solver.cost]
+    found.append(solver.covariance(poses=[3, 9], landmarks=[4, -7], joint=True))
+    blocks, points = solver.covariance(poses=[3, 9], landmarks=[4, -7])
+    np.testing.assert_array_equal(blocks[1], found[3][3:6, 3:6])
+    np.testing.assert_array_equal(points[1], found[3][8:, 8:])
+    np.testing.assert_allclose(solver.covariance(), blocks[1], rtol=1e-9)
+    np.testing.assert_allclose(solver.covariance(landmarks=4), points[0], rtol=1e-9)
+    found[1:1] = [solver.pose]
+    if not EARLIER:
+        EARLIER.extend(found)
+    for a, b in zip(found, EARLIER, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-6)
+
+
+#: what the first backend found
+EARLIER: list = []
+
+
+@pytest.mark.parametrize(("backend", "option"), [("isam2", "lag"), ("own", "threshold"), ("own", "lags")])
+def test_options_of_the_other_backend_are_refused(backend, option):
+    with pytest.raises(OptionError, match=f"the backend {backend} has no option '{option}'"):
+        OnlineSolver(backend=backend, **{option: 3})
+    with pytest.raises(OptionError, match="backend must be one of own, isam2"):
+        OnlineSolver(backend="gtsam")
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda solver: solver.move(motion=(1e9, 0.0, 0.0), covariance=1e-30 * np.eye(3)),
+        lambda solver: solver.observe([3, 1], [[1e-12, 0.0], [1.0, 0.5]]),
+    ],
+)
+def test_a_call_that_leaves_a_node_undetermined_is_taken_back(call):
+    solver = OnlineSolver()
+    for sighting in ([2.0, 0.3], [1.6, 0.4]):
+        step(solver, (1.0, 0.1), 1.0, ids=[1, 2], sightings=[sighting, [1.5, -0.4]])
+    other, before = deepcopy(solver), everything(solver)
+    with pytest.raises(GraphError, match="undetermined"):
+        call(solver)
+    assert everything(solver) == before
+    for one in (solver, other):
+        step(one, (1.0, 0.0), 1.0, ids=[2, 3], sightings=[[1.0, -0.8], [2.0, 0.0]])
+    np.testing.assert_array_equal(solver.poses, other.poses)
+    np.testing.assert_array_equal(solver.covariance(landmarks=3), other.covariance(landmarks=3))
+
+
+def test_refused_first_sightings_leave_no_kernel():
+    solver = OnlineSolver(kernel="cauchy")
+    before = everything(solver)
+    with pytest.raises(GraphError, match="undetermined"):
+        solver.observe([1, 2], [[1e-12, 0.5, 0.5]] * 2)
+    assert everything(solver) == before
+
+
+def test_a_copy_goes_its_own_way():
+    solver = OnlineSolver()
+    for sighting in ([2.0, 0.3], [1.6, 0.4]):
+        step(solver, (1.0, 0.1), 1.0, ids=[1, 2], sightings=[sighting, [1.5, -0.4]])
+    before = everything(solver)
+    branch = copy(solver)
+    step(branch, (1.0, 0.0), 1.0, ids=[2, 3], sightings=[[1.0, -0.8], [2.0, 0.0]])
+    assert everything(solver) == before
+    assert (solver.step, branch.step) == (2, 3)
+    step(solver, (1.0, 0.0), 1.0, ids=[2, 3], sightings=[[1.0, -0.8], [2.0, 0.0]])
+    np.testing.assert_array_equal(solver.poses, branch.poses)
+    np.testing.assert_array_equal(solver.covariance(landmarks=[3]), branch.covariance(landmarks=[3]))
+
+
+def test_a_pickled_solver_goes_on():
+    solver = OnlineSolver(lag=3, kernel="cauchy")
+    for k in range(6):
+        step(solver, (1.0, 0.1), 1.0, ids=[1, 2], sightings=[[2.0, 0.3 + 0.1 * k], [1.5, -0.4]])
+    other = pickle.loads(pickle.dumps(solver))
+    assert everything(other) == everything(solver)
+    for one in (solver, other):
+        step(one, (1.0, 0.0), 1.0, ids=[2, 3], sightings=[[1.0, -0.8], [2.0, 0.0]])
+    np.testing.assert_array_equal(solver.poses, other.poses)
+    with pytest.raises(ValueError, match="no saved online solver"):
+        type(solver._backend.system).__new__(type(solver._backend.system)).__setstate__(b"vmslam")
+
+
+def test_the_first_pose_may_see_landmarks():
+    solver = OnlineSolver()
+    solver.observe([4], [[2.0, 0.5]])
+    np.testing.assert_allclose(solver.landmarks[4], [2 * np.cos(0.5), 2 * np.sin(0.5)], atol=1e-9)
+    assert solver.covariance().shape == (3, 3)
+    assert replace(SensorModel(), bearing_std=0.1) != solver.sensor
+
+
+def test_a_robot_that_sees_nothing_at_first():
+    log = simulate(seed=2, steps=20, orientation=False)
+    later = log.steps > 5
+    log = replace(log, steps=log.steps[later], landmarks=log.landmarks[later], sightings=log.sightings[later])
+    *_, last = replay(log)
+    assert last.step == log.num_poses - 1
+    batch = solve(Graph.from_log(log, edges="landmark+motion", kernel="none"), initialize="auto")
+    assert last.cost <= batch.cost * (1 + 1e-6) + 1e-9
+    # nothing seen from a known pose
+    before = last.poses
+    last.observe([], [], pose=3)
+    np.testing.assert_array_equal(last.poses, before)
+
+
+def test_final_poses_are_refused():
+    solver = OnlineSolver(lag=2)
+    for _ in range(5):
+        step(solver, (1.0, 0.1), 1.0, ids=[1], sightings=[[2.0, 0.3]])
+    before = everything(solver)
+    for call in (
+        lambda: solver.observe([1], [[1.0, 0.0]], pose=1),
+        lambda: solver.relate(2, 4, (1, 0, 0), np.eye(3)),
+        lambda: solver.relate(2, 6, (1, 0, 0), np.eye(3)),
+        lambda: solver.covariance(0),
+    ):
+        with pytest.raises(GraphError, match="final: with lag=2, the poses from 3 on can be used. Choose a longer lag"):
+            call()
+    assert everything(solver) == before
+    for lag in (0, -1, 1.5, True):
+        with pytest.raises(OptionError, match="lag must"):
+            OnlineSolver(lag=lag)
+
+
+@pytest.mark.parametrize("landmarks", [[[1]], 3.0])
+def test_a_covariance_of_what_is_no_id(landmarks):
+    with pytest.raises(OptionError, match="landmarks must be an id, or a list of ids"):
+        OnlineSolver().covariance(landmarks=landmarks)
+
+
+@pytest.mark.parametrize("name", ["motion", "sensor"])
+def test_models_are_checked(name):
+    with pytest.raises(OptionError, match=f"{name} must be a .*Model, not 3"):
+        OnlineSolver(**{name: 3})
+
+
+def test_the_example_goes_on_after_lines_that_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [
+        "u 1 0 1",
+        "z 7 2 0.3",
+        "u 1 0.1 1",
+        "z 7 1.2 0.5",
+        "u 1 0.1 -1",
+        "q 3",
+        "z a b",
+        "",
+        "u 1 0.1 1",
+        "z 7 1 0.9",
+        "u 1 0.1",
+        "z 8 1 0.9",
+    ]
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(lines)))
+    runpy.run_path(str(Path(__file__).parents[2] / "examples" / "online.py"), run_name="__main__")
+    printed = capsys.readouterr()
+    poses = [list(map(float, line.split())) for line in printed.out.splitlines()[:-1]]
+    assert np.shape(poses) == (3, 6)
+    assert poses[2][0] > poses[1][0] > poses[0][0] > 0
+    assert printed.out.splitlines()[-1].startswith("landmark 7 ")
+    refused = printed.err.splitlines()
+    assert [line.split(":")[0] for line in refused] == ["line 6", "line 7", "line 5", "line 11", "line 11"]
+    assert "dt must be a positive number, not -1.0" in refused[2]
+    # what is seen after a motion that cannot be read has no pose
+    assert "the motion before it" in refused[4]
+
+
+def test_another_thread_reads_while_the_solver_steps() -> None:
+    """A display reads poses while sightings arrive: the interpreter crashed where steps let other threads run."""
+    solver, done, reads = OnlineSolver(), threading.Event(), []
+
+    def read() -> None:
+        while not done.is_set():
+            reads.append(len(solver.poses))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    rng = np.random.default_rng(0)
+    try:
+        for _ in range(300):
+            ids = rng.choice(60, 4, replace=False)
+            seen = np.column_stack([rng.uniform(1, 8, 4), rng.uniform(-3, 3, 4)])
+            step(solver, (0.5, 0.1), 1.0, ids=ids, sightings=seen)
+    finally:
+        done.set()
+        reader.join()
+    assert solver.step == 300 and reads
+
+
+def test_the_engine_refuses_nodes_that_do_not_exist() -> None:
+    system = OnlineSolver()._backend.system
+    with pytest.raises(IndexError, match="no node 10000000"):
+        system.values([10**7])
