@@ -20,8 +20,16 @@ BLOCKS = [
 BLOCKS = list({block: (page, number, block) for page, number, block in reversed(BLOCKS)}.values())[::-1]
 
 
+#: examples that take more than five seconds
+LONG = (("studies.md", 0), ("fastslam.md", 3))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("page", "number", "block"), BLOCKS, ids=[f"{page}-{number}" for page, number, _ in BLOCKS])
+@pytest.mark.parametrize(
+    ("page", "number", "block"),
+    [pytest.param(*block, marks=[pytest.mark.nightly] * (block[:2] in LONG)) for block in BLOCKS],
+    ids=[f"{page}-{number}" for page, number, _ in BLOCKS],
+)
 def test_examples(page, number, block, capsys, tmp_path, monkeypatch):
     # examples read files of these folders, and what they write must not remain
     for folder in ("docs", "examples"):

@@ -47,7 +47,13 @@ def test_tables_and_bag_are_the_same_drive():
 @pytest.mark.slow
 def test_three_commands_lead_to_the_report(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for words in (["show", FOLDER], ["run", FOLDER, "--out", "out"], ["report", FOLDER, "report.html"]):
+    few = ["--estimators", "dead-reckoning,graph"]
+    commands = (
+        ["show", FOLDER],
+        ["run", FOLDER, "--out", "out", "--figures", "png", *few],
+        ["report", FOLDER, "report.html", *few],
+    )
+    for words in commands:
         result = CliRunner().invoke(app, list(map(str, words)))
         assert result.exit_code == 0, result.output
         assert "WARNING" not in result.output

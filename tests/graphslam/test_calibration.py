@@ -259,7 +259,7 @@ def test_all_biases_are_taken_out_again() -> None:
     np.testing.assert_array_equal(back.initial_poses, back.dead_reckoning())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_several_logs_of_one_robot() -> None:
     """Information adds up: the error of a bias is below those of each, and the truth within four errors."""
     logs = [warehouse(seed)[0] for seed in (1001, 1003, 1004)]
@@ -344,6 +344,7 @@ def test_sightings_without_ids() -> None:
         calibrate(without_ids(log), source="truth")
 
 
+@pytest.mark.slow
 def test_noise_that_is_much_too_wide_at_first_does_not_keep_wrong_ids() -> None:
     motion = MotionModel(nn=0.02, no=0.002, on=0.02, oo=0.02)
     sensor = SensorModel(range_rate=0.001, range_std=0.05, bearing_std=0.02)

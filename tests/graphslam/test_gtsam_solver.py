@@ -72,7 +72,8 @@ def variants():
                 if dimensions == 2 and frame == "world" and name in ("sample", "clean"):
                     continue  # the slowest by far; slam-compare solvers runs these variants
                 # GTSAM makes the factors of the world frame anew in each round, of which the book's log needs many
-                marks = [pytest.mark.nightly] if (name, frame) == ("book", "world") else []
+                slowest = name == "book" and (frame == "world" or dimensions == 2)
+                marks = [pytest.mark.nightly] * slowest
                 yield pytest.param(name, dimensions, edges, frame, marks=marks)
 
 

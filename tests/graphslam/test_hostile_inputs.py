@@ -169,6 +169,7 @@ def test_an_archive_that_claims_gigabytes_is_refused_before_it_is_unpacked(tmp_p
         load(path)
 
 
+@pytest.mark.nightly
 def test_a_matlab_file_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
     import struct
     import zlib

@@ -39,6 +39,7 @@ def test_mrclam(shared_data: Find, robot: int, poses: int, sightings: int) -> No
     assert np.hypot(*(log.initial_poses - log.true_poses)[log.covered, :2].T).max() < 10
 
 
+@pytest.mark.nightly
 def test_mrclam_with_the_books_noise(shared_data: Find) -> None:
     """Where the polar residual ends with poses on landmarks, unconverged and 0.8 m off, the Cartesian one converges."""
     log = load(shared_data("mrclam6"), robot=3)

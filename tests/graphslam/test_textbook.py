@@ -40,6 +40,7 @@ def test_without_motion_edges_poses_that_saw_nothing_keep_their_numbers(book_log
     np.testing.assert_array_equal(result.poses[unseen], book_log.initial_poses[unseen])
 
 
+@pytest.mark.nightly
 def test_run_to_convergence_the_textbook_drifts(book_log):
     # the anchor is missing from xi, so that every step moves the whole graph on
     norms = textbook.solve(book_log, edges="virtual", threshold=1e-12, max_iterations=40).step_norms

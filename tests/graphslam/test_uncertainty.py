@@ -19,6 +19,7 @@ def in_world_axes(block, theta_i, theta_j):
     return turn(theta_i) @ block @ turn(theta_j).T
 
 
+@pytest.mark.nightly
 def test_every_pose_of_m3500_against_gtsams_marginals(shared_data):
     graph = Graph.from_g2o(shared_data("posegraph/input_M3500_g2o.g2o"))
     solution = solve(graph, initialize="auto")
