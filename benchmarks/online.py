@@ -1,6 +1,7 @@
 """The online solver on real and simulated logs: accuracy against the batch optimum at sampled steps, and time per step.
 
     python benchmarks/online.py [--data ../shared/data] [--only mrclam6] [--steps 1000] [--sample 0.1] [--isam2]
+    python benchmarks/online.py --only long --sample 0     # 35,000 simulated poses
     python benchmarks/online.py --covariances 50       # standard deviations against the batch solution, and time of a call
 
 Step times are processor times, so that other programs on the machine enter less; they include the passes over the tree,
@@ -17,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from whole_command import long_log
 
 from graphslam import Graph, GraphError, Log, MotionModel, OnlineSolver, SensorModel, load, simulate, solve
 from graphslam.edges import AnchorEdges, CartesianObservationEdges, RelativePoseEdges
@@ -262,7 +264,7 @@ def main() -> None:
     """All logs, or one."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--only", choices=("mrclam6", "woods", "huang", "city10000"))
+    parser.add_argument("--only", choices=("mrclam6", "woods", "huang", "long", "city10000"))
     parser.add_argument("--steps", type=int, default=10**9)
     parser.add_argument("--sample", type=float, default=0.1)
     parser.add_argument("--kernel")
@@ -280,7 +282,8 @@ def main() -> None:
     if options.endless:
         endless(options.endless, options.lag)
         return
-    for name, read in logs(options.data).items():
+    reads = {"long": lambda: (long_log(35_000), {})} if options.only == "long" else logs(options.data)
+    for name, read in reads.items():
         if options.only not in (None, name):
             continue
         log, models = read()

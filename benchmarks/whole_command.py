@@ -19,23 +19,21 @@ from pathlib import Path
 
 import numpy as np
 
+from graphslam import Log, MotionModel, SensorModel, save, simulate
+
 SIDE, LANE = 170.0, 6.0
 
 
-def write_log(poses: int, path: Path) -> None:
-    """Simulate the log and write it."""
-    from graphslam import MotionModel, SensorModel, save, simulate
-
+def long_log(poses: int) -> Log:
+    """Simulate the log."""
     lanes = range(int(SIDE / LANE) + 1)
     route = [(x, LANE * k) for k in lanes for x in ((0.0, SIDE) if k % 2 == 0 else (SIDE, 0.0))]
-    log = simulate(
+    return simulate(
         steps=poses - 1, dt=1.0, speed=0.25, turn_rate=1.0, way_points=route[1:], start=(0.0, 0.0, 0.0),
         landmarks=np.random.default_rng(0).uniform(-4, SIDE + 4, (4200, 2)), max_range=5.55, field_of_view=3.14,
         orientation=False, clean=True, motion=MotionModel(nn=0.019, no=1e-4, on=0.013, oo=0.02, epsilon=1e-6),
         sensor=SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005), seed=1,
     )  # fmt: skip
-    print(f"{log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks")
-    save(log, path)
 
 
 def main() -> None:
@@ -44,14 +42,15 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=35_000)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        log = Path(folder) / "log.npz"
-        write_log(options.poses, log)
+        path, log = Path(folder) / "log.npz", long_log(options.poses)
+        print(f"{log.num_poses} poses, {len(log.steps)} sightings of {len(log.landmark_ids)} landmarks")
+        save(log, path)
         command = [
             sys.executable,
             "-m",
             "comparisons",
             "run",
-            str(log),
+            str(path),
             "--estimators",
             "graph",
             "--out",

@@ -8,7 +8,7 @@
 namespace vmslam::online {
 namespace {
 
-constexpr char title[] = "vmslam online 3";
+constexpr char title[] = "vmslam online 4";
 
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>

@@ -56,9 +56,9 @@ struct Top {
     }
 };
 
-/// The structure of L for the groups of nodes that edges and supernodes below tie together. The landmarks that a step sees
-/// are late in the order, because the next step probably sees the same; then poses that are held, so that few subtrees are
-/// absolute; and the nodes `newest` last.
+/// The structure of L for the groups of nodes that edges and supernodes below tie together. What a step ties is late in the
+/// order, because the next step probably ties the same; then poses that are held, so that few subtrees are absolute; and the
+/// nodes `newest` last.
 Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::span<const Number> newest) {
     std::vector<Place> sizes, members;
     const auto local = [&](Number node) { return static_cast<Place>(graph.nodes[node].local); };
@@ -80,8 +80,7 @@ Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::
     sparse::Order order = sparse::minimum_degree(pattern, n);
     std::vector<char> last(n, 0);
     for (std::size_t k = 0; k < top.fresh; ++k)
-        for (const Number end : graph.edges[top.edges[k]].ends)
-            if (graph.edges[top.edges[k]].sighting) last[local(end)] = 1;
+        for (const Number end : graph.edges[top.edges[k]].ends) last[local(end)] = 1;
     for (Number k = 0; k < n; ++k)
         if (graph.nodes[top.nodes[k]].held) last[k] = 2;
     for (const Number node : newest)

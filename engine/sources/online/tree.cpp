@@ -1,6 +1,7 @@
 #include "vmslam/online/tree.hpp"
 
 #include <algorithm>
+#include <numeric>
 
 #include "sparse/supernode.hpp"
 #include "vmslam/online/edge.hpp"
@@ -117,21 +118,27 @@ void add_symmetric(double* t, Place h, const Symmetric& D) {
     t[2 * h + 2] += D.tt;
 }
 
-/// Add the blocks of the update matrix of a child that lie in the first w columns of its parent, or in the others, where its
-/// separator is in another order than the front of the parent. `skip` nodes are left out of the target.
-void extend_in_any_order(Supernode& child, bool others, Number w, double* target, Place height, Place pad, Number skip) {
-    const Front front = child.front();
-    const double* const update = child.update() + front.update_pad;
-    for (Number j = 0; j < child.r; ++j)
-        for (Number i = j; i < child.r; ++i) {
-            const auto [column, row] = std::minmax(child.relative[i], child.relative[j]);
-            if ((column >= w) != others) continue;
-            double* const t = target + 3 * (column - skip) * height + pad + 3 * (row - skip);
-            const double* const from = update + 3 * j * front.update_height + 3 * i;
-            const bool turned = child.relative[i] < child.relative[j];
+/// Add the node columns of the update matrix of a child that are `from` to `to` in the front of its parent, whose order is not
+/// that of its separator. `skip` nodes are left out of the target.
+void extend_in_any_order(Supernode& child, Number from, Number to, double* target, Place height, Place pad, Number skip) {
+    const Place h = child.front().update_height;
+    const double* const update = child.update() + child.front().update_pad;
+    std::vector<Number> order(child.r);
+    std::iota(order.begin(), order.end(), 0);
+    std::ranges::sort(order, {}, [&](Number k) { return child.relative[k]; });
+    for (Number a = from; a < to; ++a) {
+        const Number j = order[a];
+        double* const column = target + 3 * (child.relative[j] - skip) * height + pad - 3 * skip;
+        for (Number b = a; b < child.r; ++b) {
+            const Number i = order[b];
+            double* const t = column + 3 * child.relative[i];
+            // only the blocks of the lower triangle are there
+            const double* const u = update + (i < j ? 3 * (i * h + j) : 3 * (j * h + i));
+            const Place row = i < j ? h : 1, next = i < j ? 1 : h;
             for (int c = 0; c < 3; ++c)
-                for (int r = 0; r < 3; ++r) t[turned ? r * height + c : c * height + r] += from[c * front.update_height + r];
+                for (int r = 0; r < 3; ++r) t[c * height + r] += u[c * next + r * row];
         }
+    }
 }
 
 }  // namespace
@@ -189,7 +196,7 @@ bool Tree::factorize(Graph& graph, Number s) {
     for (Number c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         if (!child.ascending)
-            extend_in_any_order(child, false, group.w, x, h, front.pad, 0);
+            extend_in_any_order(child, 0, child.split, x, h, front.pad, 0);
         else
             sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), 0, child.split, child.update(),
                                   x, h, front.pad, 0);
@@ -203,7 +210,7 @@ bool Tree::factorize(Graph& graph, Number s) {
     for (Number c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         if (!child.ascending)
-            extend_in_any_order(child, true, group.w, update, front.update_height, front.update_pad, group.w);
+            extend_in_any_order(child, child.split, child.r, update, front.update_height, front.update_pad, group.w);
         else
             sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), child.split, child.r,
                                   child.update(), update, front.update_height, front.update_pad, group.w);
