@@ -14,8 +14,10 @@ Its shift is then the difference of both nodes. The odds of moved are
 
 **Gone.** In scan v a landmark is well within the field of view with probability p_v, by the covariances of the pose and of
 the landmark, and one that is there is then seen with probability d. Landmarks are occluded to different degrees: d has a beta
-distribution, estimated from the landmarks that were seen, of each the product over the scans of p_v d or 1 - p_v d. One that
-was never seen is there with the likelihood E[product of 1 - p_v d], and gone with 1.
+distribution, estimated from the landmarks that were seen, of each the product over the scans of d or 1 - p_v d. One that was
+never seen is gone with the likelihood 1, and there with E[(1 - d)^n], n the number of scans in which it is in view. Its place
+beside the trajectory is as wrong in one scan as in the next, so that n is that of errors z in range and bearing which all
+scans have in common, each z standard deviations of the scan: the expectation is also one over z (Gauss-Hermite).
 
 Sources: Belsley, Kuh and Welsch, *Regression Diagnostics*, 1980, chapter 2 (deletion of observations); Skellam, *A
 probability distribution derived from the binomial distribution*, JRSS B 1948.
@@ -23,7 +25,7 @@ probability distribution derived from the binomial distribution*, JRSS B 1948.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
@@ -51,6 +53,9 @@ ROUNDS = 20
 AGREES, MOVED, VANISHED, NOT_IN_VIEW, NEW = "agrees", "moved", "vanished", "not in view", "new"
 #: means and sizes a + b of the beta distributions of detection that are compared
 _MEANS, _SIZES = np.linspace(0.02, 0.98, 49), np.geomspace(0.5, 100.0, 16)
+#: errors in standard deviations, and their shares, that of range and bearing together
+_ERRORS, _WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
+_SHARES = np.outer(_WEIGHTS, _WEIGHTS).ravel() / _WEIGHTS.sum() ** 2
 #: the ends of the intervals of d over which they are integrated
 _DETECTION = np.linspace(0.0, 1.0, 41)
 
@@ -116,6 +121,23 @@ class MapStates:
         return "; ".join(parts).replace("not in view", "not in view of the sensor")
 
 
+@dataclass(frozen=True, eq=False)
+class _Views:
+    """The scans of a landmark: the probability (n,) that it is well within the field of view, and whether (n,) it was seen.
+
+    ``counts`` are the numbers of scans in which it is, one for each pair of errors in range and bearing, as `_SHARES`.
+    """
+
+    inside: Array
+    counts: np.ndarray
+    seen: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """The number of scans in which it is probably in view."""
+        return int(np.sum(self.inside > 0.5))
+
+
 def map_states(
     log: Log,
     landmarks: LandmarkMap | Mapping[int, Array] | str | PathLike[str] | Solution,
@@ -175,12 +197,12 @@ def map_states(
             shift, square, p = found[j]
             name = MOVED if p > 0.5 else AGREES
             states.append(
-                LandmarkState(j, name, max(p, 1 - p), p, 0.0, shift[:2], square, _count(views[j]), seen=counts[j])
+                LandmarkState(j, name, max(p, 1 - p), p, 0.0, shift[:2], square, views[j].count, seen=counts[j])
             )
         else:
-            p = gone(views[j][0])
+            p = gone(views[j].counts)
             name = VANISHED if p > 0.5 else NOT_IN_VIEW
-            states.append(LandmarkState(j, name, max(p, 1 - p), vanished=p, views=_count(views[j])))
+            states.append(LandmarkState(j, name, max(p, 1 - p), vanished=p, views=views[j].count))
     kept = known.among(set(known) - moved)
     return MapStates(tuple(sorted(states, key=lambda each: each.id)), kept, solution)
 
@@ -301,10 +323,8 @@ def _weighed_down(solution: Solution, known: set[int]) -> set[int]:
     return {j for j in known if np.median(weights[ids == j]) < 0.5}
 
 
-def _views(
-    solution: Solution, known: LandmarkMap, places: Mapping[int, Array], log: Log
-) -> dict[int, tuple[Array, np.ndarray]]:
-    """{id: (for each scan the probability that it is well within the field of view, whether it was seen)}."""
+def _views(solution: Solution, known: LandmarkMap, places: Mapping[int, Array], log: Log) -> dict[int, _Views]:
+    """{id: the scans in which it is well within the field of view, and in which it was seen}."""
     graph = solution.graph
     assert graph is not None and graph.sensor is not None
     field = Field.of(log, graph.sensor)
@@ -330,17 +350,16 @@ def _views(
         near, far, wide = field.nearest / INSIDE, INSIDE * field.farthest, INSIDE * field.bearing
         inside = ndtr((far - ranges) / of_range) - ndtr((near - ranges) / of_range)
         inside *= ndtr((wide - bearings) / of_bearing) - ndtr((-wide - bearings) / of_bearing)
-        found[j] = np.clip(inside, 0.0, 1.0), np.isin(scans, log.steps[log.landmarks == j])
+        near_enough = np.abs(ranges + _ERRORS[:, None] * of_range - (near + far) / 2) < (far - near) / 2
+        ahead_enough = np.abs(bearings + _ERRORS[:, None] * of_bearing) < wide
+        seen = np.isin(scans, log.steps[log.landmarks == j])
+        counts = np.sum(near_enough[:, None] & ahead_enough, axis=2)
+        found[j] = _Views(np.clip(inside, 0.0, 1.0), counts.ravel(), seen)
     return found
 
 
-def _count(views: tuple[Array, np.ndarray]) -> int:
-    """The number of scans in which a landmark is probably in view."""
-    return int(np.sum(views[0] > 0.5))
-
-
-def _gone(there: list[tuple[Array, np.ndarray]], prior: float) -> Any:
-    """The probability that a landmark is gone that was not seen in scans in which it is in view with probabilities (n,).
+def _gone(there: list[_Views], prior: float) -> Callable[[np.ndarray], float]:
+    """The probability that a landmark is gone that was not seen in any of so many scans, for all errors of `_Views`.
 
     The beta distributions of `_MEANS` and `_SIZES` are averaged with their likelihoods by the landmarks that are ``there``.
     """
@@ -348,17 +367,17 @@ def _gone(there: list[tuple[Array, np.ndarray]], prior: float) -> Any:
     shares = np.diff(betainc(a[:, None], b[:, None], _DETECTION), axis=1)
     d = (_DETECTION[1:] + _DETECTION[:-1]) / 2
     weight = np.zeros(len(a))
-    for inside, seen in there:
-        counted = inside > 0.5
-        log_likelihood = np.sum(seen[counted]) * np.log(d)
-        log_likelihood += np.log1p(-inside[counted & ~seen, None] * d).sum(axis=0)
+    for views in there:
+        counted = views.inside > 0.5
+        log_likelihood = np.sum(views.seen[counted]) * np.log(d)
+        log_likelihood += np.log1p(-views.inside[counted & ~views.seen, None] * d).sum(axis=0)
         most = log_likelihood.max()
         weight += np.log(shares @ np.exp(log_likelihood - most) + 1e-300) + most
     weight = np.exp(weight - weight.max())
     mixed = (weight / weight.sum()) @ shares
 
-    def probability(inside: Array) -> float:
-        unseen = float(mixed @ np.exp(np.log1p(-inside[:, None] * d).sum(axis=0)))
+    def probability(counts: np.ndarray) -> float:
+        unseen = float(mixed @ (_SHARES @ (1 - d) ** counts[:, None]))
         return prior / (prior + (1 - prior) * unseen)
 
     return probability

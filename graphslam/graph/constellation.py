@@ -18,6 +18,7 @@ approach*, ICRA 2000; MacKay, *Information Theory, Inference, and Learning Algor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -40,8 +41,8 @@ WIDE = 2.5
 NEAR = 8
 #: cells of the table of the nearest landmark
 CELLS = 40_000
-#: how often partners are chosen again
-ROUNDS = 3
+#: how often partners are chosen again, and how often for places that are alike, within a factor of e^CLOSE
+ROUNDS, LAST_ROUNDS, CLOSE = 3, 6, 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +178,34 @@ def match(landmarks: Merged, known: Constellations) -> list[tuple[Match, np.ndar
     near = known.near(moved)
     squares = np.sum((moved - known.places[near, :2]) ** 2, axis=2) / variance
     first = distinct(squares, np.where(squares <= GATE, near + 1, 0), REFINED)
-    matches, partners = _refined(landmarks, known, poses[first])
+    return _ranked(*_refined(landmarks, known, poses[first], ROUNDS))
+
+
+def with_alike(
+    landmarks: Merged, known: Constellations, found: list[tuple[Match, np.ndarray]]
+) -> list[tuple[Match, np.ndarray]]:
+    """The result of `match`, with the places where the map has the constellation of its best match again.
+
+    A place that is exactly alike may have been refined with other partners, and have less evidence for no other reason.
+    """
+    best, partners = found[0]
+    kept = best.agree
+    exact = landmarks.places[kept].copy()
+    exact[:, :2] = (known.places[partners[kept], :2] - best.pose[:2]) @ rotation(best.pose[2])
+    alike = match(
+        replace(landmarks, places=exact, covariances=landmarks.covariances[kept], counts=landmarks.counts[kept]), known
+    )
+    poses = np.array([each.pose for each, _ in alike if each.evidence > alike[0][0].evidence - CLOSE])
+    if len(poses) < 2:
+        return found
+    matches, again = _refined(landmarks, known, poses, LAST_ROUNDS)
+    return _ranked([*matches, *(each for each, _ in found)], [*again, *(each for _, each in found)])
+
+
+def _ranked(
+    matches: Sequence[Match | None], partners: Sequence[np.ndarray] | np.ndarray
+) -> list[tuple[Match, np.ndarray]]:
+    """The matches that differ, with their partners."""
     return [(each, partners[k]) for k, each in those_that_differ(matches)]
 
 
@@ -206,11 +234,13 @@ def _hypotheses(y: Array, variance: Array, known: Constellations) -> Array:
     return np.concatenate(chosen) if chosen else np.zeros((0, 3))
 
 
-def _refined(landmarks: Merged, known: Constellations, poses: Array) -> tuple[list[Match | None], np.ndarray]:
+def _refined(
+    landmarks: Merged, known: Constellations, poses: Array, rounds: int
+) -> tuple[list[Match | None], np.ndarray]:
     """Hypotheses (H, 3) after Gauss-Newton with the nearest landmark for each measurement, and these partners (H, K)."""
     matches: list[Match | None] = []
     count = len(landmarks.places)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         moved = transform(poses[:, None], landmarks.places)
         distance, partner = known.tree.query(moved)
         # one landmark is seen once: the nearest measurement has it

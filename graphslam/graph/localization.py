@@ -18,15 +18,16 @@ import numpy as np
 
 from ..errors import GraphError
 from ..errors.checks import check_type, listed
-from ..log import Log, check_is_log
+from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, turn_matrix
+from ..se2 import Array, between, compose, perpendicular, turn_matrix
 from .carried import by_pose, paired, points_of, seen_from, smoothed, together
-from .constellation import Constellations, Merged, match, merged
+from .constellation import Constellations, Merged, match, merged, with_alike
 from .landmark_map import LandmarkMap, as_map
 from .map_evidence import Weighed
 from .registration import Match, Points, register
 from .stretch import Drift, Stretch
+from .tracker import Tracker
 
 #: odds from which a fix is taken at once, and below which there is none even after all sightings
 SURE, LEAST = 1e3, 0.1
@@ -116,7 +117,16 @@ def first_fix(
     landmarks, log, sensor = as_map(landmarks), *_stretch(log, motion, sensor)
     if not log.identified:
         return _sure(log, landmarks, sensor, possible_fixes(log, landmarks, sensor=sensor))
-    rows = _rows(log, landmarks)
+    fix, points, matches, found = _searched(log, landmarks, sensor, _rows(log, landmarks))
+    if fix is None:
+        raise _no_fix(log, landmarks, sensor, points, matches, found)
+    return fix
+
+
+def _searched(
+    log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray
+) -> tuple[Fix | None, Points, list[Match], list[Weighed]]:
+    """The fix by the first sightings ``rows`` that suffice, or None; and what was last tried, one by one and together."""
     count, drift = 1, Drift(log)
     while True:
         count = min(max(count + 1, int(count * GROWTH)), len(rows))
@@ -126,7 +136,7 @@ def first_fix(
         used = rows[:count]
         drift.go_to(step)
         points = points_of(log, landmarks, sensor, used, drift)
-        matches = register(points)
+        matches, found = register(points), list[Weighed]()
         whole = count == len(rows)
         # one by one they are surer than together, because they share the errors of the odometry
         if whole or _odds(matches) > SURE:
@@ -139,9 +149,9 @@ def first_fix(
                 if best.covariance[2, 2] < OPEN**2 and enough:
                     agree = used[best.agree]
                     pose, covariance = smoothed(log, landmarks, sensor, agree, best.pose)
-                    return Fix(pose, covariance, step, agree, used[~best.agree], odds)
-            if whole:
-                raise _no_fix(log, points, matches, found)
+                    return Fix(pose, covariance, step, agree, used[~best.agree], odds), points, matches, found
+        if whole:
+            return None, points, matches, found
 
 
 def possible_fixes(
@@ -174,24 +184,49 @@ def possible_fixes(
     in_order = np.sort(log.steps)
     for begin in range(0, min(WINDOWS * LATER, len(in_order)), LATER):
         step = int(in_order[begin]) if begin else 0
-        fixes = _fixes_here(log.after(step), known, sensor)
-        fixes = [carried_back(fix, log, step) for fix in fixes]
+        fixes = _fixes_here(log.after(step), known, landmarks, sensor)
         # each window is another chance for a place that only looks right
-        fixes = [replace(fix, odds=fix.odds / (1 + begin // LATER)) for fix in fixes]
-        if fixes and fixes[0].odds > SURE:
-            return fixes
+        chances = 1 + begin // LATER
+        alike = [fix.odds / (1 + fix.odds) for fix in fixes if fix.odds > ALIKE]
+        if fixes and fixes[0].odds > SURE * chances:
+            return [_followed_back(fixes[0], log, step, landmarks, sensor, chances)] + [
+                carried_back(fix, log, step) for fix in fixes[1:]
+            ]
         # two places that are alike: other sightings are unlikely to tell them apart
-        if (
-            sum(fix.odds > ALIKE for fix in fixes) > 1
-            and sum(fix.odds / (1 + fix.odds) for fix in fixes) > 1 - 1 / SURE
-        ):
-            return fixes
+        if len(alike) > 1 and sum(alike) > 1 - 1 / (SURE * chances):
+            return [carried_back(fix, log, step) for fix in fixes]
+        fixes = [replace(carried_back(fix, log, step), odds=fix.odds / chances) for fix in fixes]
         if fixes and (not best or fixes[0].odds > best[0].odds):
             best = fixes
     return best
 
 
-def _fixes_here(log: Stretch, known: Constellations, sensor: SensorModel) -> list[Fix]:
+def _followed_back(fix: Fix, log: Stretch, step: int, landmarks: LandmarkMap, sensor: SensorModel, chances: int) -> Fix:
+    """The sure fix of a pose as one of the first pose, corrected by the sightings before it."""
+    tracker, agree, disagree = Tracker(landmarks, sensor, fix.pose, fix.covariance), [], []
+    back = between(log.motions[:step], np.zeros(3))
+    B = -turn_matrix(-log.motions[:step, 2])
+    B[:, :2, 2] = -perpendicular(back[:, :2])
+    noise = B @ log.noise[:step] @ np.swapaxes(B, 1, 2)
+    rows_of = np.split(
+        np.argsort(log.steps, kind="stable"), np.searchsorted(np.sort(log.steps), np.arange(1, step + 1))
+    )
+    for before in range(step - 1, -1, -1):
+        tracker.move(back[before], noise[before])
+        rows = rows_of[before]
+        if len(rows):
+            seen = tracker.see(before, rows, np.full(len(rows), UNIDENTIFIED), log.sightings[rows])
+            agree.append(rows[seen.agree])
+            disagree.append(rows[seen.contradict])
+    later = np.flatnonzero(log.steps >= step)
+    return Fix(
+        tracker.pose, tracker.covariance, step + fix.step,
+        np.concatenate([*agree[::-1], later[fix.agree]]).astype(int),
+        np.concatenate([*disagree[::-1], later[fix.disagree]]).astype(int), fix.odds / chances,
+    )  # fmt: skip
+
+
+def _fixes_here(log: Stretch, known: Constellations, landmarks: LandmarkMap, sensor: SensorModel) -> list[Fix]:
     """The same from the first step of a log on alone."""
     drift, count = Drift(log), BEGIN
     whole = min(LONGEST, len(log.steps))
@@ -211,6 +246,9 @@ def _fixes_here(log: Stretch, known: Constellations, sensor: SensorModel) -> lis
         if best is not None and _odds([each for each, _ in found]) > SURE:
             fits, against = int(np.sum(best.agree)), np.asarray(found[0][1] < 0)
             sure = fits >= max(FEWEST, int(np.sum(seen.counts[against] > 1)) + 1) and fits > int(np.sum(against))
+            if sure:
+                found = with_alike(seen, known, found)
+                best, sure = found[0][0], _odds([each for each, _ in found]) > SURE
         attempts.append((best.evidence if best else -np.inf, rows, step, seen, found))
         # the errors of a long way hide a constellation
         since = len(attempts) - 1 - int(np.argmax([each[0] for each in attempts]))
@@ -225,6 +263,11 @@ def _fixes_here(log: Stretch, known: Constellations, sensor: SensorModel) -> lis
         odds = float(np.exp(np.clip(each.evidence - others, -700.0, 700.0)))
         agree, disagree = rows[each.agree[seen.which]], rows[partners[seen.which] < 0]
         fixes.append(Fix(each.pose, each.covariance, step, agree, disagree, odds if sure else min(odds, SURE)))
+    if sure:
+        named = np.full(len(log.steps), UNIDENTIFIED)
+        named[rows] = known.ids[found[0][1][seen.which]]
+        pose, covariance = smoothed(replace(log, landmarks=named), landmarks, sensor, fixes[0].agree, fixes[0].pose)
+        fixes[0] = replace(fixes[0], pose=pose, covariance=covariance)
     return fixes
 
 
@@ -259,7 +302,7 @@ def _sure(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, fixes: list
     for name, (x, y) in CHANGES.items() if sure < 0.99 else ():
         changed = LandmarkMap({j: place[:2] * (x, y) for j, place in landmarks.items()})
         known = Constellations.of(changed, float(np.quantile(log.sightings[:, 0], 0.98)))
-        others = _fixes_here(log, known, sensor)
+        others = _fixes_here(log, known, changed, sensor)
         if others and others[0].odds > SURE:
             raise GraphError(
                 f"{log.name} has sightings without ids, which do not say where in the map it begins; they would with the map "
@@ -328,13 +371,6 @@ def _rows(log: Stretch, landmarks: LandmarkMap) -> np.ndarray:
     return rows
 
 
-def _landmarks(points: Points, match: Match) -> tuple[int, int]:
-    """The numbers of landmarks most of whose sightings agree, and of the others."""
-    _, which = np.unique(points.ids, return_inverse=True)
-    share = np.bincount(which, match.agree) / np.bincount(which)
-    return int(np.sum(share > 0.5)), int(np.sum(share <= 0.5))
-
-
 def _odds(matches: Sequence[Match]) -> float:
     """The odds of the best hypothesis against the others and none; 0 where there is none."""
     if not matches:
@@ -343,7 +379,14 @@ def _odds(matches: Sequence[Match]) -> float:
     return float(np.exp(np.minimum(matches[0].evidence - others, 700.0)))
 
 
-def _no_fix(log: Stretch, points: Points, matches: list[Match], found: list[Weighed]) -> GraphError:
+def _no_fix(
+    log: Stretch,
+    landmarks: LandmarkMap,
+    sensor: SensorModel,
+    points: Points,
+    matches: list[Match],
+    found: list[Weighed],
+) -> GraphError:
     """The reason why no place in the map fits, with the likely cause."""
     count = len(np.unique(points.ids))
     if count == 1 and not points.oriented.any():
@@ -359,7 +402,7 @@ def _no_fix(log: Stretch, points: Points, matches: list[Match], found: list[Weig
             f"{what} leave open where {log.name} heads at its first pose (standard deviation {wide:.0f} degrees); more "
             "sightings of other landmarks are needed"
         )
-    cause = _cause(points)
+    cause = _cause(log, landmarks, sensor)
     if not cause and len(matches) > 1 and _odds(matches[:1]) > SURE > _odds(matches):
         places = " and ".join(f"({m.pose[0]:.2f}, {m.pose[1]:.2f}) m" for m in matches[:2])
         return GraphError(
@@ -375,25 +418,16 @@ def _no_fix(log: Stretch, points: Points, matches: list[Match], found: list[Weig
     return GraphError(f"{what} fit no first pose of {log.name}: at the best place {best} of them agree{cause}")
 
 
-def _cause(points: Points) -> str:
-    """The change with which many more measurements agree: a mirrored map or another unit; "" where there is none."""
-
-    def fits(changed: Points) -> bool:
-        count, whole = 1, len(changed.ids)
-        # the odometry of a long way leaves more than one place open
-        while count < whole:
-            count = min(max(count + 1, int(count * GROWTH)), whole)
-            first = changed.among(np.arange(count))
-            matches = register(first)
-            agree, contradict = _landmarks(first, matches[0]) if matches else (0, 1)
-            if _odds(matches) > SURE and agree > max(3 * contradict, 2):
-                return True
-        return False
-
-    without = points.measured.copy()
-    without[:, 2] = np.nan
-    for name, (x, y) in CHANGES.items():
-        places, area = points.places * (x, y, 1), points.area * abs(x * y)
-        if fits(Points(without, points.covariances, places, points.place_covariances * x**2, points.ids, area)):
+def _cause(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel) -> str:
+    """The change with which the map surely fits: a mirrored map or another unit; "" where there is none."""
+    rows = _rows(log, landmarks)
+    for name, scale in CHANGES.items():
+        turn = np.diag(scale)
+        changed = LandmarkMap(
+            {j: turn @ place[:2] for j, place in landmarks.items()},
+            {j: turn @ C[:2, :2] @ turn for j, C in landmarks.covariances.items()},
+        )
+        fix = _searched(log, changed, sensor, rows)[0]
+        if fix is not None and fix.odds > SURE and len(np.unique(log.landmarks[fix.agree])) > 2:
             return f"; they would with the map {name}"
     return ""

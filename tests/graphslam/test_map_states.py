@@ -62,7 +62,7 @@ def test_the_shift_is_that_of_a_graph_in_which_it_is_free():
 def test_logs_of_two_places_with_the_same_ids_share_nothing_that_stayed():
     elsewhere = [(40, 40), (45, 40), (43, 46), (41, 44)]
     logs = [simulate(seed=1, clean=True), simulate(seed=4, clean=True, start=(42.0, 38.0, 0.0), landmarks=elsewhere)]
-    with pytest.raises(GraphError, match="all 4 landmarks that the log shares with the map have moved"):
+    with pytest.raises(GraphError, match="is it the map of another place"):
         session_states(join_logs(logs).log)
 
 
