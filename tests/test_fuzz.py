@@ -41,6 +41,7 @@ def test_no_traceback_no_nan_no_false_convergence_and_no_end_above_the_start(
     assert outcomes.count("solved") > 0.1 * len(outcomes)
 
 
+@pytest.mark.slow
 def test_drives_with_bad_steps_in_between(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each bad step is refused, and the solver equals one that never saw it."""
     folder = Path(__file__).parents[1] / "benchmarks"

@@ -105,6 +105,7 @@ def test_what_beats_what(invoke: Invoke, log_file: Path) -> None:
     assert "range_scale" not in flat
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -152,6 +153,7 @@ def test_wrong_use(invoke: Invoke, log_file: Path) -> None:
     assert not Path("n.toml").exists()
 
 
+@pytest.mark.slow
 def test_numbers_near_zero_have_bounds(invoke: Invoke, log_file: Path) -> None:
     result = invoke("calibrate", "log.npz", "--json", "c.json")
     assert result.exit_code == 0, result.output
@@ -205,6 +207,7 @@ def robot() -> Robot:
     return log, estimate_robot(log)
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Path, robot: Robot) -> None:
     log, found = robot
     save(log, tmp_path / "own.npz")
@@ -230,6 +233,7 @@ def test_the_noise_of_a_robot_is_estimated_and_told(invoke: Invoke, tmp_path: Pa
     assert options.sensor_delay == found.parameters["sensor_delay"]
 
 
+@pytest.mark.slow
 def test_the_noise_of_the_book_is_taken_where_it_is_asked_for(invoke: Invoke, tmp_path: Path, robot: Robot) -> None:
     save(robot[0], tmp_path / "own.npz")
     plain = ["--estimators", "graph", "--kernel", "none", "--figures", "", "--json", "-"]
@@ -284,6 +288,7 @@ def test_robots_that_disagree_are_not_one(invoke: Invoke, tmp_path: Path) -> Non
     assert "# Not recommended" in Path("noise.toml").read_text()
 
 
+@pytest.mark.slow
 def test_logs_without_ids(tmp_path: Path) -> None:
     """Ids and noise in turn: the noise is that of the log with ids, but for the start of the search."""
     log = load(sample_log_path())
@@ -299,6 +304,7 @@ def test_logs_without_ids(tmp_path: Path) -> None:
     assert [note for note in few.notes if note.startswith("noise auto kept the book's noise models")]
 
 
+@pytest.mark.slow
 def test_noise_of_another_robot_is_noticed(tmp_path: Path, robot: Robot) -> None:
     log, found = robot
     noise, named = Calibration.of(found), found.ids.correct(log)
@@ -317,6 +323,7 @@ def misread() -> Robot:
     return log, estimate_robot(log)
 
 
+@pytest.mark.slow
 def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path, misread: Robot) -> None:
     """The noise of one drive is used for another one, whose ids are misread as often."""
     write_noise(Calibration.of(misread[1]), tmp_path / "noise.toml", "first")
@@ -337,6 +344,7 @@ def test_a_noise_file_of_the_robot_corrects_misread_ids(tmp_path: Path, misread:
     np.testing.assert_array_equal(again["graph"].poses, with_file["graph"].poses)
 
 
+@pytest.mark.slow
 def test_a_noise_file_of_another_robot_is_doubted(tmp_path: Path, robot: Robot) -> None:
     log, right = robot[0], Calibration.of(robot[1])
     assert right.motion is not None
@@ -353,6 +361,7 @@ def test_a_noise_file_of_another_robot_is_doubted(tmp_path: Path, robot: Robot) 
         assert any("mean log density" in note and "the noise that was given" in note for note in found.log.notes)
 
 
+@pytest.mark.slow
 def test_ids_that_are_not_checked(invoke: Invoke, tmp_path: Path, misread: Robot) -> None:
     log, found = misread
     write_noise(Calibration.of(found), tmp_path / "noise.toml", "drive")
@@ -372,6 +381,7 @@ def test_ids_that_are_not_checked(invoke: Invoke, tmp_path: Path, misread: Robot
         run(log, estimators=["graph"], check_ids=False)
 
 
+@pytest.mark.slow
 def test_options_beside_the_estimate_are_given_and_alone_switch_it_off() -> None:
     log = Drive(seed=5, duration=70.0, landmarks=20).simulate()[0]
     beside = run(log, estimators=["dead-reckoning"], noise="auto", nn=0.01)

@@ -25,6 +25,7 @@ def log() -> Log:
     return simulate(seed=2, steps=24, clean=True)
 
 
+@pytest.mark.slow
 def test_run_leaves_a_figure_and_json(log_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(app, ["run", str(log_file), "--particles", "50"])
@@ -187,6 +188,7 @@ def test_an_interrupt_within_an_import_is_an_interrupt(
 # -- solvers -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_solvers_agree(invoke: Invoke, log_file: Path) -> None:
     result = invoke("solvers", log_file, "--motion-weights", "1", "--jobs", 0, "--json", "a.json")
     assert result.exit_code == 0, result.output
@@ -194,6 +196,7 @@ def test_solvers_agree(invoke: Invoke, log_file: Path) -> None:
     assert {"variants", "skipped"} == set(json.loads(Path("a.json").read_text()))
 
 
+@pytest.mark.slow
 def test_only_the_graphs_that_are_named(invoke: Invoke, log_file: Path) -> None:
     command = ["solvers", log_file, "--motion-weights", "2", "--jobs", 0]
     result = invoke(*command, "--edges", "virtual+motion", "--json", "-")
@@ -248,6 +251,7 @@ def test_verbose_tells_each_step_and_where_errors_arise(invoke: Invoke, log_file
     assert "Traceback" not in invoke("run", "nowhere").stderr
 
 
+@pytest.mark.slow
 def test_every_verb_is_quiet_and_verbose_on_demand(invoke: Invoke) -> None:
 
     for command in app.registered_commands:

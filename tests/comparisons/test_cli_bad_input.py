@@ -64,6 +64,7 @@ DAMAGED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["run", "solvers"])
 @pytest.mark.parametrize("damage", DAMAGED)
 def test_damaged_logs(invoke: Invoke, tmp_path: Path, damage: str, verb: str) -> None:
@@ -114,6 +115,7 @@ def test_two_dimensions_of_a_log_that_has_three(invoke: Invoke, log_file: Path) 
     assert json.loads(result.stdout)["log"]["dimensions"] == 2
 
 
+@pytest.mark.slow
 def test_a_graph_in_pieces(invoke: Invoke, tmp_path: Path) -> None:
     lines = []
     for t in range(4):
@@ -132,6 +134,7 @@ def test_noise_that_is_not_positive(invoke: Invoke, verb: str, option: str, valu
     refused(invoke(verb, option, value), option.strip("-").replace("-", "_"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [

@@ -1,10 +1,12 @@
 import json
 
+import pytest
 from typer.testing import CliRunner
 
 from comparisons.cli import app
 
 
+@pytest.mark.slow
 def test_a_small_study(tmp_path):
     picture = tmp_path / "study.png"
     words = ["particles", "--particles", "5,10", "--seeds", "2", "--filters", "fastslam1", "--jobs", "0"]
@@ -16,6 +18,7 @@ def test_a_small_study(tmp_path):
     assert picture.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_numbers_are_saved_before_the_figure(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise OSError("no space left")

@@ -94,12 +94,14 @@ def test_ctrl_c_while_the_command_line_is_imported(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
+@pytest.mark.slow
 def test_completion_knows_verbs() -> None:
     env = os.environ | {"_SLAM_COMPARE_COMPLETE": "complete_bash", "COMP_WORDS": "slam-compare sol", "COMP_CWORD": "1"}
     done = subprocess.run([sys.executable, "-m", "comparisons"], env=env, capture_output=True, text=True, timeout=60)
     assert done.stdout.split() == ["solvers"]
 
 
+@pytest.mark.slow
 def test_no_color_is_honoured() -> None:
     coloured = re.compile(r"\x1b\[[0-9;]*3[0-7]")
     command = [sys.executable, "-m", "comparisons", "run", "--help"]

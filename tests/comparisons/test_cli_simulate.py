@@ -90,6 +90,7 @@ def test_it_says_what_it_wrote(invoke: Invoke) -> None:
     assert "Next: slam-compare run a.npz" in result.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [

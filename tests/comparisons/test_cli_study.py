@@ -43,6 +43,7 @@ def refused(result: Result, *words: str) -> None:
         assert word in result.stderr
 
 
+@pytest.mark.slow
 def test_from_the_study_file_to_the_figure(invoke: Invoke) -> None:
     result = invoke("sweep", "study.toml", "--jobs", "0")
     assert result.exit_code == 0, result.output

@@ -54,6 +54,7 @@ def test_joint_nees_is_that_of_the_dense_covariance():
         assert solution.joint_nees(log.true_poses) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_exact_variants_are_consistent_and_pairs_are_not(outcome):
     of = {r.name: r for r in outcome.results}
     for name in ("landmark nodes", "marginal"):

@@ -25,6 +25,7 @@ def saved(tmp_path_factory):
     return comparison, folder, comparison.save(folder, figures=())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["graph", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("dead-reckoning", "fastslam1"))]
 )

@@ -164,6 +164,7 @@ def test_kept_frames(count: int, most: int) -> None:
     assert count == 1 or np.ptp(np.diff(numbers)) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ANIMATED)
 def test_pictures_change_only_where_something_moves(log: Log, name: str) -> None:
     pictures = animate(log, estimator=name, **FEW, max_frames=3).pictures

@@ -62,6 +62,7 @@ def test_every_verb_writes_what_the_schema_says(write):
     valid("study", write("study", "study.sqlite"))
 
 
+@pytest.mark.slow
 def test_the_json_of_an_import(write, tmp_path):
     np.savetxt("odometry.csv", [[0, 0.5, 0.1], [1, 0.5, 0.1], [2, 0.5, 0.1]], delimiter=",")
     np.savetxt("sightings.csv", [[0.5, 3, 2.0, 0.1], [1.5, 3, 1.5, 0.2]], delimiter=",")
@@ -80,6 +81,7 @@ def test_logs_that_know_less_are_valid_too(write):
     valid("run", write("run", "log.npz", "--particles", 20, "--out", "out", "--figures", ""))
 
 
+@pytest.mark.slow
 def test_the_schema_refuses_what_is_not_said(write):
     write("simulate", "log.npz", "--steps", 15)
     found = write("run", "log.npz", "--estimators", "graph", "--out", "out", "--figures", "")

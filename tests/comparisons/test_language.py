@@ -105,6 +105,7 @@ PUT_TOGETHER = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_no_template_is_stale() -> None:
     """Each template of the catalogue, between its places and sentences, is a text of the source."""
     spaces, texts = re.compile(r"\s+"), []
@@ -141,6 +142,7 @@ def shown_help(*words: str) -> str:
     return str(result.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["", *(name_of(verb) for verb in VERBS)])
 def test_help_is_japanese(verb: str) -> None:
     lines = [line.strip(" │") for line in shown_help(*verb.split()).splitlines()]
@@ -263,6 +265,7 @@ def test_without_a_font_figures_are_english_and_say_so(tmp_path: Path, monkeypat
     assert "日本語のフォントがないので、図は英語です" in shown
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["graph", "fastslam1", "isam2", "particle-gibbs"])
 def test_animations_are_japanese(estimator: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("comparisons.show.films.scene.font_of", lambda _: "DejaVu Sans")
@@ -324,6 +327,7 @@ def output(*words: str, **environment: str) -> str:
     return str(result.stdout)
 
 
+@pytest.mark.slow
 def test_run_speaks_japanese_and_writes_the_same_numbers(tmp_path: Path) -> None:
     words = ["run", "--estimators", "dead-reckoning,graph,gtsam,fastslam1", "--particles", "10", "--seed", "1"]
     words += ["--figures", "png", "--out", str(tmp_path / "out")]

@@ -68,6 +68,7 @@ def test_figures_show_names_as_they_are(name: str) -> None:
     assert (shown, mathematics) == (printable(name), False)
 
 
+@pytest.mark.slow
 def test_a_run_on_any_name(named: Path, invoke: Invoke, tmp_path: Path) -> None:
     result = invoke(
         "run", named, *QUICK, "--out", "out", "--figures", "png", "--html", "page.html", "--json", "result.json"
@@ -102,6 +103,7 @@ def test_filters_calibration_and_films_on_any_name(named: Path, invoke: Invoke, 
     assert "<script>alert" not in (tmp_path / "film.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_study_of_any_name(named: Path, invoke: Invoke, tmp_path: Path) -> None:
     study = tmp_path / "study.toml"
     study.write_text('logs = ["*.npz"]\nestimators = ["dead-reckoning"]\n', encoding="utf-8")
@@ -143,6 +145,7 @@ def test_a_missing_file_of_any_name_is_a_sentence() -> None:
         assert str(caught.value).isprintable()
 
 
+@pytest.mark.slow
 def test_paths_that_the_system_refuses(invoke: Invoke) -> None:
     long, deep = "x" * 300, "/".join(["y" * 200] * 30)
     for name in (long, deep, "zero\0byte"):

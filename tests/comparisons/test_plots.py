@@ -115,6 +115,7 @@ def test_a_colour_means_one_thing() -> None:
     assert (colour_of("graphslam"), colour_of("gtsam-lm")) == (colour_of("graph"), colour_of("gtsam"))
 
 
+@pytest.mark.slow
 def test_an_estimator_has_its_colour_in_every_figure() -> None:
     nees = np.ones((3, 5))
     consistency = ConsistencyStudy(3, 0.1, 5, 3, 0, 4.0, (Consistency("fastslam2", nees, None),))
@@ -205,6 +206,7 @@ def test_a_single_sighting_is_drawn_without_warnings(log: Log) -> None:
         run(one, estimators=["graph"]).figure()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [["dead-reckoning"], ["mcl"], ["graph"], ["fastslam1", "dead-reckoning"]])
 def test_any_selection_can_be_drawn(log: Log, names: list[str], tmp_path: Path) -> None:
     outcome = run(log, estimators=names, particles=20)
@@ -265,6 +267,7 @@ def test_a_figure_that_cannot_be_written_leaves_nothing(comparison: Comparison, 
     assert [path.name for path in tmp_path.iterdir()] == ["figure.SVG"]
 
 
+@pytest.mark.slow
 def test_the_same_data_give_the_same_file(comparison: Comparison, tmp_path: Path) -> None:
     for name in ("a", "b"):
         save_figure(comparison_figure(comparison), [tmp_path / f"{name}.png", tmp_path / f"{name}.pdf"])
@@ -278,6 +281,7 @@ def test_matplotlib_is_left_as_it_was(comparison: Comparison) -> None:
     assert dict(matplotlib.rcParams) == before
 
 
+@pytest.mark.slow
 def test_pyplot_is_never_imported() -> None:
     modules = (
         "comparisons.show.figures, comparisons.show.study_figures, comparisons.show.films, comparisons.show.report"

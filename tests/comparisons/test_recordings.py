@@ -99,6 +99,7 @@ def rerun_columns(path, entity):
     return columns
 
 
+@pytest.mark.slow
 def test_rerun_has_the_same_numbers(comparison, tmp_path):
     pytest.importorskip("rerun")
     path = tmp_path / "out.rrd"

@@ -333,6 +333,7 @@ def test_sightings_of_unidentified_landmarks_have_a_page(log: Log) -> None:
     assert set(elements.data["figures"]) == {"map", "errors"}
 
 
+@pytest.mark.slow
 def test_long_logs_are_thinned_and_the_page_mentions_it() -> None:
     steps = 6000
     log = simulate(seed=1, steps=60, clean=True)
@@ -397,6 +398,7 @@ def invoke(*arguments: object) -> Any:
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
+@pytest.mark.slow
 def test_both_verbs_write_the_page(log: Log, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     save(log, tmp_path / "log.npz")

@@ -223,6 +223,7 @@ def test_a_graph_that_fails_is_a_row_where_others_have_results(log: Log, monkeyp
     assert outcome.table["graph"].skipped == "LinAlgError: Singular matrix"
 
 
+@pytest.mark.slow
 def test_the_time_limit_ends_one_estimator_and_no_other(tmp_path: Path) -> None:
     # a billion moves of particles do not fit into a second
     limited = run(
@@ -251,6 +252,7 @@ def test_with_a_time_limit_the_numbers_are_the_same(log: Log) -> None:
         run(log, time_limit=0.0)
 
 
+@pytest.mark.slow
 def test_errors_come_back_from_the_process_of_a_time_limit(log: Log) -> None:
     with pytest.raises(OptionError, match="true map"):
         run(log.replace(true_landmarks=None), estimators=["mcl"], time_limit=60.0)
@@ -305,6 +307,7 @@ def test_difference_is_wrapped_and_masked(log: Log) -> None:
         outcome["mcl"]
 
 
+@pytest.mark.slow
 def test_save_writes_figure_and_json(comparison: Comparison, tmp_path: Path) -> None:
     files = comparison.save(tmp_path / "out")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(p.name for p in files.values())

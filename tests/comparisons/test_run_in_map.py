@@ -32,6 +32,7 @@ def logs(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "first.npz", tmp_path / "second.npz"
 
 
+@pytest.mark.slow
 def test_the_map_of_one_run_is_the_prior_of_the_next(invoke: Invoke, logs: tuple[Path, Path], tmp_path: Path) -> None:
     first, second = logs
     made = invoke("run", first, "--estimators", "graph,gtsam", "--out", "one")
@@ -94,6 +95,7 @@ def test_sightings_of_landmarks_that_localisation_does_not_know_are_left_out(log
     assert 0 in result["graph"].landmarks
 
 
+@pytest.mark.slow
 def test_nees_in_a_map_is_that_of_errors_against_the_first_pose() -> None:
     """The first pose is not held in a map: the covariances against it come from the joint one of both poses."""
     values = []
@@ -134,6 +136,7 @@ def test_nees_of_samples_does_not_depend_on_the_start(start: tuple[float, float,
     assert comparisons.run(log, estimators=["fastslam2"], smoothing=20)["fastslam2"].nees(log.true_poses) is not None
 
 
+@pytest.mark.slow
 def test_estimated_biases_in_an_exact_map_have_covariances() -> None:
     """Landmarks that are held do not follow the parameters."""
     log = Drive(seed=2001, duration=60.0, misread=0.0).simulate()[0]

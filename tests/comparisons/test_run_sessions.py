@@ -41,6 +41,7 @@ def files(tmp_path: Path) -> list[Path]:
     return [tmp_path / f"day{k}.npz" for k in (1, 2, 3)]
 
 
+@pytest.mark.slow
 def test_three_logs_are_one_graph_one_map_and_a_table_each(invoke: Invoke, files: list[Path], tmp_path: Path) -> None:
     result = invoke(
         "run",
@@ -107,6 +108,7 @@ def test_logs_that_share_nothing_are_refused_in_one_sentence(invoke: Invoke, fil
     )
 
 
+@pytest.mark.slow
 def test_the_robots_of_a_data_set_are_solved_together_unless_one_is_named(invoke: Invoke, tmp_path: Path) -> None:
     starts = {1: (0.0, -3.0, 0.0), 2: (0.0, 3.0, 2.0)}
     logs = {

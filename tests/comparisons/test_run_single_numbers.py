@@ -17,6 +17,7 @@ Invoke = Callable[..., Result]
 NOISE = ("--range-std", 0.1, "--range-rate", 0, "--bearing-std", 0.02, "--nn", 0.03, "--on", 0.01, "--oo", 0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", ["range", "bearing"])
 def test_empty_cells_go_through_the_command_line(invoke: Invoke, tmp_path: Path, number: str) -> None:
     log = simulate_single_numbers(number, seed=7, poses=120, landmarks=4)

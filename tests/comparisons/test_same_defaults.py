@@ -69,6 +69,7 @@ def check_same(solution, row):
         assert np.array_equal(row["landmarks"][str(j)], place)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_python_and_the_command_line_solve_the_same_problem(kind, tmp_path):
     make, edges, kernel = KINDS[kind]

@@ -33,6 +33,7 @@ def test_every_variant_has_a_name_of_its_own(log: Log) -> None:
     assert all("2-D" in v.name for v in variants(log.without_orientation()))
 
 
+@pytest.mark.slow
 def test_solvers_agree_on_a_real_log(log: Log) -> None:
     names: list[str] = []
     outcome = compare_solvers(log, motion_weights=(1.0, 10.0), jobs=0, progress=lambda entry: names.append(entry.name))
@@ -113,6 +114,7 @@ def test_one_solver_giving_up_is_a_difference(log: Log, monkeypatch: pytest.Monk
         compare_solvers(log, jobs=0)
 
 
+@pytest.mark.slow
 def test_a_wrong_solver_is_found_out(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     def sloppy(graph: Graph, **_: object) -> Solution:
         return solve(graph, tolerance=1e-3)
@@ -126,6 +128,7 @@ def test_nothing_to_solve(log: Log) -> None:
         compare_solvers(log.replace(steps=[], landmarks=[], sightings=np.empty((0, 3))), jobs=0)
 
 
+@pytest.mark.slow
 def test_a_log_without_controls_has_virtual_edges_only() -> None:
     wide = simulate(seed=2, steps=12, dt=6.0, clean=True, field_of_view=6.2, max_range=9.0)
     outcome = compare_solvers(wide.replace(dt=None, controls=None), jobs=0)
@@ -134,6 +137,7 @@ def test_a_log_without_controls_has_virtual_edges_only() -> None:
     assert SkippedVariant in {type(entry) for entry in outcome.skipped}
 
 
+@pytest.mark.slow
 def test_the_time_limit_ends_a_variant(log: Log) -> None:
     # this takes both solvers some seconds
     long = simulate(seed=2, steps=600, clean=True).without_orientation()

@@ -17,6 +17,7 @@ VALUE = st.one_of(PLAIN, st.lists(PLAIN, max_size=3))
 TABLE = st.dictionaries(TEXT, st.one_of(VALUE, st.dictionaries(TEXT, VALUE, max_size=3)), max_size=4)
 
 
+@pytest.mark.slow
 @given(TABLE)
 def test_what_is_written_is_read_back_equal(table: dict) -> None:
     assert tomllib.loads(to_toml(table, "a comment\nof two lines")) == table

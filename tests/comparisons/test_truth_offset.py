@@ -60,6 +60,7 @@ def test_every_metric_is_that_of_the_robot_s_own_truth(log, with_antenna):
     assert b.to_json()["log"]["truth_offset"] == [3.78, 0.5]
 
 
+@pytest.mark.slow
 def test_calibration_is_the_same(log, with_antenna):
     a, b = calibrate(log, source="truth"), calibrate(with_antenna, source="truth")
     # the search ends within a hundredth of the standard errors

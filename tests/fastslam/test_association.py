@@ -28,6 +28,7 @@ def greedy(scores: np.ndarray) -> list[int]:
     return chosen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("version", "weight"), [(1, "exact"), (2, "exact"), (2, "linearised")])
 @pytest.mark.parametrize("columns", [2, 3])
 def test_against_the_textbooks_equations(columns: int, version: int, weight: str) -> None:

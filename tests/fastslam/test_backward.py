@@ -18,6 +18,7 @@ FIFTH: dict = {
 }
 
 
+@pytest.mark.slow
 def test_it_repairs_the_early_steps_of_fastslam_1() -> None:
     """Histories have few ancestors in early steps; drawn backwards they are nearer to the posterior.
 
@@ -48,6 +49,7 @@ def test_it_repairs_the_early_steps_of_fastslam_1() -> None:
     assert np.mean(spreads) == pytest.approx(0.95, abs=bound(1, 23) * mean_error(spreads))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (0.3, 0.1)])
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 def test_without_common_landmarks_it_draws_the_motions(kind: type, offset: tuple[float, float]) -> None:
@@ -85,6 +87,7 @@ def test_seed_threads_and_measurements_by_hand() -> None:
         np.testing.assert_allclose(result.smoothed.trajectories, runs[0].smoothed.trajectories, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_several_observations_of_one_step() -> None:
     """Each may resample: the histories must still be connected.
 

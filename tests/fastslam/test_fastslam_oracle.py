@@ -46,6 +46,7 @@ def assert_same(fast: ParticleFilter, slow: list[textbook.Particle], maps: bool 
         np.testing.assert_allclose(ours, theirs, **TOLERANCE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("ess_threshold", [1.0, 0.5])
 def test_step_by_step(log: Log, ess_threshold: float, version: int) -> None:
@@ -62,6 +63,7 @@ def test_step_by_step(log: Log, ess_threshold: float, version: int) -> None:
         np.testing.assert_allclose(fast.trajectory(i), particle.path, **TOLERANCE)
 
 
+@pytest.mark.slow
 def test_sighting_by_sighting(log: Log) -> None:
     """Every sighting is weighed and resampled by itself."""
     rng_fast, rng_slow = np.random.default_rng(5), np.random.default_rng(5)
@@ -79,6 +81,7 @@ def test_sighting_by_sighting(log: Log) -> None:
             assert_same(fast, slow)
 
 
+@pytest.mark.slow
 def test_localization(log: Log) -> None:
     rng = np.random.default_rng(6)
     fast = MonteCarloLocalization(log, particles=20, seed=np.random.default_rng(6), ess_threshold=1.0)

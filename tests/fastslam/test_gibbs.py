@@ -73,6 +73,7 @@ def check_moments(result: GibbsResult, reference: Moments) -> None:
     check_normal(np.log(std / reference.std), np.hypot(std_errors, reference.std_errors), degrees)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("columns", "offset", "composite", "degrees"),
     [
@@ -97,6 +98,7 @@ def test_the_exact_density_against_importance_sampling(
     assert 0.3 < result.accepted < 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("density", "degrees", "columns"),
     [
@@ -168,6 +170,7 @@ def test_the_mode_is_that_of_the_graph(orientation: bool) -> None:
     np.testing.assert_allclose(wrap(poses - solution.poses), 0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_long_logs_mix_by_their_bends(monkeypatch: pytest.MonkeyPatch) -> None:
     """The smallest effective sample size without them is a fraction, the posterior the same."""
     log = simulate(seed=0, steps=40, clean=True, orientation=False, **FIFTH)
@@ -182,6 +185,7 @@ def test_long_logs_mix_by_their_bends(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.abs(off).max() < bound(off.size) * error
 
 
+@pytest.mark.slow
 def test_wrong_sightings_bend_the_trajectory_little_with_student_s_density() -> None:
     log = simulate(seed=4, steps=25, clean=True, orientation=False, **FIFTH)
     sightings = log.sightings.copy()

@@ -65,6 +65,7 @@ def test_bad_input() -> None:
         study_particles(poses_only, jobs=0)
 
 
+@pytest.mark.slow
 def test_the_time_limit_ends_one_run_and_no_other():
     # a billion moves of particles do not fit into a second
     log = simulate(seed=1, steps=5000)

@@ -16,6 +16,7 @@ from graphslam.se2 import between, wrap
 SENSOR = SensorModel()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [2, 3])
 @pytest.mark.parametrize("range_noise", ["measured", "estimated"])
 def test_moments_and_likelihood_of_an_update(columns: int, range_noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,6 +67,7 @@ def test_first_sighting_has_the_moments_of_its_posterior() -> None:
     np.testing.assert_allclose(estimate.covariance / scale, covariance / scale, atol=np.sqrt(2) * many)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [2, 3])
 @pytest.mark.parametrize("range_noise", ["measured", "estimated"])
 def test_evidence_and_moments_of_all_sightings(columns: int, range_noise: str) -> None:
@@ -108,6 +110,7 @@ def test_evidence_and_moments_of_all_sightings(columns: int, range_noise: str) -
     np.testing.assert_allclose((estimate.covariance - covariance) / np.outer(std, std), 0, atol=np.sqrt(2) * many)
 
 
+@pytest.mark.slow
 def test_joint_landmarks_through_resampling_repeated_sightings_and_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """A landmark seen twice from one pose, in one call or in two; and more sightings than are integrated together."""
     log = simulate(seed=3, steps=12, clean=True, orientation=False)
@@ -134,6 +137,7 @@ def test_joint_landmarks_through_resampling_repeated_sightings_and_threads(monke
         assert 0 < np.abs(few.mean_poses - results[0].mean_poses)[:, :2].max() < 0.2
 
 
+@pytest.mark.slow
 def test_moments_reach_the_exact_posterior() -> None:
     """A log on which linearised landmarks are off by 0.6 standard deviations with any number of particles."""
     # of motions of several controls the filters, too, draw from the Gaussian

@@ -16,6 +16,7 @@ weights_lists = st.lists(st.one_of(st.just(0.0), st.floats(1e-9, 1.0)), min_size
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RESAMPLING_SCHEMES)
 @given(weights=weights_lists, seed=st.integers(0, 2**32))
 def test_ancestors_ascend_and_have_weight(name: str, weights: list[float], seed: int) -> None:

@@ -154,6 +154,7 @@ def test_particles_slip_sideways(kind: type[ParticleFilter]) -> None:
         np.testing.assert_allclose(off, 0, atol=bound(9) * np.sqrt(2 / 40_000))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 @pytest.mark.parametrize("pieces", [1, 4])
 def test_particles_spread_as_far_where_sightings_cut_the_controls(kind: type[ParticleFilter], pieces: int) -> None:

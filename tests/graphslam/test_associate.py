@@ -191,6 +191,7 @@ def test_logs_that_tell_nothing() -> None:
             associate(log, **{name: value})
 
 
+@pytest.mark.slow
 def test_clutter_alone_is_said() -> None:
     """Random sightings agree by chance: the landmarks are few, and a note says so. Where none agree, the log is refused."""
     log, count = hidden(load(sample_log_path())), 40

@@ -84,6 +84,7 @@ def gps(maker: Maker, places: np.ndarray, kind: int = 2, status: int = 0) -> Non
         )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ros", "name", "storage"), [(1, "a.bag", ""), (2, "a.mcap", "mcap"), (2, "a.db3", "sqlite")])
 def test_fixes_are_positions_of_the_antenna(tmp_path: Path, ros: int, name: str, storage: str) -> None:
     maker = drive(ros)

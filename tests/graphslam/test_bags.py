@@ -175,6 +175,7 @@ def detections(maker, t, j, x, y, place):
     return {"results": [hypothesis], "bbox": {"center": at if place == "box" else pose(0, 0)}, "id": str(j)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make",
     [
@@ -409,6 +410,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistakes(name, tmp_path):
     path, recipe = broken(tmp_path, name)

@@ -122,6 +122,7 @@ def test_residuals_do_not_look_at_the_truth() -> None:
     assert blind.numbers == Calibration.of(found).numbers
 
 
+@pytest.mark.slow
 def test_wrong_sightings_and_slips_do_not_blow_the_noise_up() -> None:
     log = drive(2)
     rng = np.random.default_rng(0)
@@ -168,6 +169,7 @@ def test_options_freedom_are_found() -> None:
     assert fit.variances["a"] == pytest.approx(0.04, rel=0.1)
 
 
+@pytest.mark.slow
 def test_scales_and_biases_from_truth() -> None:
     log = drive(6, steps=300)
     found = calibrate(wrong(log, **WRONG))
@@ -202,6 +204,7 @@ def test_a_mean_of_motions_counts_outliers_in_full() -> None:
     assert found.wheel_scale > 1.02
 
 
+@pytest.mark.slow
 def test_several_logs_give_one_noise() -> None:
     one, other = drive(1, steps=200), drive(2, steps=200)
     both = calibrate(one, other)
@@ -301,6 +304,7 @@ def test_a_log_without_sightings() -> None:
         calibrate(empty)
 
 
+@pytest.mark.slow
 def test_true_poses_without_a_map() -> None:
     """They tell the motion, and with the scale of the wheels that of the ranges, which residuals only tell together."""
     log, truth, _ = warehouse(1001, range_scale=1.04)
@@ -328,6 +332,7 @@ def without_ids(log: Log) -> Log:
     return log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
 
 
+@pytest.mark.slow
 def test_sightings_without_ids() -> None:
     log = load(sample_log_path())
     known, found = calibrate(log, source="residuals"), calibrate(without_ids(log), source="residuals")
@@ -437,6 +442,7 @@ def arcs(seed: int, epsilon: float, bearing: float = 0.05) -> Log:
                true_landmarks=dict(enumerate(marks)))  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "epsilon"), [(0, 1e-10), (1, 1e-10), (2, 1e-12), (5, 0.0)])
 def test_noise_that_enters_only_by_the_controls(seed: int, epsilon: float) -> None:
     found = calibrate(arcs(seed, epsilon))

@@ -56,6 +56,7 @@ def test_a_wrong_winding_is_not_proven():
     assert best.certificate.status == "global"
 
 
+@pytest.mark.slow
 def test_the_function_stays_below_the_cost_and_touches_it(sample):
     rng = np.random.default_rng(4)
     for graph in (
@@ -328,6 +329,7 @@ def test_a_robust_fit_with_fixed_weights_is_proven():
     assert solution.certificate.status == "global"
 
 
+@pytest.mark.slow
 def test_a_perfect_graph_is_global_although_rounding_leaves_a_residue():
     """1,500 poses with information of 1e6: J is tiny, and the residuals are a little above their rounding errors."""
     rng, n = np.random.default_rng(2), 1500

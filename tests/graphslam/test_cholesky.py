@@ -78,6 +78,7 @@ def graphs(draw, most=40):
     return block_csc(n, sorted(pairs), rng)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(graphs(), st.sampled_from(["amd", "natural", "random"]), st.integers(1, 3))
 def test_against_dense(graph, ordering, k):

@@ -54,6 +54,7 @@ def late(robots: dict[int, Log], offsets: dict[int, float]) -> dict[int, Log]:
     return {n: log.replace(start_time=log.start_time - offsets.get(n, 0.0)) for n, log in robots.items()}
 
 
+@pytest.mark.slow
 def test_offsets_are_found_to_their_standard_errors() -> None:
     squares = []
     for seed in range(4):

@@ -206,6 +206,7 @@ def test_the_robot_stays_within_its_speeds_and_follows_its_way_points():
     np.testing.assert_allclose(driven, path.at(times), atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1000, 1040))
 def test_random_drives_are_recordings_within_the_stated_ranges(seed):
     drive = Drive.random(seed)

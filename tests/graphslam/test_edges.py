@@ -122,6 +122,7 @@ def test_jacobians_against_finite_differences(name, frame, seed):
         np.testing.assert_allclose(at.jacobians[end], numeric, atol=1e-6, rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", frames)
 @pytest.mark.parametrize("name", FAMILIES)
 @given(seed=seeds, kernel=st.sampled_from([None, Huber(), Cauchy(), GemanMcClure(2.0)]))

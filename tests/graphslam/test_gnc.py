@@ -132,6 +132,7 @@ def test_what_cannot_be(book_log):
     assert not early.converged and "trusted in part" in early.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 1, -1])
 @pytest.mark.parametrize("options", [{}, {"weight": "marginal"}, {"edges": "landmark+motion"}], ids=str)
 def test_a_landmark_seen_from_behind_is_found_whichever_sighting_it_is(options, which):

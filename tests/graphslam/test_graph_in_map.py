@@ -52,6 +52,7 @@ LOG = simulate(seed=1)
 KINDS = list(maps_of(LOG))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])
 @pytest.mark.parametrize("oriented", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
@@ -69,6 +70,7 @@ def test_both_solvers_have_one_solution(kind, oriented, kernel):
             assert np.array_equal(ours.landmarks[j][:2], place[:2])
 
 
+@pytest.mark.slow
 def test_a_map_by_hand():
     """The poses on an exact map, and a landmark that is not on it, by SciPy from the definitions in the lectures."""
     log = simulate(seed=2, steps=12, clean=True, orientation=False)

@@ -77,6 +77,7 @@ def variants():
                 yield pytest.param(name, dimensions, edges, frame, marks=marks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "dimensions", "edges", "frame"), list(variants()))
 def test_poses_and_cost_agree(book_log, name, dimensions, edges, frame):
     log = book_log if name == "book" else LOGS[name]()
@@ -159,6 +160,7 @@ def test_gtsam_stops_at_max_iterations(book_log):
         assert "max_iterations = 2" in solution.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("initialize", ["auto", "given", "dead-reckoning", "rotation-first"])
 def test_both_solvers_start_from_the_same_state(shared_data, initialize):
     graph = Graph.from_g2o(shared_data("posegraph/input_M3500_g2o.g2o"))

@@ -203,6 +203,7 @@ def test_devices_and_pipes_are_no_files(tmp_path: Path, path: str) -> None:
             read(path)  # type: ignore[operator]
 
 
+@pytest.mark.slow
 def test_the_line_of_a_key_is_found_in_linear_time(tmp_path: Path) -> None:
     path = tmp_path / "long.toml"
     path.write_text(

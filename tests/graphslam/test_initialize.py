@@ -177,6 +177,7 @@ def hard_logs():
     return module
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 12, 63, 97])
 def test_auto_reaches_the_optimum_that_is_reached_from_the_truth(hard_logs, number):
     """Every noise level but the highest; at numbers 3, 12, 48 and 97 the first start ends 4 to 48 % higher."""
@@ -349,6 +350,7 @@ def test_other_turns_lead_out_of_a_wrong_minimum():
     assert lower_by_turns(graph, best.state)[0] is None
 
 
+@pytest.mark.slow
 def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs):
     """At number 48, with twice the book's noise, the start from virtual-motion edges leads to a minimum 4 % too high."""
     graph = Graph.from_log(hard_logs.hard_log(48), edges="landmark+motion", kernel="none")
@@ -358,6 +360,7 @@ def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs):
     assert solution.cost == pytest.approx(1767.2866734, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_the_search_after_the_first_end_is_bounded(hard_logs, monkeypatch):
     """By a multiple of the steps of the first end, and by a number over all nodes where that is more."""
     graph = Graph.from_log(hard_logs.hard_log(48), edges="landmark+motion", kernel="none")

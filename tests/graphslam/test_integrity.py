@@ -84,6 +84,7 @@ def test_larger_residuals_make_larger_covariances():
     assert inflation(4 * squares) == pytest.approx(4, rel=0.1)
 
 
+@pytest.mark.slow
 def test_residuals_at_a_solution_count_although_it_follows_them():
     """Half the noise in the sensor model than in the log: covariances of the solution get about four times as large."""
     ratios = []
@@ -102,6 +103,7 @@ def test_residuals_at_a_solution_count_although_it_follows_them():
     assert np.mean(ratios[::2]) < 1.3 and np.mean(ratios[1::2]) == pytest.approx(4, rel=0.25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", ["driving", "after"])
 def test_the_share_of_poses_that_are_off_is_what_was_said(when):
     """Over 15 drives, more is not off than was said, within 3.3 standard errors from drive to drive, nor much less.

@@ -33,6 +33,7 @@ def name(variant):
     return " ".join(str(getattr(part, "name", part)) for part in variant)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "variant",
     # a tempered edge is one of pairs times a number

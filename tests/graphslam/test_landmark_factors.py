@@ -64,6 +64,7 @@ def random_sightings(rng, count, d):
     return np.column_stack([rng.uniform(0.5, 5, count), rng.uniform(-np.pi, np.pi, (count, 2))])[:, :d]
 
 
+@pytest.mark.slow
 @sensors
 def test_observations_of_landmark_nodes(sensor):
     rng = np.random.default_rng(1)

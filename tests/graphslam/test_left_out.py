@@ -37,6 +37,7 @@ def accurate_drive(seed: int, correlated: float) -> Log:
     return Drive(seed=seed, duration=120.0, motion=accurate, parameters={}, correlated=correlated).simulate()[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "correlated"), [(2002, 0.0), (2004, 0.3), pytest.param(2001, 0.3, marks=pytest.mark.nightly)]
 )

@@ -86,6 +86,7 @@ def test_the_covariance_of_the_fix_is_that_of_its_errors():
     assert np.mean(squares > chi2.ppf(0.99, 3)) < 0.01 + 3.3 * np.sqrt(0.01 / 300)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [pytest.param(0.1, marks=pytest.mark.nightly), 0.3])
 def test_misread_ids_do_not_move_the_fix(share):
     squares = errors_of_fixes(100, share, steps=30)
@@ -109,6 +110,7 @@ def test_the_fix_is_that_of_the_graph_of_the_sightings_that_agree(orientation):
         assert np.allclose(fix.covariance, P, atol=0.01 * np.trace(P))
 
 
+@pytest.mark.slow
 def test_maps_of_another_place_with_the_same_ids_are_refused_or_said_to_be_possible():
     """The expectation of the odds is 1, so that less than one map in a thousand has odds above a thousand."""
     refused = 0

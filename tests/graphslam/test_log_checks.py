@@ -81,6 +81,7 @@ def test_correct_logs_are_left_alone(seed):
     assert not checks(simulate(seed=seed).replace(true_poses=None))
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("name", "robot"),

@@ -117,6 +117,7 @@ def test_jacobians_and_gradient_against_finite_differences(family, kernel):
     np.testing.assert_allclose(-2 * system.xi, gradient, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"edges": "landmark+motion", "kernel": "cauchy"}, {"weight": "marginal"}])
 @pytest.mark.parametrize("factors", ["fastest", "per-edge"])
 def test_both_solvers_have_the_same_optimum_which_is_proven(log, options, factors):
@@ -169,6 +170,7 @@ def test_one_position_leaves_the_direction_to_the_anchor(bare):
     assert graph.degrees_of_freedom == Graph.from_log(bare).degrees_of_freedom
 
 
+@pytest.mark.slow
 def test_wrong_ones_are_rejected(bare, log):
     motions, places = log.relations.motions.copy(), log.positions.places.copy()
     motions[:8, :2] += 3.0
@@ -228,6 +230,7 @@ def test_step_by_step_is_the_batch_solution(bare, log):
     np.testing.assert_allclose(mounted(solver.pose, LEVER), [3.0, 4.0, 1.0], atol=1e-2)
 
 
+@pytest.mark.slow
 def test_whoever_does_not_use_them_says_so(log):
     with pytest.warns(UserWarning, match="a particle filter does not use the relations and positions"):
         fastslam.FastSLAM1(log, particles=5, seed=0)

@@ -146,6 +146,7 @@ def test_a_pose_graph_edge_by_edge_with_loop_closures():
             assert np.abs(wrap(poses - batch.poses)).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_directions_that_are_hardly_determined_do_not_end_steps_early(shared_data: Callable[[str], Path]) -> None:
     """At some steps of Huang 8240, old linearisations predicted 1e-8 of J where 1e-5 of J was left."""
     graph = Graph.from_log(load(shared_data("simulated_8240")), edges="landmark+motion")
@@ -155,6 +156,7 @@ def test_directions_that_are_hardly_determined_do_not_end_steps_early(shared_dat
             assert cost <= batch.cost * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_loop_closures_rarely_need_the_batch_solver(shared_data: Callable[[str], Path]) -> None:
     """Where a step leaves out subtrees, slow passes look at them before all edges get second derivatives: 88 of the steps of
     M3500 ended in the batch solver before."""

@@ -302,6 +302,7 @@ def test_the_example_goes_on_after_lines_that_are_refused(
     assert "the motion before it" in refused[4]
 
 
+@pytest.mark.slow
 def test_another_thread_reads_while_the_solver_steps() -> None:
     """A display reads poses while sightings arrive: the interpreter crashed where steps let other threads run."""
     solver, done, reads = OnlineSolver(), threading.Event(), []

@@ -59,6 +59,7 @@ def test_forms_of_the_same_table(drive, expected, sightings):
     assert log.landmarks.tolist() == expected.landmarks.tolist()
 
 
+@pytest.mark.slow
 def test_all_kinds_of_sources(drive, expected, tmp_path):
     pandas = pytest.importorskip("pandas")
     folder = drive()

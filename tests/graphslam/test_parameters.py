@@ -370,6 +370,7 @@ def test_scales_need_no_turns(biased: Log) -> None:
     assert solve(graph).parameters.doubt == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bias", [np.pi, np.pi / 2, 0.8, -2.0])
 def test_a_sensor_mounted_backwards_or_sideways_is_found(bias: float) -> None:
     log = drive(bearing_bias=bias).without_orientation()

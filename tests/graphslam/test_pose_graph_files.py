@@ -66,6 +66,7 @@ def test_cost_is_g2os_chi2(tmp_path, shared_data):
         assert graph.cost(state) == pytest.approx(g2o_chi2(path, state), rel=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", ["as given", "random", "nothing"])
 @pytest.mark.parametrize("name", BEST)
 def test_auto_reaches_the_best_known_cost_from_any_values(shared_data, name, start):
@@ -81,6 +82,7 @@ def test_auto_reaches_the_best_known_cost_from_any_values(shared_data, name, sta
     assert solution.cost == pytest.approx(BEST[name], rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BEST)
 def test_undamped_gauss_newton_from_the_given_values(shared_data, name):
     solution = solve(Graph.from_g2o(shared_data(name)), initialize="given")
@@ -163,6 +165,7 @@ def test_the_three_dialects_say_the_same(tmp_path):
     assert not np.allclose(as_isam.families[0].information, graphs[0].families[0].information)
 
 
+@pytest.mark.slow
 def test_files_without_vertices_follow_their_odometry(shared_data, tmp_path):
     odometry = ["0 1 1 0 1", "1 3 1 0 1", "0 3 9 9 9"]
     lines = [f"ODOMETRY {edge} 1 0 0 1 0 1" for edge in odometry]
@@ -339,6 +342,7 @@ def test_information_is_taken_in_the_axes_of_its_dialect(tmp_path, dialect):
     assert abs(solution.cost / degrees - 1) < 3.3 * (2 / degrees) ** 0.5
 
 
+@pytest.mark.slow
 def test_the_public_isam_files_have_their_costs(shared_data):
     """cityTrees10000 has equal deviations in x and y, and chi2 per degree of freedom near 1; Victoria Park does not."""
     trees = Graph.from_g2o(shared_data("posegraph/cityTrees10000.txt"))

@@ -16,6 +16,7 @@ def log_of(scale: float, psi: bool = True) -> Log:
     return Log(dt=1.0, controls=controls, steps=steps, landmarks=landmarks, sightings=z[:, : 3 if psi else 2])
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("scale", [1e-300, 1e-160, 1e-12, 1e-9, 1e9, 1e12, 1e150, 1e300])
 @pytest.mark.parametrize("noise", [1e-200, 1e-10, 0.05, 1e10, 1e200])

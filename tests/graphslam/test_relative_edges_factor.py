@@ -21,6 +21,7 @@ def problem(rng):
     return values, rng.normal(size=(6, 3)), root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["body", "world"])
 @pytest.mark.parametrize("kernel", [None, Huber(), Cauchy(0.7)])
 def test_it_is_the_sum_of_single_factors(frame, kernel):

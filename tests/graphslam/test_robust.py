@@ -44,6 +44,7 @@ def test_widths_of_the_literature_and_of_the_definition():
         assert slope**2 / square == pytest.approx(EFFICIENCY, abs=1e-6)
 
 
+@pytest.mark.slow
 @cases
 def test_efficiency_against_simulation(kernel, d):
     """The variance of the plain mean over that of the robust mean of 100 residuals, over 3,000 repetitions."""

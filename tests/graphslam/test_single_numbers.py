@@ -113,6 +113,7 @@ def _values(graph: Graph, state: np.ndarray) -> gtsam.Values:
     return values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", ["range", "bearing"])
 def test_the_optimum_is_reached_from_odometry(number: str) -> None:
     for seed in (31, 32, 33):
@@ -210,6 +211,7 @@ def test_bad_input() -> None:
         solve_online(log)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", ["range", "bearing"])
 def test_gnc_finds_wrong_single_numbers(number: str) -> None:
     log = simulate_single_numbers(number, seed=300, poses=80, landmarks=3)

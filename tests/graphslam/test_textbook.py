@@ -19,6 +19,7 @@ def golden(shared_data):
     return json.loads(shared_data("lnpr/golden.json").read_text())["cases"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(CASES)))
 def test_the_books_program(golden, shared_data, number):
     case = golden[number]
@@ -57,6 +58,7 @@ def test_impossible_requests(book_log, shared_data):
         textbook.solve(book_log.without_orientation(), dimensions=3)
 
 
+@pytest.mark.slow
 def test_by_default_the_threshold_is_that_of_the_books_program():
     # the program with motion edges stops at 0.02; at 0.01 it would drift for 100 iterations
     result = textbook.solve(load(sample_log_path()), edges="virtual+motion")
@@ -66,6 +68,7 @@ def test_by_default_the_threshold_is_that_of_the_books_program():
     assert "0.02" in result.reason
 
 
+@pytest.mark.slow
 def test_a_drift_above_the_threshold_ends_the_program_and_is_named(book_log):
     # with precise sensors the drift, 0.036, is greater than the book's threshold
     sensor = SensorModel(range_rate=0.03, bearing_std=0.01, orientation_std=0.01)

@@ -180,6 +180,7 @@ def driven(log, solver):
     return when
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_ids", [True, False])
 def test_a_robot_that_drives_finds_itself_and_notices_that_it_was_lifted(with_ids):
     log = lifted(FIRST, elsewhere(11, (5.0, 6.0, -2.0)))

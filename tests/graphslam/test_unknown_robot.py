@@ -99,6 +99,7 @@ def test_implausible_estimates_are_doubted() -> None:
     assert not warehouse()[2].doubts
 
 
+@pytest.mark.slow
 def test_noise_of_recorded_turns_is_not_a_scale() -> None:
     """Single records have noise of 0.1 rad/s and the sensor hardly any; with them as the derivative the scale is 1.033."""
     accurate = replace(SENSORS["camera"], range_rate=1e-3, range_std=1e-3, bearing_std=1e-3)
@@ -106,6 +107,7 @@ def test_noise_of_recorded_turns_is_not_a_scale() -> None:
     assert found.parameters["turn_scale"] == pytest.approx(1.0, abs=0.015)
 
 
+@pytest.mark.slow
 def test_noise_that_no_robot_has_is_doubted() -> None:
     """Bearings that count clockwise fit only turns that are all noise; ranges in centimetres fit no odometry in metres."""
     log = warehouse()[0]
@@ -132,6 +134,7 @@ def test_misread_ids_are_found() -> None:
     assert len(found.log.steps) == len(log.steps) - found.ids.dropped.sum()
 
 
+@pytest.mark.slow
 def test_the_default_is_as_good_as_knowing_the_robot() -> None:
     """The oracle has the true noise, the true biases and the true ids."""
     log, truth, _ = warehouse()
@@ -247,6 +250,7 @@ def test_sightings_without_ids_are_corrected_but_tell_nothing() -> None:
         estimate_robot(log.replace(landmarks=np.full(len(ids), UNIDENTIFIED)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1006, 1007])
 def test_silences_of_the_odometry_spoil_nothing(seed: int) -> None:
     """Poses within a silence follow their sightings; the noise of all others is found as without it."""
@@ -441,6 +445,7 @@ def test_sightings_so_rare_that_none_is_left_over() -> None:
     assert found.inflation == 1.0
 
 
+@pytest.mark.slow
 def test_every_estimator_takes_the_same_robot() -> None:
     """ISAM2 and the filters solve the problem that `solve` solves; with the raw log they end 6 and 10 m off."""
     log = Drive(seed=1014, duration=90.0, landmarks=20).simulate()[0]
