@@ -6,6 +6,7 @@ log, truth = Drive(seed=3).simulate()  # 10 minutes in a warehouse with 50 tags
 print(log)
 print(f"{truth.misread_share:.1%} of the sightings have a wrong id")
 print(f"dead reckoning: ATE {ate(log.true_poses, log.dead_reckoning()):.2f} m")
+assert 0.04 < truth.misread_share < 0.06
 
 # %% book
 book = solve(Graph.from_log(log, noise="book", edges="landmark+motion"))

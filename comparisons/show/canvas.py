@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import warnings
 from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from importlib.resources import as_file, files
 from io import BytesIO
 from os import PathLike
@@ -28,11 +28,12 @@ import matplotlib
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager, get_font
 from matplotlib.text import Text
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FixedFormatter, MaxNLocator
 
 from graphslam import Log, MotionModel, SensorModel, control_path
 from graphslam.errors import printable
@@ -87,7 +88,7 @@ def save_figure(figure: Figure, paths: Sequence[str | PathLike[str]], language: 
     """
     with paper_style(), matplotlib.rc_context({"figure.constrained_layout.use": False}):
         if (font := font_of(language)) is not None:
-            translate_texts(figure, language, font)
+            translate_texts(figure, partial(translated, language=language), font)
             figure.draw_without_rendering()
         # the figure is laid out already: with a layout engine, each file would be laid out and drawn once more
         figure.set_layout_engine(None)
@@ -125,15 +126,22 @@ def _has(file: str, letters: str) -> bool:
     return False
 
 
-def translate_texts(drawn: Artist, language: str, font: str) -> None:
+def translate_texts(drawn: Artist, translate: Callable[[str], str], font: str) -> None:
     """Translate all texts below an artist; the font has the letters that the font of the figure lacks."""
+    fonts = ["DejaVu Sans", font]
+    for axis in drawn.findobj(Axis):
+        assert isinstance(axis, Axis)
+        # labels of ticks are made anew at each drawing
+        if isinstance(names := axis.get_major_formatter(), FixedFormatter):
+            names.seq = [translate(str(name)) for name in names.seq]
+            axis.set_tick_params(labelfontfamily=fonts)
     for text in drawn.findobj(Text):
         assert isinstance(text, Text)
         english = text.get_text()
-        if (found := translated(english, language)) != english:
+        if (found := translate(english)) != english:
             # an empty line at the end keeps a place
             text.set_text(found + english[len(english.rstrip()) :])
-            text.set_fontfamily(["DejaVu Sans", font])
+            text.set_fontfamily(fonts)
 
 
 def png_as_html(figure: Figure) -> str:

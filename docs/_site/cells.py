@@ -96,7 +96,7 @@ def _name(path: Path) -> str:
 @cache
 def _version_of_the_packages() -> bytes:
     files = [path for name in ("graphslam", "fastslam", "comparisons") for path in sorted((ROOT / name).rglob("*.py"))]
-    files.append(Path(__file__).with_name("run_cells.py"))
+    files += [Path(__file__).with_name(name) for name in ("run_cells.py", "labels.py", "labels.toml")]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).digest()
 
 

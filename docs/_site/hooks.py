@@ -180,8 +180,6 @@ def on_post_build(config: Any) -> None:
         if cells.folder(source).exists():
             target = Path(config["site_dir"]) / _place(source)
             shutil.copytree(cells.folder(source), target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("*.json"))
-            for figure in cells.folder(source).glob("*.svg"):
-                (target / f"{figure.stem}.ja.svg").write_text(labels.in_japanese(figure.read_text()))
         for language in bundled.LANGUAGES:
             content = bundled.make(source, language, cells.results(source), cells.folder(source))
             notebooks.write(Path(config["site_dir"]) / _notebook(source, language), content)
@@ -265,7 +263,9 @@ def _figures(cell: cells.Cell, source: Path, alternative: str, page: Any, langua
     alternative = html.escape(alternative, quote=True)
     files = [file for _, file in cell.figures]
     if language == "ja":
-        files = [file.replace(".svg", ".ja.svg") for file in files]
+        japanese = [str(Path(file).with_suffix(f".ja{Path(file).suffix}")) for file in files]
+        # without a font with Japanese letters there are no such PNG figures
+        files = [each if (cells.folder(source) / each).exists() else file for each, file in zip(japanese, files)]
     urls = [get_relative_url(f"{_place(source)}/{file}", page.file.url) for file in files]
     if len(urls) == 1:
         return f'<figure class="drawn"><img src="{urls[0]}" alt="{alternative}" loading="lazy"></figure>'

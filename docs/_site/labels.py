@@ -1,4 +1,4 @@
-"""Labels of figures in Japanese: the texts of an SVG by `labels.toml`. PNG figures keep their English labels."""
+"""Labels of figures in Japanese, by `labels.toml`."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def translated(label: str) -> str | None:
     return found.format(*_NUMBER.findall(label)) if found and "{}" in found else found
 
 
-def in_japanese(svg: str) -> str:
-    """An SVG with Japanese labels, as far as the table has them."""
-
-    def text(found: re.Match[str]) -> str:
-        label = html.unescape(found[2])
-        return found[1] + html.escape(translated(label.strip()) or label, quote=False) + found[3]
-
-    return _TEXT.sub(text, svg)
+def in_japanese(text: str) -> str:
+    """A text of a figure, line by line, in Japanese as far as the table has it."""
+    return "\n".join(translated(line.strip()) or line for line in text.split("\n"))
 
 
-def missing(svg: str) -> set[str]:
-    """The labels of an SVG that the table does not have."""
-    labels = {html.unescape(label).strip() for _, label, _ in _TEXT.findall(svg)}
-    return {label for label in labels if translated(label) is None}
+def missing(figure: Path) -> set[str]:
+    """The labels of a figure that the table does not have."""
+    if figure.suffix == ".png":
+        from PIL import Image
+
+        found = Image.open(figure).text["Description"].split("\n")
+    else:
+        found = [html.unescape(label) for _, label, _ in _TEXT.findall(figure.read_text())]
+    return {label.strip() for label in found if translated(label.strip()) is None}

@@ -8,14 +8,19 @@ import io
 import json
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import labels
 import matplotlib.pyplot as plt
 import numpy as np
 from cells import split
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from comparisons.show.canvas import font_of, translate_texts
 
 #: a figure as SVG is replaced by a PNG above this size [bytes], for example one with thousands of particles
 LARGEST_SVG = 120_000
@@ -82,14 +87,27 @@ def execute(code: str, place: str, namespace: dict[str, Any]) -> Any:
 
 
 def save(target: Path, name: str, figure: Figure | None = None) -> str:
-    """Save a figure, or else the first open one, close it, and return the name of its file."""
+    """Save a figure, or else the first open one, close it, and return the name of its file.
+
+    The same with Japanese labels is beside it, named .ja.svg or .ja.png.
+    """
     figure = figure or plt.figure(plt.get_fignums()[0])
     file = target / f"{name}.svg"
     figure.savefig(file, metadata={"Date": None})
     if file.stat().st_size > LARGEST_SVG:
         file.unlink()
         file = target / f"{name}.png"
-        figure.savefig(file, dpi=120)
+        texts = (text.get_text() for text in figure.findobj(Text))
+        # a test reads the labels
+        figure.savefig(file, dpi=120, metadata={"Description": "\n".join(text for text in texts if text.strip())})
+    font = font_of("ja")
+    if font is not None or file.suffix == ".svg":
+        # an SVG has its labels as text, whose font is the reader's; without a font here, places are less exact
+        translate_texts(figure, labels.in_japanese, font or "sans-serif")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        options = {"metadata": {"Date": None}} if file.suffix == ".svg" else {"dpi": 120}
+        figure.savefig(file.with_suffix(f".ja{file.suffix}"), **options)
     plt.close(figure)
     return file.name
 

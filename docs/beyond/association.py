@@ -47,9 +47,12 @@ for ax, poses, title in (
     ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title=title)
 
 # %% same
+errors = []
 for name, used in (("true ids", log), ("ids found", found.log)):
     solution = solve(Graph.from_log(used, edges="landmark+motion", sensor=sensor))
-    print(f"{name:9} ATE {ate(log.true_poses, solution.poses):.3f} m")
+    errors.append(ate(log.true_poses, solution.poses))
+    print(f"{name:9} ATE {errors[-1]:.3f} m")
+assert errors[1] < 1.02 * errors[0]
 
 # %% gate
 for share in (0.9, 0.99, 0.999):

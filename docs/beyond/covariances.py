@@ -66,6 +66,7 @@ assert np.all(np.diag(C / scale) > 0.8)
 for j, covariance in list(solution.landmark_covariances.items())[:3]:
     error = np.hypot(*(solution.landmarks[j] - log.true_landmarks[j])[:2])
     print(f"landmark {j}: std {np.sqrt(np.diag(covariance)[:2]).round(4)} m, error {error:.4f} m")
+    assert error < 4 * np.sqrt(np.trace(covariance[:2, :2]))
 
 # %% trials
 errors, claimed = [], []

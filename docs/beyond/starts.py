@@ -74,7 +74,7 @@ ax.plot(*states["given"][:, :2].T, "C1--", lw=1, label="one iteration from dead 
 ax.plot(*states["rotation-first"][:, :2].T, "C0--", lw=1, label="one iteration from rotation first")
 ax.plot(*best.poses[:, :2].T, "C2", label="minimum of J")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(fontsize=8)
+ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
 
 # %% compare
 rng = np.random.default_rng(0)

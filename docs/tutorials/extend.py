@@ -31,6 +31,9 @@ ESTIMATORS["one-factor"] = Estimator(one_factor)
 comparison = comparisons.run(estimators=["dead-reckoning", "one-factor", "graph"])
 for row in comparison.table:
     print(f"{row.name:15} ATE {row.ate_m:.3f} m")
+errors = {row.name: row.ate_m for row in comparison.table}
+assert 0.9 < errors["one-factor"] / errors["dead-reckoning"] < 1
+assert errors["graph"] < 0.2 * errors["one-factor"]
 
 # %% picture
 comparison.figure()
@@ -76,6 +79,9 @@ log = load(sample_log_path())
 graph = Graph.from_log(log)
 measured = np.arange(0, log.num_poses, 10)  # every tenth pose is measured to 0.05 m
 gps = PositionEdges(measured, log.true_poses[measured, :2], np.tile(400 * np.eye(2), (len(measured), 1, 1)))
+errors = []
 for name, families in (("without", graph.families), ("with", (*graph.families, gps))):
     poses = solve(replace(graph, families=families)).poses
-    print(f"{name} positions: mean error {np.hypot(*(poses - log.true_poses)[:, :2].T).mean():.3f} m")
+    errors.append(np.hypot(*(poses - log.true_poses)[:, :2].T).mean())
+    print(f"{name} positions: mean error {errors[-1]:.3f} m")
+assert errors[1] < 0.6 * errors[0]

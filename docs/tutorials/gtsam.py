@@ -34,6 +34,7 @@ print("largest difference from the ground truth:", np.abs(estimate - truth).max(
 print("J, twice the error of GTSAM:", round(2 * graph.error(result), 3))
 marginals = gtsam.Marginals(graph, result)
 print("standard deviation of pose 3, in its own axes:", np.sqrt(marginals.marginalCovariance(X(3)).diagonal()).round(3))
+assert graph.error(result) < graph.error(initial)
 
 # %% same
 from graphslam import Graph, simulate, solve, solve_with_gtsam

@@ -30,6 +30,8 @@ graph = Graph.from_log(log, edges="landmark+motion")
 solution = solve(graph)
 print(solution.reason)
 print(f"J {solution.cost:.1f} for {graph.degrees_of_freedom} degrees of freedom")
+# J has the standard deviation sqrt(2 dof)
+assert solution.cost < graph.degrees_of_freedom - 4 * (2 * graph.degrees_of_freedom) ** 0.5
 
 # %% map
 fig, ax = plt.subplots()
@@ -50,5 +52,7 @@ sightings = {"t": [1.0, 3.0, 5.0], "id": [7, 7, 4], "range": [2.1, 1.4, 2.0], "b
 try:
     Log.from_tables(odometry, sightings)
 except SlamError as error:
-    print(error)
+    message = str(error)
+print(message)
+assert "is it in degrees? Then add --angles sightings=degrees" in message
 print(Log.from_tables(odometry, sightings, angles={"sightings": "degrees"}))

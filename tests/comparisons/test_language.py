@@ -13,6 +13,7 @@ import tomllib
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
@@ -254,7 +255,7 @@ def test_the_font_has_the_letters(tmp_path: Path) -> None:
         warnings.simplefilter("error")  # of a letter that no font has
         for suffix in ("png", "pdf", "svg"):
             figure = found.figure()
-            canvas.translate_texts(figure, "ja", str(canvas.font_of("ja")))
+            canvas.translate_texts(figure, partial(translated, language="ja"), str(canvas.font_of("ja")))
             figure.savefig(tmp_path / f"figure.{suffix}")
 
 

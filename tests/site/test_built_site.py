@@ -243,9 +243,10 @@ def test_pages_can_be_read_without_javascript(page: str, address: str, browser: 
 def test_labels_of_figures_are_japanese_on_japanese_pages() -> None:
     sys.path.insert(0, str(SITE.parent / "docs" / "_site"))
     labels = import_module("labels")
-    figures = [figure for figure in (SITE / "figures").rglob("*.svg") if not figure.name.endswith(".ja.svg")]
+    figures = [figure for kind in ("svg", "png") for figure in (SITE / "figures").rglob(f"*.{kind}")]
+    figures = [figure for figure in figures if not figure.stem.endswith(".ja")]
     assert len(figures) > 30
-    missing = {label: figure.name for figure in figures for label in labels.missing(figure.read_text())}
+    missing = {label: figure.name for figure in figures for label in labels.missing(figure)}
     assert missing == {}
     assert "真値" in (SITE / "figures" / "method" / "graph" / "problem" / "trajectories-0.ja.svg").read_text()
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from html import escape
 from os import PathLike
 from pathlib import Path
@@ -58,6 +58,7 @@ from ..canvas import (
     true_line,
 )
 from ..figures import ellipses
+from ..language import translated
 from .files import check_can_film, player, write_film
 
 #: size of a picture [inches] and dots per inch; both sides have an even number of pixels, which video formats need
@@ -142,7 +143,7 @@ class Pictures(Sequence[np.ndarray]):
 
     def _translate(self, drawn: Artist) -> None:
         if self._font is not None:
-            translate_texts(drawn, self._language, self._font)
+            translate_texts(drawn, partial(translated, language=self._language), self._font)
 
     def _drawn(self, artists: Sequence[Artist]) -> np.ndarray:
         self._canvas.restore_region(self._background)

@@ -44,7 +44,7 @@ def draw(step):
         ax.add_patch(Ellipse(landmark.mean[:2], *(4 * np.sqrt(values[::-1])), angle=angle, fill=False, color="C0"))
     for m in log.true_landmarks.values():
         ax.plot(m[0], m[1], "k*")
-    ax.set(xlim=(-6, 6), ylim=(-6, 6), xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    ax.set(xlim=(-6.5, 6.5), ylim=(-8, 5), xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
 slider("step", list(states), draw)  # noqa: F821  # given by the site: one figure for each value

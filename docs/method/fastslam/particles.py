@@ -51,12 +51,16 @@ ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 ax.legend(fontsize=8)
 
 # %% spread
+spreads = []
 for duration in (3, 6, 12):
     ends = np.array([np.zeros(3)] * 300)
     for _ in range(duration // 3):
         ends = np.array([textbook.sample_motion(p, (0.3, 0.0), 3.0, motion, rng.standard_normal(5)) for p in ends])
     ahead, aside = ends[:, 0].std(), ends[:, 1].std()
+    spreads.append([ahead, aside])
     print(f"after {duration:2} s straight ahead: standard deviation {ahead:.3f} m ahead, {aside:.3f} m to the side")
+growth = (np.array(spreads[2]) / spreads[0]) ** 2  # of the variances, over four times the time
+assert 3 < growth[0] < 5.3 and growth[1] > 16
 
 # %% history
 # the last pose is all that later steps need of the trajectory

@@ -22,6 +22,7 @@ weights = np.exp([p.log_weight for p in particles])
 ax.scatter(before[:, 0], before[:, 1], s=4 + 2000 * weights, alpha=0.5, label="particles, area by weight")
 ax.plot(*log.true_poses[8, :2], "k+", ms=14, label="true position")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+ax.margins(0.1)
 ax.legend(fontsize=8, markerscale=0.3, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
 
 # %% bayes

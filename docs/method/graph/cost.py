@@ -25,11 +25,14 @@ ax.set(xlabel="residual in x [m]", ylabel="residual in y [m]", aspect="equal")
 ax.legend()
 
 # %% distances
-e = np.array([0.3, 0.0, 0.0])
+e, squares = np.array([0.3, 0.0, 0.0]), []
 for length in (4.0, 1.0):
     z = np.array([length, 0.3, 0.0])
     _, Omega, *_ = textbook.virtual_motion_edge(np.zeros(3), z, np.array([0.5, 0.0, 0.2]), z, sensor)
-    print(f"landmark {length:g} m away: e'e = {e @ e:.2f}, e' Omega e = {e @ Omega @ e:6.2f}")
+    squares.append(e @ Omega @ e)
+    print(f"landmark {length:g} m away: e'e = {e @ e:.2f}, e' Omega e = {squares[-1]:6.2f}")
+far, near = np.sqrt(squares)
+assert far < 1 and 2 < near < 3
 
 # %% three
 three = load("examples/three_poses.txt")

@@ -32,7 +32,8 @@ x1, u, dt = log.initial_poses[0], log.controls[0], log.dt[0]
 x2 = motion.f(x1, u, dt)
 for moved in (x2, x2 + [0.1, 0.0, 0.0]):
     e, Omega, B1, B2 = textbook.motion_edge(x1, moved, u, dt, motion)
-    print("residual", np.round(e, 3), " cost", round(float(e @ Omega @ e), 2))
+    print("residual", np.round(e, 3) + 0.0, " cost", round(float(e @ Omega @ e), 2))
+    np.testing.assert_allclose(e, moved - x2, atol=1e-12)
 
 # %% residual
 x1, x2 = np.array([0.0, 0.0, 0.0]), np.array([1.0, 0.0, np.pi / 2])

@@ -22,6 +22,8 @@ print("standard deviations of h^-1(x1, z1):", np.round(np.sqrt(np.diag(C1)), 3))
 print("standard deviations of h^-1(x2, z2):", np.round(np.sqrt(np.diag(C2)), 3))
 print("Omega of the edge:")
 print(np.round(np.linalg.inv(C1 + C2), 1))
+across, along = np.sqrt(np.linalg.eigvalsh(C1[:2, :2]))
+np.testing.assert_allclose([along, across], [0.14 * 4.0, 0.05 * 4.0])
 
 
 # %% ellipses

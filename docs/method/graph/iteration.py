@@ -10,6 +10,7 @@ solution = textbook.solve(log, edges="virtual")
 # %% norms
 print("norms of the steps:", [float(f"{norm:.3g}") for norm in solution.step_norms])
 print("J before each step:", [float(f"{cost:.4g}") for cost in solution.costs])
+assert solution.step_norms[-1] < solution.threshold < solution.step_norms[-2]
 
 # %% slider
 results = {0: log.initial_poses} | {
@@ -26,7 +27,7 @@ def draw(iterations):
     places = np.array([textbook.inverse_observation(poses[t], z) for t, z in zip(log.steps, log.sightings)])
     ax.plot(places[:, 0], places[:, 1], "C1.", ms=3, label="landmarks from each sighting")
     ax.set(xlim=(-6, 6), ylim=(-6, 6), xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    ax.legend(loc="lower left", fontsize=8)
+    ax.legend(loc="lower right", fontsize=8)
 
 
 slider("iterations:", list(results), draw)  # noqa: F821  # given by the site: one figure for each value

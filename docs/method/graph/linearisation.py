@@ -11,6 +11,9 @@ e, Omega, B1, B2 = textbook.virtual_motion_edge(x1, z1, x2, z2, SensorModel())
 # %% jacobians
 print("B_1 =\n", np.round(B1, 3))
 print("B_2 =\n", np.round(B2, 3))
+for B, sign, x, (length, bearing, _) in ((B1, -1, x1, z1), (B2, 1, x2, z2)):
+    along = x[2] + bearing
+    np.testing.assert_allclose(B[:, 2], sign * np.array([-length * np.sin(along), length * np.cos(along), 1]))
 
 # %% figure
 # the first component of e while pose 2 turns, and its tangent

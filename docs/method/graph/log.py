@@ -56,12 +56,17 @@ from itertools import combinations
 by_landmark = {int(j): log.steps[log.landmarks == j].tolist() for j in log.landmark_ids}
 for j, seen in list(by_landmark.items())[:3]:
     print(f"landmark {j}: seen {len(seen)} times, {len(list(combinations(seen, 2)))} virtual-motion edges")
-print("all:", sum(len(list(combinations(seen, 2))) for seen in by_landmark.values()))
+pairs = sum(len(list(combinations(seen, 2))) for seen in by_landmark.values())
+print("all:", pairs)
+assert pairs == sum(len(seen) * (len(seen) - 1) // 2 for seen in by_landmark.values())
 
 # %% three
 three = load("examples/three_poses.txt")
-for t, z_3 in zip(three.steps, three.sightings):
-    print(f"from pose {t} the landmark is at", np.round(textbook.inverse_observation(three.initial_poses[t], z_3), 4))
+places = [textbook.inverse_observation(three.initial_poses[t], z) for t, z in zip(three.steps, three.sightings)]
+for t, place in zip(three.steps, places):
+    print(f"from pose {t} the landmark is at", np.round(place, 4))
+assert len(list(combinations(places, 2))) == 3
+assert all(np.hypot(*(p - q)[:2]) > 0.05 for p, q in combinations(places, 2))
 
 # %% spread
 # how far apart are the places of one landmark, for dead reckoning and for the true poses?

@@ -16,7 +16,7 @@ ax.plot(best.poses[:, 0], best.poses[:, 1], "C0-", label="x*, the most probable 
 places = np.array(list(best.landmarks.values()))
 ax.plot(places[:, 0], places[:, 1], "C1*", ms=10, label="m*, the most probable map")
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend(fontsize=8)
+ax.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
 
 # %% likely
 bent = best.poses.copy()
@@ -84,6 +84,8 @@ from graphslam import load
 
 three = load("examples/three_poses.txt")
 print("controls (nu, omega):", np.round(three.controls, 4).tolist())
+# 1 m straight ahead, and a quarter of a circle of the radius nu / omega = 1 m, in one second each
+assert np.allclose(three.controls, [[1, 0], [np.pi / 2, np.pi / 2]], atol=1e-4) and np.allclose(three.dt, 1)
 for t, (length, bearing, psi) in zip(three.steps, three.sightings):
     print(f"from pose {t}: range {length:.2f} m, bearing {bearing:.4f} rad, psi {psi:.4f} rad")
 

@@ -24,6 +24,8 @@ Delta = np.linalg.solve(Omega, xi)
 print("J before the step:", round(J, 4))
 print("Delta of pose 1:", np.round(Delta[3:6], 4))
 print("Delta of pose 2:", np.round(Delta[6:], 4))
+np.testing.assert_allclose(Omega @ Delta, xi, atol=1e-9)
+assert np.abs(Delta[:3]).max() < 1e-6  # the anchor holds pose 0
 
 # %% figure
 # the blocks of one edge between the poses 3 and 7 of ten, and Omega of the sample log

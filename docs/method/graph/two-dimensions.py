@@ -12,6 +12,7 @@ e, Omega, B1, B2 = textbook.virtual_motion_edge(
     np.zeros(3), np.array([2.0, 0.3]), np.array([1.0, 0.2, 0.5]), np.array([1.5, 0.1]), SensorModel()
 )
 print("residual", np.round(e, 3), " Omega", Omega.shape, " B_1", B1.shape)
+assert (e.shape, Omega.shape, B1.shape) == ((2,), (2, 2), (2, 3))
 
 # %% undetermined
 # a pose that shares one landmark with another pose can turn around this landmark
