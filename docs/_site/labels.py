@@ -21,7 +21,7 @@ def _table() -> dict[str, str]:
 def translated(label: str) -> str | None:
     """A label in Japanese; None where the table does not have it. Labels without words stay as they are."""
     key = _NUMBER.sub("{}", label)
-    if not re.search(r"[A-Za-z]{2}", label):
+    if not re.search(r"[A-Za-z]{2}", re.sub(r"\$[^$]*\$", "", label)):
         return label
     found = _table().get(label) or _table().get(key)
     return found.format(*_NUMBER.findall(label)) if found and "{}" in found else found

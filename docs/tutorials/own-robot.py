@@ -42,7 +42,8 @@ for name, place in solution.landmarks.items():
     ax.plot(place[0], place[1], "C1^")
     ax.annotate(str(name), place[:2], textcoords="offset points", xytext=(5, 5))
 ax.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-ax.legend()
+ax.margins(0.1)
+ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
 
 # %% mistake
 from graphslam import Log, SlamError

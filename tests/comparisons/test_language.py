@@ -101,7 +101,8 @@ def test_each_template_has_a_translation(function: Callable[..., Any]) -> None:
 
 #: parts of templates that are put together when they are shown
 PUT_TOGETHER = {
-    "shares only one with the rest", "share only one with the rest", "speed x", "turn rate x", "range x", "start J =",
+    "shares only one with the rest", "share only one with the rest", "time %", "norm %", "speed x", "turn rate x",
+    "range x", "start J =",
     "but maximum-likelihood where a log has no ids", "a log and a file to write", "give at most a log and a file to write",
 }  # fmt: skip
 
@@ -373,3 +374,9 @@ def test_the_report_is_japanese(tmp_path: Path) -> None:
     assert sentences != []
     assert [s for s in sentences if not JAPANESE.search(s) and not s.startswith(("Linux", "Python"))] == []
     assert '"text":"反復"' in text
+    hovers = set(re.findall(r'"hovertemplate":"((?:[^"\\]|\\.)*)"', text))
+    shown = {re.sub(r"<[^>]*>|%\{[^}]*\}", " ", json.loads(f'"{hover}"')) for hover in hovers}
+    assert len(shown) > 8
+    assert [
+        s for s in shown if re.search("[a-z]{3}", re.sub("graph|fastslam1", "", s)) and not JAPANESE.search(s)
+    ] == []

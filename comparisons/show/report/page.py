@@ -163,6 +163,7 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
 _TEXTS = re.compile(r'(?<=>)[^<>]*[a-z][^<>]*(?=<)|(?<=aria-label=")[^"]*(?=")')
 #: keys of a figure that hold texts
 _TITLES = ("text", "name", "hovertemplate")
+_TAG = re.compile("(<[^>]*>)")
 
 
 def _translated_page(html: str, language: str) -> str:
@@ -171,10 +172,10 @@ def _translated_page(html: str, language: str) -> str:
 
 
 def _translated_figure(figure: Any, language: str) -> Any:
-    """A figure with its titles, names and hover texts in a language."""
+    """A figure with its titles, names and hover texts, which have tags between their parts, in a language."""
     if isinstance(figure, dict):
         return {
-            key: translated(value, language)
+            key: "".join(part if part[:1] == "<" else translated(part, language) for part in _TAG.split(value))
             if key in _TITLES and isinstance(value, str)
             else _translated_figure(value, language)
             for key, value in figure.items()
