@@ -255,7 +255,8 @@ class Output:
             TimeElapsedColumn(),
         )
         hidden = self.quiet or not self._errors.is_terminal
-        left = (TextColumn("remaining"), Remaining())
+        what = self._translated(what)
+        left = (TextColumn(self._translated("remaining")), Remaining())
         bar = Progress(*columns, *left, console=self._errors, transient=True, disable=hidden)
         with bar as progress:
             task = progress.add_task(what, total=total)
@@ -330,8 +331,7 @@ def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
     named = [name for name in names if re.search(rf"{name}\b", text)]
     if not named:
         return None
-    are, them = ("are options", "them") if len(named) > 1 else ("is an option", "it")
     return (
-        f"{', '.join(named)} {are} of slam-compare import; other verbs read {them} from import.toml in the folder of the "
+        f"slam-compare import has {', '.join(named)}; other verbs read such options from import.toml in the folder of the "
         "tables, or from the TOML file of the bag's name (docs/own_robot.md)"
     )

@@ -68,7 +68,7 @@ def test_options_of_the_command_line(call, folder):
 def test_a_flipped_bearing_is_announced_by_import_show_and_run(call, folder):
     (folder / "import.toml").write_text('bearings = "clockwise"\n')
     warning = "WARNING: the bearings, or else the turn rates, have the wrong sign (--bearings clockwise)"
-    advice = "--bearings is an option of slam-compare import; other verbs read it from import.toml"
+    advice = "slam-compare import has --bearings; other verbs read such options from import.toml"
     output = call("import", folder)
     assert warning in output and advice not in output
     for verb in (["show", folder], ["run", folder, "--estimators", "dead-reckoning", "--out", "out", "--figures", ""]):

@@ -118,7 +118,7 @@ export function make(figure, engine, log, words, book) {
   controls.slider("particles", "N =", NUMBERS, state.particles, change("particles"));
   controls.slider("noise", words.motionNoise, FACTORS, state.noise, change("noise"));
   const status = html("p", { class: "live-status", role: "status" }, figure);
-  html("p", { class: "live-legend" }, figure).textContent = words.fastslamLegend;
+  html("p", { class: "live-legend" }, figure).textContent = words.fastslamLegend(state.weighted);
 
   // without weights the first particle is as good as any other
   const chosen = () => state.chosen ?? (state.weighted ? slam.best : 0);
@@ -163,7 +163,7 @@ export function make(figure, engine, log, words, book) {
     fill(stage, "chosen", [stage.path(trajectory(i)), `M${x} ${y}h.01`], (d, k) => ({ d, class: k ? "chosen-pose" : "chosen-path" }));
     if (next) next.textContent = state.moved ? words.halfSightings : words.halfMotion;
     status.innerHTML = `<strong>t = ${state.t}</strong>, <span></span>`;
-    status.lastChild.textContent = (state.weighted ? words.ess(state.ess, state.particles, state.resampled, state.resamplings) : words.unweighted)
+    status.lastChild.textContent = (state.weighted || state.particles === 1 ? words.ess(state.ess, state.particles, state.resampled, state.resamplings) : words.unweighted)
       + (state.kidnapped ? words.kidnapped : "") + (given.sizes === "yes" ? words.sizes(sizesNow(i)) : "");
   }
   /** The landmarks that are seen now: name, and the largest standard deviation in the map of a particle, null if it has none yet. */

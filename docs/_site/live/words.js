@@ -37,8 +37,9 @@ const WORDS = {
     resampling: "resampling", motionNoise: "motion noise ×",
     ess: (ess, n, resampled, times) => (ess === null ? "no landmark seen yet" : n === 1 ? "one particle"
       : `effective sample size ${ess.toFixed(1)} of ${n}`) + (resampled ? ", resampled now" : "") + (times ? ` (${times} times so far)` : ""),
-    fastslamLegend: "Dots: particles, larger with a larger weight. Thin lines: their trajectories. Click a particle to see its trajectory and "
-      + "its map (ellipses of two standard deviations); at first it is the one with the largest weight. Dashed line and crosses: ground truth.",
+    fastslamLegend: (weighted) => `Dots: particles${weighted ? ", larger with a larger weight" : ""}. Thin lines: their trajectories. `
+      + "Click a particle to see its trajectory and its map (ellipses of two standard deviations); at first it is the one "
+      + `${weighted ? "with the largest weight" : "with the number 0"}. Dashed line and crosses: ground truth.`,
     odometry: "Odometry (t, nu, omega):", sightings: "Sightings (t, id, range, bearing):", dropHere: "You can also drop both files here.",
     example: "Take the example", ownLabel: "trajectory and map of your data",
     needSightings: "Now the sightings.", needOdometry: "Now the odometry.",
@@ -89,8 +90,9 @@ const WORDS = {
     resampling: "リサンプリング", motionNoise: "移動の雑音 ×",
     ess: (ess, n, resampled, times) => (ess === null ? "まだランドマークを観測していません" : n === 1 ? "パーティクルは1つです"
       : `有効サンプルサイズ ${ess.toFixed(1)}（N = ${n}）`) + (resampled ? "、リサンプリングしました" : "") + (times ? `（これまでに${times}回）` : ""),
-    fastslamLegend: "点はパーティクルで、重みが大きいほど大きく描きます。細い線はその軌跡です。パーティクルをクリックすると、その軌跡と地図（標準偏差の2倍の楕円）を表示します。"
-      + "最初は重みが最大のパーティクルです。破線と十字は真の軌跡とランドマークです。",
+    fastslamLegend: (weighted) => `点はパーティクルです${weighted ? "（重みが大きいほど大きく描きます）" : ""}。細い線はその軌跡です。`
+      + "パーティクルをクリックすると、その軌跡と地図（標準偏差の2倍の楕円）を表示します。"
+      + `最初は${weighted ? "重みが最大の" : "0番の"}パーティクルです。破線と十字は真の軌跡とランドマークです。`,
     odometry: "オドメトリ（t, nu, omega）:", sightings: "センサ値（t, id, range, bearing）:", dropHere: "2つのファイルをここにドロップすることもできます。",
     example: "例を使う", ownLabel: "あなたのデータの軌跡と地図",
     needSightings: "次に、センサ値のファイルを選んでください。", needOdometry: "次に、オドメトリのファイルを選んでください。",
