@@ -16,14 +16,14 @@ import sys
 import tempfile
 import threading
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import ThreadingHTTPServer
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "docs" / "_site")]
 
 import live  # noqa: E402
-from chromium import Chromium, find_browser  # noqa: E402
+from chromium import Chromium, Quiet, find_browser  # noqa: E402
 
 from graphslam import simulate  # noqa: E402
 
@@ -46,13 +46,6 @@ FRAMES = """new Promise((done) => {
 })"""
 DRAG = "(live, k) => { live.state.poses[5][0] += 0.02 * Math.sin(k / 5); live.draw(); }"
 STEP = "(live) => { if (!live.step()) live.restart(); }"
-
-
-class Quiet(SimpleHTTPRequestHandler):
-    """A handler that writes no log."""
-
-    def log_message(self, *_: object) -> None:
-        """Write nothing."""
 
 
 def seconds(browser: Chromium) -> float:
