@@ -8,7 +8,8 @@ namespace {
 
 constexpr std::size_t depth = 8;      ///< so many differences are mixed
 constexpr double begin_below = 0.1;   ///< the root mean square of f from which on g is nearly linear
-constexpr double negligible = 1e-10;  ///< a difference with no more than this part of its own counts as spanned by newer ones
+constexpr double negligible = 1e-10;  ///< smaller singular values, relative to the largest, count as zero
+constexpr int most_sweeps = 30;
 
 using Column = std::vector<double>;
 
@@ -24,33 +25,71 @@ double root_mean_square(std::span<const double> f) {
     return std::sqrt(total / static_cast<double>(f.size()));
 }
 
-/// The c that minimises |b - A c|, A given by its columns, by modified Gram-Schmidt orthogonalisation from the last column to
-/// the first; c is 0 for columns that those after them span.
-std::vector<double> least_squares(std::vector<Column> A, Column b) {
-    const std::size_t m = A.size();
-    std::vector<Column> R(m, Column(m, 0.0));
-    const auto subtract = [](Column& y, double part, const Column& q) {
-        for (std::size_t k = 0; k < y.size(); ++k) y[k] -= part * q[k];
+/// Turn the columns a and b, and those of V, so that a' b = 0 (one-sided Jacobi rotation); false where they were orthogonal.
+bool orthogonalise(Column& a, Column& b, Column& va, Column& vb) {
+    const double aa = dot(a, a), bb = dot(b, b), ab = dot(a, b);
+    if (!(std::abs(ab) > 1e-15 * std::sqrt(aa * bb))) return false;
+    const double zeta = (bb - aa) / (2 * ab);
+    const double t = (zeta >= 0 ? 1.0 : -1.0) / (std::abs(zeta) + std::sqrt(1 + zeta * zeta));
+    const double c = 1 / std::sqrt(1 + t * t), s = c * t;
+    const auto turn = [&](Column& p, Column& q) {
+        for (std::size_t k = 0; k < p.size(); ++k) {
+            const double first = p[k], second = q[k];
+            p[k] = c * first - s * second;
+            q[k] = s * first + c * second;
+        }
     };
-    std::vector<double> c(m, 0.0);
-    for (std::size_t j = m; j-- > 0;) {
-        const double size = std::sqrt(dot(A[j], A[j]));
-        for (std::size_t i = m; --i > j;)
-            if (R[i][i] > 0) subtract(A[j], R[i][j] = dot(A[i], A[j]), A[i]);
-        const double rest = std::sqrt(dot(A[j], A[j]));
-        if (!(rest > negligible * size)) continue;
-        R[j][j] = rest;
-        for (double& value : A[j]) value /= rest;
-        subtract(b, c[j] = dot(A[j], b), A[j]);
-    }
-    for (std::size_t j = 0; j < m; ++j) {
-        for (std::size_t i = 0; i < j; ++i) c[j] -= R[j][i] * c[i];
-        c[j] = R[j][j] > 0 ? c[j] / R[j][j] : 0.0;
-    }
-    return c;
+    turn(a, b);
+    turn(va, vb);
+    return true;
 }
 
 }  // namespace
+
+// The columns are reduced to a triangle by Householder reflections, whose singular value decomposition U S V' follows from
+// Jacobi rotations; the result is V S^-1 U' b.
+std::vector<double> least_squares(std::vector<Column> A, Column b) {
+    const std::size_t m = A.size(), rows = b.size(), r = std::min(m, rows);
+    for (std::size_t j = 0; j < r; ++j) {
+        double square = 0.0;
+        for (std::size_t k = j; k < rows; ++k) square += A[j][k] * A[j][k];
+        const double norm = std::sqrt(square);
+        if (norm == 0) continue;
+        Column v(A[j].begin() + j, A[j].end());
+        v[0] += std::copysign(norm, v[0]);
+        const double half = norm * std::abs(v[0]);
+        const auto reflect = [&](Column& y) {
+            double total = 0.0;
+            for (std::size_t k = j; k < rows; ++k) total += v[k - j] * y[k];
+            for (std::size_t k = j; k < rows; ++k) y[k] -= total / half * v[k - j];
+        };
+        for (std::size_t c = j; c < m; ++c) reflect(A[c]);
+        reflect(b);
+    }
+    std::vector<Column> V(m, Column(m, 0.0));
+    for (std::size_t j = 0; j < m; ++j) {
+        A[j].resize(r);
+        for (std::size_t k = j + 1; k < r; ++k) A[j][k] = 0.0;
+        V[j][j] = 1.0;
+    }
+    b.resize(r);
+    bool turned = true;
+    for (int sweep = 0; turned && sweep < most_sweeps; ++sweep) {
+        turned = false;
+        for (std::size_t i = 0; i < m; ++i)
+            for (std::size_t j = i + 1; j < m; ++j) turned |= orthogonalise(A[i], A[j], V[i], V[j]);
+    }
+    double largest = 0.0;
+    for (const Column& a : A) largest = std::max(largest, std::sqrt(dot(a, a)));
+    std::vector<double> out(m, 0.0);
+    for (std::size_t j = 0; j < m; ++j) {
+        const double square = dot(A[j], A[j]);
+        if (!(std::sqrt(square) > negligible * largest)) continue;
+        const double part = dot(A[j], b) / square;
+        for (std::size_t k = 0; k < m; ++k) out[k] += part * V[j][k];
+    }
+    return out;
+}
 
 std::vector<double> AndersonMixing::next(std::span<const double> x, std::span<const double> f) {
     std::vector<double> moved(x.begin(), x.end());
