@@ -46,6 +46,10 @@ from fastslam import FastSLAM1
 from graphslam import simulate
 from graphslam.metrics import ate
 
+again = [ate(log.true_poses, FastSLAM1(log, particles=300, seed=seed).run().poses) for seed in range(20)]
+print(f"FastSLAM on the sample log with 20 random seeds: {min(again):.2f} to {max(again):.2f} m")
+assert (round(min(again), 2), round(max(again), 2)) == (0.18, 0.39)
+
 errors = {"graph, landmark nodes": [], "graph, pairs": [], "FastSLAM": []}
 for seed in range(20):
     drive = simulate(seed=seed, steps=160)
