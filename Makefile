@@ -29,7 +29,7 @@ pytest: .venv/.installed-test
 NIGHTLY := -m "nightly or browser or cluster"
 test-nightly: .venv/.installed-test
 	$(PYTEST) $(NIGHTLY)
-	EXAMPLES=400 $(PYTEST) -m hypothesis
+	EXAMPLES=100 $(PYTEST) -m hypothesis
 
 test-some: .venv/.installed-test
 	$(PYTEST) $(NIGHTLY) --one-in 6

@@ -17,8 +17,8 @@ from graphslam.association.map_states import LandmarkState
 from graphslam.calibration import Calibration
 from graphslam.log import UNIDENTIFIED
 from graphslam.log_checks import Finding, check_log
-from graphslam.metrics import Metrics, evaluate
-from graphslam.se2 import wrap
+from graphslam.metrics import Metrics, evaluate, position_errors
+from graphslam.se2 import Array, wrap
 
 from .display import Displayed
 from .estimators import ESTIMATORS, check_estimators, default_estimators
@@ -128,6 +128,16 @@ class Comparison(Displayed):
             )
             for r in self.results
         }  # fmt: skip
+
+    @cached_property
+    def position_errors(self) -> dict[str, Array]:
+        """The position error of each pose (T+1,) [m] after the alignment, by name; of results with two poses that count."""
+        log = self.log
+        return {
+            r.name: position_errors(log.true_poses, log.at_truth(r.poses), mask=r.estimated)
+            for r in self.results
+            if log.true_poses is not None and np.count_nonzero(r.estimated & log.covered) >= 2
+        }
 
     @cached_property
     def nees(self) -> dict[str, float | None]:

@@ -20,7 +20,7 @@ from graphslam.association.ambiguity import Ambiguity
 from graphslam.association.associate import Verdict
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import Session
-from graphslam.metrics import METRICS, Errors, Metrics, evaluate, position_errors
+from graphslam.metrics import METRICS, Errors, Metrics, evaluate
 from graphslam.se2 import Array
 
 from .documents import Count
@@ -178,11 +178,7 @@ def errors_of_sessions(comparison: Comparison) -> Iterator[SessionErrors]:
     log = comparison.log
     truth = np.full((log.num_poses, 3), np.nan) if log.true_poses is None else log.true_poses
     estimates = {r.name: log.at_truth(r.poses) for r in comparison.results}
-    off = {
-        r.name: position_errors(truth, estimates[r.name], mask=r.estimated)
-        for r in comparison.results
-        if np.count_nonzero(r.estimated & log.covered) >= 2
-    }
+    off = comparison.position_errors
     for session, drive in zip(log.sessions, log.drives):
         for r in comparison.results:
             alone, together = Metrics(), None

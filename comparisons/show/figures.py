@@ -18,7 +18,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from graphslam.metrics import position_errors
 from graphslam.se2 import Array, compose, transform
 
 from ..comparison import Comparison
@@ -193,20 +192,16 @@ def _draw_landmarks(axes: Axes, result: EstimatorResult, placement: Array, solid
 
 
 def _draw_errors(axes: Axes, comparison: Comparison) -> None:
-    medians, truth, elapsed = [], comparison.log.true_poses, elapsed_of(comparison.log)
-    assert truth is not None
+    medians, elapsed = [], elapsed_of(comparison.log)
     ends = [drive.start for drive in comparison.log.drives[1:]]
     for end in ends:
         axes.axvline(elapsed[end], color="0.7", linewidth=0.6, zorder=1)
-    for result in comparison.results:
-        if np.count_nonzero(result.estimated & comparison.log.covered) >= 2:
-            errors = position_errors(truth, comparison.log.at_truth(result.poses), mask=result.estimated)
-            style = style_of(result.name, len(errors))
-            # errors cross each other more often than paths do
-            axes.plot(
-                parted(elapsed, ends), parted(errors, ends), **style | {"linewidth": 0.7 * style.get("linewidth", 1.0)}
-            )
-            medians.append(float(np.nanmedian(errors)))
+    for name, errors in comparison.position_errors.items():
+        style = style_of(name, len(errors))
+        # errors cross each other more often than paths do
+        thin = {"linewidth": 0.7 * style.get("linewidth", 1.0)}
+        axes.plot(parted(elapsed, ends), parted(errors, ends), **style | thin)
+        medians.append(float(np.nanmedian(errors)))
     log_scale_where_apart(axes, medians)
     axes.set(
         xlabel=time_axis(comparison.log),

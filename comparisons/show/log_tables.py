@@ -239,15 +239,18 @@ _MOST_ERRORS = 5
 
 def particle_tables(study: ParticleStudy) -> Tables:
     """Medians over the seeds, a row per filter and number of particles."""
+    from ..studies.particles import FIGURES
+
     metrics = {
         "ate_m": "ATE\n[m]", "mean_ate_m": "ATE of\nmean [m]", "landmark_rmse_m": "map\n[m]", "ess_share": "ESS / N",
     }  # fmt: skip
     headings = ("particles", *metrics.values(), "ancestors", "time")
     table = LeanTable(f"{study.log}: medians over random seeds", ["filter"], headings)
-    for row in study.rows():
-        values = (number(row[metric]) for metric in metrics)
-        ancestors = number(row["ancestors"], 0)
-        table.add_row(row["name"], str(row["particles"]), *values, ancestors, seconds(row["seconds"]))
+    for row in study.quartiles:
+        median = {figure: None if (found := getattr(row, figure)) is None else found[1] for figure in FIGURES}
+        values = (number(median[metric]) for metric in metrics)
+        ancestors = number(median["ancestors"], 0)
+        table.add_row(row.name, str(row.particles), *values, ancestors, seconds(median["seconds"]))
     return [table], [f"{note}." for note in study.notes]
 
 

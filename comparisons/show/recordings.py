@@ -35,8 +35,8 @@ import numpy as np
 
 from graphslam import Log, OptionError, control_path
 from graphslam.files import write_whole
+from graphslam.graph.map_files import COVARIANCE, UPPER
 from graphslam.log.measurements import NO_HEADING
-from graphslam.metrics import position_errors
 from graphslam.se2 import Array
 
 from ..comparison import Comparison
@@ -353,9 +353,10 @@ def write_rerun(comparison: Comparison, path: Path) -> None:
         for track in tracks(comparison):
             if len(track.poses):
                 _write_track(rr, recording, track)
-        for name, seconds, errors in _errors(comparison):
-            times = rr.TimeColumn(TIMELINE, duration=seconds)
-            rr.send_columns(f"error/{name}", [times], rr.Scalars.columns(scalars=errors), recording=recording)
+        for name, errors in comparison.position_errors.items():
+            known = np.isfinite(errors)
+            times = rr.TimeColumn(TIMELINE, duration=elapsed_of(comparison.log)[known])
+            rr.send_columns(f"error/{name}", [times], rr.Scalars.columns(scalars=errors[known]), recording=recording)
         recording.flush()
         recording.disconnect()
 
@@ -397,9 +398,8 @@ def _write_track(rr: Any, recording: Any, track: Track) -> None:
 
 
 def _named(covariances: Array) -> dict[str, Array]:
-    """The numbers of covariances (n, 3, 3), by the names of `graphslam.graph.map_files.COVARIANCE`."""
-    places = {"var_x": (0, 0), "cov_xy": (0, 1), "var_y": (1, 1), "cov_x_heading": (0, 2), "cov_y_heading": (1, 2)}
-    return {name: covariances[:, i, j] for name, (i, j) in (*places.items(), ("var_heading", (2, 2)))}
+    """The numbers of covariances (n, 3, 3) by their names in tables."""
+    return {name: covariances[:, i, j] for name, (i, j) in zip(COVARIANCE, UPPER)}
 
 
 def _padded(covariance: Array | None) -> Array:
@@ -408,18 +408,6 @@ def _padded(covariance: Array | None) -> Array:
     if covariance is not None:
         whole[: len(covariance), : len(covariance)] = covariance
     return whole
-
-
-def _errors(comparison: Comparison) -> Any:
-    log = comparison.log
-    if log.true_poses is None:
-        return
-    seconds = elapsed_of(log)
-    for result in comparison.results:
-        if np.count_nonzero(result.estimated & log.covered) >= 2:
-            errors = position_errors(log.true_poses, log.at_truth(result.poses), mask=result.estimated)
-            known = np.isfinite(errors)
-            yield result.name, seconds[known], errors[known]
 
 
 def _rgb(color: str) -> tuple[int, int, int]:

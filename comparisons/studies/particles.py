@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from os import PathLike
 from typing import Any, ClassVar
 
@@ -101,35 +101,26 @@ class ParticleStudy(Displayed):
 
         Empty where the figure is not known.
         """
-        values: dict[int, list[float]] = {}
-        for run in self.runs:
-            if run.name == name and getattr(run, figure) is not None:
-                values.setdefault(run.particles, []).append(getattr(run, figure))
-        numbers = sorted(values)
-        return np.array(numbers, dtype=int), np.array([quartiles(values[n]) for n in numbers]).reshape(-1, 3).T
+        known = [row for row in self.quartiles if row.name == name and getattr(row, figure) is not None]
+        numbers = np.array([row.particles for row in known], dtype=int)
+        return numbers, np.array([getattr(row, figure) for row in known]).reshape(-1, 3).T
 
-    def rows(self) -> list[dict[str, Any]]:
-        """One row per filter and number of particles: the medians over seeds, None where unknown."""
-        return [
-            {
-                key: value if key in ("name", "particles") or value is None else value[1]
-                for key, value in vars(row).items()
-            }
-            for row in self.quartiles
-        ]
-
-    @property
+    @cached_property
     def quartiles(self) -> list[Quartiles]:
         """Quartiles over the seeds, one entry per filter and number of particles."""
-        rows: list[Quartiles] = []
-        for name in self.names():
-            bands = {figure: self.bands(name, figure) for figure in FIGURES}
-            columns = {figure: dict(zip(n.tolist(), q.T.tolist(), strict=True)) for figure, (n, q) in bands.items()}
-            rows += [
-                Quartiles(name, n, **{figure: column.get(n) for figure, column in columns.items()})
-                for n in columns["seconds"]
-            ]
+        groups: dict[tuple[str, int], list[ParticleRun]] = {}
+        for run in self.runs:
+            groups.setdefault((run.name, run.particles), []).append(run)
+        rows = []
+        for (name, particles), runs in groups.items():
+            figures = {figure: _quartiles([getattr(run, figure) for run in runs]) for figure in FIGURES}
+            rows.append(Quartiles(name, particles, **figures))
         return rows
+
+
+def _quartiles(values: list[float | None]) -> Array | None:
+    known = [value for value in values if value is not None]
+    return quartiles(known) if known else None
 
 
 def study_particles(

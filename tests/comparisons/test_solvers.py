@@ -137,7 +137,7 @@ def test_a_log_without_controls_has_virtual_edges_only() -> None:
     assert SkippedVariant in {type(entry) for entry in outcome.skipped}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_time_limit_ends_a_variant(log: Log) -> None:
     # this takes both solvers some seconds
     long = simulate(seed=2, steps=600, clean=True).without_orientation()

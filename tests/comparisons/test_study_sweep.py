@@ -200,7 +200,7 @@ def test_a_script_without_a_guard_can_use_the_pool(tmp_path: Path) -> None:
     assert (done.stdout, done.stderr) == ("once\n[1, 2]\n", "")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_estimator_of_a_script_runs_in_the_processes_of_a_study(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text('seeds = 2\nestimators = ["still", "dead-reckoning"]\n[simulate]\nsteps = 8\n')
     (tmp_path / "script.py").write_text(

@@ -18,7 +18,7 @@ FIFTH: dict = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_repairs_the_early_steps_of_fastslam_1() -> None:
     """Histories have few ancestors in early steps; drawn backwards they are nearer to the posterior.
 

@@ -18,17 +18,17 @@ def test_rows_bands_and_json() -> None:
     outcome = study_particles(log, filters=filters, particles=(10, 100), seeds=3, jobs=0, progress=runs.append)
     assert runs == list(outcome.runs)
     assert len(outcome.runs) == 3 * 2 * 3
-    assert [(row["name"], row["particles"]) for row in outcome.rows()] == [
+    assert [(row.name, row.particles) for row in outcome.quartiles] == [
         (name, n) for name in ("mcl", "fastslam1", "fastslam2") for n in (10, 100)
     ]
     numbers, quartiles = outcome.bands("fastslam1", "ate_m")
     np.testing.assert_array_equal(numbers, [10, 100])
     values = [run.ate_m for run in outcome.runs if run.name == "fastslam1" and run.particles == 100]
     np.testing.assert_allclose(quartiles[:, 1], np.percentile(values, (25, 50, 75)))
-    assert outcome.rows()[3]["ate_m"] == pytest.approx(np.median(values))
+    assert outcome.quartiles[3].ate_m[1] == pytest.approx(np.median(values))
     assert all(0 < run.ess_share <= 1 and 1 <= run.ancestors <= run.particles for run in outcome.runs)
     # localisation makes no map
-    assert outcome.rows()[0]["landmark_rmse_m"] is None
+    assert outcome.quartiles[0].landmark_rmse_m is None
     payload = json.loads(json.dumps(outcome.to_json(), allow_nan=False))
     assert payload["log"] == log.name
     assert payload["bands"][2]["ate_m"] == pytest.approx(outcome.bands("fastslam1", "ate_m")[1][:, 0])
@@ -45,7 +45,7 @@ def test_processes_change_nothing_but_the_time() -> None:
 def test_without_truth_and_without_names() -> None:
     log = simulate(seed=1, steps=10, clean=True)
     blind = study_particles(log.replace(true_poses=None, true_landmarks=None), particles=(10,), seeds=1, jobs=0)
-    assert [row["ate_m"] for row in blind.rows()] == [None, None]
+    assert [row.ate_m for row in blind.quartiles] == [None, None]
     options = {"filters": ("fastslam2",), "particles": (10,), "association": "maximum-likelihood"}
     unnamed = study_particles(log, seeds=1, jobs=0, **options)
     assert unnamed.runs[0].ate_m is not None
@@ -65,7 +65,7 @@ def test_bad_input() -> None:
         study_particles(poses_only, jobs=0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_time_limit_ends_one_run_and_no_other():
     # a billion moves of particles do not fit into a second
     log = simulate(seed=1, steps=5000)

@@ -84,7 +84,7 @@ def test_larger_residuals_make_larger_covariances():
     assert inflation(4 * squares) == pytest.approx(4, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_residuals_at_a_solution_count_although_it_follows_them():
     """Half the noise in the sensor model than in the log: covariances of the solution get about four times as large."""
     ratios = []

@@ -68,7 +68,7 @@ def test_by_default_the_threshold_is_that_of_the_books_program():
     assert "0.02" in result.reason
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_drift_above_the_threshold_ends_the_program_and_is_named(book_log):
     # with precise sensors the drift, 0.036, is greater than the book's threshold
     sensor = SensorModel(range_rate=0.03, bearing_std=0.01, orientation_std=0.01)
