@@ -10,7 +10,9 @@ so that d_j is the difference of the position from this log and the rest of the 
 moved becomes another one in this log, and the graph is solved again, until all others agree: it does not pull the trajectory.
 Its shift is then the difference of both nodes. The odds of moved are
 
-    prior odds * N(d_j; 0, S_jj^-1 + diag(`MOVE`, `MOVE`, `TURN`)²) / N(d_j; 0, S_jj^-1).
+    prior odds * N(d_j; 0, S_jj^-1 + diag(`MOVE`, `MOVE`, turn)²) / N(d_j; 0, S_jj^-1),
+
+the mean of those with turn = `TURN` and 0: a landmark that has moved may have turned or not.
 
 **Gone.** In scan v a landmark is well within the field of view with probability p_v, by the covariances of the pose and of
 the landmark, and one that is there is then seen with probability d. Landmarks are occluded to different degrees: d has a beta
@@ -288,13 +290,18 @@ def _shifts(
             V = np.linalg.inv((S[rows, rows] + S[rows, rows].T) / 2)
             shift = V @ score[rows]
         shift[2:] = wrap(shift[2:])
-        wide = V + np.diag([MOVE, MOVE, TURN][: len(shift)]) ** 2
         square = float(shift @ np.linalg.solve(V, shift))
-        gain = square - float(shift @ np.linalg.solve(wide, shift))
-        gain += np.linalg.slogdet(V)[1] - np.linalg.slogdet(wide)[1]
-        odds = np.log(prior / (1 - prior)) + gain / 2
+        # one that has moved may have turned or not
+        turned = [_density(shift, V + np.diag([MOVE, MOVE, turn][: len(shift)]) ** 2) for turn in (0.0, TURN)]
+        gain = np.logaddexp.reduce(turned) - np.log(2) - _density(shift, V)
+        odds = np.log(prior / (1 - prior)) + gain
         found[j] = shift, square, float(1 / (1 + np.exp(-np.clip(odds, -700, 700))))
     return found
+
+
+def _density(shift: Array, V: Array) -> float:
+    """log N(shift; 0, V) without its powers of 2 pi."""
+    return -float(shift @ np.linalg.solve(V, shift) + np.linalg.slogdet(V)[1]) / 2
 
 
 def _next(solution: Solution, found: dict[int, tuple[Array, float, float]], away: set[int], *, first: bool) -> set[int]:

@@ -16,6 +16,8 @@ estimators*, IJRR 2010).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..models import SensorModel
@@ -115,15 +117,26 @@ def together(
 
     def judged(match: Match) -> Weighed | None:
         levers = levers_of(points, match.pose, poses)
-        return weighed(points, match, lambda some: noise_of(log, sensor, rows[some], drift, levers[some]), of_map)
+        try:
+            return weighed(points, match, lambda some: noise_of(log, sensor, rows[some], drift, levers[some]), of_map)
+        except np.linalg.LinAlgError:  # noise so different in size that a covariance is singular to double precision
+            return None
 
     return [each for _, each in those_that_differ([judged(match) for match in matches])]
 
 
-def smoothed(
+def smoothed(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, start: Match) -> Match:
+    """A match of sightings ``rows`` with pose and covariance smoothed (see the module), as it is where that is singular."""
+    try:
+        pose, covariance = _smoothed(log, landmarks, sensor, rows, start.pose)
+    except np.linalg.LinAlgError:
+        return start
+    return replace(start, pose=pose, covariance=covariance)
+
+
+def _smoothed(
     log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, pose: Array
 ) -> tuple[Array, Array]:
-    """The first pose (3,) of a stretch in a map and its covariance, from sightings ``rows`` and a start; see the module."""
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), ENOUGH)).round().astype(int))]
     at, ids = log.steps[rows], np.unique(log.landmarks[rows])
     which = np.searchsorted(ids, log.landmarks[rows])

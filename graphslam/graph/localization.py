@@ -136,7 +136,13 @@ def _searched(
         used = rows[:count]
         drift.go_to(step)
         points = points_of(log, landmarks, sensor, used, drift)
-        matches, found = register(points), list[Weighed]()
+        try:
+            matches, found = register(points), list[Weighed]()
+        except np.linalg.LinAlgError:
+            raise GraphError(
+                f"sightings of {log.name} have covariances that are singular to double precision, so that they cannot be "
+                "compared with the map: is the noise of the sensor too small, or are ranges in another unit?"
+            ) from None
         whole = count == len(rows)
         # one by one they are surer than together, because they share the errors of the odometry
         if whole or _odds(matches) > SURE:
@@ -147,9 +153,9 @@ def _searched(
                 # one landmark with a heading fits a map in any unit, and two without one a mirrored map
                 enough = best.fits > best.contradict and (whole or best.fits > 2 - best.oriented)
                 if best.covariance[2, 2] < OPEN**2 and enough:
-                    agree = used[best.agree]
-                    pose, covariance = smoothed(log, landmarks, sensor, agree, best.pose)
-                    return Fix(pose, covariance, step, agree, used[~best.agree], odds), points, matches, found
+                    agree, others = used[best.agree], used[~best.agree]
+                    end = smoothed(log, landmarks, sensor, agree, best)
+                    return Fix(end.pose, end.covariance, step, agree, others, odds), points, matches, found
         if whole:
             return None, points, matches, found
 
@@ -266,8 +272,8 @@ def _fixes_here(log: Stretch, known: Constellations, landmarks: LandmarkMap, sen
     if sure:
         named = np.full(len(log.steps), UNIDENTIFIED)
         named[rows] = known.ids[found[0][1][seen.which]]
-        pose, covariance = smoothed(replace(log, landmarks=named), landmarks, sensor, fixes[0].agree, fixes[0].pose)
-        fixes[0] = replace(fixes[0], pose=pose, covariance=covariance)
+        one = smoothed(replace(log, landmarks=named), landmarks, sensor, fixes[0].agree, found[0][0])
+        fixes[0] = replace(fixes[0], pose=one.pose, covariance=one.covariance)
     return fixes
 
 

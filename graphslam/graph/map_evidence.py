@@ -117,7 +117,7 @@ def weighed(points: Points, match: Match, noise: Callable[[np.ndarray], Array], 
 
 def _without(fit: _Fit, points: Points) -> Array:
     """What leaving out each landmark (n,) adds to the evidence; -inf where the others do not determine T."""
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         size = np.linalg.slogdet(fit.M)[1]
     determined = np.isfinite(size)
     M = np.where(determined[:, None, None], fit.M, np.eye(3))
@@ -134,7 +134,7 @@ def _merged(
 ) -> tuple[np.ndarray, Array, Array]:
     """The rows (k,) that agree with the others of their landmark, the places (n, 3) of landmarks, and Y (n, n, 3, 3)."""
     C = noise(rows)
-    while True:
+    while len(rows):
         ids, first, number = np.unique(which[rows], return_index=True, return_inverse=True)
         known = points.known[rows]
         V = padded(C, known)
@@ -157,11 +157,10 @@ def _merged(
         np.maximum.at(worst, number, np.where(alone, 0.0, squares))
         out = (squares > APART) & (squares > 0.999 * worst[number]) & ~alone
         if not out.any():
-            break
+            places, joint = np.where(known[first], means.reshape(-1, 3), np.nan), Y.reshape(len(ids), 3, len(ids), 3)
+            return rows, places, joint.transpose(0, 2, 1, 3)
         rows, C = rows[~out], C[~out][:, ~out]
-    places = means.reshape(-1, 3)
-    places[~known[first]] = np.nan
-    return rows, places, Y.reshape(len(ids), 3, len(ids), 3).transpose(0, 2, 1, 3)
+    return rows, np.zeros((0, 3)), np.zeros((0, 0, 3, 3))
 
 
 def _fit(points: Points, pose: Array, Y: Array, S: Array) -> _Fit | None:
@@ -193,7 +192,7 @@ def _fit(points: Points, pose: Array, Y: Array, S: Array) -> _Fit | None:
     log_determinant = np.linalg.slogdet(V)[1] + np.linalg.slogdet(omega)[1]
     each = np.arange(count)
     blocks = M.reshape(count, 3, count, 3)[each, :, each]
-    return _Fit(pose, (P + P.T) / 2, blocks, r.reshape(-1, 3), float(e @ r), numbers, float(log_determinant))
+    return _Fit(pose, (P + P.T) / 2, blocks, r.reshape(-1, 3), max(float(e @ r), 0.0), numbers, float(log_determinant))
 
 
 def _student(squares: Array | float, numbers: Array | int, log_determinant: Array | float) -> Array:
