@@ -34,6 +34,11 @@ from .option import Options
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
 
+#: kinds of graph, where the iteration starts, and robust kernels
+EDGES = ("virtual", "virtual+motion", "landmark+motion")
+STARTS = ("auto", "given", "dead-reckoning", "rotation-first", "grow")
+KERNELS = ("none", "huber", "cauchy", "geman-mcclure")
+
 #: groups of options in the help of a verb
 NOISE, FILTER, GIBBS = "Noise models", "Particle filters", "Particle smoother"
 
@@ -127,7 +132,7 @@ class GraphOptions(Options):
 
     panel = "Graph"
     edges: str | None = option(
-        None, "Edges of the graph.", choices=("virtual", "virtual+motion", "landmark+motion"),
+        None, "Edges of the graph.", choices=EDGES,
         default_text="what suits the log",
     )  # fmt: skip
     frame: str = option("body", "Axes of the residuals.", choices=("body", "world"))
@@ -138,12 +143,12 @@ class GraphOptions(Options):
     motion_weight: float = option(1.0, "Factor lambda on the motion edges.", positive=True)
     kernel: str | None = option(
         None, "Robust kernel against wrong sightings; gnc is graduated non-convexity.",
-        choices=("none", "huber", "cauchy", "geman-mcclure", "gnc"), alias="robust",
+        choices=(*KERNELS, "gnc"), alias="robust",
         default_text="cauchy on real data, none on logs of simulate",
     )  # fmt: skip
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
-        choices=("auto", "given", "dead-reckoning", "rotation-first", "grow"),
+        choices=STARTS,
     )  # fmt: skip
     residual: str = option(
         RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
@@ -317,11 +322,11 @@ class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
         (1.0, 10.0), "Factors lambda on the motion edges to try.", positive=True, metavar="LAMBDA,..."
     )
     edges: tuple[str, ...] = option(
-        ("virtual", "virtual+motion", "landmark+motion"), "Kinds of graph to try.",
-        choices=("virtual", "virtual+motion", "landmark+motion"), metavar="EDGES,...",
+        EDGES, "Kinds of graph to try.",
+        choices=EDGES, metavar="EDGES,...",
     )  # fmt: skip
     kernel: tuple[str, ...] = option(
-        ("none",), "Robust kernels to try.", choices=("none", "huber", "cauchy", "geman-mcclure"), alias="kernels",
+        ("none",), "Robust kernels to try.", choices=KERNELS, alias="kernels",
         metavar="KERNEL,...",
     )  # fmt: skip
 
@@ -334,9 +339,7 @@ class BackendOptions(LimitOptions):
         None, "Solvers to time.", choices=("graphslam", "gtsam-lm", "gtsam-gn", "g2o-gn", "g2o-lm"), metavar="NAME,...",
         default_text="all that are installed",
     )  # fmt: skip
-    initialize: str = option(
-        "auto", "Where graphslam starts.", choices=("auto", "given", "dead-reckoning", "rotation-first", "grow")
-    )
+    initialize: str = option("auto", "Where graphslam starts.", choices=STARTS)
     same_start: bool = option(False, "All solvers start from the rotation-first state, not from the file's values.")
     repeat: int = option(5, "The time is the median of this many runs.", minimum=1)
     max_iterations: int = option(100, "Maximum number of iterations of every solver.", minimum=1)
