@@ -12,7 +12,8 @@ from typing import Any
 def lazy_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """``__getattr__``, ``__dir__`` and ``__all__`` of a package, from the imports below ``if TYPE_CHECKING:`` in its source.
 
-    ``from .module import Name`` makes a public name; ``from . import module`` a public module.
+    ``from .module import Name`` makes a public name. ``from . import module`` makes a public module, which is no part of
+    ``__all__``: whoever imports all names wants no modules.
 
     Args:
         package: its ``__name__``.
@@ -30,4 +31,4 @@ def lazy_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[st
         namespace[name] = getattr(module, name) if module_of[name] else module
         return namespace[name]
 
-    return get, lambda: sorted({*namespace, *module_of}), list(module_of)
+    return get, lambda: sorted({*namespace, *module_of}), [name for name in module_of if module_of[name]]

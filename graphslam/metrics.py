@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .errors import OptionError
-from .se2 import Array, between, compose, inverse, transform, turn_matrix, wrap
+from .se2 import Array, between, compose, difference, inverse, transform, turn_matrix, wrap
 
 #: see `exchanged`
 EXCHANGED = 3.0
@@ -331,8 +331,7 @@ def mean_nees(truth: Array, poses: Array, covariances: Array, *, relative: bool 
         frame = compose(truth[0], inverse(poses[0]))
         turn = turn_matrix(frame[2])
         poses, covariances = compose(frame, poses), turn @ covariances @ turn.T
-    errors = poses - truth
-    errors[:, 2] = wrap(errors[:, 2])
+    errors = difference(poses, truth)
     errors[: int(relative)] = np.nan
     try:
         each = pose_nees(errors, covariances)

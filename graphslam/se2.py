@@ -98,6 +98,14 @@ def chained(start: ArrayLike, motions: Array) -> Array:
     return poses
 
 
+def difference(a: ArrayLike, b: ArrayLike) -> Array:
+    """a - b of poses (..., 3), the headings wrapped, or of points (..., 2)."""
+    apart = np.asarray(a, dtype=float) - b
+    if apart.shape[-1] == 3:
+        apart[..., 2] = wrap(apart[..., 2])
+    return apart
+
+
 def interpolate(a: ArrayLike, b: ArrayLike, share: ArrayLike) -> Array:
     """The pose a exp(share log(a^-1 b)): on the arc that leads from a to b with one twist; (..., 3), (..., 3), (...).
 

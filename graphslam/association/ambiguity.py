@@ -29,9 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..engine import engine
-from ..se2 import Array
+from ..se2 import Array, difference
 from .evidence import log_density
-from .map_solution import MapSolution, Problem, differences
+from .map_solution import MapSolution, Problem
 from .problem import agree, id_of_each
 
 #: the second pairs that are tried after each seed
@@ -265,7 +265,7 @@ def _pairs(
     S = apart.covariances + apart.slack
     item, other = (each.ravel() for each in np.meshgrid(items, older, indexing="ij"))
     # the covariance of a difference is at most the sum, as errors of landmarks are correlated positively
-    _, squares = log_density(differences(apart.landmarks[item], apart.landmarks[other]), S[item] + S[other])
+    _, squares = log_density(difference(apart.landmarks[item], apart.landmarks[other]), S[item] + S[other])
     found = np.array([ours.get(int(i)) == int(j) for i, j in zip(item, other)], dtype=bool)
     order = np.argsort(np.where(found, -1.0, squares), kind="stable")[:MOST_PAIRS]
     order = order[found[order] | (squares[order] <= GATE)]
@@ -279,7 +279,7 @@ def _pairs(
     covariance[here, :, here] += apart.slack_of(item, other)
     shown = problem.classes.sums(apart.which, apart.rows, len(apart.labels))
     weights = -problem.densities.new + problem.classes.together(shown[item], shown[other])
-    nu = differences(apart.landmarks[item], apart.landmarks[other])
+    nu = difference(apart.landmarks[item], apart.landmarks[other])
     return CandidatePairs(item, other, nu, covariance, weights, GATE), item, other
 
 

@@ -18,9 +18,9 @@ import numpy as np
 from ..graph.build import pieces
 from ..log import UNIDENTIFIED, Log
 from ..models import SensorModel
-from ..se2 import Array, transform, turn_matrix, wrap
+from ..se2 import Array, difference, transform, turn_matrix, wrap
 from .evidence import Candidates, gates, log_density, log_volume
-from .map_solution import INDEPENDENT, MapSolution, Places, Problem, differences
+from .map_solution import INDEPENDENT, MapSolution, Places, Problem
 from .problem import LEAST, AssociationOptions, Classes, Densities, Field
 
 
@@ -64,7 +64,7 @@ def assign(
     lists = cKDTree(landmarks[:, :2]).query_ball_point(world.means[:, :2], radius)
     item = np.repeat(np.arange(len(lists)), [len(each) for each in lists])
     landmark = np.fromiter((j for each in lists for j in each), dtype=np.int64, count=len(item))
-    nu = differences(world.means[item], landmarks[landmark])
+    nu = difference(world.means[item], landmarks[landmark])
     density, squares = log_density(nu, world.covariances[item] + own[landmark])
     evidence = density + weights(item, landmark)
     kept = (squares <= limit) & (evidence > 0)
@@ -165,7 +165,7 @@ def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.n
     chosen = np.unique(np.concatenate([item, other]))
     P = solved.joint_covariance(chosen)
     a, b = np.searchsorted(chosen, item), np.searchsorted(chosen, other)
-    nu = differences(solved.landmarks[item], solved.landmarks[other])
+    nu = difference(solved.landmarks[item], solved.landmarks[other])
     slack = solved.slack_of(item, other)
     own = P[a, :, a] + P[b, :, b] - P[a, :, b] - P[b, :, a] + slack
     weights = -densities.new + classes.together(shown[item], shown[other])

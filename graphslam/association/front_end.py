@@ -15,11 +15,11 @@ import numpy as np
 from ..errors import GraphError
 from ..graph import Graph
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, rotation, wrap
+from ..se2 import Array, between, compose, difference, rotation, wrap
 from ..solvers.solve import solve
 from .assignment import merges
 from .evidence import Candidates, gates, log_density
-from .map_solution import MapSolution, Problem, differences, seen_from
+from .map_solution import MapSolution, Problem, seen_from
 from .problem import id_of_each, may_be_one
 
 #: a scan compares at most so many hypotheses
@@ -108,7 +108,7 @@ class LocalMap:
         H = H.reshape(n * d, 3 + n * d)
         joint = H @ self.covariance @ H.T
         own = joint.reshape(n, d, n, d)[np.arange(n), :, np.arange(n)]
-        nu = differences(y[:, None], h[None])
+        nu = difference(y[:, None], h[None])
         density, squares = log_density(nu, own[None] + Q[:, None])
         # a wrong new track is joined later, a wrong match stays: so doubtful sightings begin a track
         item, landmark = np.nonzero((squares <= self._gate) & (density + self._weights(rows) > SURE))
@@ -151,7 +151,7 @@ class LocalMap:
         self.covariance = (self.covariance + self.covariance.T) / 2
         self.pose = self.pose + delta[:3]
         self.pose[2] = wrap(self.pose[2])
-        self.landmarks = differences(self.landmarks + delta[3:].reshape(-1, d), np.zeros(d))
+        self.landmarks = difference(self.landmarks + delta[3:].reshape(-1, d), np.zeros(d))
 
     def _add(self, rows: np.ndarray, tracks: np.ndarray, step: int) -> None:
         """New tracks where sightings (k,) put them: m = x + R y, with the derivatives of that."""
@@ -166,7 +166,7 @@ class LocalMap:
         by_pose[:, 0, 2], by_pose[:, 1, 2] = -means[:, 1], means[:, 0]
         if d == 3:
             by_pose[:, 2, 2] = 1.0
-        means = differences(means + self.pose[:d], np.zeros(d))
+        means = difference(means + self.pose[:d], np.zeros(d))
         G = by_pose.reshape(k * d, 3)
         P = np.zeros((n + k * d, n + k * d))
         P[:n, :n] = self.covariance

@@ -55,14 +55,6 @@ def seen_from(pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:
     return h, by_pose, by_landmark
 
 
-def differences(a: Array, b: Array) -> Array:
-    """a - b (..., d), headings wrapped."""
-    difference = a - b
-    if difference.shape[-1] == 3:
-        difference[..., 2] = wrap(difference[..., 2])
-    return difference
-
-
 #: the most steps of Gauss-Newton; the values it starts from are nearly right
 STEPS = 8
 #: errors of real sightings are correlated: however many there are, a landmark is known no better than by so many

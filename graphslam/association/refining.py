@@ -19,11 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import GraphError
-from ..se2 import Array
+from ..se2 import Array, difference
 from .ambiguity import Alternative, all_alternatives
 from .assignment import PlacedSightings, assign, merges
 from .evidence import Visibility, evidence, gates, log_density, log_volume
-from .map_solution import MapSolution, Problem, differences
+from .map_solution import MapSolution, Problem
 from .problem import Densities, held, id_of_each, may_be_one
 
 #: chains of landmarks that are one are merged link by link, at most so often in a round
@@ -154,15 +154,15 @@ def _born(problem: Problem, world: PlacedSightings, labels: np.ndarray) -> np.nd
         near = np.flatnonzero((away <= reach[n]) & (last[:count] != steps[k]))
         best, square = count, np.inf
         if len(near):
-            nu = differences(world.means[k], means[near])
+            nu = difference(world.means[k], means[near])
             squares = log_density(nu, world.covariances[k] + spread[near])[1]
             best, square = int(near[np.argmin(squares)]), float(squares.min())
         if square > gate:
             best, count = count, count + 1
         own = np.linalg.inv(world.covariances[k])
         total = information[best] + own
-        means[best] = differences(
-            means[best] + np.linalg.solve(total, own @ differences(world.means[k], means[best])), np.zeros(d)
+        means[best] = difference(
+            means[best] + np.linalg.solve(total, own @ difference(world.means[k], means[best])), np.zeros(d)
         )
         information[best], spread[best], last[best], number[n] = total, np.linalg.inv(total), steps[k], best
     born = np.bincount(number, minlength=count) >= 2
@@ -177,7 +177,7 @@ def _kept(problem: Problem, solved: MapSolution, labels: np.ndarray) -> tuple[np
     share = float(np.mean(labels < 0))
     densities = problem.densities.counted(int(seen.within.sum()), int(seen.views.sum()), share)
     world = PlacedSightings.of(problem.backbone.places, solved.poses[problem.log.steps])
-    nu = differences(world.means[solved.rows], solved.landmarks[solved.which])
+    nu = difference(world.means[solved.rows], solved.landmarks[solved.which])
     each = densities.seen - densities.clutter + log_density(nu, world.covariances[solved.rows])[0]
     total = densities.new + 0.5 * log_volume(solved.own_covariances) + seen.misses(densities)
     total = total + np.bincount(solved.which, each)

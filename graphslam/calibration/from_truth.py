@@ -21,7 +21,7 @@ from ..identification.corrections import without_biases
 from ..identification.odometry import LEAST, motion_parts, ordinary, sensor_parts, stacked
 from ..log import Log
 from ..models import MotionModel, SensorModel, sinc
-from ..se2 import Array, between, wrap
+from ..se2 import Array, between, difference, wrap
 from .variances import VarianceFit, fit_variances
 
 #: the means have converged when they change by less than this
@@ -80,9 +80,7 @@ def motion_noise(logs: Sequence[Log], degrees: float | None = None) -> tuple[Var
 
 def differences(log: Log, moved: Array) -> Array:
     """The true motions (T, 3) minus the commanded ones."""
-    e = moved - log.motions()[0]
-    e[:, 2] = wrap(e[:, 2])
-    return e
+    return difference(moved, log.motions()[0])
 
 
 def straightened(log: Log, moved: Array) -> Array:

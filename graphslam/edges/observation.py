@@ -36,7 +36,7 @@ residual, which does not depend on d, has a weight below 0 on d² unless e* = 0:
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -48,7 +48,7 @@ from ..models import SensorModel
 from ..se2 import Array, mounted, perpendicular, wrap
 from .base import ConstantEdges, EngineEdges, Linearization, PairEdges, Relations
 from .relative import RobustPointEdges, RobustPoseEdges
-from .robust import Kernel, SingleEdges
+from .robust import SingleEdges
 from .sightings import SightingEdges
 
 
@@ -61,10 +61,7 @@ class ObservationEdges(PairEdges, SightingEdges):
 
     sightings: Array
     sensor: SensorModel
-    _: KW_ONLY
-    kernel: Kernel | None = None
-    trust: Array | None = None
-    noise_at: Array | None = None
+    noise_at: Array | None = field(default=None, kw_only=True)
 
     @property
     def numbers(self) -> tuple[int, float]:
@@ -163,9 +160,6 @@ class PartialEdges(SingleEdges, PairEdges):
     measured: Array
     information: Array
     offset: Array
-    _: KW_ONLY
-    kernel: Kernel | None = None
-    trust: Array | None = None
 
     def residuals(self, sensors: Array, landmarks: Array) -> tuple[Array, Array, Array]:
         """e (..., E) of landmarks (..., E, 2) from the places of sensors (E, 3), de/dm (..., E, 2) and de/dtheta (E,).

@@ -14,7 +14,7 @@ from the origin of the world, which the certificate covers, and without a lever 
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -23,9 +23,9 @@ import numpy as np
 from ..engine import engine
 from ..errors import GraphError
 from ..linear.information import BlockSystem
-from ..se2 import Array, perpendicular, transform, wrap
+from ..se2 import Array, difference, perpendicular, transform, wrap
 from .base import ConstantEdges, EdgeFamily, EngineEdges, Linearization
-from .robust import Kernel, SingleEdges
+from .robust import SingleEdges
 
 #: the lectures' Omega_0 = 1e6 I
 ANCHOR_INFORMATION = 1e6 * np.eye(3)
@@ -52,8 +52,7 @@ class AnchorEdges(EngineEdges):
         return np.arange(self.count + 1), self.nodes
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
-        residuals = state[self.nodes] - self.values
-        residuals[:, 2] = wrap(residuals[:, 2])
+        residuals = difference(state[self.nodes], self.values)
         jacobians = np.broadcast_to(np.eye(3), (self.count, 3, 3))
         return Linearization(residuals, self.information, (self.nodes,), (jacobians,))
 
@@ -151,9 +150,7 @@ class PriorEdges(EdgeFamily):
         return self.nodes[i], self.nodes[j]
 
     def _way(self, state: Array) -> Array:
-        way = state[self.nodes] - self.values
-        way[:, 2] = wrap(way[:, 2])
-        return way.ravel()
+        return difference(state[self.nodes], self.values).ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +164,6 @@ class PositionEdges(SingleEdges):
     measured: Array
     information: Array
     levers: Array
-    _: KW_ONLY
-    kernel: Kernel | None = None
-    trust: Array | None = None
 
     @property
     def count(self) -> int:

@@ -102,28 +102,23 @@ class RelativePointEdges(_RelativeEdges):
     """
 
 
+@dataclass(frozen=True, eq=False)
 class RobustRelativeEdges(_RelativeEdges):
     """Relative edges with a robust kernel on each: ``kernel`` is a `Kernel` with a width, or None."""
 
-    kernel: Kernel | None
+    kernel: Kernel | None = field(default=None, kw_only=True)
 
     @property
     def _robust(self) -> tuple[int, float]:
         return code_and_width(self.kernel)
 
 
-@dataclass(frozen=True, eq=False)
 class RobustPoseEdges(RobustRelativeEdges, RelativePoseEdges):
     """`RelativePoseEdges` with a robust kernel on each."""
 
-    kernel: Kernel | None = field(default=None, kw_only=True)
 
-
-@dataclass(frozen=True, eq=False)
 class RobustPointEdges(RobustRelativeEdges, RelativePointEdges):
     """`RelativePointEdges` with a robust kernel on each."""
-
-    kernel: Kernel | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +127,6 @@ class RelationEdges(SingleEdges, RelativePoseEdges):
 
     ``kernel`` and ``trust`` are those of `DoubtedEdges`.
     """
-
-    kernel: Kernel | None = field(default=None, kw_only=True)
-    trust: Array | None = field(default=None, kw_only=True)
 
     @cached_property
     def relative(self) -> RobustPoseEdges:

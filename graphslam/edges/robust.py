@@ -26,9 +26,9 @@ statistics*, 1981, chapters 3 and 7 (efficiency, covariance).
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -193,12 +193,11 @@ def efficient_width(code: int, dimension: int) -> float:
     return (low + high) / 2
 
 
-AnyDoubted = TypeVar("AnyDoubted", bound="DoubtedEdges")
-
 #: the least trust: a landmark all of whose sightings are wrong must still be somewhere
 NO_TRUST = 1e-9
 
 
+@dataclass(frozen=True, eq=False)
 class DoubtedEdges(EdgeFamily):
     """Edges of measurements that may be wrong.
 
@@ -207,8 +206,8 @@ class DoubtedEdges(EdgeFamily):
     non-convexity sets it. 0 counts as `NO_TRUST`.
     """
 
-    kernel: Kernel | None
-    trust: Array | None
+    kernel: Kernel | None = field(default=None, kw_only=True)
+    trust: Array | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -225,10 +224,9 @@ class DoubtedEdges(EdgeFamily):
     def measurements(self) -> int:
         """The number M of measurements, each of which has its trust."""
 
-    def with_trust(self: AnyDoubted, trust: Array | None) -> AnyDoubted:
+    def with_trust(self, trust: Array | None) -> Self:
         """The same edges with another factor (M,) on the information of each measurement."""
-        changes: dict[str, Any] = {"trust": trust}
-        return replace(self, **changes)  # type: ignore[type-var]
+        return replace(self, trust=trust)
 
     @cached_property
     def trusted(self) -> Array:

@@ -30,7 +30,7 @@ and the kernel on each of its edges.
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -42,7 +42,7 @@ from ..linear.precision import inverses
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
 from .base import ConstantEdges, EngineEdges, Linearization, Relations, linearization
-from .robust import DoubtedEdges, Kernel, code_and_width
+from .robust import DoubtedEdges, code_and_width
 
 
 class SightingEdges(DoubtedEdges):
@@ -103,11 +103,8 @@ class LandmarkSightings(SightingEdges, EngineEdges):
     nodes: np.ndarray
     sightings: Array
     sensor: SensorModel
-    _: KW_ONLY
-    frame: str = "body"
-    kernel: Kernel | None = None
-    trust: Array | None = None
-    noise_at: Array | None = None
+    frame: str = field(default="body", kw_only=True)
+    noise_at: Array | None = field(default=None, kw_only=True)
 
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         return self.starts, self.nodes

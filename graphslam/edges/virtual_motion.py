@@ -37,7 +37,7 @@ import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError
-from ..se2 import Array, perpendicular, turn_matrix, wrap
+from ..se2 import Array, difference, perpendicular, turn_matrix
 from .base import ConstantEdges, Linearization, linearization
 from .sightings import LandmarkSightings
 
@@ -99,8 +99,7 @@ class VirtualMotionEdges(LandmarkSightings):
         covariance = self.covariances(reference)
         factor = self.group_weights[group] * self.trusted[a] * self.trusted[b]
         information = np.linalg.inv(covariance[a] + covariance[b]) * factor[:, None, None]
-        residuals = y[b] - y[a]
-        residuals[:, 2] = wrap(residuals[:, 2])
+        residuals = difference(y[b], y[a])
         u, angle = lever[a], None
         if self.frame == "body":
             u = u + perpendicular(residuals[:, :2])

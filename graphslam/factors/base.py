@@ -141,17 +141,11 @@ def _guarded(
     expected, shapes = (rows,), [(rows, KINDS[kind][0]) for kind in kinds]
 
     def callback(_this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Array:
-        at: list[Coordinates] = []
         if _python_ends:
             _never.acquire()
         try:
             try:
-                for key, is_pose in ends:
-                    if is_pose:
-                        pose = values.atPose2(key)
-                        at.append((pose.x(), pose.y(), pose.theta()))
-                    else:
-                        at.append(values.atPoint2(key))
+                at = values_at(values, ends)
             except (RuntimeError, TypeError) as problem:
                 raise FactorError(_unreadable(values, keys, kinds)) from problem
             if jacobians is None and error is not None:
@@ -183,6 +177,22 @@ def _guarded(
         return e
 
     return callback
+
+
+def values_at(values: gtsam.Values, ends: Sequence[tuple[int, bool]]) -> list[Coordinates]:
+    """The values at keys, each with whether it is a pose: (x, y, theta), or (x, y).
+
+    Raises:
+        RuntimeError, TypeError: there is no such value at a key.
+    """
+    at: list[Coordinates] = []
+    for key, is_pose in ends:
+        if is_pose:
+            pose = values.atPose2(key)
+            at.append((pose.x(), pose.y(), pose.theta()))
+        else:
+            at.append(values.atPoint2(key))
+    return at
 
 
 def _matrix(k: int, raw: Any, heading: float | None) -> Array:

@@ -245,7 +245,7 @@ class Graph:
     def with_wider_kernel(self, factor: float) -> Graph:
         """The same graph with ``factor`` times the width of its kernels. Both write Omega and xi into one `system`."""
         return self._with_families(
-            replace(f, kernel=f.kernel.scaled(factor**2)) if isinstance(f, DoubtedEdges) and f.kernel else f  # type: ignore[type-var]
+            replace(f, kernel=f.kernel.scaled(factor**2)) if isinstance(f, DoubtedEdges) and f.kernel else f
             for f in self.families
         )
 
@@ -304,10 +304,7 @@ class Graph:
         """The same graph with plain squares in place of robust kernels. Both write Omega and xi into one `system`."""
         if not self.reweighted:
             return self
-        return self._with_families(
-            replace(f, kernel=None) if isinstance(f, DoubtedEdges) else f  # type: ignore[type-var]
-            for f in self.families
-        )
+        return self._with_families(replace(f, kernel=None) if isinstance(f, DoubtedEdges) else f for f in self.families)
 
     @property
     def degrees_of_freedom(self) -> int:

@@ -24,7 +24,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..se2 import Array, perpendicular, rotation, transform, turn_matrix, wrap
+from ..se2 import Array, difference, perpendicular, rotation, transform, turn_matrix, wrap
 
 #: the probability that a measurement belongs to the landmark that its id says
 RIGHT = 0.8
@@ -122,8 +122,7 @@ def those_that_differ(matches: Sequence[M | None]) -> list[tuple[int, M]]:
     known = [(k, match) for k, match in enumerate(matches) if match is not None]
     for k, match in sorted(known, key=lambda each: -each[1].evidence):
         if found:
-            way = match.pose - np.array([other.pose for _, other in found])
-            way[:, 2] = wrap(way[:, 2])
+            way = difference(match.pose, np.array([other.pose for _, other in found]))
             V = match.covariance + np.array([other.covariance for _, other in found])
             if (np.einsum("ki,ki->k", way, np.linalg.solve(V, way[..., None])[..., 0]) <= GATE).any():
                 continue

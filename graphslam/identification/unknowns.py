@@ -31,7 +31,19 @@ from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, chained, compose, interpolate, inverse, perpendicular, rotation, turn_matrix, wrap
+from ..se2 import (
+    Array,
+    between,
+    chained,
+    compose,
+    difference,
+    interpolate,
+    inverse,
+    perpendicular,
+    rotation,
+    turn_matrix,
+    wrap,
+)
 from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
 from .odometry import Edges, Odometry, add_at, near, sensor_parts, with_variances
@@ -245,8 +257,7 @@ class Unknowns:
         measured, slopes = self._measured()
         a, b = self.trajectory[:-1], self.trajectory[1:]
         moved = between(a, b)
-        residuals = moved - measured
-        residuals[:, 2] = wrap(residuals[:, 2])
+        residuals = difference(moved, measured)
         by_second = turn_matrix(-a[:, 2])
         by_first = -by_second
         by_first[:, :2, 2] = -perpendicular(moved[:, :2])

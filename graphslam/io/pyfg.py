@@ -42,7 +42,7 @@ from ..log.measurements import (
 )
 from ..log.rows import ReadOptions
 from ..models import MotionModel, SensorModel, sinc
-from ..se2 import Array, between, wrap
+from ..se2 import Array, between, difference, wrap
 from .base import Format
 
 #: tag -> whether a time comes first, how many names, how many numbers, form of the line
@@ -275,8 +275,7 @@ def _is_truth(chains: dict[str, list[str]], odometry: dict[str, list[_Row]], fil
     for letter, chain in chains.items():
         poses = np.array([file.vertices[name].numbers for name in chain])
         if len(chain) > 1:
-            off = between(poses[:-1], poses[1:]) - np.array([row.numbers[:3] for row in odometry[letter]])
-            off[:, 2] = wrap(off[:, 2])
+            off = difference(between(poses[:-1], poses[1:]), np.array([row.numbers[:3] for row in odometry[letter]]))
             if np.abs(off).max() > _SAME:
                 return True
     return False

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from ..errors import LogError
 from ..errors.checks import check_positive, first
 from ..models import MotionModel, additional_variances
-from ..se2 import Array, between, compose, wrap
+from ..se2 import Array, between, compose, difference
 from .log import Log
 from .measurements import MEASURED
 from .streams import Stream, pieces_of, truth_at
@@ -59,8 +59,7 @@ class ControlPath:
         rows = self.rows[: len(poses)]
         motion = self.motions[: rows[-1]]
         path = np.empty((rows[-1] + 1, 3))
-        missing = between(poses[:-1], poses[1:]) - self.driven[rows[1:] - 1]
-        missing[:, 2] = wrap(missing[:, 2])
+        missing = difference(between(poses[:-1], poses[1:]), self.driven[rows[1:] - 1])
         correction = (self.gain[: rows[-1]] @ missing[motion][:, :, None])[:, :, 0]
         path[1:] = compose(poses[motion], self.driven[: rows[-1]] + correction)
         path[rows] = poses

@@ -19,7 +19,7 @@ from ..errors.checks import first
 from ..graph import Graph
 from ..linear.cholesky import ROUNDOFF
 from ..linear.information import BlockSystem
-from ..se2 import Array, wrap
+from ..se2 import Array, difference, wrap
 
 GLOBAL, NOT_PROVEN, NOT_APPLICABLE = "global", "not proven", "not applicable"
 #: a global minimum of the cost with the weights of a robust kernel held at those of the state, ...
@@ -114,8 +114,7 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     if graph.reweighted:
         cost, constant = sum(family.weighted_cost(state) for family in graph.families), 0.0
     cost = (graph.cost(state) if cost is None else cost) - constant
-    strayed = state[graph.fixed] - graph.initial[graph.fixed]
-    strayed[:, 2] = wrap(strayed[:, 2])
+    strayed = difference(state[graph.fixed], graph.initial[graph.fixed])
     moved = graph.fixed[np.any(np.abs(strayed) > HELD * (1 + np.abs(graph.initial[graph.fixed])), axis=1)]
     if len(moved):
         outcome: _Outcome = NOT_PROVEN, 0.0, f"the state moves {graph.names(moved)}, which the graph holds", None

@@ -62,7 +62,7 @@ def corrected(graph: Graph, values: Array, state: Array, at: Array | None = None
     predicted = predictions(_sightings(graph, there), state)
     measured = seen.sightings[:, 0]
     predicted[:, 0] = np.clip(predicted[:, 0], *(np.abs(measured) * factor for factor in PLAUSIBLE))
-    changed: dict[EdgeFamily, EdgeFamily] = {sighted_edges(graph): replace(seen, noise_at=predicted)}  # type: ignore[type-var]
+    changed: dict[EdgeFamily, EdgeFamily] = {sighted_edges(graph): replace(seen, noise_at=predicted)}  # type: ignore[call-arg]
     driven = motion_edges(graph)
     if driven is not None and any(PARAMETERS[name].of_motion for name in here.names):
         changed[driven] = _motions(driven, here, there)
@@ -123,7 +123,7 @@ def _sightings(graph: Graph, parameters: Parameters) -> SightingEdges:
     edges = sighted_edges(graph)
     z = corrected_sightings(parameters, graph.sighting_rows, edges.sightings.shape[1])
     z[:, 1:] = wrap(z[:, 1:])
-    return replace(edges, sightings=z, sensor=corrected_sensor(parameters), noise_at=None)  # type: ignore[type-var]
+    return replace(edges, sightings=z, sensor=corrected_sensor(parameters), noise_at=None)  # type: ignore[call-arg]
 
 
 def _motions(edges: RelativePoseEdges, here: Parameters, there: Parameters) -> RelativePoseEdges:

@@ -138,7 +138,7 @@ def _trust_by_kind(graph: Graph) -> dict[str, Array]:
 def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
     """The graph at parameters that a robust kernel finds: at wrong parameters correct sightings would be rejected."""
     seen = sighted_edges(graph)
-    robust = replace(seen, kernel=Cauchy())  # type: ignore[type-var]
+    robust = replace(seen, kernel=Cauchy())
     families = tuple(robust if family is seen else family for family in graph.families)
     found = minimize(replace(graph, families=families), tolerance=rough(graph), initialize=initialize)
     assert found.graph is not None and found.graph.parameters is not None
@@ -279,7 +279,7 @@ def _from_kernel(graph: Graph, measured: _Measurements, initialize: str) -> _Seq
 
     Plain squares put their landmarks so far from where they are that the sequence from there rejects most of them.
     """
-    robust = tuple(replace(f, kernel=Cauchy()) if isinstance(f, DoubtedEdges) else f for f in graph.families)  # type: ignore[type-var]
+    robust = tuple(replace(f, kernel=Cauchy()) if isinstance(f, DoubtedEdges) else f for f in graph.families)
     state = minimize(replace(graph, families=robust), tolerance=rough(graph), initialize=initialize).state
     trust = truncated_trust(measured.squares(state, np.ones(len(measured.limits))), 1.0, np.inf)
     return _settled(graph, _Sequence(state, trust, 0, settled=True), measured)

@@ -27,10 +27,10 @@ from .. import factors as factor_types
 from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import check_count, check_positive
-from ..factors.base import POSE, Factor, noise_model, turned
+from ..factors.base import POSE, Factor, noise_model, turned, values_at
 from ..graph import Graph, check_graph
 from ..identification.corrections import corrected_controls, motion_slopes, moves
-from ..se2 import Array, rotation, turn_matrix, wrap
+from ..se2 import Array, difference, rotation, turn_matrix, wrap
 from .auto import DAMPED, best_end
 from .corrected import controls_of, predictions
 from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_values
@@ -73,9 +73,7 @@ def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
     made, start = _factors(graph, nodes, key), to_values(graph, nodes)
     start.insert(eliminated_landmarks(graph, nodes, always=True))
     start.insert(key, np.array(values))
-    plain = gtsam.GaussNewtonParams()
-    plain.setLinearSolverType("MULTIFRONTAL_QR")
-    optimizer = gtsam.GaussNewtonOptimizer(made, start, plain)
+    optimizer = _undamped(made, start)
     reached = state
     for _ in range(STEPS):
         try:
@@ -188,13 +186,7 @@ def _factor_with_parameters(
     slope, nodes = np.asfortranarray(J), list(zip(base.keys(), poses))
 
     def callback(_: gtsam.CustomFactor, estimate: gtsam.Values, jacobians: Any) -> Array:
-        where: list[Any] = []
-        for node, is_pose in nodes:
-            if is_pose:
-                pose = estimate.atPose2(node)
-                where.append((pose.x(), pose.y(), pose.theta()))
-            else:
-                where.append(estimate.atPoint2(node))
+        where = values_at(estimate, nodes)
         e, by = residual(*where)
         if jacobians is not None:
             for k, (B, x, is_pose) in enumerate(zip(by, where, poses)):
@@ -307,12 +299,6 @@ def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
     return "graph: " + ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds.items())
 
 
-def _difference(a: Array, b: Array) -> Array:
-    d = a - b
-    d[:, 2] = wrap(d[:, 2])
-    return d
-
-
 def _optimize(
     graph: Graph,
     factors: gtsam.NonlinearFactorGraph,
@@ -342,7 +328,7 @@ def _optimize(
         before = optimizer.error()
         optimizer.iterate()
         moved = from_values(graph, optimizer.values())
-        norms.append(float(np.linalg.norm(_difference(moved, state))))
+        norms.append(float(np.linalg.norm(difference(moved, state))))
         state = moved
         stalled = before - optimizer.error() <= 1e-10 * before
         short = norms[-1] < tolerance and (polishing or (roughly and not stalled))
@@ -352,14 +338,19 @@ def _optimize(
             # The remaining decrease is below the rounding error of the cost, so Levenberg-Marquardt refuses to move.
             # Gauss-Newton, which compares no costs, takes the last steps; damping would hide how long they are.
             polishing, damped = True, len(norms)
-            plain = gtsam.GaussNewtonParams()
-            plain.setLinearSolverType("MULTIFRONTAL_QR")
-            optimizer = gtsam.GaussNewtonOptimizer(factors, optimizer.values(), plain)
+            optimizer = _undamped(factors, optimizer.values())
         elif polishing:
             grows = len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], tolerance)
             if grows or _no_shorter(norms[damped:], WAIT_INSIDE):
                 break
     return state, norms, False
+
+
+def _undamped(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.GaussNewtonOptimizer:
+    """GTSAM's Gauss-Newton from given values, with QR as for Levenberg-Marquardt."""
+    parameters = gtsam.GaussNewtonParams()
+    parameters.setLinearSolverType("MULTIFRONTAL_QR")
+    return gtsam.GaussNewtonOptimizer(factors, values, parameters)
 
 
 def _promises_little(
@@ -375,9 +366,7 @@ def _promises_little(
     """
     values = optimizer.values()
     linear = factors.linearize(values)
-    plain = gtsam.GaussNewtonParams()
-    plain.setLinearSolverType("MULTIFRONTAL_QR")
-    step = gtsam.GaussNewtonOptimizer(factors, values, plain)
+    step = _undamped(factors, values)
     step.iterate()
     delta = values.localCoordinates(step.values())
     predicted = 2 * (linear.error(values.zeroVectors()) - linear.error(delta))
@@ -396,7 +385,7 @@ def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str)
         inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
         here = graph.with_initial(state)
         solved, _, settled = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=tolerance)
-        move = _difference(solved, state)
+        move = difference(solved, state)
         norms.append(float(np.linalg.norm(move)))
         state = mixing.next(state, move)
         if norms[-1] < tolerance and settled:

@@ -309,7 +309,7 @@ def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
     parameters = graph.parameters
     assert parameters is not None
     trust = seen.trusted * graph.sighting_weights(nodes)
-    exact = replace(seen, sightings=predictions(seen, nodes), kernel=None, trust=trust)  # type: ignore[type-var]
+    exact = replace(seen, sightings=predictions(seen, nodes), kernel=None, trust=trust)  # type: ignore[call-arg]
     changed = {seen: exact}
     slopes = np.zeros((0, 3, len(parameters)))
     if driven is not None:

@@ -30,7 +30,7 @@ from ..identification.declared import ParameterEstimate
 from ..log import Log
 from ..marginals import ids_of, shaped
 from ..metrics import pose_nees
-from ..se2 import Array, wrap
+from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
 from .corrected import motion_edges
 from .uncertainty import Uncertainty, doubts
@@ -251,7 +251,7 @@ class Solution:
         Raises:
             GraphError: the edges do not determine the poses.
         """
-        return pose_nees(_errors(self.poses, true_poses), self.covariance())
+        return pose_nees(difference(self.poses, true_poses), self.covariance())
 
     def joint_nees(self, true_poses: ArrayLike) -> float:
         """e' Omega e / (3 T) of all poses together but the first, given the first; 1 on average if consistent.
@@ -260,7 +260,7 @@ class Solution:
         frame of the graph, and known for all its poses.
         """
         graph = self._solved_graph
-        errors = _errors(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
+        errors = difference(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
         return self._uncertainty.joint_square(errors) / errors[1:].size
 
     def integrity_risk(self, metres: float, radians: float = np.inf) -> Array:
@@ -344,12 +344,6 @@ class Solution:
         else:
             what = f"the steps of the log, 0 to {len(self.poses) - 1}"
         raise OptionError(f"there is no pose {quoted(id)}; the ids of the poses are {what}")
-
-
-def _errors(poses: Array, true_poses: ArrayLike) -> Array:
-    errors = poses - np.asarray(true_poses, dtype=float)
-    errors[:, 2] = wrap(errors[:, 2])
-    return errors
 
 
 def make_solution(

@@ -27,12 +27,13 @@ from graphslam import (
 from graphslam.association import score
 from graphslam.association.ambiguity import readable
 from graphslam.association.evidence import Candidates, evidence, log_density
-from graphslam.association.map_solution import MapSolution, Problem, differences, seen_from
+from graphslam.association.map_solution import MapSolution, Problem, seen_from
 from graphslam.association.problem import AssociationOptions, Densities
 from graphslam.linear.cholesky import analyze
 from graphslam.linear.information import BlockSystem
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
+from graphslam.se2 import difference
 
 MOTION = MotionModel(nn=0.095, no=0.0005, on=0.065, oo=0.1, epsilon=2.5e-5)
 SENSOR = SensorModel(range_rate=0.07, bearing_std=0.025)
@@ -113,7 +114,7 @@ def test_evidence_for_one_landmark_instead_of_two_is_that_of_their_distance(psi:
     chosen, d = np.array([3, one.max() + 1]), b.landmarks.shape[1]
     P = b.joint_covariance(chosen)
     S = P[0, :, 0] + P[1, :, 1] - P[0, :, 1] - P[1, :, 0]
-    nu = differences(b.landmarks[chosen[0]], b.landmarks[chosen[1]])
+    nu = difference(b.landmarks[chosen[0]], b.landmarks[chosen[1]])
     assert nu.shape == (d,)
     assert gained == pytest.approx(float(log_density(nu, S)[0] - densities.new), abs=0.05)
 
