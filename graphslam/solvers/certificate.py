@@ -19,7 +19,7 @@ from ..errors.checks import first
 from ..graph import Graph
 from ..linear.cholesky import ROUNDOFF
 from ..linear.information import BlockSystem
-from ..se2 import Array, difference, wrap
+from ..se2 import Array, difference
 
 GLOBAL, NOT_PROVEN, NOT_APPLICABLE = "global", "not proven", "not applicable"
 #: a global minimum of the cost with the weights of a robust kernel held at those of the state, ...
