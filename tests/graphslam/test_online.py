@@ -147,6 +147,7 @@ def test_a_pose_graph_edge_by_edge_with_loop_closures():
 
 
 @pytest.mark.slow
+@pytest.mark.data
 def test_directions_that_are_hardly_determined_do_not_end_steps_early(shared_data: Callable[[str], Path]) -> None:
     """At some steps of Huang 8240, old linearisations predicted 1e-8 of J where 1e-5 of J was left."""
     graph = Graph.from_log(load(shared_data("simulated_8240")), edges="landmark+motion")
@@ -157,6 +158,7 @@ def test_directions_that_are_hardly_determined_do_not_end_steps_early(shared_dat
 
 
 @pytest.mark.slow
+@pytest.mark.data
 def test_loop_closures_rarely_need_the_batch_solver(shared_data: Callable[[str], Path]) -> None:
     """Where a step leaves out subtrees, slow passes look at them before all edges get second derivatives: 88 of the steps of
     M3500 ended in the batch solver before."""
