@@ -10,6 +10,7 @@
 #include "vmslam/edges/marginal.hpp"
 #include "vmslam/edges/polar.hpp"
 #include "vmslam/edges/relative.hpp"
+#include "vmslam/edges/single_numbers.hpp"
 #include "vmslam/edges/virtual_motion.hpp"
 #include "vmslam/solve/objective.hpp"
 #include "vmslam/solve/start.hpp"
@@ -71,9 +72,24 @@ void bind_families(nb::module_& m) {
             new (at) RelativeEdges(relative_edges(first, second, measured, information), measured.shape(1) == 3, world,
                                    kernel_of(code, width));
         });
-    nb::class_<AnchorEdges, Family>(m, "AnchorEdges")
-        .def("__init__", [](AnchorEdges* at, In<Place> nodes, In<double> values, In<double> information) {
-            new (at) AnchorEdges(relative_edges(nodes, nodes, values, information));
+    nb::class_<PositionEdges, Family>(m, "PositionEdges")
+        .def("__init__", [](PositionEdges* at, In<Place> nodes, In<double> places, In<double> information, In<double> levers,
+                            int code, double width) {
+            std::vector<Position> positions;
+            for (const RelativeEdge& each : relative_edges(nodes, nodes, places, information)) {
+                const double* const lever = levers.data() + 2 * positions.size();
+                positions.push_back({each.i, each.z, each.omega, {lever[0], lever[1]}});
+            }
+            new (at) PositionEdges(std::move(positions), kernel_of(code, width));
+        });
+    nb::class_<NumberEdges, Family>(m, "NumberEdges")
+        .def("__init__", [](NumberEdges* at, bool bearing, In<Place> first, In<Place> second, In<double> measured,
+                            In<double> information, std::array<double, 2> offset, int code, double width) {
+            std::vector<NumberEdge> edges(first.size());
+            for (std::size_t k = 0; k < edges.size(); ++k)
+                edges[k] = {
+                    first.data()[k], second.data()[k], measured.data()[k], information.data()[k], {offset[0], offset[1]}};
+            new (at) NumberEdges(bearing ? Number::bearing : Number::range, std::move(edges), kernel_of(code, width));
         });
     nb::class_<PolarEdges, Family>(m, "PolarEdges")
         .def("__init__", [](PolarEdges* at, In<Place> first, In<Place> second, In<double> z, In<double> noisy,

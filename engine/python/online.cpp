@@ -15,18 +15,26 @@ namespace vmslam::python::online_bindings {
 using namespace online;
 using Numbers32 = std::vector<Number>;
 
-/// The arrays of the edges of a step: ends (E, 2), kinds (E,), rows (E,), measured (E, 3) and information (E, 6), in the order
-/// of `edges::Symmetric`.
+/// The arrays of the edges of a step: ends (E, 2), kinds (E,), rows (E,), measured (E, 3), information (E, 6) in the order
+/// of `edges::Symmetric`, levers (E, 2), and whether a kernel acts on an edge that is no sighting (E,).
 std::vector<NewEdge> new_edges(const In<Number>& ends, const In<signed char>& kinds, const In<signed char>& rows,
-                               const In<double>& measured, const In<double>& information) {
+                               const In<double>& measured, const In<double>& information, const In<double>& levers,
+                               const In<signed char>& doubted) {
     const std::size_t count = kinds.size();
-    if (ends.size() != 2 * count || rows.size() != count || measured.size() != 3 * count || information.size() != 6 * count)
+    if (ends.size() != 2 * count || rows.size() != count || measured.size() != 3 * count || information.size() != 6 * count ||
+        levers.size() != 2 * count || doubted.size() != count)
         throw std::invalid_argument("the arrays of the new edges have different lengths");
     std::vector<NewEdge> added(count);
     for (std::size_t e = 0; e < added.size(); ++e) {
         const double *const z = measured.data() + 3 * e, *const W = information.data() + 6 * e;
-        added[e] = {ends.data()[2 * e],  ends.data()[2 * e + 1], static_cast<Kind>(kinds.data()[e]),
-                    rows.data()[e] == 3, {z[0], z[1], z[2]},     {W[0], W[1], W[2], W[3], W[4], W[5]}};
+        added[e] = {ends.data()[2 * e],
+                    ends.data()[2 * e + 1],
+                    static_cast<Kind>(kinds.data()[e]),
+                    rows.data()[e] == 3,
+                    {z[0], z[1], z[2]},
+                    {W[0], W[1], W[2], W[3], W[4], W[5]},
+                    {levers.data()[2 * e], levers.data()[2 * e + 1]},
+                    doubted.data()[e] != 0};
     }
     return added;
 }
@@ -45,26 +53,41 @@ Out<double> triples(const std::vector<Triple>& rows) {
     return array(std::move(flat), {rows.size(), 3});
 }
 
+std::vector<Triple> triples_of(const In<double>& rows) {
+    std::vector<Triple> out(rows.size() / 3);
+    for (std::size_t k = 0; k < out.size(); ++k) std::copy_n(rows.data() + 3 * k, 3, out[k].begin());
+    return out;
+}
+
 void bind(nb::module_& m) {
     nb::class_<OnlineSystem>(m, "OnlineSystem")
         .def(nb::init<double, int>())
-        .def("use_kernel", [](OnlineSystem& s, int kind, double width,
-                              double gain) { s.use_kernel({static_cast<edges::Robust>(kind), width}, gain); })
+        .def("use_kernel", [](OnlineSystem& s, int kind, double width, double gain,
+                              int rows) { s.use_kernel({static_cast<edges::Robust>(kind), width}, gain, rows); })
         .def("add_node", &OnlineSystem::add_node)
+        .def("add_point", &OnlineSystem::add_point)
         .def("add_prior",
              [](OnlineSystem& s, const Numbers32& nodes, In<double> places, In<double> information, bool points) {
-                 std::vector<Triple> at(nodes.size());
-                 for (std::size_t k = 0; k < at.size(); ++k) std::copy_n(places.data() + 3 * k, 3, at[k].begin());
-                 s.add_prior(nodes, at, {information.data(), information.data() + information.size()}, points);
+                 s.add_prior(nodes, triples_of(places), {information.data(), information.data() + information.size()},
+                             points);
              })
         .def("add",
              [](OnlineSystem& s, Number known, In<Number> ends, In<signed char> kinds, In<signed char> rows,
-                In<double> measured, In<double> information, const Numbers32& newest) {
+                In<double> measured, In<double> information, In<double> levers, In<signed char> doubted,
+                const Numbers32& newest) {
                  // other threads wait: they may read this solver while it grows
-                 return s.add(known, new_edges(ends, kinds, rows, measured, information), newest);
+                 return s.add(known, new_edges(ends, kinds, rows, measured, information, levers, doubted), newest);
              })
         .def("solve",
              [](OnlineSystem& s, const Numbers32& touched, const Numbers32& newest) { return s.solve(touched, {}, newest); })
+        .def("solve_from",
+             [](OnlineSystem& s, const Numbers32& nodes, In<double> places, const Numbers32& newest) {
+                 return s.solve_from(checked(s, nodes), triples_of(places), newest);
+             })
+        .def("loosen",
+             [](OnlineSystem& s, In<double> place, In<double> information) {
+                 s.loosen(triples_of(place).at(0), {information.data(), information.data() + information.size()});
+             })
         .def("relinearize", [](OnlineSystem& s, const Numbers32& newest) { s.relinearize(newest); })
         .def("marginalize", [](OnlineSystem& s, Number node, const Numbers32& newest) { return s.marginalize(node, newest); })
         .def("crowded", &OnlineSystem::crowded)
@@ -79,6 +102,7 @@ void bind(nb::module_& m) {
                  return triples(rows);
              })
         .def("cost", &OnlineSystem::cost)
+        .def("cost_with_priors", &OnlineSystem::cost_with_priors)
         .def("covariance",
              [](OnlineSystem& s, const Numbers32& nodes, const Numbers32& newest) -> nb::object {
                  auto found = s.covariance(checked(s, nodes), checked(s, newest));

@@ -149,13 +149,7 @@ void priors_have_the_right_gradient(unsigned seed) {
         for (std::size_t i = 0; i < n * n * n; ++i)
             prior.information[i / n] += root[(i % n) * n + i / n / n] * root[(i % n) * n + i / n % n];
         for (std::size_t i = 0; i < n; ++i) prior.rhs.push_back(means_nothing(i) ? 0.0 : normal(random));
-        const auto cost = [&](std::span<const Triple> at) {
-            const Way way(prior, at, point);
-            const std::vector<double> pull = product(prior.information, way.v);
-            double total = 0.0;
-            for (std::size_t i = 0; i < n; ++i) total += way.v[i] * (pull[i] - 2 * prior.rhs[i]);
-            return total;
-        };
+        const auto cost = [&](std::span<const Triple> at) { return Way(prior, at, point).cost(prior); };
         const std::vector<double> gradient = Way(prior, x, point).gradient(prior);
         double worst = 0.0;
         for (std::size_t i = 0; i < n; ++i) {
@@ -172,6 +166,54 @@ void priors_have_the_right_gradient(unsigned seed) {
             worst = std::max(worst, std::abs(gradient[i] + (at[1] - at[0]) / 4e-5));
         }
         expect(worst < 1e-5, "the gradient of a prior", seed);
+    }
+}
+
+/// The pulls of all kinds of edges against finite differences of their cost, by increments in the axes of each node.
+void edges_have_the_right_gradient(unsigned seed) {
+    std::mt19937 random(seed);
+    std::normal_distribution<double> normal;
+    const Symmetric W{20.0, 3.0, 15.0, 1.0, -2.0, 30.0}, of_point{20.0, 3.0, 15.0, 0.0, 0.0, 0.0};
+    for (const bool robust : {false, true}) {
+        Graph graph;
+        if (robust) graph.kernels.fill({vmslam::edges::Robust::cauchy, 2.0});
+        for (int k = 0; k < 3; ++k) {
+            Node& node = graph.nodes.emplace_back();
+            node.point = k == 2;
+            node.begin({3 * normal(random), 3 * normal(random), k == 2 ? 0.0 : normal(random)});
+        }
+        const Vector z{normal(random), normal(random), normal(random)};
+        const Lever lever{normal(random), normal(random)};
+        const NewEdge added[] = {{0, 1, Kind::relation, true, z, W, {}, true},
+                                 {0, 2, Kind::sighting, false, z, of_point},
+                                 {0, 2, Kind::range, false, {std::abs(z.x), 0, 0}, W, lever},
+                                 {0, 1, Kind::range, false, {std::abs(z.x), 0, 0}, W, lever},
+                                 {1, 2, Kind::bearing, false, z, W, lever},
+                                 {1, 0, Kind::bearing, false, z, W, lever},
+                                 {0, 0, Kind::position, false, z, of_point, lever, true},
+                                 {1, 1, Kind::position, true, z, W, lever, true}};
+        graph.append(added, 3);
+        for (const Edge& edge : graph.edges) {
+            const auto cost = [&] { return linearize(graph, edge).cost; };
+            const Pulls found = pulls(linearize(graph, edge));
+            for (int side = 0; side < (edge.alone() ? 1 : 2); ++side)
+                for (int k = 0; k < 3; ++k) {
+                    Node& node = graph.nodes[edge.ends[side]];
+                    if (node.point && k == 2) continue;
+                    const Node before = node;
+                    double at[2];
+                    for (const int way : {0, 1}) {
+                        Triple d{};
+                        d[k] = way == 0 ? -1e-5 : 1e-5;
+                        node.begin(node.point ? Triple{before.x[0] + d[0], before.x[1] + d[1], 0.0} : moved(before.x, d));
+                        at[way] = cost();
+                        node = before;
+                    }
+                    const double numeric = -(at[1] - at[0]) / 4e-5;
+                    expect(std::abs(found.ends[side][k] - numeric) < 1e-5 * (1.0 + std::abs(numeric)),
+                           "the gradient of an edge", seed);
+                }
+        }
     }
 }
 
@@ -226,6 +268,7 @@ void test_online() {
         steps_end_at_the_minimum(seed, {Robust::cauchy, 2.4});
         a_lag_frees_nodes(seed);
         priors_have_the_right_gradient(seed);
+        edges_have_the_right_gradient(seed);
         a_refused_step_changes_nothing(seed);
         the_batch_solver_takes_a_large_correction(seed);
     }

@@ -27,7 +27,7 @@ from graphslam.association import ids_by_map
 from graphslam.association.problem import Classes
 from graphslam.errors import OptionError, quoted
 from graphslam.graph.landmark_map import as_map
-from graphslam.graph.trilateration import WaitingNumbers
+from graphslam.graph.trilateration import WaitingNumbers, edges_of_rows
 from graphslam.log import Log
 from graphslam.se2 import Array
 
@@ -122,11 +122,11 @@ class FastSLAM1(ParticleFilter):
 
     def _wait(self, id: int, sighting: Array) -> None:
         """Keep a single number of a landmark without a place, and give it one where the numbers so far leave one."""
-        if (found := self._waiting.add(id, self._step, sighting, self.trajectory)) is None:
+        row = (self._step, float(sighting[0]), float(sighting[1]))
+        if (place := self._waiting.add(id, row, self.trajectory)) is None:
             return
-        (edges, place), poses = found, self.trajectory()
-        information = np.zeros((2, 2))
-        for each in edges:
+        poses, information = self.trajectory(), np.zeros((2, 2))
+        for each in edges_of_rows(id, self._waiting.take(id), self._waiting.sensor, len(poses)):
             linear = each.linearize(np.vstack([poses, [*place, 0.0]]), poses)
             B = linear.jacobians[1][:, :, :2]
             information += np.einsum("eia,eij,ejb->ab", B, linear.information, B)

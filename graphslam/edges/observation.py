@@ -48,7 +48,7 @@ from ..models import SensorModel
 from ..se2 import Array, mounted, perpendicular, wrap
 from .base import ConstantEdges, EngineEdges, Linearization, PairEdges, Relations
 from .relative import RobustPointEdges, RobustPoseEdges
-from .robust import SingleEdges
+from .robust import SingleEdges, code_and_width
 from .sightings import SightingEdges
 
 
@@ -151,7 +151,7 @@ NEAREST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class PartialEdges(SingleEdges, PairEdges):
+class PartialEdges(SingleEdges, PairEdges, EngineEdges):
     """Numbers (E, 1) measured of landmark nodes ``second`` (E,) from poses ``first`` (E,), with information (E, 1, 1).
 
     ``offset`` (2,) is the place of the sensor on the robot; ``kernel`` and ``trust`` are those of `DoubtedEdges`.
@@ -184,6 +184,11 @@ class PartialEdges(SingleEdges, PairEdges):
 
     def constant(self, state: Array) -> ConstantEdges:
         raise GraphError(self._unproven)
+
+    def _to_engine(self) -> Any:
+        numbers = self.measured, self.weighed, tuple(self.offset)
+        bearing = isinstance(self, BearingEdges)
+        return engine.NumberEdges(bearing, self.first, self.second, *numbers, *code_and_width(self.kernel))
 
 
 class RangeEdges(PartialEdges):

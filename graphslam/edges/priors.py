@@ -25,7 +25,7 @@ from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, difference, perpendicular, transform, wrap
 from .base import ConstantEdges, EdgeFamily, EngineEdges, Linearization
-from .robust import SingleEdges
+from .robust import SingleEdges, code_and_width
 
 #: the lectures' Omega_0 = 1e6 I
 ANCHOR_INFORMATION = 1e6 * np.eye(3)
@@ -62,7 +62,8 @@ class AnchorEdges(EngineEdges):
         return ConstantEdges(*ends, self.values[:, :2], np.zeros((self.count, 2)), self.values[:, 2], self.information)
 
     def _to_engine(self) -> Any:
-        return engine.AnchorEdges(self.nodes, self.values, self.information)
+        no_lever = np.zeros((self.count, 2))
+        return engine.PositionEdges(self.nodes, self.values, self.information, no_lever, *code_and_width(None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +155,7 @@ class PriorEdges(EdgeFamily):
 
 
 @dataclass(frozen=True, eq=False)
-class PositionEdges(SingleEdges):
+class PositionEdges(SingleEdges, EngineEdges):
     """Places ``measured`` (E, 2 or 3) of points ``levers`` (E, 2) of pose nodes (E,), with information (E, d, d).
 
     ``kernel`` and ``trust`` are those of `DoubtedEdges`.
@@ -194,3 +195,7 @@ class PositionEdges(SingleEdges):
         turn = self.measured[:, 2] if self.dimension == 3 else None
         origin = np.full(self.count, -1)
         return ConstantEdges(origin, self.nodes, self.measured[:, :2], self.levers, turn, information)
+
+    def _to_engine(self) -> Any:
+        kernel = code_and_width(self.kernel)
+        return engine.PositionEdges(self.nodes, self.measured, self.weighed, self.levers, *kernel)

@@ -7,7 +7,7 @@ Each minimum is a place that they leave: two mirror images for ranges from a str
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -74,40 +74,58 @@ def edges_of_single_numbers(
 FEWEST, MORE = 3, 1.25
 
 
+#: a single number of a landmark: the step of the pose, range and bearing, one of which is NaN
+NumberRow = tuple[int, float, float]
+
+
+@dataclass
 class WaitingNumbers:
-    """Single numbers, one after the other, of landmarks that have no place yet."""
+    """Single numbers, one after the other, of landmarks that have no place yet.
 
-    def __init__(self, sensor: SensorModel) -> None:
-        self._sensor = sensor
-        #: (step, range, bearing), and how many there were at the last attempt
-        self._rows, self._tried = dict[int, list[tuple[float, ...]]](), dict[int, int]()
+    Attributes:
+        rows: the numbers of each landmark.
+        tried: how many there were at the last attempt to find its place.
+    """
 
-    def add(
-        self, id: int, step: int, sighting: Array, poses: Callable[[], Array]
-    ) -> tuple[list[PartialEdges], Array] | None:
-        """Keep a number; where all those of its landmark leave one place, return them as edges, and the place (2,).
+    sensor: SensorModel
+    rows: dict[int, tuple[NumberRow, ...]] = field(default_factory=dict)
+    tried: dict[int, int] = field(default_factory=dict)
+
+    def copy(self) -> WaitingNumbers:
+        """The same numbers, to go back to."""
+        return WaitingNumbers(self.sensor, self.rows.copy(), self.tried.copy())
+
+    def take(self, id: int) -> tuple[NumberRow, ...]:
+        """The numbers of a landmark, which waits no longer."""
+        self.tried.pop(id, None)
+        return self.rows.pop(id, ())
+
+    def add(self, id: int, row: NumberRow, poses: Callable[[], Array], since: int = 0) -> Array | None:
+        """Keep a number, and return the place (2,) of its landmark where all its numbers leave one.
 
         Args:
             id: the landmark.
-            step: of the pose that sees it.
-            sighting: (range, bearing), one of which is NaN.
-            poses: gives the poses (T, 3) so far; the landmark has the node T in the edges.
+            row: the number.
+            poses: gives the poses (T, 3) so far.
+            since: numbers from poses before this one are dropped.
         """
-        rows = self._rows.setdefault(id, [])
-        rows.append((step, *np.asarray(sighting).tolist()))
-        if len(rows) < max(FEWEST, MORE * self._tried.get(id, 0)):
+        kept = tuple(each for each in (*self.rows.get(id, ()), row) if each[0] >= since)
+        self.rows[id] = kept
+        tried = min(self.tried.get(id, 0), len(kept) - 1)
+        if len(kept) < max(FEWEST, MORE * tried):
             return None
-        self._tried[id], state = len(rows), poses()
-        edges = edges_of_rows(id, rows, self._sensor, len(state))
-        found = places_of([(each, np.arange(each.count)) for each in edges], state)
-        if not found.clear:
-            return None
-        del self._rows[id], self._tried[id]
-        return edges, found.places[0]
+        self.tried[id] = len(kept)
+        found = places_of_rows(id, kept, self.sensor, poses())
+        return found.places[0] if found.clear else None
+
+
+def places_of_rows(id: int, rows: Sequence[NumberRow], sensor: SensorModel, poses: Array) -> Places:
+    """The places that single numbers of one landmark leave from poses (T, 3)."""
+    return places_of([(each, np.arange(each.count)) for each in edges_of_rows(id, rows, sensor, len(poses))], poses)
 
 
 def edges_of_rows(
-    id: int, rows: Sequence[tuple[float, ...]], sensor: SensorModel, node: int, kernel: Kernel | None = None
+    id: int, rows: Sequence[NumberRow], sensor: SensorModel, node: int, kernel: Kernel | None = None
 ) -> list[PartialEdges]:
     """The edges of single numbers (step, range, bearing) of one landmark."""
     steps, ranges, bearings = (np.array(column) for column in zip(*rows))

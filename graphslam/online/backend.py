@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,11 +11,15 @@ from numpy.typing import ArrayLike
 from ..errors import OptionError, quoted
 from ..errors.checks import real_array
 from ..graph.tracker import Tracker
+from ..graph.trilateration import NumberRow
 from ..linear.precision import inverses
 from ..se2 import Array
 
 #: the variances [m², m², rad²] of a first pose that only a map or absolute positions hold
 ANYWHERE = (1e4, 1e4, 1e2)
+
+#: the same of a first pose that was held at the origin until the first absolute position came
+RELEASED = (1e8, 1e8, 1e2)
 
 #: a measured pose z (3,) of node b in the axes of node a with its information: (a, b, z, Omega)
 Relation = tuple[int, int, Array, Array]
@@ -28,10 +32,9 @@ class Backend(ABC):
         num_final: the number of poses that cannot change any more, the first ones.
         columns: the number of values of a sighting, 2 or 3; None before the first one.
         tracker: of the robot in a map, where there is one.
-        takes_single_numbers: whether a range or a bearing of a sighting may be NaN.
     """
 
-    num_final, takes_single_numbers = 0, False
+    num_final = 0
     tracker: Tracker | None = None
     columns: int | None
 
@@ -51,7 +54,32 @@ class Backend(ABC):
 
     @abstractmethod
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
-        """Add sightings (K, 2 or 3) of landmarks from a pose."""
+        """Add sightings (K, 2 or 3) of landmarks from a pose; of (range, bearing) one may be NaN."""
+
+    @abstractmethod
+    def locate(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
+        """Add an absolute position of a point of the robot; see `OnlineSolver.locate`."""
+
+    @abstractmethod
+    def release(self, motion: Array, position: Callable[[], None]) -> None:
+        """Let the first absolute position say where the world is: the first pose was anchored for want of anything better.
+
+        Args:
+            motion: (3,) by which everything moves, so that the position is met.
+            position: adds it.
+        """
+
+    @property
+    @abstractmethod
+    def waiting(self) -> dict[int, tuple[NumberRow, ...]]:
+        """The ranges or bearings alone of each landmark that waits for a place."""
+
+    @abstractmethod
+    def place(self, landmark: int, place: Array) -> None:
+        """Put a landmark that has been waiting at a place (2,)."""
+
+    def look_again(self) -> None:  # noqa: B027
+        """Try other places of landmarks that single numbers have placed, and take the lowest J; ISAM2 does not."""
 
     @abstractmethod
     def relinearize(self) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from numbers import Real
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -15,11 +16,11 @@ from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_choice
 from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, PositionFactor, RelativePoseFactor
 from ..factors.landmark import WEIGHTS
-from ..graph.trilateration import WaitingNumbers, edges_of_rows
+from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..models import RESIDUALS, SensorModel
 from ..se2 import Array, between, compose, inverse, turn_matrix
 from ..solvers.gtsam_factors import factors_of_single_numbers
-from .backend import Backend, Relation, information_of
+from .backend import RELEASED, Backend, Relation, information_of
 
 EDGES = ("landmark+motion", "virtual+motion")
 #: how ISAM2 eliminates nodes
@@ -58,8 +59,6 @@ class Isam2Backend(Backend):
 
     Source: Kaess et al., *iSAM2: incremental smoothing and mapping using the Bayes tree*, IJRR 2012.
     """
-
-    takes_single_numbers = True
 
     def __init__(
         self,
@@ -110,7 +109,9 @@ class Isam2Backend(Backend):
         self.update()
 
     def relate(self, relation: Relation) -> None:
-        self.add_relation(relation)
+        # a motion leads to a new pose; all other relations may be wrong
+        known = max(relation[:2]) < self._num_poses
+        self.add_relation(relation, self._kernel if known else None)
         self.update()
 
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
@@ -119,8 +120,35 @@ class Isam2Backend(Backend):
 
     def locate(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
         """Add an absolute position of a point of the robot; see `OnlineSolver.locate`."""
-        self.add_position(pose, measured, information, lever)
+        self.add_position(pose, measured, information, lever, self._kernel)
         self.update()
+
+    def release(self, motion: Array, position: Callable[[], None]) -> None:
+        """Move everything as a whole, add a position, and hold the first pose loosely from then on; see `Backend`."""
+        values, before, moved = gtsam.Values(), self._isam.calculateEstimate(), gtsam.Pose2(*motion)
+        for key in before.keys():  # noqa: SIM118
+            if chr(gtsam.symbolChr(key)) == "m" and self.columns == 2:
+                values.insert(key, moved.transformFrom(before.atPoint2(key)))
+            else:
+                values.insert(key, moved.compose(before.atPose2(key)))
+        self._hold_first(values, None)
+        position()
+        self._hold_first(self._isam.calculateEstimate(), np.diag(1 / np.array(RELEASED)))
+
+    def _hold_first(self, values: gtsam.Values, information: Array | None) -> None:
+        """Begin anew at values, with the first pose anchored there with other information."""
+        first, factors = values.atPose2(X(0)), gtsam.NonlinearFactorGraph(self._isam.getFactorsUnsafe())
+        self._anchor = AnchorFactor(X(0), np.array([first.x(), first.y(), first.theta()]), information)
+        # it is the first factor of all
+        factors.replace(0, self._anchor)
+        self._isam = gtsam.ISAM2(self._isam.params())
+        self._pass_on(factors, values, [])
+
+    def _pass_on(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, removed: list[int]) -> Any:
+        try:
+            return self._isam.update(factors, values, removed)
+        except RuntimeError as error:
+            raise GraphError(f"gtsam's isam2 failed: {str(error).strip().splitlines()[0]}{self._advice}") from None
 
     def add_position(
         self, pose: int, measured: Array, information: Array, lever: Array, kernel: Kernel | None = None
@@ -154,6 +182,7 @@ class Isam2Backend(Backend):
             if np.isnan(z).any():
                 self._add_single_number(pose, landmark, z)
                 continue
+            waiting = self._waiting.take(landmark)
             if self._edges.startswith("landmark"):
                 if landmark not in self._nodes:
                     self._nodes[landmark] = M(len(self._nodes))
@@ -163,6 +192,7 @@ class Isam2Backend(Backend):
                     X(pose), self._nodes[landmark], z, self._sensor, residual=self._residual, kernel=self._kernel
                 )
                 self._factors.add(factor.fastest())
+            self._add_numbers(landmark, waiting)
             keys, before = self._sightings.setdefault(landmark, ([], []))
             keys.append(X(pose))
             before.append(z)
@@ -172,17 +202,28 @@ class Isam2Backend(Backend):
         """A range or a bearing alone; those of a landmark without a place wait until they leave one place for it."""
         if not self._edges.startswith("landmark"):
             raise GraphError("ranges and bearings alone need landmarks as nodes: use edges='landmark+motion'")
-        if landmark in self._nodes:
-            found = edges_of_rows(landmark, [(pose, *z.tolist())], self._sensor, M(0), self._kernel)
-        else:
-            placed = self._waiting.add(landmark, pose, z, lambda: np.array([*map(self._value, range(self._num_poses))]))
-            if placed is None:
+        rows: tuple[NumberRow, ...] = ((pose, *z.tolist()),)
+        if landmark not in self._nodes:
+            place = self._waiting.add(landmark, rows[0], lambda: np.array([*map(self._value, range(self._num_poses))]))
+            if place is None:
                 return
-            found, place = placed
-            found = [replace(each, kernel=self._kernel) for each in found]
-            self._nodes[landmark] = M(len(self._nodes))
-            self._values.insert(self._nodes[landmark], gtsam.Point2(*place))
-        for each in found:
+            self._put(landmark, place)
+        else:
+            self._add_numbers(landmark, rows)
+
+    def place(self, landmark: int, place: Array) -> None:
+        self._put(landmark, place)
+        self.update()
+
+    def _put(self, landmark: int, place: Array) -> None:
+        """A landmark that has been waiting gets a node at a place, and all its numbers."""
+        self._nodes[landmark] = M(len(self._nodes))
+        self._values.insert(self._nodes[landmark], gtsam.Point2(*place))
+        self._add_numbers(landmark, self._waiting.take(landmark))
+
+    def _add_numbers(self, landmark: int, rows: tuple[NumberRow, ...]) -> None:
+        """The factors of single numbers of a landmark that is a node."""
+        for each in edges_of_rows(landmark, rows, self._sensor, M(0), self._kernel) if rows else ():
             keys = np.array([X(step) for step in each.first.tolist()])
             node = np.full(each.count, self._nodes[landmark])
             for factor in factors_of_single_numbers(replace(each, first=keys, second=node)):
@@ -209,10 +250,7 @@ class Isam2Backend(Backend):
                 removed.append(self._slots[landmark])
             self._factors.add(LandmarkFactor(keys, np.array(sightings), self._sensor, weight=self._weight))
             replaced.append(landmark)
-        try:
-            result = self._isam.update(self._factors, self._values, removed)
-        except RuntimeError as error:
-            raise GraphError(f"gtsam's isam2 failed: {str(error).strip().splitlines()[0]}{self._advice}") from None
+        result = self._pass_on(self._factors, self._values, removed)
         self._slots |= dict(zip(replaced, list(result.getNewFactorsIndices())[first_new:]))
         self._factors, self._values, self._changed = gtsam.NonlinearFactorGraph(), gtsam.Values(), {}
 
@@ -243,6 +281,10 @@ class Isam2Backend(Backend):
     @property
     def landmark_ids(self) -> Sequence[int]:
         return list(self._nodes)
+
+    @property
+    def waiting(self) -> dict[int, tuple[NumberRow, ...]]:
+        return self._waiting.rows
 
     @property
     def converged(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ class Localizer:
         self._make, self._landmarks, self._sensor = make, landmarks, sensor
         self._start = start, start_covariance
         self.fixes: dict[int, Fix] = {}
-        self._calls: list[tuple[Any, ...]] = []
+        self._calls: list[Callable[[], None]] = []
         self._begin()
 
     def __getattr__(self, name: str) -> Any:
@@ -56,7 +57,7 @@ class Localizer:
             relation = (before, new, between(self._backend.pose, fix.pose), np.diag(1 / np.array(ANYWHERE)))
         last = self._backend.pose
         self._backend.relate(relation)
-        self._calls.append((first, second, relation[2], information))
+        self._calls.append(partial(self.relate, (first, second, relation[2], information)))
         if self._backend.num_poses > new:
             self._motions.append(between(last, self._backend.pose))
             self._noise.append(np.linalg.inv(information))
@@ -74,7 +75,13 @@ class Localizer:
             calls, self._calls = self._calls, []
             self._begin()
             for call in calls:
-                self.relate(call) if len(call) == 4 else self._see(*call)
+                call()
+
+    def locate(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
+        """Add a position in the frame of the map, which has no meaning before the robot has been found there."""
+        self._calls.append(partial(self.locate, pose, measured, information, lever))
+        if self.tracker is not None:
+            self._backend.locate(pose, measured, information, lever)
 
     def _begin(self) -> None:
         """A new backend and tracker."""
@@ -97,7 +104,13 @@ class Localizer:
 
     def _see(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         backend, landmarks, earlier = self._backend, np.array(ids), dict[int, int]()
-        self._calls.append((pose, ids, sightings))
+        self._calls.append(partial(self._see, pose, ids, sightings))
+        alone = np.isnan(sightings).any(axis=1)
+        if alone.any():
+            # they have ids, and say too little to find the robot by them
+            backend.observe(pose, landmarks[alone].tolist(), sightings[alone])
+            landmarks, sightings = landmarks[~alone], sightings[~alone]
+            ids = landmarks.tolist()
         if pose == backend.num_poses - 1:
             rows = len(self._rows) + np.arange(len(ids))
             self._rows += [(pose, j, z) for j, z in zip(ids, sightings)]

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from ..edges import ANCHOR_INFORMATION
+from ..edges import ANCHOR_INFORMATION, RangeEdges
 from ..edges.robust import Kernel, code_and_width
 from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import check_count, check_positive
 from ..graph.landmark_map import LandmarkMap, as_map
+from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..linear.precision import inverses
 from ..models import SensorModel
-from ..se2 import Array
-from .backend import Backend, Relation, information_of
+from ..se2 import Array, compose, inverse
+from .backend import RELEASED, Backend, Relation, information_of
+from .other_ends import SWEEPS, OtherEnds
 
-#: kinds of edges: to a new pose, a sighting of a landmark, another relation of poses
-MOTION, SIGHTING, RELATION = range(3)
+#: kinds of edges: to a new pose, a sighting of a landmark, another relation of poses, single numbers, absolute positions
+MOTION, SIGHTING, RELATION, RANGE, BEARING, POSITION = range(6)
 #: the most passes of one update, after which the batch solver takes over
 PASSES = 15
 #: the standard deviation [m, rad] of landmarks that are exact in a map
@@ -73,7 +78,7 @@ class OwnBackend(Backend):
         if lag is not None:
             check_count(lag=lag)
             check_positive(lag=lag)
-        self._sensor, self._kernel, self.lag = sensor, kernel, lag
+        self._sensor, self.lag = sensor, lag
         self.system = engine.OnlineSystem(tolerance, PASSES)
         #: the nodes of the poses that are not final, and the values of those that are
         self._poses: list[int] = [self.system.add_node()]
@@ -83,6 +88,11 @@ class OwnBackend(Backend):
         #: the number of landmarks when a final pose was kept last
         self._mapped = 0
         self.columns: int | None = None
+        self._others = OtherEnds(sensor, WaitingNumbers(sensor))
+        if kernel is not None:
+            for rows in (1, 2, 3):
+                own, gain = kernel.of_dimension(rows), kernel.information_per_weight(rows)
+                self.system.use_kernel(*code_and_width(own), gain, rows)
         held = ANCHOR_INFORMATION if start_covariance is None else information_of(start_covariance)
         self.system.add_prior([0], start, np.ascontiguousarray(held), False)
         self.system.solve(self._poses, self._poses)
@@ -94,7 +104,6 @@ class OwnBackend(Backend):
         """Add the landmarks of a map as nodes with their priors, for sightings of ``columns`` values."""
         ids, places, information = _priors_of(known, columns)
         self.columns = columns
-        self._use_kernel(columns)
         self._landmarks = {j: self.system.add_node() for j in ids}
         nodes = list(self._landmarks.values())
         if known.joint is not None:
@@ -106,24 +115,20 @@ class OwnBackend(Backend):
                 self.system.add_prior([node], places[k], own, columns == 2)
         self.system.solve(nodes, self._poses)
 
-    def _use_kernel(self, dimension: int | None) -> None:
-        """Set the robust kernel of sightings with residuals of a dimension; none as long as there are no sightings."""
-        kernel, gain = None, 1.0
-        if self._kernel is not None and dimension is not None:
-            kernel = self._kernel.of_dimension(dimension)
-            gain = kernel.information_per_weight(dimension)
-        self.system.use_kernel(*code_and_width(kernel), gain)
-
     # -- measurements ------------------------------------------------------------------------------------------------
 
-    def relate(self, relation: Relation) -> None:
-        self.update(relation)
+    def relate(self, relation: Relation, *, doubted: bool = True) -> None:
+        self.update(relation, doubted=doubted)
 
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
+        alone: np.ndarray = np.asarray(np.isnan(sightings).any(axis=1))
         # a range beyond floating point has no inverse covariance, and is refused for that
         with np.errstate(over="ignore", invalid="ignore"):
-            measured, covariances = self._sensor.places(sightings)
-        self.update(None, pose, ids, measured, inverses(covariances, "sighting", "check the noise of the sensor"))
+            measured, covariances = self._sensor.places(sightings[~alone])
+        information = inverses(covariances, "sighting", "check the noise of the sensor")
+        whole = [id for id, single in zip(ids, alone) if not single]
+        numbers = [(id, z) for id, z, single in zip(ids, sightings, alone) if single]
+        self.update(None, pose, whole, measured, information, numbers)
 
     def update(
         self,
@@ -132,47 +137,164 @@ class OwnBackend(Backend):
         landmarks: Sequence[int] = (),
         measured: Array | None = None,
         information: Array | None = None,
+        numbers: Sequence[tuple[int, Array]] = (),
+        *,
+        places: dict[int, Array] | None = None,
+        doubted: bool = True,
     ) -> None:
-        """Add a relation, and landmarks measured in the axes of a pose (K, 2 or 3) with their information; then solve.
+        """Add a relation, and what is seen from a pose; then solve.
+
+        Args:
+            relation: to a new pose, or between known ones.
+            pose: from which something is seen.
+            landmarks, measured, information: landmarks in the axes of the pose (K, 2 or 3), with their information.
+            numbers: further landmarks with (range, bearing), one of which is NaN.
+            places: of landmarks that have been waiting, (2,) each.
+            doubted: whether the robust kernel acts on a relation between known poses.
 
         Raises:
             GraphError: a pose or landmark is not determined. Nothing is added then.
         """
-        system, k, moved = self.system, len(landmarks), int(relation is not None)
-        known, poses, columns = system.num_nodes, len(self._poses), self.columns
-        ends, kinds = np.empty((moved + k, 2), np.int32), np.empty(moved + k, np.int8)
-        z, W, rows = np.zeros((moved + k, 3)), np.zeros((moved + k, 6)), np.full(moved + k, 3, np.int8)
-        fresh: list[int] = []
+        system, poses, columns, waiting = self.system, len(self._poses), self.columns, self._others.waiting
+        known, fresh, added = system.num_nodes, list[int](), list[_Edges]()
         if relation is not None:
-            first, second, z[0], omega = relation
+            first, second, z, omega = relation
             if created := max(first, second) == self.num_poses:
                 self._poses.append(system.add_node())
-            ends[0] = self._node(first), self._node(second)
-            kinds[0], W[0] = MOTION if created and first < second else RELATION, _packed(omega)
-        if k:
+            kind = MOTION if created and first < second else RELATION
+            ends = np.array([[self._node(first), self._node(second)]], np.int32)
+            added.append(_Edges(kind, ends, z[None], omega[None], doubted=doubted and not created))
+        if len(landmarks):
             assert measured is not None and information is not None
-            d = measured.shape[1]
-            if columns is None:
-                self.columns = d
-                self._use_kernel(d)
-            for row, landmark in enumerate(landmarks, start=moved):
+            self.columns = measured.shape[1]
+            ends = np.empty((len(landmarks), 2), np.int32)
+            for k, landmark in enumerate(landmarks):
                 end = self._landmarks.get(landmark)
                 if end is None:
                     end = self._landmarks[landmark] = system.add_node()
                     fresh.append(landmark)
-                ends[row] = self._node(pose), end
-            kinds[moved:], rows[moved:], z[moved:, :d] = SIGHTING, d, measured
-            W[moved:, : 3 if d == 2 else 6] = _packed(information)
-        if not system.add(known, ends, kinds, rows, z, W, self._poses[-1:]):
+                ends[k] = self._node(pose), end
+            added.append(_Edges(SIGHTING, ends, measured, information))
+        placed, rows = dict[int, tuple[NumberRow, ...]](), list[tuple[int, NumberRow]]()
+        if numbers or places or waiting.rows:
+            self._others.waiting = still = waiting.copy()
+            for landmark in fresh:
+                added += self._edges_of_numbers(landmark, still.take(landmark))
+            found, poses_now = dict(places or {}), partial(self._poses_with, relation)
+            for landmark, z in numbers:
+                self.columns = columns or 2
+                row = (pose, float(z[0]), float(z[1]))
+                if landmark in self._landmarks:
+                    rows.append((landmark, row))
+                    added += self._edges_of_numbers(landmark, (row,))
+                elif (place := still.add(landmark, row, poses_now, self.num_final)) is not None:
+                    found[landmark] = place
+            for landmark, place in found.items():
+                self._landmarks[landmark] = system.add_point(*place)
+                fresh.append(landmark)
+                placed[landmark] = still.take(landmark)
+                added += self._edges_of_numbers(landmark, placed[landmark])
+        # before they bend the graph
+        before = None
+        doubtful = self._others.doubts(rows, poses_now, self._place) if rows and self.lag is None else []
+        if doubtful:
+            before = poses_now(), {id: self._place(id) for id in self._landmarks if id not in fresh}
+        if added and not system.add(known, *_joined(added), self._poses[-1:]):
             for landmark in fresh:
                 del self._landmarks[landmark]
             del self._poses[poses:]
-            if columns is None:
-                self.columns = None
-                self._use_kernel(None)
+            self.columns, self._others.waiting = columns, waiting
             raise GraphError("the call leaves a pose or landmark undetermined, so that nothing was added")
+        for landmark, numbers_of_it in placed.items():
+            self._others.placed(landmark, numbers_of_it)
+        self._others.seen(landmarks, rows)
+        if before is not None:
+            self._try_other_places(*before, doubtful)
         while self.lag is not None and len(self._poses) > self.lag + 1:
             self._marginalize()
+
+    def place(self, landmark: int, place: Array) -> None:
+        self.update(None, places={landmark: place})
+
+    def locate(self, pose: int, measured: Array, information: Array, lever: Array, *, doubted: bool = True) -> None:
+        node, system = self._node(pose), self.system
+        ends, arms = np.array([[node, node]], np.int32), lever[None]
+        edge = _Edges(POSITION, ends, measured[None], information[None], levers=arms, doubted=doubted)
+        if not system.add(system.num_nodes, *_joined([edge]), self._poses[-1:]):
+            raise GraphError("with this position the graph is not determined, so that nothing was added")
+        self._others.located(pose, measured, information, lever)
+        if self.lag is None:
+            nodes = [*self._poses, *self._landmarks.values()]
+            moved = self._others.turned(system.values(nodes), len(self._poses))
+            if moved is not None:
+                self._try(nodes, moved)
+
+    def look_again(self) -> None:
+        self._try_other_places(self.poses, {id: self._place(id) for id in self._landmarks}, list(self._others.numbers))
+
+    def _try_other_places(self, poses: Array, places: dict[int, Array], tried: list[int]) -> None:
+        """Try other places of landmarks, from poses (T, 3) and places of all landmarks, and take the lowest J."""
+        nodes = [*self._poses, *(self._landmarks[id] for id in places)]
+        row_of = {id: row for row, id in enumerate(places, start=len(poses))}
+        for _ in range(SWEEPS):
+            state, before = np.concatenate([poses, *(place[None] for place in places.values())]), self.system
+            for others in self._others.elsewhere(poses, places, tried):
+                values = state.copy()
+                for id, place in others.items():
+                    values[row_of[id], :2] = place
+                self._try(nodes, values)
+            if self.system is before:
+                break
+            poses, places = self.poses, {id: self._place(id) for id in places}
+
+    def _place(self, landmark: int) -> Array:
+        return np.asarray(self.system.values([self._landmarks[landmark]])[0])
+
+    def _poses_with(self, relation: Relation | None) -> Array:
+        """All poses (T, 3), the new one of a relation where it leads to."""
+        poses = self.poses
+        if relation is not None and max(relation[:2]) == self.num_poses - 1:
+            first, second, z, _ = relation
+            poses[-1] = compose(poses[first], z) if first < second else compose(poses[second], inverse(z[None])[0])
+        return poses
+
+    def _try(self, nodes: Sequence[int], values: Array) -> None:
+        """Solve from a state with other values of some nodes, and stay there if J is lower."""
+        other = deepcopy(self.system)
+        solved = other.solve_from(list(nodes), np.ascontiguousarray(values), self._poses[-1:]) and other.converged
+        least = 1e-9 * (1.0 + self.system.cost())
+        if solved and other.cost_with_priors() < self.system.cost_with_priors() - least:
+            self.system = other
+
+    def release(self, motion: Array, position: Callable[[], None]) -> None:
+        before = deepcopy(self.system)
+        nodes = [*self._poses, *self._landmarks.values()]
+        moved = compose(motion, self.system.values(nodes))
+        self._hold_first(moved[0], ANCHOR_INFORMATION, nodes, moved)
+        try:
+            position()
+        except GraphError:
+            self.system = before
+            raise
+        self._hold_first(self.system.values(nodes[:1])[0], np.diag(1 / np.array(RELEASED)))
+
+    def _hold_first(
+        self, place: Array, information: Array, nodes: Sequence[int] = (), values: Array | None = None
+    ) -> None:
+        """Give the first pose another prior, put nodes at values, and solve."""
+        self.system.loosen(place, np.ascontiguousarray(information))
+        values = np.zeros((0, 3)) if values is None else values
+        self.system.solve_from(list(nodes), np.ascontiguousarray(values), self._poses[-1:])
+
+    def _edges_of_numbers(self, landmark: int, rows: tuple[NumberRow, ...]) -> list[_Edges]:
+        """Edges of single numbers of a landmark that is a node."""
+        found = []
+        for each in edges_of_rows(landmark, rows, self._sensor, self.num_poses) if rows else ():
+            ends = np.array([(self._node(step), self._landmarks[landmark]) for step in each.first.tolist()], np.int32)
+            kind = RANGE if isinstance(each, RangeEdges) else BEARING
+            levers = np.tile(each.offset, (each.count, 1))
+            found.append(_Edges(kind, ends, each.measured, each.information, levers=levers))
+        return found
 
     def _marginalize(self) -> None:
         """Make the oldest pose final."""
@@ -207,6 +329,10 @@ class OwnBackend(Backend):
     @property
     def landmark_ids(self) -> Sequence[int]:
         return list(self._landmarks)
+
+    @property
+    def waiting(self) -> dict[int, tuple[NumberRow, ...]]:
+        return self._others.waiting.rows
 
     @property
     def passes(self) -> int:
@@ -262,8 +388,40 @@ def _priors_of(known: LandmarkMap, columns: int) -> tuple[list[int], Array, Arra
     return ids, places, information
 
 
+@dataclass(frozen=True)
+class _Edges:
+    """Edges of one kind between nodes (E, 2): measured (E, d) with information (E, d, d); see the engine's `NewEdge`."""
+
+    kind: int
+    ends: np.ndarray
+    measured: Array
+    information: Array
+    levers: Array | None = None
+    doubted: bool = False
+
+
+def _joined(added: list[_Edges]) -> tuple[np.ndarray, ...]:
+    """The arrays of edges for `OnlineSystem.add`."""
+    count = sum(len(each.ends) for each in added)
+    ends, kinds, rows = np.empty((count, 2), np.int32), np.empty(count, np.int8), np.empty(count, np.int8)
+    z, W, levers, doubted = np.zeros((count, 3)), np.zeros((count, 6)), np.zeros((count, 2)), np.zeros(count, np.int8)
+    begin = 0
+    for each in added:
+        part = slice(begin, begin := begin + len(each.ends))
+        d = each.measured.shape[1]
+        ends[part], kinds[part], rows[part], z[part, :d], doubted[part] = (
+            each.ends, each.kind, d, each.measured, each.doubted,
+        )  # fmt: skip
+        W[part, : (1, 3, 6)[d - 1]] = _packed(each.information)
+        if each.levers is not None:
+            levers[part] = each.levers
+    return ends, kinds, rows, z, W, levers, doubted
+
+
 def _packed(information: Array) -> Array:
-    """The entries (..., 3 or 6) of symmetric matrices as in `edges::Symmetric`."""
+    """The entries (..., 1, 3 or 6) of symmetric matrices as in `edges::Symmetric`."""
+    if information.shape[-1] == 1:
+        return information[..., 0]
     if information.shape[-1] == 2:
         return information[..., [0, 0, 1], [0, 1, 1]]
     return information[..., [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]

@@ -9,15 +9,28 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import CartesianObservationEdges, EdgeFamily, PartialEdges, PositionEdges, RelationEdges
+from ..edges import (
+    ANCHOR_INFORMATION,
+    AnchorEdges,
+    BearingEdges,
+    CartesianObservationEdges,
+    PartialEdges,
+    PositionEdges,
+    RelationEdges,
+)
+from ..edges.robust import DoubtedEdges, Kernel
+from ..edges.sightings import SightingEdges
 from ..errors import GraphError, OptionError, quoted
 from ..graph import Graph
 from ..graph.defaults import suitable_for_isam2
 from ..graph.integrity import unlocated
 from ..graph.tracker import Tracker
+from ..graph.trilateration import places_of_rows
 from ..log import Log
-from ..models import MotionModel
+from ..models import MotionModel, SensorModel
+from ..se2 import Array
 from ..solvers.corrected import motion_edges
+from ..solvers.initialize import image_notes, partial_edges
 from ..solvers.solution import Solution, make_solution
 from .backend import ANYWHERE
 from .solver import OnlineSolver, backend_options
@@ -66,6 +79,7 @@ def solve_online(
     for solver in steps:
         if callback is not None:
             callback(solver)
+    _place_the_rest(solver)
     reason = "went through the log once, step by step"
     if relinearize:
         solver.relinearize()
@@ -77,23 +91,28 @@ def solve_online(
     seconds, state, landmarks = time.perf_counter() - begin, graph.initial.copy(), solver.landmarks
     state[: len(graph.steps)] = solver.poses
     for row, id in enumerate(graph.landmark_ids.tolist(), start=len(graph.steps)):
-        state[row, : graph.landmark_dimension] = landmarks[id]
+        if id in landmarks:
+            state[row, : graph.landmark_dimension] = landmarks[id]
     state[graph.fixed] = graph.initial[graph.fixed]
     return make_solution(
         graph, state, step_norms=[], costs=[], converged=solver.converged, reason=reason, seconds=seconds,
-        solver="online" if backend == "own" else backend,
+        solver="online" if backend == "own" else backend, notes=image_notes(graph, state) if partial_edges(graph) else (),
     )  # fmt: skip
+
+
+def _place_the_rest(solver: OnlineSolver) -> None:
+    """Let landmarks that still wait enter where the cost of their single numbers is lowest, and try other places."""
+    for id, rows in list(solver._backend.waiting.items()):
+        found = places_of_rows(id, rows, solver.sensor, solver.poses)
+        if found.determined:
+            solver._backend.place(id, found.places[0])
+    solver._backend.look_again()
 
 
 def _replayed(log: Log | Graph, backend: str, options: dict[str, Any]) -> tuple[Graph, Iterator[OnlineSolver]]:
     """The graph of a log, and its steps."""
     own = {name: options[name] for name in backend_options(backend) if name in options}
     of_graph = {name: value for name, value in options.items() if name not in own}
-    if isinstance(log, Log) and log.partial_sightings is not None and len(log.steps):
-        log.replace(relations=None, positions=None).warn_of_unused("the solver step by step")
-        log = log.replace(partial_sightings=None)
-    if log.partial_sightings is not None if isinstance(log, Log) else any(map(_alone, log.families)):
-        raise GraphError("step by step there is no start for ranges or bearings alone; use solve or solve_with_gtsam")
     if backend == "isam2":
         return _by_isam2(log, own, of_graph)
     graph = log
@@ -104,28 +123,30 @@ def _replayed(log: Log | Graph, backend: str, options: dict[str, Any]) -> tuple[
     elif of_graph:
         raise OptionError(f"a graph has its own {', '.join(of_graph)}: give these to Graph.from_log")
     assert isinstance(graph, Graph)
-    graph = _plain_relations(graph)
-    return graph, _by_own(graph, own)
+    graph, kernel = _kernel_of(graph)
+    return graph, _by_own(graph, kernel, own)
 
 
-def _alone(family: EdgeFamily) -> bool:
-    return isinstance(family, PartialEdges)
-
-
-def _by_own(graph: Graph, options: dict[str, Any]) -> Iterator[OnlineSolver]:
+def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Iterator[OnlineSolver]:
     graph.check_no_parameters("the solver step by step")
-    if any(isinstance(family, PositionEdges) for family in graph.families):
-        raise GraphError("the solver step by step takes no absolute positions; isam2 does: backend='isam2'")
     sighted = next((family for family in graph.families if isinstance(family, CartesianObservationEdges)), None)
-    motions = motion_edges(graph)
-    if sighted is None or motions is None or sighted.frame != "body":
+    motions, numbers = motion_edges(graph), _NumbersByStep(graph)
+    if (
+        motions is None
+        or (sighted is not None and sighted.frame != "body")
+        or (sighted is None and not numbers and not any(isinstance(f, PositionEdges) for f in graph.families))
+    ):
         raise GraphError(
             "the solver step by step needs a graph of edges='landmark+motion' with residual='cartesian' and frame='body'"
         )
     total, known, d = len(graph.steps), graph.map, graph.landmark_dimension
-    # with a map, its landmarks hold the first pose
-    held = {} if known is None else {"start_covariance": np.diag(ANYWHERE)}
-    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=sighted.kernel, **(held | options))
+    # with a map, its landmarks hold the first pose, and positions may do so
+    anchor = np.diag(1 / np.array(ANYWHERE))
+    for family in graph.families if known is None else ():
+        if type(family) is AnchorEdges:
+            anchor += family.information[family.nodes == 0].sum(axis=0)
+    held = {"start_covariance": np.linalg.inv(anchor)} if np.any(anchor < ANCHOR_INFORMATION) else {}
+    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=kernel, **(held | options))
     backend: Any = solver._backend
     if known is not None:
         if any(len(known[j]) < d for j in graph.landmark_ids.tolist() if j in known):
@@ -134,6 +155,8 @@ def _by_own(graph: Graph, options: dict[str, Any]) -> Iterator[OnlineSolver]:
                 "dimensions=2"
             )
         backend.begin_with(known.among(graph.landmark_ids.tolist()), d)
+    if sighted is None:
+        sighted = _no_sightings(graph, d)
     rows = np.argsort(sighted.first, kind="stable")
     bounds = np.searchsorted(sighted.first[rows], np.arange(total + 1))
     ids = graph.landmark_ids[sighted.second - total]
@@ -153,10 +176,14 @@ def _by_own(graph: Graph, options: dict[str, Any]) -> Iterator[OnlineSolver]:
                 tracker.move(motion[2], noise[step - 1])
             if len(now) and log is not None:
                 tracker.see(step, now, ids[now], log.sightings[graph.sighting_rows[now]])
-        backend.update(motion, step, ids[now].tolist(), seen.measured[now], seen.information[now])
+        whole = ids[now].tolist(), seen.measured[now], seen.information[now]
+        backend.update(motion, step, *whole, numbers.at(step))
         for edges, row in relations.at(step):
-            ends = int(edges.first[row]), int(edges.second[row])
-            backend.relate((*ends, edges.measured[row], edges.information[row]))
+            z, doubted = (edges.measured[row], edges.information[row]), edges.kernel is not None
+            if isinstance(edges, PositionEdges):
+                backend.locate(step, *z, edges.levers[row], doubted=doubted)
+            else:
+                backend.relate((int(edges.first[row]), int(edges.second[row]), *z), doubted=doubted)
 
     return _steps(solver, total, add, rows, bounds)
 
@@ -181,14 +208,56 @@ class _Arriving:
         return self._rows.get(step, [])
 
 
-def _plain_relations(graph: Graph) -> Graph:
-    """The graph without a robust kernel on its relations, which the solver step by step does not have, and a note."""
-    robust = [f for f in graph.families if isinstance(f, RelationEdges) and f.kernel is not None]
-    if not robust:
-        return graph
-    note = "step by step, relations count without the robust kernel"
-    families = tuple(replace(f, kernel=None) if isinstance(f, RelationEdges) else f for f in graph.families)
-    return replace(graph, families=families, notes=(*graph.notes, note))
+class _NumbersByStep:
+    """The ranges and bearings alone of a graph: (landmark, (range, bearing)) of a step, one of the two NaN."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._rows: dict[int, list[tuple[int, Array]]] = {}
+        for family in graph.families:
+            if isinstance(family, PartialEdges):
+                column, ids = (
+                    int(isinstance(family, BearingEdges)),
+                    graph.landmark_ids[family.second - len(graph.steps)],
+                )
+                for step, id, value in zip(family.first.tolist(), ids.tolist(), family.measured[:, 0].tolist()):
+                    z = np.full(2, np.nan)
+                    z[column] = value
+                    self._rows.setdefault(step, []).append((id, z))
+
+    def __bool__(self) -> bool:
+        return bool(self._rows)
+
+    def at(self, step: int) -> list[tuple[int, Array]]:
+        """The numbers of a step."""
+        return self._rows.get(step, [])
+
+
+def _no_sightings(graph: Graph, dimension: int) -> CartesianObservationEdges:
+    none = np.zeros(0, dtype=np.int64)
+    sensor = graph.sensor or SensorModel()
+    return CartesianObservationEdges(none, none, np.zeros((0, max(dimension, 2))), sensor)
+
+
+def _kernel_of(graph: Graph) -> tuple[Graph, Kernel | None]:
+    """The kernel of the sightings, or else of what may be wrong, and the graph without other kernels."""
+    doubted = [f for f in graph.families if isinstance(f, DoubtedEdges)]
+    seen = [f for f in doubted if isinstance(f, SightingEdges | PartialEdges)]
+    kernel = next((_without_width(f) for f in seen or doubted if f.kernel is not None), None)
+    other = [
+        f for f in doubted if f.kernel is not None and (kernel is None or f.kernel != kernel.of_dimension(f.dimension))
+    ]
+    if not other:
+        return graph, kernel
+    note = "step by step, relations and positions count without a robust kernel that is not that of the sightings"
+    families = tuple(replace(f, kernel=None) if f in other else f for f in graph.families)  # type: ignore[type-var]
+    return replace(graph, families=families, notes=(*graph.notes, note)), kernel
+
+
+def _without_width(family: DoubtedEdges) -> Kernel | None:
+    """The kernel of a family, without a width that is the default one."""
+    kernel = family.kernel
+    plain = None if kernel is None else type(kernel)()
+    return plain if plain is None or plain.of_dimension(family.dimension) == kernel else kernel
 
 
 def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) -> tuple[Graph, Iterator[OnlineSolver]]:
@@ -215,6 +284,9 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     if log.positions is not None:
         # they alone hold the first pose, which Cholesky finds indeterminate
         own = {"start_covariance": np.diag(ANYWHERE), "factorization": "qr"} | own
+    if log.partial_sightings is not None:
+        own = {"factorization": "qr"} | own
+    numbers = _NumbersByStep(graph)
     solver = OnlineSolver(
         graph.trajectory[0], backend="isam2", motion=motion, sensor=graph.sensor, kernel=options["kernel"], **own
     )
@@ -226,6 +298,8 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
         if step:
             backend.add_relation((step - 1, step, motions[step - 1], information[step - 1]))
         backend.add_sightings(step, log.landmarks[now].tolist(), sightings[now])
+        for landmark, z in numbers.at(step):
+            backend.add_sightings(step, [landmark], z[None])
         for edges, row in measured.at(step):
             z, known = edges.measured[row], edges.information[row]
             if isinstance(edges, PositionEdges):

@@ -23,7 +23,7 @@ from ..linear.precision import check_model, inverses
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..marginals import ids_of, split
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, wrap
+from ..se2 import Array, transform, wrap
 from .backend import Backend, array_or_none, information_of, numbers
 from .localizer import Localizer
 from .own import OwnBackend
@@ -53,7 +53,7 @@ class OnlineSolver:
             "isam2": GTSAM's ISAM2, `online.isam2.Isam2Backend`, which relinearises what moves by more than a threshold.
         motion, sensor: the noise models; default: the book's.
         motion_weight: lambda, the factor on the information of the motion edges.
-        kernel: a robust kernel on the sightings, or its name.
+        kernel: a robust kernel, or its name, on the sightings, positions, and relations between known poses.
         options: of the backend; see `online.own.OwnBackend` (tolerance, lag, map, start_covariance) and
             `online.isam2.Isam2Backend` (edges, weight, residual, threshold, skip, factorization, params).
 
@@ -90,6 +90,8 @@ class OnlineSolver:
             self._backend = cast(Backend, Localizer(make, as_map(in_map), self.sensor, first, held))
         else:
             self._backend = kind(np.zeros(3) if first is None else first, self.sensor, self.kernel, **options)
+        #: whether nobody has said where the first pose is
+        self._anywhere = first is None and in_map is None and "start_covariance" not in options
         #: the times of the latest call and of the newest pose, not a number where it is unknown
         self._time, self._arrived = -np.inf, np.nan
 
@@ -158,8 +160,9 @@ class OnlineSolver:
 
         Args:
             ids: the landmarks (K,); in a map None, or `graphslam.log.UNIDENTIFIED` for some, where the map has to say it.
-            sightings: (K, 2 or 3), what the sensor measures. With the backend "isam2" one of range and bearing may be NaN: it
-                was not measured. A landmark that has only such sightings enters when they leave one place for it.
+            sightings: (K, 2 or 3), what the sensor measures. Without psi one of range and bearing may be NaN: it was not
+                measured. A landmark that has only such sightings waits (`waiting`) until they leave one place for it; with a
+                lag, those from poses that have become final do not count.
             pose: the number of the pose from which they are seen; default: the newest.
             time: of the sightings [s], not before all times so far.
 
@@ -200,28 +203,35 @@ class OnlineSolver:
     def locate(
         self, position: ArrayLike, covariance: ArrayLike, *, lever: ArrayLike = (0.0, 0.0), pose: int | None = None
     ) -> None:
-        """Add an absolute position, of GPS for example; with the backend "isam2" only.
+        """Add an absolute position, of GPS for example.
 
-        The solver needs a ``start_covariance`` then, because an anchor of the first pose would contradict the position.
+        Without ``start`` and ``start_covariance`` the first position moves all poses to where it was measured, and from then
+        on positions alone hold them. A start that is given is in the frame of the positions, and exact without a covariance.
 
         Args:
-            position: (x, y) [m], or (x, y, theta) with the heading of the robot, in the frame of ``start``.
+            position: (x, y) [m], or (x, y, theta) with the heading of the robot.
             covariance: (2, 2) or (3, 3), in world axes.
             lever: the point of the robot that is measured, (ahead, left) [m] of its pose.
             pose: the number of the pose; default: the newest.
 
         Raises:
-            OptionError: a value is impossible. GraphError: the pose is unknown, or the backend takes no positions.
+            OptionError: a value is impossible. GraphError: the pose is unknown or final.
         """
         pose = self.step if pose is None else pose
         check_count(pose=pose)
         self._check_pose(pose, "a position of")
         d = 3 if np.shape(position) == (3,) else 2
         measured, arm = numbers("position", position, (d,)), numbers("lever", lever, (2,))
-        add = getattr(self._backend, "locate", None)
-        if add is None:
-            raise GraphError("this backend takes no absolute positions; isam2 does: OnlineSolver(backend='isam2')")
-        add(int(pose), measured, information_of(covariance, d), arm)
+        add = partial(self._backend.locate, int(pose), measured, information_of(covariance, d), arm)
+        if not self._anywhere:
+            add()
+            return
+        x = self._backend.poses[pose]
+        turn = float(measured[2] - x[2]) if d == 3 else 0.0
+        # the motion that takes the point of the robot to where it was measured
+        point = transform(np.array([0.0, 0.0, turn]), transform(x, arm))
+        self._backend.release(np.array([*(measured[:2] - point), turn]), add)
+        self._anywhere = False
 
     def relinearize(self) -> None:
         """Linearise all edges at the estimate, and solve again.
@@ -275,6 +285,11 @@ class OnlineSolver:
     def landmarks(self) -> dict[int, Array]:
         """{id: (x, y) or (x, y, heading)}, by increasing id; without landmark nodes, empty."""
         return {id: np.append(x[:2], wrap(x[2:])) for id, x in sorted(self._backend.landmarks.items())}
+
+    @property
+    def waiting(self) -> dict[int, int]:
+        """{id: number} of the ranges and bearings alone that wait until their landmark has one place."""
+        return {id: len(rows) for id, rows in sorted(self._backend.waiting.items())}
 
     def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:
         """Covariances in world axes: of the newest pose (3, 3), or of what the arguments name.
@@ -370,15 +385,16 @@ class OnlineSolver:
             raise OptionError(
                 f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
             )
+        if np.any(np.isnan(z).any(axis=1) & (landmarks == UNIDENTIFIED)):
+            raise OptionError("a range or a bearing alone needs the id of its landmark")
         if columns not in (None, z.shape[1]) and not (in_map and z.shape[1] == 3):
             raise OptionError(f"the sightings so far have {columns} numbers each, these have {z.shape[1]}")
         return landmarks.tolist(), z
 
-    def _completed(self, z: Array) -> Array:
+    @staticmethod
+    def _completed(z: Array) -> Array:
         """Sightings (K, d) with 1 in place of the number that each may lack."""
         alone = (np.isnan(z).sum(axis=1) == 1) & (z.shape[1] == 2)
-        if alone.any() and not self._backend.takes_single_numbers:
-            raise OptionError("a range or a bearing alone needs the backend 'isam2', without a map")
         return np.where(np.isnan(z) & alone[:, None], 1.0, z)
 
 

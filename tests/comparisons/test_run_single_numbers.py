@@ -52,7 +52,7 @@ def test_empty_cells_go_through_the_command_line(invoke: Invoke, tmp_path: Path,
     document = json.loads((tmp_path / "o.json").read_text())
     graph, gtsam, isam2 = document["estimators"]
     assert np.allclose(graph["poses"], gtsam["poses"], atol=1e-5) and graph["certificate"]["status"] == "not applicable"
-    assert isam2["reason"].startswith("step by step there is no start for ranges or bearings alone")
+    assert np.allclose(graph["poses"], isam2["poses"], atol=0.02)
     assert f"0 sightings and {len(partial)} with a range or a bearing alone of 4 landmarks" in " ".join(
         result.output.split()
     )

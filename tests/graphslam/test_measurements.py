@@ -213,21 +213,55 @@ def test_factors_cost_what_gtsams_own_cost():
 
 def test_step_by_step_is_the_batch_solution(bare, log):
     related = log.replace(positions=None)
-    for backend, each in (("own", related), ("isam2", related), ("isam2", log)):
+    for backend, each in (("own", related), ("own", log), ("isam2", related), ("isam2", log)):
         online = solve_online(each, backend=backend, edges="landmark+motion", relinearize=True)
         batch = solve(Graph.from_log(each, edges="landmark+motion"))
         assert online.cost == pytest.approx(batch.cost, rel=1e-6)
         assert np.abs(online.poses - batch.poses)[:, :2].max() < 1e-3
-    robust = solve_online(related, edges="landmark+motion", kernel="cauchy")
-    assert "without the robust kernel" in robust.notes[-1]
-    with pytest.raises(GraphError, match="takes no absolute positions; isam2 does"):
-        solve_online(log)
-    with pytest.raises(GraphError, match="takes no absolute positions; isam2 does"):
-        OnlineSolver().locate([1.0, 2.0], np.eye(2))
-    solver = OnlineSolver(backend="isam2", start_covariance=100 * np.eye(3))
-    solver.locate([3.0, 4.0, 1.0], 1e-4 * np.eye(3), lever=LEVER)
+    # without linearising everything again at the end, and with a robust kernel on relations and positions, too
+    for kernel in ("none", "cauchy"):
+        online = solve_online(log, edges="landmark+motion", kernel=kernel)
+        batch = solve(Graph.from_log(log, edges="landmark+motion", kernel=kernel))
+        assert batch.cost * (1 - 1e-9) <= online.cost <= batch.cost * (1 + 1e-6)
+        assert not online.notes or "without a robust kernel" not in online.notes[-1]
+        found, known = online.covariance(poses=[0, 60]), batch.covariance(poses=[0, 60])
+        np.testing.assert_allclose(found, known, rtol=0.02, atol=1e-9)
+
+
+@pytest.mark.parametrize("backend", ["own", "isam2"])
+@pytest.mark.parametrize("direction", [0.0, 2.0, 3.1])
+def test_positions_say_where_a_drive_from_nowhere_is(bare, backend, direction):
+    # the world of the positions is far away, and turned against that of the first pose, which nobody has said
+    far = np.array([4.2e5, 5.1e6, direction])
+    rng, options = np.random.default_rng(1), {"factorization": "qr"} if backend == "isam2" else {}
+    solver = OnlineSolver(backend=backend, motion=bare.motion, **options)
+    truth, lever = compose(far, bare.true_poses), np.array(LEVER)
+    for t in range(bare.num_poses):
+        if t:
+            solver.move(bare.controls[t - 1], bare.dt[t - 1])
+        if t % 4 == 0:
+            solver.locate(mounted(truth[t], LEVER)[:2] + 0.05 * rng.standard_normal(2), 0.0025 * np.eye(2), lever=lever)
     solver.relinearize()
-    np.testing.assert_allclose(mounted(solver.pose, LEVER), [3.0, 4.0, 1.0], atol=1e-2)
+    errors = solver.poses - truth
+    # five standard deviations of a position
+    assert np.hypot(*errors[::4, :2].T).max() < 0.25
+    errors[:, 2] = wrap(errors[:, 2])
+    # 3 x 63 numbers, chi-square with a standard deviation of 19 if they were independent
+    P = solver.covariance(poses=list(range(bare.num_poses)))
+    assert np.einsum("ti,tij,tj->", errors, np.linalg.inv(P), errors) < 3 * 63 + 4 * 19
+
+
+def test_a_first_position_with_a_heading_is_met():
+    for backend in ("own", "isam2"):
+        solver = OnlineSolver(backend=backend)
+        solver.move(motion=[1.0, 0.0, 0.2], covariance=1e-4 * np.eye(3))
+        solver.locate([3.0, 4.0, 1.0], 1e-4 * np.eye(3), lever=LEVER)
+        np.testing.assert_allclose(mounted(solver.pose, LEVER), [3.0, 4.0, 1.0], atol=1e-6)
+        np.testing.assert_allclose(between(solver.poses[0], solver.pose), [1.0, 0.0, 0.2], atol=1e-6)
+        # a start that is given is exact
+        held = OnlineSolver([0.0, 0.0, 0.0], backend=backend)
+        held.locate([3.0, 4.0, 1.0], np.eye(3))
+        np.testing.assert_allclose(held.pose, 0.0, atol=1e-5)
 
 
 @pytest.mark.slow

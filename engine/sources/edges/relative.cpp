@@ -43,16 +43,20 @@ double RelativeEdges::accumulate(const State& state, System* system, std::span<c
     return world_ ? add<false, true>(state, system, pairs) : add<false, false>(state, system, pairs);
 }
 
-double AnchorEdges::accumulate(const State& state, System* system, std::span<const Place>) const {
+double PositionEdges::accumulate(const State& state, System* system, std::span<const Place>) const {
     double total = 0.0;
-    for (const auto& [i, j, z, omega] : anchors_) {
+    for (const auto& [i, z, omega, lever] : positions_) {
         const double* const x = state.node(i);
-        const Vector e{x[0] - z.x, x[1] - z.y, wrap(x[2] - z.t)};
-        const Vector g = omega * e;
-        total += dot(g, e);
+        const Rotation axes(x[2]);
+        const Lever arm{axes.c * lever.x - axes.s * lever.y, axes.s * lever.x + axes.c * lever.y}, v{-arm.y, arm.x};
+        const Vector e{x[0] + arm.x - z.x, x[1] + arm.y - z.y, wrap(x[2] - z.t)};
+        Vector g = omega * e;
+        const double squares = dot(g, e), w = kernel_.weight(squares);
+        total += kernel_.loss(squares);
         if (!system) continue;
-        add_block(system->diagonal(i), omega, {0.0, 0.0});
-        add_gradient(system->xi + 3 * i, -1.0, g, {0.0, 0.0});
+        g = {w * g.x, w * g.y, w * g.t};
+        add_block(system->diagonal(i), w * omega, v);
+        add_gradient(system->xi + 3 * i, -1.0, g, v);
     }
     return total;
 }

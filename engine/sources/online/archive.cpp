@@ -21,9 +21,10 @@ auto fields(auto& value)
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Edge>
 {
-    auto& [z, omega, linear, weight, cost, squares, ends, next, owner, next_owned, place, oriented, robust, sighting] = value;
-    return std::tie(z, omega, linear, weight, cost, squares, ends, next, owner, next_owned, place, oriented, robust,
-                    sighting);
+    auto& [z, omega, linear, weight, cost, squares, ends, next, owner, next_owned, place, lever, form, oriented, robust,
+           sighting] = value;
+    return std::tie(z, omega, linear, weight, cost, squares, ends, next, owner, next_owned, place, lever, form, oriented,
+                    robust, sighting);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Supernode>
@@ -122,7 +123,8 @@ std::string OnlineSystem::save() const {
     Writer write;
     write.raw(title, sizeof title);
     write(tolerance_), write(most_passes_), write(passes), write(converged), write(batch_solutions);
-    write(graph_.nodes), write(graph_.edges), write(graph_.kernel.kind), write(graph_.kernel.c), write(graph_.gain);
+    write(graph_.nodes), write(graph_.edges), write(graph_.gains), write(graph_.numbers);
+    for (const edges::Kernel& kernel : graph_.kernels) write(kernel.kind), write(kernel.c);
     write(tree_.groups), write(std::vector<Number>(tree_.released().begin(), tree_.released().end()));
     write(tree_.step), write(tree_.pivot_tolerance);
     write(priors_), write(memory_), write(ordered_), write(known_), write(lost_);
@@ -137,7 +139,8 @@ bool OnlineSystem::restore(std::string_view bytes) {
     std::vector<Number> released;
     tree_ = Tree();
     read(tolerance_), read(most_passes_), read(passes), read(converged), read(batch_solutions);
-    read(graph_.nodes), read(graph_.edges), read(graph_.kernel.kind), read(graph_.kernel.c), read(graph_.gain);
+    read(graph_.nodes), read(graph_.edges), read(graph_.gains), read(graph_.numbers);
+    for (edges::Kernel& kernel : graph_.kernels) read(kernel.kind), read(kernel.c);
     read(tree_.groups), read(released);
     read(tree_.step), read(tree_.pivot_tolerance);
     read(priors_), read(memory_), read(ordered_), read(known_), read(lost_);

@@ -5,6 +5,7 @@
 #include <memory>
 
 #include "vmslam/edges/relative.hpp"
+#include "vmslam/edges/single_numbers.hpp"
 #include "vmslam/online/system.hpp"
 #include "vmslam/solve/run.hpp"
 #include "vmslam/sparse/ordering.hpp"
@@ -31,7 +32,7 @@ class BatchProblem {
         add_families(graph, priors);
         system_ = {pattern_.start, pattern_.rows, values_.data(), xi_.data(), slots_.data()};
         objective = std::make_unique<solve::GraphObjective>(members_, system_, solve::Held{{}, {}, points_}, 0.0, *factor_);
-        objective->reweighted = static_cast<bool>(graph.kernel);
+        objective->reweighted = std::ranges::any_of(graph.edges, &Edge::robust);
     }
 
     std::vector<double> state;
@@ -47,7 +48,7 @@ class BatchProblem {
             std::sort(members.end() - sizes.back(), members.end());
         };
         for (const Edge& edge : graph.edges)
-            if (!edge.taken_out()) add(edge.ends);
+            if (!edge.taken_out() && !edge.alone()) add(edge.ends);
         for (const Prior& prior : priors) add(prior.members);
         pattern_ = sparse::pattern_of_groups(static_cast<Place>(nodes_.size()), sizes, members);
         rows_.assign(pattern_.rows.begin(), pattern_.rows.end());
@@ -64,20 +65,41 @@ class BatchProblem {
             for (const bool robust : {true, false}) {
                 std::vector<RelativeEdge> edges;
                 std::vector<Place>& pairs = pairs_.emplace_back();
+                std::vector<edges::Position> positions;
+                const edges::Kernel kernel = robust ? graph.kernels[oriented ? 2 : 1] : edges::Kernel{};
                 for (const Edge& edge : graph.edges) {
-                    if (edge.taken_out() || edge.oriented != oriented || edge.robust != robust) continue;
-                    edges.push_back({number_[edge.ends[0]], number_[edge.ends[1]], edge.z, edge.omega});
-                    pairs.push_back(sparse::block_between(pattern_.start, pattern_.rows, edges.back().i, edges.back().j));
+                    if (edge.taken_out() || edge.number() || edge.oriented != oriented || edge.robust != robust) continue;
+                    const Place i = number_[edge.ends[0]], j = number_[edge.ends[1]];
+                    if (edge.alone()) {
+                        positions.push_back({i, edge.z, edge.omega, edge.lever});
+                        continue;
+                    }
+                    edges.push_back({i, j, edge.z, edge.omega});
+                    pairs.push_back(sparse::block_between(pattern_.start, pattern_.rows, i, j));
                 }
-                if (edges.empty()) continue;
-                families_.push_back(std::make_unique<edges::RelativeEdges>(std::move(edges), oriented, false,
-                                                                           robust ? graph.kernel : edges::Kernel{}));
-                members_.push_back({families_.back().get(), pairs});
+                if (!edges.empty())
+                    add(std::make_unique<edges::RelativeEdges>(std::move(edges), oriented, false, kernel), pairs);
+                if (!positions.empty()) add(std::make_unique<edges::PositionEdges>(std::move(positions), kernel), {});
             }
-        for (const Prior& prior : priors) {
-            families_.push_back(std::make_unique<PriorFamily>(prior, graph, number_));
-            members_.push_back({families_.back().get(), {}});
+        for (const auto& [form, kind] :
+             {std::pair(Form::range, edges::Number::range), {Form::bearing, edges::Number::bearing}}) {
+            std::vector<edges::NumberEdge> edges;
+            std::vector<Place>& pairs = pairs_.emplace_back();
+            for (const Edge& edge : graph.edges) {
+                if (edge.taken_out() || edge.form != form) continue;
+                const Place i = number_[edge.ends[0]], j = number_[edge.ends[1]];
+                edges.push_back({i, j, edge.z.x, edge.omega.xx, edge.lever});
+                pairs.push_back(sparse::block_between(pattern_.start, pattern_.rows, i, j));
+            }
+            // all of them are sightings
+            if (!edges.empty()) add(std::make_unique<edges::NumberEdges>(kind, std::move(edges), graph.kernels[0]), pairs);
         }
+        for (const Prior& prior : priors) add(std::make_unique<PriorFamily>(prior, graph, number_), {});
+    }
+
+    void add(std::unique_ptr<edges::Family> family, std::span<const Place> pairs) {
+        families_.push_back(std::move(family));
+        members_.push_back({families_.back().get(), pairs});
     }
 
     std::vector<Number> nodes_, number_;
@@ -94,11 +116,12 @@ class BatchProblem {
 };
 
 /// A state of lower cost by Gauss-Newton, damped where necessary, or nothing.
-std::vector<double> lower_state(BatchProblem& problem) {
+std::vector<double> lower_state(BatchProblem& problem, bool damped_only) {
     solve::GraphObjective& objective = *problem.objective;
     const double cost = objective.cost(problem.state, problem.state);
     // plain steps from far away may end in a much higher minimum, and damped ones do not
     for (const bool damped : {false, true}) {
+        if (damped_only && !damped) continue;
         solve::Run run;
         run.rules = {1e-9, 100, 1e-9, false, damped ? 0.0 : 0.01};
         run.state = problem.state;
@@ -121,7 +144,7 @@ bool OnlineSystem::solve_as_batch(std::span<const Number> newest) {
     for (Node& node : graph_.nodes)
         if (node.changed == tree_.step) node.x = node.kept, node.axes = Rotation(node.kept[2]);
     BatchProblem problem(graph_, priors_);
-    const std::vector<double> found = lower_state(problem);
+    const std::vector<double> found = lower_state(problem, graph_.numbers);
     std::vector<Triple> start = places();
     for (std::size_t k = 0; k < found.size() / 3; ++k)
         std::copy_n(found.begin() + 3 * k, 3, start[problem.nodes()[k]].begin());

@@ -14,8 +14,64 @@ constexpr double reweighted = 0.33;
 /// The least curvature of a sighting with a kernel along its residual, as a part of its weight.
 constexpr double least_bend = 0.1;
 
+/// What a robust kernel makes of W e and e' W e.
+[[gnu::always_inline]] inline void weigh(const Graph& graph, const Edge& edge, Present& now) {
+    const edges::Kernel& kernel = graph.kernel_of(edge);
+    const double squares = now.squares, w = now.weight = kernel.weight(squares);
+    now.g = {w * now.g.x, w * now.g.y, w * now.g.t};
+    // the trapezoidal rule is exact to 1e-10 then, and saves a logarithm
+    const double change = squares - edge.squares;
+    now.cost = std::abs(change) < 1e-3 * (1.0 + squares) ? edge.cost + change * (w + kernel.weight(edge.squares)) / 2
+                                                         : kernel.loss(squares);
+}
+
+Present with_pull(const Graph& graph, const Edge& edge, Present now, double squares) {
+    now.squares = now.cost = squares;
+    now.weight = 1.0;
+    now.pull = now.g;
+    if (edge.robust) weigh(graph, edge, now);
+    return now;
+}
+
+Present present_number(const Graph& graph, const Edge& edge) {
+    const Node &a = graph.nodes[edge.ends[0]], &b = graph.nodes[edge.ends[1]];
+    const double c = a.axes.c, s = a.axes.s, dx = b.x[0] - a.x[0], dy = b.x[1] - a.x[1];
+    const double ahead = c * dx + s * dy, left = c * dy - s * dx, omega = edge.omega.xx;
+    const edges::Number kind = edge.form == Form::range ? edges::Number::range : edges::Number::bearing;
+    const auto [e, n, distance] = edges::number_seen(kind, edge.z.x, ahead - edge.lever.x, left - edge.lever.y);
+    Present now{};
+    now.u = {-left, ahead};
+    // turns increments of the second end, which has axes of its own where it is a pose
+    const Rotation own = b.point ? Rotation() : b.axes;
+    now.c = c * own.c + s * own.s, now.s = c * own.s - s * own.c;
+    now.n = n;
+    now.g = {omega * e * n.x, omega * e * n.y, 0.0};
+    return with_pull(graph, edge, now, omega * e * e);
+}
+
+Symmetric turned_back(const Rotation& axes, const Symmetric& W) {
+    Rotation back;
+    back.c = axes.c, back.s = -axes.s;
+    return turned(back, W);
+}
+
+Present present_position(const Graph& graph, const Edge& edge) {
+    const Node& a = graph.nodes[edge.ends[0]];
+    const double c = a.axes.c, s = a.axes.s, dx = edge.z.x - a.x[0], dy = edge.z.y - a.x[1];
+    const double turn = edge.oriented ? std::remainder(edge.z.t - a.x[2], 2 * std::numbers::pi) : 0.0;
+    const Vector e{c * dx + s * dy - edge.lever.x, c * dy - s * dx - edge.lever.y, turn};
+    Present now{};
+    now.u = {-edge.lever.y, edge.lever.x};
+    now.c = c, now.s = s;
+    now.alone = true;
+    now.g = turned_back(a.axes, edge.omega) * e;
+    return with_pull(graph, edge, now, dot(now.g, e));
+}
+
 // e = (R(theta_i)' (p_j - p_i) - (z_x, z_y), theta_j - theta_i - z_t), g = w W e
 [[gnu::always_inline]] inline Present present(const Graph& graph, const Edge& edge) {
+    if (edge.form != Form::relative) [[unlikely]]
+        return edge.alone() ? present_position(graph, edge) : present_number(graph, edge);
     const Node &a = graph.nodes[edge.ends[0]], &b = graph.nodes[edge.ends[1]];
     double c = a.axes.c, s = a.axes.s, turn = 0.0;
     const double dx = b.x[0] - a.x[0], dy = b.x[1] - a.x[1];
@@ -33,31 +89,30 @@ constexpr double least_bend = 0.1;
         s = -s;
     }
     const Vector e{ahead - edge.z.x, left - edge.z.y, turn};
-    Vector g = edge.omega * e;
+    const Vector g = edge.omega * e;
     const double squares = dot(g, e);
-    double cost = squares, weight = 1.0;
-    const Vector pull = g;
-    if (edge.robust) {
-        weight = graph.kernel.weight(squares);
-        g = {weight * g.x, weight * g.y, weight * g.t};
-        // the trapezoidal rule is exact to 1e-10 then, and saves a logarithm
-        const double change = squares - edge.squares;
-        cost = std::abs(change) < 1e-3 * (1.0 + squares)
-                   ? edge.cost + change * (weight + graph.kernel.weight(edge.squares)) / 2
-                   : graph.kernel.loss(squares);
-    }
-    return {{-left, ahead}, c, s, weight, g, pull, squares, cost};
+    Present now{{-left, ahead}, c, s, 1.0, g, g, squares, squares};
+    if (edge.robust) weigh(graph, edge, now);
+    return now;
+}
+
+/// W of an edge at the estimate, in the axes of its first end, without the robust weight.
+Symmetric information(const Graph& graph, const Edge& edge, const Present& now) {
+    if (edge.alone()) return turned_back(graph.nodes[edge.ends[0]].axes, edge.omega);
+    return edge.number() ? edges::along(edge.omega.xx, now.n) : edge.omega;
 }
 
 /// W of a sighting with a kernel. Gauss-Newton has w W, times what turns weights into information. The second derivative of
 /// J/2 is w W + 2 w' (W e) (W e)', w' the derivative of w by r² = e' W e. Along e that is w + 2 w' r² times W, which is negative
 /// far out, and kept above `least_bend` w.
 Symmetric robust_information(const Graph& graph, const Edge& edge, const Present& now, bool bent) {
-    if (!bent || now.squares == 0.0) return (now.weight * graph.gain) * edge.omega;
-    const double slope = std::max(2 * graph.kernel.weight_slope(now.squares), (least_bend - 1) * now.weight / now.squares);
+    const Symmetric W = information(graph, edge, now);
+    if (!bent || now.squares == 0.0) return (now.weight * graph.gain_of(edge)) * W;
+    const double curve = 2 * graph.kernel_of(edge).weight_slope(now.squares);
+    const double slope = std::max(curve, (least_bend - 1) * now.weight / now.squares);
     // in this order a residual far beyond all others underflows to zero
     const Vector &p = now.pull, f{slope * p.x, slope * p.y, slope * p.t};
-    return now.weight * edge.omega + Symmetric{f.x * p.x, f.x * p.y, f.y * p.y, f.x * p.t, f.y * p.t, f.t * p.t};
+    return now.weight * W + Symmetric{f.x * p.x, f.x * p.y, f.y * p.y, f.x * p.t, f.y * p.t, f.t * p.t};
 }
 
 /// (gamma, h) of an edge.
@@ -69,7 +124,9 @@ struct Curvature {
     if (now.cost < bent.convex || edge.robust) return {};
     const Symmetric& W = edge.omega;
     const Vector& g = now.g;
-    const double gamma = now.u.x * g.y - now.u.y * g.x;
+    const double gamma = (now.u.x * g.y - now.u.y * g.x) * (edge.alone() ? -1.0 : 1.0);
+    // alone, they are indefinite along the direction in which the residual does not change
+    if (edge.form != Form::relative) return {std::max(gamma, 0.0), {}};
     double a = W.xx, b = W.xy, c = W.yy;
     if (edge.oriented) a -= W.xt * W.xt / W.tt, b -= W.xt * W.yt / W.tt, c -= W.yt * W.yt / W.tt;
     // along the direction in which its residual does not change, the edge adds gamma + 2 h' u - h' P h, P its covariance
@@ -85,12 +142,26 @@ void add_diagonal(Graph& graph, const Edge& edge, double sign) {
     j = {j[0] + sign * parts.second.xx, j[1] + sign * parts.second.yy, j[2] + sign * parts.second.tt};
 }
 
+/// The same as `outdated` below, of a number or a position.
+bool outdated_other(const Graph& graph, const Edge& edge, const Present& now, double limit) {
+    const Node &i = graph.nodes[edge.ends[0]], &j = graph.nodes[edge.ends[1]];
+    const Linear& then = edge.linear;
+    const double turn = j.far * (now.s * then.c - now.c * then.s);
+    if (edge.alone()) return (edge.omega.xx + edge.omega.yy) * turn * turn > limit;
+    const double a = i.turned * (now.n.x * now.u.x + now.n.y * now.u.y - then.n.x * then.u.x - then.n.y * then.u.y);
+    const double b = (i.far + j.far) * std::hypot(now.n.x - then.n.x, now.n.y - then.n.y);
+    const double c = turn * std::hypot(now.n.x, now.n.y);
+    return edge.omega.xx * (a * a + b * b + c * c) > limit;
+}
+
 /// Whether weight, lever or alpha of an edge are farther from those in the factor than `limit`: weights by a third, and lever
 /// and alpha so far that an increment of one standard deviation changes the residual, squared and in its own standard
 /// deviations, by that much. Poses that a stiff edge ties move together, so that a change of the lever in relation to itself
 /// says nothing.
 [[gnu::always_inline]] inline bool outdated(const Graph& graph, const Edge& edge, const Present& now, double limit) {
     if (edge.robust && std::abs(now.weight - edge.weight) > std::min(reweighted, 3 * limit) * edge.weight + 0.01) return true;
+    if (edge.form != Form::relative) [[unlikely]]
+        return outdated_other(graph, edge, now, limit);
     const Symmetric& W = edge.omega;
     const double size = graph.nodes[edge.ends[0]].turned;
     const double turn = graph.nodes[edge.ends[1]].far * (now.s * edge.linear.c - now.c * edge.linear.s);
@@ -104,8 +175,10 @@ Present linearize(const Graph& graph, const Edge& edge) { return present(graph, 
 
 Pulls pulls(const Present& now) {
     const Vector& g = now.g;
-    return {
-        {{g.x, g.y, now.u.x * g.x + now.u.y * g.y + g.t}, {-now.c * g.x - now.s * g.y, -now.c * g.y + now.s * g.x, -g.t}}};
+    const Triple first{g.x, g.y, now.u.x * g.x + now.u.y * g.y + g.t};
+    if (now.alone) [[unlikely]]
+        return {{first, {}}};
+    return {{first, {-now.c * g.x - now.s * g.y, -now.c * g.y + now.s * g.x, -g.t}}};
 }
 
 Evaluated evaluate(const Graph& graph, Edge& edge, double limit, const Bent& bent) {
@@ -128,9 +201,10 @@ void relinearize(Graph& graph, Edge& edge, const Bent& bent) {
     const Curvature second = curvature(edge, now, bent);
     edge.weight = now.weight;
     const bool bent_kernel = edge.robust && bent.convex < infinity;
-    edge.linear = {edge.robust ? robust_information(graph, edge, now, bent_kernel) : edge.omega,
+    edge.linear = {edge.robust ? robust_information(graph, edge, now, bent_kernel) : information(graph, edge, now),
                    bent_kernel,
                    now.u,
+                   now.n,
                    now.c,
                    now.s,
                    second.gamma,
@@ -144,16 +218,18 @@ bool differs_from_gauss_newton(const Graph& graph, const Edge& edge, double limi
 }
 
 Blocks diagonal_blocks(const Edge& edge) {
-    const auto& [W, bent, u, c, s, gamma, h] = edge.linear;
+    const auto& [W, bent, u, n, c, s, gamma, h] = edge.linear;
     const Vector a = W * Vector{u.x, u.y, 1.0};
-    Rotation back;
-    back.c = c, back.s = -s;
-    return {{W.xx, W.xy, W.yy, a.x - h.x, a.y - h.y, u.x * a.x + u.y * a.y + a.t + gamma}, turned(back, W)};
+    const Symmetric first{W.xx, W.xy, W.yy, a.x - h.x, a.y - h.y, u.x * a.x + u.y * a.y + a.t + gamma};
+    Rotation alpha;
+    alpha.c = c, alpha.s = s;
+    return {first, edge.alone() ? Symmetric{} : turned_back(alpha, W)};
 }
 
 // B_i' W B_j
 std::array<double, 9> block_between(const Edge& edge) {
-    const auto& [W, bent, u, c, s, gamma, h] = edge.linear;
+    if (edge.alone()) return {};
+    const auto& [W, bent, u, n, c, s, gamma, h] = edge.linear;
     const Vector a = W * Vector{u.x, u.y, 1.0};
     const double x = a.x - h.x, y = a.y - h.y;
     return {-(W.xx * c + W.xy * s), W.xx * s - W.xy * c, -W.xt,  //

@@ -22,13 +22,28 @@ void place_first(const NewEdge& edge, Node& i, const Node& j) {
     i.begin({j.x[0] - c * edge.z.x + s * edge.z.y, j.x[1] - s * edge.z.x - c * edge.z.y, heading});
 }
 
+Form form_of(Kind kind) {
+    switch (kind) {
+        case Kind::range: return Form::range;
+        case Kind::bearing: return Form::bearing;
+        case Kind::position: return Form::position;
+        default: return Form::relative;
+    }
+}
+
 /// The standard deviations of the nodes of a new edge. A pose without sightings takes those of the pose before it.
 void rescale(const NewEdge& edge, bool first_sighting, Node& i, Node& j) {
-    const double far = 1 / std::sqrt(std::min(edge.omega.xx, edge.omega.yy));
+    const bool number = edge.kind == Kind::range || edge.kind == Kind::bearing;
+    double far = 1 / std::sqrt(number ? edge.omega.xx : std::min(edge.omega.xx, edge.omega.yy));
     double turned = edge.oriented ? 1 / std::sqrt(edge.omega.tt) : infinity;
     if (edge.kind == Kind::sighting) {
         turned = far / std::max(std::hypot(edge.z.x, edge.z.y), far);
         if (first_sighting) i.far = i.turned = infinity;
+    }
+    if (number) {
+        const double away = std::hypot(j.x[0] - i.x[0], j.x[1] - i.x[1]);
+        turned = edge.kind == Kind::bearing ? far : far / std::max(away, far);
+        if (edge.kind == Kind::bearing) far *= away;
     }
     if (edge.kind == Kind::motion) {
         if (i.far == infinity) i.far = far, i.turned = turned;
@@ -50,11 +65,14 @@ std::vector<Number> Graph::append(std::span<const NewEdge> added, Number known) 
     for (const NewEdge& from : added) {
         const auto number = static_cast<Number>(edges.size());
         Edge& edge = edges.emplace_back();
-        edge.z = from.z, edge.omega = from.omega, edge.oriented = from.oriented;
-        edge.sighting = from.kind == Kind::sighting;
-        edge.robust = kernel && edge.sighting;
-        for (int side = 0; side < 2; ++side) {
-            const Number end = edge.ends[side] = side == 0 ? from.first : from.second;
+        edge.z = from.z, edge.omega = from.omega, edge.lever = from.lever, edge.oriented = from.oriented;
+        edge.form = form_of(from.kind);
+        edge.sighting = from.kind == Kind::sighting || edge.number();
+        numbers = numbers || edge.number();
+        edge.robust = kernel_of(edge) && (edge.sighting || from.doubted);
+        edge.ends[0] = from.first, edge.ends[1] = from.second;
+        for (int side = 0; side < (edge.alone() ? 1 : 2); ++side) {
+            const Number end = edge.ends[side];
             Node& node = nodes[end];
             edge.next[side] = node.edges;
             node.edges = number;
@@ -64,7 +82,7 @@ std::vector<Number> Graph::append(std::span<const NewEdge> added, Number known) 
         }
         Node &i = nodes[from.first], &j = nodes[from.second];
         if (from.second >= place) {
-            place_second(from, i, j);
+            if (edge.form == Form::relative) place_second(from, i, j);
             place = from.second + 1;
         } else if (from.first >= place) {
             place_first(from, i, j);
@@ -80,7 +98,7 @@ std::vector<Number> Graph::append(std::span<const NewEdge> added, Number known) 
 void Graph::detach(Number first) {
     for (auto e = static_cast<Number>(edges.size()) - 1; e >= first; --e) {
         const Edge& edge = edges[e];
-        for (const int side : {1, 0}) nodes[edge.ends[side]].edges = edge.next[side];
+        for (int side = edge.alone() ? 0 : 1; side >= 0; --side) nodes[edge.ends[side]].edges = edge.next[side];
     }
     edges.resize(first);
 }

@@ -48,7 +48,7 @@ struct Dense {
 void take_out(Graph& graph, Number number) {
     Edge& edge = graph.edges[number];
     const Blocks own = diagonal_blocks(edge);
-    for (int side = 0; side < 2; ++side) {
+    for (int side = 0; side < (edge.alone() ? 1 : 2); ++side) {
         Node& node = graph.nodes[edge.ends[side]];
         const Symmetric& part = side == 0 ? own.first : own.second;
         node.diagonal = {node.diagonal[0] - part.xx, node.diagonal[1] - part.yy, node.diagonal[2] - part.tt};
@@ -74,7 +74,8 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
     around.erase(std::unique(around.begin(), around.end()), around.end());
     std::vector<Number> members{node};
     std::copy_if(around.begin(), around.end(), std::back_inserter(members), [&](Number other) { return other != node; });
-    const bool absolute = std::any_of(mine, priors_.end(), [](const Prior& prior) { return !prior.relative; });
+    const bool absolute = std::any_of(mine, priors_.end(), [](const Prior& prior) { return !prior.relative; }) ||
+                          std::ranges::any_of(gone, [&](Number e) { return graph_.edges[e].alone(); });
     // the others are relative to the oldest one that has a heading
     const auto first = std::find_if(members.begin() + 1, members.end(), [&](Number n) { return !graph_.nodes[n].point; });
     const bool relative = !absolute && first != members.end();
@@ -124,7 +125,7 @@ bool OnlineSystem::crowded() const {
 std::vector<Number> OnlineSystem::renumber() {
     std::vector<Number> node(graph_.nodes.size(), -1), edge(graph_.edges.size(), -1);
     const auto new_number = [](const std::vector<Number>& of, Number old) { return old < 0 ? old : of[old]; };
-    Graph kept{{}, {}, graph_.kernel, graph_.gain};
+    Graph kept{{}, {}, graph_.kernels, graph_.gains, graph_.numbers};
     for (const Number k : graph_.live_nodes()) {
         node[k] = kept.size();
         kept.nodes.push_back(graph_.nodes[k]);

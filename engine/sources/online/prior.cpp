@@ -81,6 +81,12 @@ void Prior::turn_to_poses() {
     }
 }
 
+double Prior::cost(const Graph& graph) const {
+    std::vector<Triple> x;
+    for (const Number member : members) x.push_back(graph.nodes[member].x);
+    return Way(*this, x, points_of(graph, members)).cost(*this);
+}
+
 void Prior::evaluate(const Graph& graph, bool renew) {
     const std::vector<char> point = points_of(graph, members);
     std::vector<Triple> x;
@@ -153,6 +159,13 @@ void Way::times_jacobian(const double* row, double* product) const {
     if (relative_) std::copy_n(first.data(), 3, product);
 }
 
+double Way::cost(const Prior& prior) const {
+    const std::vector<double> pull = product(prior.information, v);
+    double total = 0.0;
+    for (std::size_t k = 0; k < v.size(); ++k) total += v[k] * (pull[k] - 2 * prior.rhs[k]);
+    return total;
+}
+
 std::vector<double> Way::gradient(const Prior& prior) const {
     std::vector<double> left = prior.rhs, result(left.size());
     const std::vector<double> pull = product(prior.information, v);
@@ -205,9 +218,7 @@ double PriorFamily::accumulate(const edges::State& state, edges::System* system,
     std::vector<Triple> x;
     for (const edges::Place node : nodes_) x.push_back({state.node(node)[0], state.node(node)[1], state.node(node)[2]});
     const Way way(prior_, x, point_);
-    const std::vector<double> pull = product(prior_.information, way.v);
-    double total = least_;
-    for (std::size_t i = 0; i < n; ++i) total += way.v[i] * (pull[i] - 2 * prior_.rhs[i]);
+    const double total = least_ + way.cost(prior_);
     if (!system) return total;
     std::vector<double> xi = way.gradient(prior_), information = way.information(prior_);
     turn_rows(xi, 1, x, point_, false);

@@ -63,6 +63,7 @@ Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::
     std::vector<Place> sizes, members;
     const auto local = [&](Number node) { return static_cast<Place>(graph.nodes[node].local); };
     for (const Number e : top.edges) {
+        if (graph.edges[e].alone()) continue;
         const auto [low, high] = std::minmax({local(graph.edges[e].ends[0]), local(graph.edges[e].ends[1])});
         sizes.push_back(2);
         members.push_back(low);

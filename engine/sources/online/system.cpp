@@ -11,16 +11,25 @@ namespace {
 constexpr double growth = 1.3;
 /// How far the edges of a factor may be from the present ones where a covariance is asked for; see `Memory::limit`.
 constexpr double known_limit = 1e-7;
+/// The part by which J may rise in the passes of a step with single numbers.
+constexpr double rises = 1e-6;
 
 }  // namespace
 
-void OnlineSystem::use_kernel(const edges::Kernel& kernel, double gain) {
-    graph_.kernel = kernel;
-    graph_.gain = gain;
+void OnlineSystem::use_kernel(const edges::Kernel& kernel, double gain, int rows) {
+    for (int k = 1; k <= 3; ++k)
+        if (rows == k || rows == 0) graph_.kernels[k - 1] = kernel, graph_.gains[k - 1] = gain;
 }
 
 Number OnlineSystem::add_node() {
     graph_.nodes.emplace_back();
+    return graph_.size() - 1;
+}
+
+Number OnlineSystem::add_point(double x, double y) {
+    Node& node = graph_.nodes.emplace_back();
+    node.point = true;
+    node.begin({x, y, 0.0});
     return graph_.size() - 1;
 }
 
@@ -127,7 +136,10 @@ bool OnlineSystem::solve(std::span<const Number> touched, std::span<const Number
     }
     lost_ = false;
     ++tree_.step;
-    converged = iterate(newest) || solve_as_batch(newest);
+    const double before = memory_.cost;
+    // undamped passes may end in a higher minimum
+    const auto falls = [&] { return !graph_.numbers || memory_.cost <= before + rises * (1.0 + before); };
+    converged = (iterate(newest) && falls()) || solve_as_batch(newest);
     return true;
 }
 
@@ -155,6 +167,24 @@ bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Number> n
     const std::vector<Number> nodes = graph_.live_nodes(), edges = graph_.live_edges();
     lost_ = !eliminate({nodes, edges, newest, {}});
     return !lost_;
+}
+
+bool OnlineSystem::solve_from(std::span<const Number> nodes, std::span<const Triple> places, std::span<const Number> newest) {
+    complete();
+    std::vector<Triple> x = this->places();
+    for (std::size_t k = 0; k < nodes.size(); ++k) x[nodes[k]] = places[k];
+    ++tree_.step;
+    passes = 0;
+    if (!begin_at(x, newest)) return converged = false;
+    converged = iterate(newest) || solve_as_batch(newest);
+    return true;
+}
+
+void OnlineSystem::loosen(const Triple& place, std::vector<double> information) {
+    Prior& prior = priors_.front();
+    prior.centre[0] = place;
+    prior.information = std::move(information);
+    prior.turn_to_poses();
 }
 
 void OnlineSystem::relinearize(std::span<const Number> newest) {
@@ -229,8 +259,14 @@ double OnlineSystem::cost() {
     for (const Edge& edge : graph_.edges) {
         if (edge.taken_out()) continue;
         const double squares = linearize(graph_, edge).squares;
-        total += edge.robust ? graph_.kernel.loss(squares) : squares;
+        total += edge.robust ? graph_.kernel_of(edge).loss(squares) : squares;
     }
+    return total;
+}
+
+double OnlineSystem::cost_with_priors() {
+    double total = cost();
+    for (const Prior& prior : priors_) total += prior.cost(graph_);
     return total;
 }
 

@@ -102,7 +102,9 @@ void Tree::relate_children(Graph& graph, Number s) {
     for (const Number node : parent.columns())
         for (Number e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned) {
             Edge& edge = graph.edges[e];
-            if (!edge.taken_out()) edge.place = graph.nodes[edge.ends[1 - edge.side(node)]].local;
+            if (edge.taken_out()) continue;
+            edge.place = graph.nodes[edge.ends[1 - edge.side(node)]].local;
+            parent.absolute |= edge.alone();
         }
     for (const Number node : parent.nodes) graph.nodes[node].local = -1;
     for (Number k = parent.r - 1; k >= 0 && !parent.absolute; --k)

@@ -11,8 +11,7 @@ namespace vmslam::solve {
 
 void Graph::add_anchor(Place node, const edges::Vector& value, double information) {
     const edges::Symmetric omega{information, 0.0, information, 0.0, 0.0, information};
-    members_.push_back(
-        {std::make_unique<edges::AnchorEdges>(std::vector{edges::RelativeEdge{node, node, value, omega}}), {}, {}});
+    members_.push_back({std::make_unique<edges::PositionEdges>(std::vector{edges::Position{node, value, omega}}), {}, {}});
 }
 
 void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel) {

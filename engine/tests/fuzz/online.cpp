@@ -49,6 +49,24 @@ class Drive {
                              {input_.number(2.0), input_.number(2.0), input_.number(2.0)},
                              input_.positive(100.0) * edges::Symmetric{1, 0, 1, 0, 0, 1}});
         }
+        if (input_.one_in(4)) {
+            const double w = input_.positive(100.0);
+            edges.push_back({poses_.back(),
+                             poses_.back(),
+                             Kind::position,
+                             input_.one_in(2),
+                             {input_.number(20.0), input_.number(20.0), input_.number(3.0)},
+                             w * edges::Symmetric{1, 0, 1, 0, 0, 1},
+                             {input_.number(1.0), input_.number(1.0)},
+                             input_.one_in(2)});
+        }
+        if (!landmarks_.empty() && input_.one_in(4))
+            edges.push_back({poses_.back(),
+                             landmarks_.begin()->second,
+                             input_.one_in(2) ? Kind::range : Kind::bearing,
+                             false,
+                             {input_.positive(10.0), 0, 0},
+                             {input_.positive(100.0), 0, 0, 0, 0, 0}});
         if (system_.add(known, edges, {&poses_.back(), 1})) return;
         expect(system_.graph().nodes.size() == static_cast<std::size_t>(known), "a refused step leaves no node");
         poses_.pop_back();

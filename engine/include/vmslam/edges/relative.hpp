@@ -38,15 +38,26 @@ class RelativeEdges : public Family {
     Kernel kernel_;
 };
 
-/// Anchors: priors on nodes, (x - x̂)' Omega_0 (x - x̂), the heading wrapped.
-class AnchorEdges : public Family {
+/// A point of pose `i`, `lever` in its axes, measured in the world at z, with information in world axes:
+///
+///     e = (p + R(theta) lever - (z_x, z_y), theta - z_t),  the angle wrapped.
+struct Position {
+    Place i;
+    Vector z;
+    Symmetric omega;
+    Lever lever{0.0, 0.0};
+};
+
+/// Absolute positions, and anchors: positions with a heading and without lever. Those without heading have no information on it.
+class PositionEdges : public Family {
    public:
-    /// The node i, its value z and the information.
-    explicit AnchorEdges(std::vector<RelativeEdge> anchors) : anchors_(std::move(anchors)) {}
+    explicit PositionEdges(std::vector<Position> positions, Kernel kernel = {})
+        : positions_(std::move(positions)), kernel_(kernel) {}
     double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;
 
    private:
-    std::vector<RelativeEdge> anchors_;
+    std::vector<Position> positions_;
+    Kernel kernel_;
 };
 
 }  // namespace vmslam::edges

@@ -5,6 +5,10 @@
 //
 //     B_i = -[I, u; 0, 1],  u the lever, and B_j = blkdiag(R(alpha), 1), alpha = theta_j - theta_i, or -theta_i for a point.
 //
+// A range or a bearing alone is an edge to a point whose W is omega n n'; see edges/single_numbers.hpp. A position of the only end
+// has e = R(theta)' (z - p) - a, theta_z - theta, a the point that it measures: with u = (-a_y, a_x) its Jacobian is B_i, and its
+// information in these axes is that of the world turned back by theta.
+//
 // The factor holds every edge with the lever, alpha and robust weight of the last time at which its part of the tree was
 // factorised. Its pulls -B(x)' W e(x) are those at the estimate, so that passes end at an optimum, whatever B is in the
 // factor. If it is near B(x), they converge fast. `evaluate` compares them.
@@ -32,12 +36,15 @@ struct Bent {
     static Bent never() { return {infinity, infinity}; }
 };
 
-/// An edge at the estimate: lever, cosine and sine of alpha, robust weight w, w W e, W e, e' W e, and its cost.
+/// An edge at the estimate: lever, cosine and sine of alpha (of theta for a position), robust weight w, w W e, W e, e' W e, and
+/// its cost; of a number n; whether there is no second end.
 struct Present {
     Lever u;
     double c, s, weight;
     Vector g, pull;
     double squares, cost;
+    Lever n{};
+    bool alone = false;
 };
 Present linearize(const Graph& graph, const Edge& edge);
 

@@ -9,6 +9,7 @@
 
 #include "vmslam/edges/arithmetic.hpp"
 #include "vmslam/edges/robust.hpp"
+#include "vmslam/edges/single_numbers.hpp"
 
 namespace vmslam::online {
 
@@ -46,17 +47,22 @@ struct Node {
 };
 
 /// What the factor holds of an edge: its information with the robust weight, lever u, cosine and sine of alpha, and second
-/// derivatives, those of a kernel (`bent`) in W; see edge.hpp.
+/// derivatives, those of a kernel (`bent`) in W; of a single number its derivative n. See edge.hpp.
 struct Linear {
     Symmetric W{};
     bool bent = false;
-    Lever u{};
+    Lever u{}, n{};
     double c = 0.0, s = 0.0;
     double gamma = 0.0;
     Lever h{};
 };
 
-/// A relative pose (`oriented`) or a relative point: its second end measured in the axes of the first.
+/// What an edge measures: the second end in the axes of the first, the range or the bearing of the second end alone, or a
+/// point of its only node in the world.
+enum class Form : std::int8_t { relative, range, bearing, position };
+
+/// An edge; `oriented` where it measures a heading, too. A single number stands in z.x and omega.xx. An edge of one node has it
+/// at both ends.
 struct Edge {
     Vector z{};
     Symmetric omega{};
@@ -67,32 +73,44 @@ struct Edge {
     Number next[2] = {-1, -1};   ///< the next edge of either end
     Number owner = -1, next_owned = -1;  ///< the end that is eliminated first, and the next edge that this owns
     Number place = 0;            ///< where the other end stands in the front of the owner
+    Lever lever{};               ///< where the sensor of a number is on the robot, or the point that a position measures
+    Form form = Form::relative;
     bool oriented = true, robust = false, sighting = false;
 
     int side(Number node) const { return ends[0] == node ? 0 : 1; }
+    bool alone() const { return form == Form::position; }
+    bool number() const { return form == Form::range || form == Form::bearing; }
+    int rows() const { return number() ? 1 : oriented ? 3 : 2; }
     bool taken_out() const { return ends[0] < 0; }
 };
 
-/// An edge of a step. `motion` leads to a new pose, `sighting` to a landmark.
-enum class Kind { motion, sighting, relation };
+/// An edge of a step. `motion` leads to a new pose, `sighting` to a landmark; a range or a bearing alone leads to a node that is
+/// known. A position has its pose at both ends.
+enum class Kind { motion, sighting, relation, range, bearing, position };
 struct NewEdge {
     Number first, second;
     Kind kind;
     bool oriented;
     Vector z;
     Symmetric omega;
+    Lever lever{0.0, 0.0};
+    bool doubted = false;  ///< whether the robust kernel acts on a relation or position; it acts on all that is seen
 };
 
 struct Graph {
     std::vector<Node> nodes;
     std::vector<Edge> edges;
-    edges::Kernel kernel;  ///< of sightings
-    double gain = 1.0;     ///< what turns the weight of a sighting into its information; 1 without a kernel
+    /// By the number of rows of an edge, less 1: the robust kernel, and what turns weights into information, 1 without a kernel.
+    std::array<edges::Kernel, 3> kernels{};
+    std::array<double, 3> gains{1.0, 1.0, 1.0};
+    bool numbers = false;  ///< whether there have been single numbers, whose cost has many minima
 
     Number size() const { return static_cast<Number>(nodes.size()); }
+    const edges::Kernel& kernel_of(const Edge& edge) const { return kernels[edge.rows() - 1]; }
+    double gain_of(const Edge& edge) const { return gains[edge.rows() - 1]; }
 
-    /// Add edges. Nodes from number `known` on are new, and placed by their first edge. Returns the nodes of the edges, each
-    /// once.
+    /// Add edges. Nodes from number `known` on are new, and placed by their first edge, but for those of single numbers. Returns
+    /// the nodes of the edges, each once.
     std::vector<Number> append(std::span<const NewEdge> added, Number known);
     /// Take the edges from number `first` on out, which were added last.
     void detach(Number first);

@@ -31,6 +31,8 @@ struct Prior {
     void turn_to_poses();
     /// `carry` at the present values of the nodes, and Lambda_x, if it is to be renewed.
     void evaluate(const Graph& graph, bool renew);
+    /// v' Lambda v - 2 b' v at the present values of the nodes.
+    double cost(const Graph& graph) const;
     /// Whether the nodes have turned or moved so far against each other that Lambda_x is no good approximation.
     bool outdated(const Graph& graph) const;
 };
@@ -40,6 +42,8 @@ class Way {
    public:
     Way(const Prior& prior, std::span<const Triple> x, const std::vector<char>& point);
     std::vector<double> v;
+    /// v' Lambda v - 2 b' v.
+    double cost(const Prior& prior) const;
     /// J' (b - Lambda v) and J' Lambda J.
     std::vector<double> gradient(const Prior& prior) const;
     std::vector<double> information(const Prior& prior) const;

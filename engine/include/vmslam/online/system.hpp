@@ -27,11 +27,13 @@ class OnlineSystem {
     /// takes over.
     OnlineSystem(double tolerance, int most_passes) : tolerance_(tolerance), most_passes_(most_passes) {}
 
-    /// The robust kernel of sightings, and what turns their weights into information.
-    void use_kernel(const edges::Kernel& kernel, double gain);
+    /// The robust kernel of edges with so many rows, 0 for all, and what turns their weights into information.
+    void use_kernel(const edges::Kernel& kernel, double gain, int rows = 0);
 
     /// A new node, at the origin until an edge or a prior leads to it.
     Number add_node();
+    /// A new landmark without heading at a place, for single numbers.
+    Number add_point(double x, double y);
     /// Put nodes at places, with their joint information (3k, 3k) in world axes. `points` have no heading.
     void add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information,
                    bool points);
@@ -41,6 +43,10 @@ class OnlineSystem {
     bool add(Number known, std::span<const NewEdge> added, std::span<const Number> newest);
     /// Bring the solution to the optimum after edges were added at nodes.
     bool solve(std::span<const Number> touched, std::span<const Number> fresh, std::span<const Number> newest);
+    /// Put nodes elsewhere, such as a landmark at its mirror image, and solve from there; false where not all nodes are determined.
+    bool solve_from(std::span<const Number> nodes, std::span<const Triple> places, std::span<const Number> newest);
+    /// Give the prior that was added first, that of one pose, another place and information; `solve_from` takes it over.
+    void loosen(const Triple& place, std::vector<double> information);
     /// Linearise all edges where they are now and factorise again, in the order of the tree, and solve.
     void relinearize(std::span<const Number> newest);
 
@@ -55,8 +61,9 @@ class OnlineSystem {
     std::vector<Triple> values(std::span<const Number> nodes);
     /// Bring all nodes to the solution: steps leave out those that move by a small part of a standard deviation.
     void complete();
-    /// The cost at the estimate, without priors.
+    /// The cost at the estimate, without priors, and with all of them but for a constant.
     double cost();
+    double cost_with_priors();
     /// The joint covariance (3k, 3k) of k nodes in world axes, unless the edges do not determine it to double precision.
     std::optional<std::vector<double>> covariance(std::span<const Number> nodes, std::span<const Number> newest);
 

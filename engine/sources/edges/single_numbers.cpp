@@ -1,0 +1,23 @@
+#include "vmslam/edges/single_numbers.hpp"
+
+namespace vmslam::edges {
+
+double NumberEdges::accumulate(const State& state, System* system, std::span<const Place> pairs) const {
+    double total = 0.0;
+    for (std::size_t k = 0; k < edges_.size(); ++k) {
+        const auto& [i, j, z, omega, offset] = edges_[k];
+        const double *const a = state.node(i), *const b = state.node(j);
+        const Rotation axes(a[2]);
+        const double dx = b[0] - a[0], dy = b[1] - a[1];
+        const auto [e, n, distance] =
+            number_seen(kind_, z, axes.c * dx + axes.s * dy - offset.x, axes.c * dy - axes.s * dx - offset.y);
+        const double squares = omega * e * e, w = omega * kernel_.weight(squares);
+        total += kernel_.loss(squares);
+        if (!system) continue;
+        const Lever world{axes.c * n.x - axes.s * n.y, axes.s * n.x + axes.c * n.y};
+        add_point(*system, i, j, pairs[k], along(w, world), {w * e * world.x, w * e * world.y, 0.0}, {-dy, dx});
+    }
+    return total;
+}
+
+}  // namespace vmslam::edges
