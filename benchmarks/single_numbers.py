@@ -5,7 +5,7 @@
 Worlds of `graphslam.simulation.worlds`: 300 poses along the lanes of a field of 40 m, 8 landmarks, one sighting at
 every second pose. The optimum is the lower end of the search from odometry and of Levenberg-Marquardt from the ground truth.
 A landmark is misplaced in silence where no note says that it may be elsewhere. With --filters the same worlds go through
-Monte Carlo localisation, which knows the landmarks, and FastSLAM, with 1000 particles.
+Monte Carlo localisation, which knows the landmarks, and FastSLAM, with 1000 particles; with --online through the online solver.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import time
 
 import numpy as np
 
-from graphslam import Graph, Solution, solve
+from graphslam import Graph, Solution, solve, solve_online
 from graphslam.metrics import ate, evaluate
 from graphslam.simulation.worlds import NUMBERS, simulate_single_numbers
 
@@ -55,6 +55,21 @@ def through_filters(number: str, lanes: int, seeds: range) -> None:
         )
 
 
+def step_by_step(number: str, lanes: int, seeds: range) -> None:
+    """Print by how much J of the online solver is above that of the batch solution, with and without a kernel."""
+    for kernel in ("none", "cauchy"):
+        above, seconds = list[float](), list[float]()
+        for seed in seeds:
+            log = simulate_single_numbers(number, seed=seed, lanes=lanes)
+            batch, online = solve(Graph.from_log(log, kernel=kernel)), solve_online(log, kernel=kernel)
+            above.append(online.cost / batch.cost - 1)
+            seconds.append(online.seconds)
+        print(
+            f"{number}, kernel {kernel}, step by step: J at most {max(above):.1e} above the batch solution; "
+            f"{np.median(seconds):.2f} s"
+        )
+
+
 def main() -> None:
     """Print how many worlds end at the optimum, and how well."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -63,8 +78,12 @@ def main() -> None:
     parser.add_argument("--lanes", type=int, default=6, help="1: a straight way, with mirror images")
     parser.add_argument("--first", type=int, default=1000, help="the first seed")
     parser.add_argument("--filters", action="store_true", help="the particle filters instead of the graph")
+    parser.add_argument("--online", action="store_true", help="the online solver beside the graph")
     options = parser.parse_args()
     for number in options.number or NUMBERS:
+        if options.online:
+            step_by_step(number, options.lanes, range(options.first, options.first + options.count))
+            continue
         if options.filters:
             through_filters(number, options.lanes, range(options.first, options.first + options.count))
             continue

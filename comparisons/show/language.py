@@ -64,6 +64,8 @@ def _patterns(language: str) -> list[tuple[re.Pattern[str], str, list[bool]]]:
     for template, translation in catalogue(language).items():
         if places := re.findall(r"\{[#=]?\}", template):
             pattern = re.escape(template).replace(r"\{\#\}", r"([-+\d.,e]+)")
+            # '1 landmark' and '2 landmarks' have one template
+            pattern = re.sub(r"(\\d\.,e\]\+\)\\ [a-z]{2,})s\b", r"\1s?", pattern)
             pattern = pattern.replace(r"\{\}", "(.*?)").replace(r"\{=\}", "(.*?)")
             found.append((re.compile(pattern, re.IGNORECASE), translation, [place == VERBATIM for place in places]))
     return found

@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from graphslam import Log, OnlineSolver
+from graphslam.errors.checks import singular
 from graphslam.metrics import headings as metric_headings
 from graphslam.se2 import Array
 
@@ -181,6 +182,9 @@ def overview_tables(overview: Overview) -> Tables:
     if (more := len(overview.landmarks) - _LISTED) > 0:
         remarks.append(f"... and {more} more landmarks")
     remarks.append(f"{title}{', with ' if known else ''}{known}.")
+    for rows, what in ((log.relations, "relations between two poses"), (log.positions, "absolute positions")):
+        if rows is not None:
+            remarks.append(singular(f"The log has {len(rows)} {what}."))
     if overview.seconds is not None:
         driven, turned = number(overview.distance, 1), number(overview.turned, 1)
         remarks.append(f"The odometry drives {driven} m and turns by {turned} rad in all, in {overview.seconds:.1f} s.")

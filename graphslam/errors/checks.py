@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import sys
 from collections.abc import Collection
 from dataclasses import field
@@ -151,6 +152,11 @@ def first(wrong: ArrayLike) -> int | None:
     """The first index at which a condition (N,) holds, or None where it never does."""
     wrong = np.asarray(wrong, dtype=bool)
     return int(np.argmax(wrong)) if wrong.any() else None
+
+
+def singular(text: str) -> str:
+    """A text with '1 landmark' where it counts '1 landmarks'."""
+    return re.sub(r"(?<![\w.,-])1 ([a-z]+[^\Wis])s\b", r"1 \1", text)
 
 
 def listed(noun: str, numbers: list[int], most: int = 8) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from ..edges import (
     AnchorEdges,
     BearingEdges,
+    CartesianObservationEdges,
     EdgeFamily,
     LandmarkPriors,
     PartialEdges,
@@ -152,6 +153,8 @@ def _file_of_graph(graph: Graph, state: Array) -> PoseGraphFile:
                 held.append(family.nodes)
                 continue
             family = PositionEdges(family.nodes, family.values, family.information, np.zeros((family.count, 2)))
+        if isinstance(family, CartesianObservationEdges) and family.kernel is None and not family.oriented:
+            family = family.relative
         groups[_kind(family)].append(family)
 
     def rows(kind: str, chosen: list[Any]) -> FileEdges:
@@ -186,7 +189,9 @@ def _kind(family: EdgeFamily) -> str:
             return "range" if isinstance(family, RangeEdges) else "bearing"
         if isinstance(family, (RelativePoseEdges, RelativePointEdges)):
             return "pose" if isinstance(family, RelativePoseEdges) else "point"
+    kernel = getattr(family, "kernel", None)
+    what = "with state-dependent or angular residuals" if kernel is None else f"with the robust kernel {kernel.name}"
     raise GraphError(
-        f"g2o has no line for {type(family).__name__} with state-dependent or angular residuals, or with a robust "
-        "kernel; graphslam.graph.transform.relative_graph makes relative poses of them where that is possible"
+        f"g2o has no line for {type(family).__name__} {what}; relative_graph(graph, state=solution.state) of "
+        "graphslam.graph.transform makes edges of them that g2o has, with the weights of a kernel at that state: save that"
     )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import LogError, OptionError, printable, quoted
-from ..errors.checks import array_of, check_positive, check_type, checked_deviations, checked_offset, first
+from ..errors.checks import array_of, check_positive, check_type, checked_deviations, checked_offset, first, singular
 from ..models import MotionModel, SensorModel, additional_variances
 from ..se2 import Array, mounted, wrap
 from .measurements import (
@@ -278,11 +278,11 @@ class Log:
         """The numbers of sightings and landmarks, in words."""
         total, without = len(self.steps), int(np.count_nonzero(self.landmarks == UNIDENTIFIED))
         if 0 < without == total:
-            return f"{total} sightings of unidentified landmarks"
+            return singular(f"{total} sightings of unidentified landmarks")
         some, ids, alone = f" ({without} without an id)" if without else "", self.landmark_ids, ""
         if (single := self.partial_sightings) is not None:
             ids, alone = np.union1d(ids, single.landmarks), f" and {len(single)} with a range or a bearing alone"
-        return f"{total} sightings{some}{alone} of {len(ids)} landmarks"
+        return singular(f"{total} sightings{some}{alone} of {len(ids)} landmarks")
 
     @property
     def identified(self) -> bool:

@@ -100,7 +100,7 @@ def test_edges_between_robots_and_priors(file: Path) -> None:
     # the heading of the robot that is seen is not measured
     assert relations.covariances[1, 2, 2] == 1e6
     assert positions.steps.tolist() == [0, k + 9] and positions.places[1].tolist() == [1.0, 2.0, 0.5]
-    assert "1 ranges between two poses, such as of two robots, are not used" in log.notes
+    assert "1 range between two poses, such as of two robots: not used" in log.notes
     alone = load(file, robot=3)
     assert alone.name == "robot C" and alone.relations is None and alone.num_poses == 61
     assert load_robots(file).keys() == {1, 3}
