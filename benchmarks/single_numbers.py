@@ -5,7 +5,8 @@
 Worlds of `graphslam.simulation.worlds`: 300 poses along the lanes of a field of 40 m, 8 landmarks, one sighting at
 every second pose. The optimum is the lower end of the search from odometry and of Levenberg-Marquardt from the ground truth.
 A landmark is misplaced in silence where no note says that it may be elsewhere. With --filters the same worlds go through
-Monte Carlo localisation, which knows the landmarks, and FastSLAM, with 1000 particles; with --online through the online solver.
+Monte Carlo localisation, which knows the landmarks, and FastSLAM, with 1000 particles; with --online through
+the online solver.
 """
 
 from __future__ import annotations
