@@ -249,7 +249,7 @@ def _kernel_of(graph: Graph) -> tuple[Graph, Kernel | None]:
     if not other:
         return graph, kernel
     note = "step by step, relations and positions count without a robust kernel that is not that of the sightings"
-    families = tuple(replace(f, kernel=None) if f in other else f for f in graph.families)  # type: ignore[type-var]
+    families = tuple(replace(f, kernel=None) if f in other else f for f in graph.families)
     return replace(graph, families=families, notes=(*graph.notes, note)), kernel
 
 
