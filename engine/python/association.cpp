@@ -7,7 +7,7 @@
 #include "bindings.hpp"
 #include "vmslam/association/growth.hpp"
 #include "vmslam/association/search.hpp"
-#include "vmslam/association/views.hpp"
+#include "vmslam/association/visibility.hpp"
 
 namespace vmslam::python::association_bindings {
 

@@ -96,7 +96,7 @@ void bind(nb::module_& m) {
              })
         // S and half the gradient (N, 2) of the function below J for a split
         .def("function_of", [](const OwnedProof& proof, double share) {
-            Minorant f = proof.function_of(share);
+            QuadraticBound f = proof.function_of(share);
             const std::size_t blocks = f.values.size() / 4, nodes = f.gradient.size() / 2;
             return std::pair(array(std::move(f.values), {blocks, 2, 2}), array(std::move(f.gradient), {nodes, 2}));
         });

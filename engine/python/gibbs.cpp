@@ -99,7 +99,7 @@ class SharedChain {
         const Use use(busy_);
         const std::size_t count = problem.steps() + 1;
         require(chain_.poses.size() == count, "the chain has another number of poses than the problem");
-        require(particles >= 2 && block >= 1 && moves >= 0, "a chain needs two particles and stretches of at least one step");
+        require(particles >= 2 && block >= 1 && moves >= 0, "a chain needs two particles and blocks of at least one step");
         const std::size_t width = 3 * problem.steps() + (problem.oriented ? 3 : 2) * problem.marks;
         require(rows.size() == width * deviations.size(), "the directions have another width than the state");
         const Directions directions{records<Vector>(poses, count), records<Vector>(marks, problem.marks), span(rows),

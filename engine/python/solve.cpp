@@ -157,11 +157,11 @@ void bind_runs(nb::module_& m) {
         .def_ro("factorizations", &Run::factorizations);
     m.def("gauss_newton", &gauss_newton, release());
     m.def("levenberg_marquardt", &levenberg_marquardt, release());
-    nb::class_<AndersonMixing>(m, "AndersonMixing")
+    nb::class_<AndersonAcceleration>(m, "AndersonAcceleration")
         .def(nb::init<>())
-        .def_prop_ro("active", &AndersonMixing::active)
-        .def("next", [](AndersonMixing& mixing, In<double> x, In<double> f) {
-            const std::vector<double> next = mixing.next(span(x), span(f));
+        .def_prop_ro("active", &AndersonAcceleration::active)
+        .def("next", [](AndersonAcceleration& anderson, In<double> x, In<double> f) {
+            const std::vector<double> next = anderson.next(span(x), span(f));
             return state_array(next.data(), next.size());
         });
     m.def("rounding", [](In<double> state, In<double> diagonal) { return rounding(span(state), span(diagonal)); });

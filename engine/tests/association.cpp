@@ -8,7 +8,7 @@
 #include "expect.hpp"
 #include "vmslam/association/growth.hpp"
 #include "vmslam/association/search.hpp"
-#include "vmslam/association/views.hpp"
+#include "vmslam/association/visibility.hpp"
 
 namespace {
 

@@ -118,7 +118,7 @@ class GibbsResult(Samples):
     Attributes:
         log: the name of the log; ``options``, ``motion``, ``sensor``: with what it was sampled.
         trajectories, maps, ids: as in `Samples`.
-        accepted: the share of renewed stretches that the correction by the exact density accepted; 1 without it.
+        accepted: the share of renewed blocks that the correction by the exact density accepted; 1 without it.
     """
 
     log: str
@@ -157,7 +157,7 @@ class ParticleGibbs:
     """Particle Gibbs with ancestor sampling for SLAM, the landmarks integrated out: a smoother, not a filter.
 
     Every chain starts from a history drawn from its own run of `FastSLAM2`. A sweep renews every motion while all that
-    follows moves along (pivots), then the poses in stretches of ``block`` steps between fixed ends, draws the map, and moves
+    follows moves along, then the poses in blocks of ``block`` steps between fixed ends, draws the map, and moves
     trajectory and map along their widest directions (`low_rank`). The engine does the sweeps
     (``engine/include/vmslam/gibbs``). During the warm-up the sightings are linearised three times: as measured, then twice
     at the mean of the chains so far; then nothing changes any more.
@@ -286,7 +286,7 @@ def _check_memory(log: Log, options: GibbsOptions) -> None:
     there = available_memory()
     if there is None:
         return
-    # of each particle: poses and ancestors of a stretch, and two copies of the landmarks that it sees
+    # of each particle: poses and ancestors of a block, and two copies of the landmarks that it sees
     need = options.particles * (32.0 * min(options.block, log.num_poses) + 144 * len(log.landmark_ids))
     if need > there:
         raise OptionError(

@@ -1,6 +1,6 @@
 """The Gaussian at the mode of trajectory and map, and its widest directions, along which the chains move all of it at once.
 
-The moves are in the engine (``engine/include/vmslam/gibbs/bends.hpp``).
+The moves are in the engine (``engine/sources/gibbs/low_rank.cpp``).
 """
 
 from __future__ import annotations

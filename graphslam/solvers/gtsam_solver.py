@@ -48,14 +48,14 @@ FINER = 0.1
 
 def solve_jointly_with_gtsam(joint: JointGraph, run: Run) -> None:
     """Freeze, minimise over nodes and parameters, and freeze again, from ``run.state`` until it moves no more."""
-    mixing = engine.AndersonMixing()
+    anderson = engine.AndersonAcceleration()
     while len(run.step_norms) < run.max_iterations:
         inner = max(run.tolerance / 10, FINER * run.step_norms[-1] if run.step_norms else FINER)
         move = _minimum(joint, run.state, inner) - run.state
         nodes, _ = joint.parted(move)
         nodes[:, 2] = wrap(nodes[:, 2])
         run.step_norms.append(float(np.linalg.norm(move)))
-        run.state = mixing.next(run.state, move)
+        run.state = anderson.next(run.state, move)
         if not np.isfinite(run.step_norms[-1]):
             run.reason = f"diverged after {len(run.step_norms)} steps"
             return
@@ -378,7 +378,7 @@ def _promises_little(
 
 def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str) -> tuple[Array, list[float], bool]:
     """Freeze the information, solve, and freeze it again, until the solution does not change."""
-    state, mixing = graph.initial.copy(), engine.AndersonMixing()
+    state, anderson = graph.initial.copy(), engine.AndersonAcceleration()
     norms: list[float] = []
     while len(norms) < max_iterations:
         # every freezing changes the inner problem, so there is no use in solving it much more closely than that
@@ -387,7 +387,7 @@ def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str)
         solved, _, settled = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=tolerance)
         move = difference(solved, state)
         norms.append(float(np.linalg.norm(move)))
-        state = mixing.next(state, move)
+        state = anderson.next(state, move)
         if norms[-1] < tolerance and settled:
             return state, norms, True
         if _no_shorter(norms, WAIT):

@@ -141,7 +141,7 @@ def test_without_sightings_that_matter_it_samples_the_motions() -> None:
 
 
 def test_both_kernels_agree() -> None:
-    """Pivots alone and stretches alone have the same posterior; so do short and long stretches, few and many particles."""
+    """Motion moves alone and block moves alone have the same posterior; so do short and long blocks, few and many particles."""
     log = simulate(seed=2, steps=8, clean=True, **FIFTH)
     results = [
         ParticleGibbs(
@@ -171,7 +171,7 @@ def test_the_mode_is_that_of_the_graph(orientation: bool) -> None:
 
 
 @pytest.mark.slow
-def test_long_logs_mix_by_their_bends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_logs_mix_by_low_rank_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     """The smallest effective sample size without them is a fraction, the posterior the same."""
     log = simulate(seed=0, steps=40, clean=True, orientation=False, **FIFTH)
     options = {"seed": 1, "particles": 5, "iterations": 150, "warm_up": 40, "chains": 2, **FIFTH}

@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <numbers>
 
-#include "vmslam/certificate/minorant.hpp"
+#include "vmslam/certificate/quadratic_bound.hpp"
 #include "vmslam/edges/arithmetic.hpp"
 
 namespace vmslam::certificate {

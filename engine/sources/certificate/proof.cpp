@@ -92,8 +92,8 @@ void Proof::begin(std::span<const double> state, std::vector<char> free) {
     write_function(function_, curves_);
 }
 
-void Proof::write_function(Minorant& out, std::span<const Curvature> curves) const {
-    write_minorant(state_, edges, free_, column_start_, rows_, forces_, curves, out);
+void Proof::write_function(QuadraticBound& out, std::span<const Curvature> curves) const {
+    write_quadratic_bound(state_, edges, free_, column_start_, rows_, forces_, curves, out);
 }
 
 std::vector<Curvature> Proof::curvatures_for(double share) const {
@@ -102,8 +102,8 @@ std::vector<Curvature> Proof::curvatures_for(double share) const {
     return curves;
 }
 
-Minorant Proof::function_of(double share) const {
-    Minorant out;
+QuadraticBound Proof::function_of(double share) const {
+    QuadraticBound out;
     write_function(out, curvatures_for(share));
     return out;
 }

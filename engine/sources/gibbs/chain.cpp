@@ -7,7 +7,7 @@
 namespace vmslam::gibbs {
 namespace {
 
-/// The share of moves of the bends that should be accepted.
+/// The share of the low-rank moves that should be accepted.
 constexpr double aim = 0.3;
 
 /// The sum of log N(z; h(x, m), diag(q)) - log N(y; relative place, C), without constants.
@@ -42,10 +42,10 @@ ChainSamples Chain::run(Random& random, const Problem& problem, const Directions
         if (problem.exact) state_.log_weight = log_ratio(poses, state_.map, sightings_, problem.oriented);
         Correction* const correction = problem.exact ? &state_ : nullptr;
         renew_motions(random, problem, sightings_, guess, rules.particles, correction, poses);
-        renew_stretches(random, problem, rules);
+        renew_blocks(random, problem, rules);
         if (!problem.exact) state_.map = draw_map(random, poses, sightings_, problem.marks, problem.oriented);
-        bend(random, problem, directions, rules, sweep);
-        // after the bends, which integrate the precisions out
+        move_low_rank(random, problem, directions, rules, sweep);
+        // after the low-rank moves, which integrate the precisions out
         if (problem.degrees > 0) renew_precisions(random, problem);
         samples.trajectories.push_back(poses);
         samples.maps.push_back(state_.map);
@@ -65,14 +65,14 @@ void Chain::weigh_sightings(const Problem& problem) {
     }
 }
 
-/// Renew all poses in stretches of `block` steps, the first one of a random length.
-void Chain::renew_stretches(Random& random, const Problem& problem, const ChainRules& rules) {
+/// Renew all poses in blocks of `block` steps, the first one of a random length.
+void Chain::renew_blocks(Random& random, const Problem& problem, const ChainRules& rules) {
     const Number T = problem.steps();
     Number begin = 1;
     Number end = std::min(1 + static_cast<Number>(random.uniform() * static_cast<double>(rules.block)), T);
     while (begin <= T) {
         const Trajectory old(poses.begin() + begin, poses.begin() + end + 1);
-        renew_stretch(random, problem, sightings_, guess, rules.particles, !problem.exact, begin, end, poses);
+        renew_block(random, problem, sightings_, guess, rules.particles, !problem.exact, begin, end, poses);
         ++tried_;
         if (!problem.exact || state_.accepts(random, poses, sightings_, problem.oriented))
             ++kept_;
@@ -83,8 +83,8 @@ void Chain::renew_stretches(Random& random, const Problem& problem, const ChainR
     }
 }
 
-void Chain::bend(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules,
-                 Number sweep) {
+void Chain::move_low_rank(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules,
+                          Number sweep) {
     if (rules.moves == 0) return;
     const int accepted_moves = move_along(random, problem, directions, step_, rules.moves, poses, state_.map);
     if (!rules.warm_up) return;

@@ -12,8 +12,8 @@ void renew_motions(Random& random, const Problem& problem, std::span<const Sight
 
 /// Renew the poses `begin` to `end` (1 to T) of x in place. `guess` (T) has motions from which the path of the guide is made;
 /// `ancestors`: whether particle 0 draws its ancestors.
-void renew_stretch(Random& random, const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess,
-                   Number particles, bool ancestors, Number begin, Number end, Trajectory& x);
+void renew_block(Random& random, const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess,
+                 Number particles, bool ancestors, Number begin, Number end, Trajectory& x);
 
 /// A number of moves of a state along the directions, with the step b; returns how many were accepted.
 int move_along(Random& random, const Problem& problem, const Directions& directions, double step, int moves, Trajectory& x,

@@ -58,14 +58,14 @@ class Step {
 /// steps. Without plain steps, a run that takes all its iterations also ends at the best state.
 std::optional<State> undamped(Objective& objective, Run& run, int plain) {
     const int mixed_from = objective.state_dependent || objective.reweighted ? 0 : plain;
-    run.mixing.reset();
+    run.anderson.reset();
     Step step(objective, run);
     State best = run.state;
     double lowest = std::numeric_limits<double>::infinity(), shortest = lowest;
     int progress = 0;
     const int most = run.rules.most_steps - run.steps();
     for (int k = 0; k < most; ++k) {
-        if (k == mixed_from) run.mixing.emplace();
+        if (k == mixed_from) run.anderson.emplace();
         const double cost = objective.linearize(run.state, run.state);
         if (run.diverged(cost) || run.settled(cost)) return std::nullopt;
         if (cost < lowest) best = run.state, lowest = cost, progress = k;
@@ -83,7 +83,7 @@ std::optional<State> undamped(Objective& objective, Run& run, int plain) {
         }
         if (run.norms.back() < shortest) shortest = run.norms.back(), progress = k;
         if (k - progress >= (run.mixed() ? patience_mixed : patience)) return best;
-        if (step.predicted > (run.mixing ? enough : run.rules.kept * cost)) step.renew();
+        if (step.predicted > (run.anderson ? enough : run.rules.kept * cost)) step.renew();
     }
     if (plain) return std::nullopt;
     return best;

@@ -46,8 +46,8 @@ struct Trial {
 }  // namespace
 
 bool levenberg_marquardt(Objective& objective, Run& run, int most) {
-    run.mixing.reset();
-    if (objective.state_dependent && !run.rules.descend) run.mixing.emplace();
+    run.anderson.reset();
+    if (objective.state_dependent && !run.rules.descend) run.anderson.emplace();
     run.end = End::most_steps;
     double damping = 1e-4, growth = 2.0;
     const int last = std::min(run.rules.most_steps, run.steps() + most);

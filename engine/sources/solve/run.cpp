@@ -28,8 +28,8 @@ double rounding(std::span<const double> state, std::span<const double> diagonal)
 }
 
 void Run::step(double cost, std::span<const double> delta) {
-    if (mixing)
-        state = mixing->next(state, delta);
+    if (anderson)
+        state = anderson->next(state, delta);
     else
         for (std::size_t k = 0; k < state.size(); ++k) state[k] += delta[k];
     costs.push_back(cost);

@@ -4,7 +4,7 @@
 #include <limits>
 #include <memory>
 
-#include "vmslam/certificate/minorant.hpp"
+#include "vmslam/certificate/quadratic_bound.hpp"
 #include "vmslam/sparse/factor.hpp"
 
 namespace vmslam::certificate {
@@ -52,7 +52,7 @@ class Proof {
     /// The splits of the edges that are tried first.
     std::span<const Curvature> curvatures() const { return curves_; }
     /// The function below J for another split, the same for all edges.
-    Minorant function_of(double share) const;
+    QuadraticBound function_of(double share) const;
     /// The cost of the edges, and a bound on its rounding errors.
     double cost() const;
     double slack() const { return function_.slack; }
@@ -83,7 +83,7 @@ class Proof {
     void choose_splits(std::span<const std::vector<Curvature>> choices, double part);
 
     std::vector<Curvature> curvatures_for(double share) const;
-    void write_function(Minorant& out, std::span<const Curvature> curves) const;
+    void write_function(QuadraticBound& out, std::span<const Curvature> curves) const;
 
     std::span<const Place> column_start_, rows_;
     HermitianFactor factor_;
@@ -93,7 +93,7 @@ class Proof {
     std::vector<double> summation_;  ///< (N) bounds on the rounding errors of the sums over the edges of a node, in units
     std::vector<Force> forces_;
     std::vector<Curvature> curves_;
-    Minorant function_;
+    QuadraticBound function_;
     std::vector<std::complex<double>> values_, negative_;
 };
 

@@ -29,10 +29,10 @@ struct Directions {
 };
 
 struct ChainRules {
-    Number particles, block;  ///< N; the steps of a stretch
+    Number particles, block;  ///< N; the steps of a block
     Number sweeps;
-    int moves;             ///< of the bends, after each sweep
-    bool warm_up = false;  ///< whether the step of the bends is adapted
+    int moves;             ///< of the low-rank moves, after each sweep
+    bool warm_up = false;  ///< whether the step of the low-rank moves is adapted
 };
 
 /// After each sweep.
@@ -45,23 +45,24 @@ struct ChainSamples {
 class Chain {
    public:
     Trajectory poses;           ///< the present trajectory of the sensor
-    std::vector<Vector> guess;  ///< motions at which the fits of the pivots begin
-    double accepted = 1.0;      ///< the share of renewed stretches that the last run accepted
+    std::vector<Vector> guess;  ///< motions at which the fits of the motion moves begin
+    double accepted = 1.0;      ///< the share of renewed blocks that the last run accepted
 
     ChainSamples run(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules);
 
    private:
     void weigh_sightings(const Problem& problem);
-    void renew_stretches(Random& random, const Problem& problem, const ChainRules& rules);
-    void bend(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules, Number sweep);
+    void renew_blocks(Random& random, const Problem& problem, const ChainRules& rules);
+    void move_low_rank(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules,
+                       Number sweep);
     void renew_precisions(Random& random, const Problem& problem);
 
     Correction state_;  ///< the present map, and the weight of the correction where there is one
     /// Student's t as a mixture: the covariance of sighting k is C_k / precision_k. Ones without it.
     std::vector<double> precision_;
     std::vector<Sighting> sightings_;  ///< with these covariances
-    double step_ = 0.3;                ///< of the bends
-    Number tried_ = 0, kept_ = 0;      ///< stretches
+    double step_ = 0.3;                ///< of the low-rank moves
+    Number tried_ = 0, kept_ = 0;      ///< blocks
 };
 
 }  // namespace vmslam::gibbs

@@ -6,7 +6,7 @@
 #include <optional>
 #include <vector>
 
-#include "vmslam/solve/mixing.hpp"
+#include "vmslam/solve/anderson.hpp"
 #include "vmslam/solve/objective.hpp"
 
 namespace vmslam::solve {
@@ -43,7 +43,7 @@ class Run {
    public:
     Rules rules;
     std::vector<double> state;
-    std::optional<AndersonMixing> mixing;  ///< of the steps, or none for plain steps
+    std::optional<AndersonAcceleration> anderson;  ///< of the steps, or none for plain steps
     std::vector<double> costs, norms;      ///< J before each step, and the norm of each step
     double predicted = std::numeric_limits<double>::infinity();  ///< how much the last step should lower J
     bool converged = false;
@@ -55,7 +55,7 @@ class Run {
 
     int steps() const { return static_cast<int>(norms.size()); }
     /// Whether the last step was a mixture of iterates.
-    bool mixed() const { return mixing && mixing->active(); }
+    bool mixed() const { return anderson && anderson->active(); }
 
     /// Take a correction from a state with this cost.
     void step(double cost, std::span<const double> delta);

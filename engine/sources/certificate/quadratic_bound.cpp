@@ -1,4 +1,4 @@
-#include "vmslam/certificate/minorant.hpp"
+#include "vmslam/certificate/quadratic_bound.hpp"
 
 #include <algorithm>
 
@@ -10,7 +10,7 @@ void add(std::complex<double>& to, Complex a) { to = {to.real() + a.re, to.imag(
 /// The function in work.
 struct Sum {
     std::span<const Place> column_start, rows;
-    Minorant& out;
+    QuadraticBound& out;
 
     std::complex<double>* block(Place k) { return out.values.data() + 4 * k; }
     std::complex<double>* diagonal(Place node) { return block(column_start[node + 1] - 1); }
@@ -44,9 +44,9 @@ struct Sum {
 
 }  // namespace
 
-void write_minorant(const State& state, std::span<const Edge> edges, std::span<const char> free,
-                    std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
-                    std::span<const Curvature> curvatures, Minorant& out) {
+void write_quadratic_bound(const State& state, std::span<const Edge> edges, std::span<const char> free,
+                           std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
+                           std::span<const Curvature> curvatures, QuadraticBound& out) {
     const std::size_t n = state.size();
     Sum sum{column_start, rows, out};
     out.values.assign(4 * rows.size(), 0.0);

@@ -8,7 +8,7 @@
 //
 // for all e, with equality at the residual v of the candidate, where p = (Omega v)_xy, g = (Omega v)_theta,
 // Omega - diag(beta, beta, kappa) is positive semidefinite, A = kappa u / tan u and u = g / kappa, if abs(u) < pi. For
-// abs(z_i) = 1 this is a Hermitian form of (z, t). See docs/certificate.md for the derivation.
+// abs(z_i) = 1 this is a Hermitian form of (z, t). See docs/beyond/certificate.md for the derivation.
 #pragma once
 
 #include <span>
@@ -66,7 +66,7 @@ struct Curvature {
 };
 
 /// The function below J at a candidate state of N nodes, in the variables (z, t) of the nodes that are free.
-struct Minorant {
+struct QuadraticBound {
     std::vector<std::complex<double>> values;    ///< the 2 x 2 blocks of S on the pattern of the graph
     std::vector<std::complex<double>> gradient;  ///< (N, 2) half the gradient at the candidate
     std::vector<double> scale;  ///< (N, 2) the sums of what was added to each diagonal entry of S, or more
@@ -88,8 +88,8 @@ Force force(const Node& first, const Node& second, const Edge& edge);
 Curvature curvature(const Edge& edge, const Force& force, double share);
 
 /// Write the function below J on the pattern of the graph. The cost is constant in nodes that are not `free`.
-void write_minorant(const State& state, std::span<const Edge> edges, std::span<const char> free,
-                    std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
-                    std::span<const Curvature> curvatures, Minorant& out);
+void write_quadratic_bound(const State& state, std::span<const Edge> edges, std::span<const char> free,
+                           std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
+                           std::span<const Curvature> curvatures, QuadraticBound& out);
 
 }  // namespace vmslam::certificate

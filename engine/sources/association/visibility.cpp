@@ -1,4 +1,4 @@
-#include "vmslam/association/views.hpp"
+#include "vmslam/association/visibility.hpp"
 
 #include <cmath>
 

@@ -9,7 +9,7 @@
 // with what was seen from t on, fused in the axes of x_t, as one sighting. All of it is exact once the landmarks are
 // integrated out, and costs O(landmarks) for a candidate. N candidates, of which one is the present d_t, are drawn from a
 // Gaussian fitted to this product and weighed exactly: a conditional SMC of one step. This mixes what moves the later
-// trajectory and map as a whole, which stretches move slowly.
+// trajectory and map as a whole, which blocks move slowly.
 //
 // Source: Lindsten, Jordan and Schön, Particle Gibbs with ancestor sampling, JMLR 2014, section 6, for models whose
 // future depends on the whole past.
@@ -27,10 +27,10 @@ Information prior_at(const Vector& middle, const Motion& motion) {
 }
 
 /// One pass over all motions of a trajectory.
-class Pivots {
+class MotionMoves {
    public:
-    Pivots(const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess, Number candidates,
-           Correction* correction)
+    MotionMoves(const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess, Number candidates,
+                Correction* correction)
         : problem_(problem),
           sightings_(sightings),
           guess_(guess),
@@ -166,7 +166,7 @@ class Pivots {
 
 void renew_motions(Random& random, const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess,
                    Number candidates, Correction* correction, Trajectory& x) {
-    Pivots(problem, sightings, guess, candidates, correction).renew(random, x);
+    MotionMoves(problem, sightings, guess, candidates, correction).renew(random, x);
 }
 
 }  // namespace vmslam::gibbs

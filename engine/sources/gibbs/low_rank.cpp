@@ -1,6 +1,6 @@
 // Move the whole trajectory and map at once along the directions in which the log determines them least.
 //
-// Pivots and stretches change a few poses at a time. A long log holds each of them tightly, while its whole trajectory may
+// Motion moves and block moves change a few poses at a time. A long log holds each of them tightly, while its whole trajectory may
 // still shift, turn and bend by much more: it then takes them very many small steps. Here the posterior of trajectory and map
 // is approximated by a Gaussian N(s, (J' J)^-1) at its mode s, as graph SLAM does. Its r widest directions, the columns of V
 // with standard deviations d, are independent of all others under the Gaussian. Their coordinates a are proposed anew,
@@ -39,9 +39,9 @@ double product(const double* a, const double* b, std::size_t size) {
 double square(std::span<const double> a) { return product(a.data(), a.data(), a.size()); }
 
 /// Moves of a state, which they change in place.
-class Bends {
+class LowRankMoves {
    public:
-    Bends(const Problem& problem, const Directions& directions, Trajectory& x, Map& m)
+    LowRankMoves(const Problem& problem, const Directions& directions, Trajectory& x, Map& m)
         : problem_(problem), directions_(directions), x_(x), m_(m), away_(difference()), a_(directions.deviations.size()) {
         // a = V' (state - mode) / d
         for (std::size_t k = 0; k < a_.size(); ++k)
@@ -127,7 +127,7 @@ class Bends {
 
 int move_along(Random& random, const Problem& problem, const Directions& directions, double step, int moves, Trajectory& x,
                Map& m) {
-    return Bends(problem, directions, x, m).move(random, step, moves);
+    return LowRankMoves(problem, directions, x, m).move(random, step, moves);
 }
 
 }  // namespace vmslam::gibbs

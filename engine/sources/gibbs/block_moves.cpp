@@ -1,8 +1,8 @@
-// Renew a stretch of poses between two fixed ends: conditional SMC with ancestor sampling, landmarks integrated out.
+// Renew a block of poses between two fixed ends: conditional SMC with ancestor sampling, landmarks integrated out.
 //
 // The poses x_s to x_e are renewed; those before and after stay where they are in the world, with what their sightings say of
-// the landmarks. N particles start at x_{s-1}; each has its own Gaussians of the landmarks that the stretch sees. Particle 0
-// is the present stretch. Each pose is drawn from the Gaussian of motion times guide, and weighed exactly:
+// the landmarks. N particles start at x_{s-1}; each has its own Gaussians of the landmarks that the block sees. Particle 0
+// is the present block. Each pose is drawn from the Gaussian of motion times guide, and weighed exactly:
 //
 //     p(x_t | x_{t-1}) p(z_t | x_t, map) psi_t(x_t) / (psi_{t-1}(x_{t-1}) q(x_t)),
 //
@@ -12,7 +12,7 @@
 //
 //     w_i p(x'_{t+1} | x_t^i) / psi_t(x_t^i) * prod p(z | x^i, m) / p(z | x^i)
 //
-// over the sightings of the stretch so far, where m is a draw of the map given the present trajectory. m is a last,
+// over the sightings of the block so far, where m is a draw of the map given the present trajectory. m is a last,
 // unweighted step of the SMC, which is what makes these weights those of the whole future without looking at it.
 //
 // Sources: Andrieu, Doucet and Holenstein, Particle Markov chain Monte Carlo methods, JRSS B 2010; Lindsten, Jordan and
@@ -27,9 +27,9 @@
 namespace vmslam::gibbs {
 namespace {
 
-/// The landmarks that a stretch sees, by numbers of their own, and what the rest of the log says of them.
+/// The landmarks that a block sees, by numbers of their own, and what the rest of the log says of them.
 struct LocalMap {
-    std::vector<Number> number;  ///< (J) the local number of each landmark that the stretch sees
+    std::vector<Number> number;  ///< (J) the local number of each landmark that the block sees
     std::vector<Gaussian> before;
 
     LocalMap(const Problem& problem, std::span<const Sighting> sightings, const Trajectory& x, Number begin, Number end);
@@ -37,13 +37,13 @@ struct LocalMap {
 
 /// psi: the information on displacements of the poses `middle` from what comes after each of them.
 ///
-/// A landmark counts with what the rest of the log says of it; those that only the stretch sees are left out.
+/// A landmark counts with what the rest of the log says of it; those that only the block sees are left out.
 struct Guide {
     std::vector<Frame> middle;  ///< (n) the path about which sightings and motions are linearised
     std::vector<Information> ahead;  ///< (n) without the sightings of the pose itself
     std::vector<Information> full;  ///< (n) with them
 
-    /// Look back from the end: `following` is the first pose after the stretch, if there is one.
+    /// Look back from the end: `following` is the first pose after the block, if there is one.
     void compute(const Problem& problem, std::span<const Sighting> sightings, const LocalMap& map, Number begin,
                  const Vector* following);
 };
@@ -120,11 +120,11 @@ Proposal proposal(const Frame& start, const Frame& middle, const Motion& motion,
 /// Particles are resampled below this share of N.
 constexpr double least_share = 0.5;
 
-/// The particles of a stretch. The weights of particle p and what belongs to it are those of its whole path so far.
-class Stretch {
+/// The particles of a block. The weights of particle p and what belongs to it are those of its whole path so far.
+class BlockMove {
    public:
-    Stretch(Random& random, const Problem& problem, std::span<const Sighting> sightings, Number particles, bool ancestors,
-            Number begin, Number end, Trajectory& x)
+    BlockMove(Random& random, const Problem& problem, std::span<const Sighting> sightings, Number particles, bool ancestors,
+              Number begin, Number end, Trajectory& x)
         : random_(random),
           problem_(problem),
           sightings_(sightings),
@@ -304,9 +304,9 @@ class Stretch {
 
 }  // namespace
 
-void renew_stretch(Random& random, const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess,
-                   Number particles, bool ancestors, Number begin, Number end, Trajectory& x) {
-    Stretch(random, problem, sightings, particles, ancestors, begin, end, x).renew(guess);
+void renew_block(Random& random, const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess,
+                 Number particles, bool ancestors, Number begin, Number end, Trajectory& x) {
+    BlockMove(random, problem, sightings, particles, ancestors, begin, end, x).renew(guess);
 }
 
 }  // namespace vmslam::gibbs

@@ -14,7 +14,7 @@
 
 namespace vmslam::solve {
 
-class AndersonMixing {
+class AndersonAcceleration {
    public:
     /// Whether the last iterate was mixed.
     bool active() const { return kept_.size() > 1; }

@@ -1,4 +1,4 @@
-#include "vmslam/solve/mixing.hpp"
+#include "vmslam/solve/anderson.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -91,7 +91,7 @@ std::vector<double> least_squares(std::vector<Column> A, Column b) {
     return out;
 }
 
-std::vector<double> AndersonMixing::next(std::span<const double> x, std::span<const double> f) {
+std::vector<double> AndersonAcceleration::next(std::span<const double> x, std::span<const double> f) {
     std::vector<double> moved(x.begin(), x.end());
     for (std::size_t k = 0; k < moved.size(); ++k) moved[k] += f[k];
     const double size = root_mean_square(f);
