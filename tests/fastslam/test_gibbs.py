@@ -141,7 +141,7 @@ def test_without_sightings_that_matter_it_samples_the_motions() -> None:
 
 
 def test_both_kernels_agree() -> None:
-    """Motion moves alone and block moves alone have the same posterior; so do short and long blocks, few and many particles."""
+    """Motion moves alone and block moves alone agree; so do short and long blocks, few and many particles."""
     log = simulate(seed=2, steps=8, clean=True, **FIFTH)
     results = [
         ParticleGibbs(
