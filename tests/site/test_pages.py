@@ -201,6 +201,15 @@ def test_measured_values_are_the_same_on_all_pages():
     assert [(value, name) for value, name in found if measured[name] != value] == []
 
 
+def test_only_pages_without_translation_are_called_english():
+    called = []
+    for page in [ROOT / "README.ja.md", *DOCS.rglob("*.ja.md")]:
+        for target in re.findall(r"\]\(([\w./-]+)\.md[^)]*\)[^\[。]{0,30}英語", page.read_text()):
+            if (page.parent / f"{target.removesuffix('.ja')}.ja.md").exists():
+                called.append((page.name, target))
+    assert called == []
+
+
 FORMULA = re.compile(r"\$\$(.+?)\$\$|\$([^$\n]+?)\$", re.DOTALL)
 CHAPTERS = [page for page in PAGES if page.parent.name in ("graph", "fastslam", "beyond") and page.stem != "index"]
 

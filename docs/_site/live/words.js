@@ -67,7 +67,7 @@ const WORDS = {
       "global": (gap) => `証明済み: Jがこれより小さくなる姿勢はありません（相対ギャップ ${gap.toExponential(0)}）。`,
       "global for its weights": (gap) => `いまのカーネルの重みについて証明済みです（相対ギャップ ${gap.toExponential(0)}）。`,
       "not proven": () => "証明できません。Jがもっと小さくなる姿勢があるかもしれません。",
-      "not applicable": () => "エッジの情報行列が姿勢によって変わるので、証明の対象になりません。",
+      "not applicable": () => "エッジの精度行列が姿勢によって変わるので、証明の対象になりません。",
     },
     anchor: "アンカー", noAnchor: "アンカーがないとΩに逆行列がないので、最初の姿勢をその場に固定して解きます",
     norm: "最後の更新量のノルム", steps: (n) => `${n}回`,
@@ -105,7 +105,7 @@ const WORDS = {
     noRange: (value) => `距離が ${value} です。正の値でなければなりません`,
     report: (poses, marks, seen, left, s) => `姿勢${poses}個、ランドマーク${marks}個、センサ値${seen}個（ほかに${left}個を除外）、${s.toFixed(2)}秒。`,
     ownNotConverged: "反復は収束していません。",
-    ownLegend: "線は軌跡、破線はデッドレコニング、十字はランドマークです。雑音は書籍の値で、各センサ値は1回ずつ使います。",
+    ownLegend: "線は軌跡、破線はデッドレコニング、十字はランドマークです。雑音は本の値で、各センサ値は1回ずつ使います。",
   },
 };
 
