@@ -51,6 +51,28 @@ def test_fastslam_has_the_numbers_of_python(open_page: Open, version: int) -> No
     assert page.complaints() == []
 
 
+def test_the_effective_sample_size_is_that_of_the_present_weights(open_page: Open) -> None:
+    page = open_page("fastslam", "drive", "version=2")
+    status = "document.querySelector('.live-status').textContent"
+    # a landmark has been seen, and its ellipse is drawn, but the first sighting of a landmark weighs nothing
+    assert page.evaluate(f"[{SLAM}.map().some((m) => m), {status}.includes('no landmark seen twice yet')]") == [
+        True,
+        True,
+    ]
+    compared = 0
+    for _ in range(60):
+        page.click("figure.live button[data-name=step]")
+        ess, resampled = page.evaluate(f"[{SLAM}.state.ess, {SLAM}.state.resampled]")
+        # at a step that resamples, the figure shows the value before
+        if not resampled:
+            logs = np.array(page.evaluate(f"{SLAM}.particles().logWeights"))
+            weights = np.exp(logs - logs.max())
+            assert ess == pytest.approx(weights.sum() ** 2 / np.sum(weights**2), rel=1e-9)
+            compared += 1
+    assert compared > 20
+    assert page.complaints() == []
+
+
 def test_fastslam_runs_and_shows_the_particle_that_is_clicked(open_page: Open) -> None:
     page = open_page("fastslam", "drive")
     page.click("figure.live button[data-name=run]")
@@ -96,11 +118,11 @@ SEEDED = """(slam, seed) => {
     slam.restart();
 }"""
 #: what the captions speak of, after a step of a drive: the error of the map [m], its largest standard deviation [m], and
-#: the effective sample size, now and on average
+#: the effective sample size, now and on average over the steps that see something
 FACTS = """(slam, seed, last, particle) => {
     (SEEDED)(slam, seed);
     const sizes = [];
-    while (slam.state.t < last && slam.step()) if (slam.state.ess !== null) sizes.push(slam.state.ess);
+    while (slam.state.t < last && slam.step()) if (slam.state.ess !== null && slam.sizes().length) sizes.push(slam.state.ess);
     const found = slam.names.map((name, k) => [slam.map(particle)[k], slam.landmarks.find((row) => row[3] === name)])
         .filter(([mean]) => mean);
     const mean = (numbers) => numbers.reduce((sum, number) => sum + number, 0) / numbers.length;

@@ -40,6 +40,7 @@ export function make(figure, engine, log, words, book) {
   function move() {
     if (state.t + 1 >= seen.length) return false;
     ++state.t;
+    if (state.resampled) state.ess = state.particles; // all weights are equal since
     if (state.t > 0) slam.move(log.controls[state.t - 1], random.key());
     history.push({ ...slam.particles(), ancestors: null });
     Object.assign(state, { moved: true, resampled: false });
@@ -162,7 +163,7 @@ export function make(figure, engine, log, words, book) {
     const [x, y] = stage.at(poses[i]);
     fill(stage, "chosen", [stage.path(trajectory(i)), `M${x} ${y}h.01`], (d, k) => ({ d, class: k ? "chosen-pose" : "chosen-path" }));
     if (next) next.textContent = state.moved ? words.halfSightings : words.halfMotion;
-    status.innerHTML = `<strong>t = ${state.t}</strong>, <span></span>`;
+    status.innerHTML = `<strong>t = ${state.t}</strong>${words.comma}<span></span>`;
     status.lastChild.textContent = (state.weighted || state.particles === 1 ? words.ess(state.ess, state.particles, state.resampled, state.resamplings) : words.unweighted)
       + (state.kidnapped ? words.kidnapped : "") + (given.sizes === "yes" ? words.sizes(sizesNow(i)) : "");
   }

@@ -65,8 +65,8 @@ export function make(figure, engine, log, words) {
     if (end.poses.every((pose) => pose.every(Number.isFinite)))
       state.poses = state.anchor ? end.poses : end.poses.map((pose) => carried(pose, log.start, held));
     message = !end.determined ? words.free
-      : `${most === 1 ? "" : `${words.steps(end.steps)}, `}${words.norm}: ${end.norm.toPrecision(2)}`
-        + (most > 1 && !end.converged ? `, ${words.notConverged}` : "") + (state.anchor ? "" : `. ${words.noAnchor}`);
+      : `${most === 1 ? "" : words.steps(end.steps) + words.comma}${words.norm}: ${end.norm.toPrecision(2)}`
+        + (most > 1 && !end.converged ? words.comma + words.notConverged : "") + (state.anchor ? "" : words.stop + words.noAnchor);
     draw();
   }
   function change(name, value) {

@@ -3,7 +3,7 @@ const WORDS = {
   en: {
     missing: "This figure needs the engine as WebAssembly, which this copy of the site does not have, or a browser that may load it: "
       + "build the site with <code>make docs</code> and open it through a web server, for example <code>python -m http.server</code>.",
-    pose: "pose", landmark: "landmark",
+    pose: "pose", landmark: "landmark", comma: ", ", stop: ". ",
     move: "arrow keys move it, Shift with an arrow key to the left or right turns it",
     moveLandmark: "arrow keys move it, and its sightings are measured anew",
     step: "One Gauss-Newton step", all: "All steps", reset: "Dead reckoning",
@@ -35,7 +35,7 @@ const WORDS = {
     sizes: (seen) => (seen.length ? "; standard deviations: " + seen.map(([name, size]) =>
       `landmark ${name} ${size === null ? "(new)" : `${size.toFixed(2)} m`}`).join(", ") : ""),
     resampling: "resampling", motionNoise: "motion noise ×",
-    ess: (ess, n, resampled, times) => (ess === null ? "no landmark seen yet" : n === 1 ? "one particle"
+    ess: (ess, n, resampled, times) => (ess === null ? "no landmark seen twice yet" : n === 1 ? "one particle"
       : `effective sample size ${ess.toFixed(1)} of ${n}`) + (resampled ? ", resampled now" : "") + (times ? ` (${times} times so far)` : ""),
     fastslamLegend: (weighted) => `Dots: particles${weighted ? ", larger with a larger weight" : ""}. Thin lines: their trajectories. `
       + "Click a particle to see its trajectory and its map (ellipses of two standard deviations); at first it is the one "
@@ -57,7 +57,7 @@ const WORDS = {
   ja: {
     missing: "この図には、WebAssemblyにしたエンジンと、それを読み込めるブラウザが必要です。このサイトには見つかりませんでした。"
       + "<code>make docs</code> でサイトを作り、<code>python -m http.server</code> などのWebサーバ経由で開いてください。",
-    pose: "姿勢", landmark: "ランドマーク",
+    pose: "姿勢", landmark: "ランドマーク", comma: "、", stop: "。",
     move: "矢印キーで動かし、Shiftキーと左右の矢印キーで回します",
     moveLandmark: "矢印キーで動かすと、センサ値を測り直します",
     step: "ガウス・ニュートン法を1回", all: "収束まで", reset: "デッドレコニング",
@@ -69,7 +69,7 @@ const WORDS = {
       "not proven": () => "証明できません。Jがもっと小さくなる姿勢があるかもしれません。",
       "not applicable": () => "エッジの精度行列が姿勢によって変わるので、証明の対象になりません。",
     },
-    anchor: "アンカー", noAnchor: "アンカーがないとΩに逆行列がないので、最初の姿勢をその場に固定して解きます",
+    anchor: "アンカー", noAnchor: "アンカーがないとΩに逆行列がないので、最初の姿勢をその場に固定して解きます。",
     norm: "最後の更新量のノルム", steps: (n) => `${n}回`,
     free: "エッジだけでは姿勢が一意に決まりません。Ωに逆行列がありません。",
     notConverged: "収束していません",
@@ -88,7 +88,7 @@ const WORDS = {
     sizes: (seen) => (seen.length ? "。標準偏差: " + seen.map(([name, size]) =>
       `ランドマーク${name} ${size === null ? "（初めて）" : `${size.toFixed(2)} m`}`).join("、") : ""),
     resampling: "リサンプリング", motionNoise: "移動の雑音 ×",
-    ess: (ess, n, resampled, times) => (ess === null ? "まだランドマークを観測していません" : n === 1 ? "パーティクルは1つです"
+    ess: (ess, n, resampled, times) => (ess === null ? "同じランドマークはまだ2回観測していません" : n === 1 ? "パーティクルは1つです"
       : `有効サンプルサイズ ${ess.toFixed(1)}（N = ${n}）`) + (resampled ? "、リサンプリングしました" : "") + (times ? `（これまでに${times}回）` : ""),
     fastslamLegend: (weighted) => `点はパーティクルです${weighted ? "（重みが大きいほど大きく描きます）" : ""}。細い線はその軌跡です。`
       + "パーティクルをクリックすると、その軌跡と地図（標準偏差の2倍の楕円）を表示します。"
