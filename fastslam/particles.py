@@ -234,7 +234,7 @@ class FilterResult:
         landmarks, landmark_covariances: the map of the best particle, {id: (n,)} and {id: (n, n)}, n = 2 or 3; with
             unknown association its confirmed landmarks.
         log_weights: (N,) at the end, normalised.
-        log_evidence: the logarithm of the estimated density of the sightings, by which noise models for one log can be
+        log_evidence: the logarithm of the estimated density of sightings and positions, by which noise models can be
             compared: the sum over all observations of log sum of (weight before * likelihood). A first sighting with a
             known id has the likelihood 1. Steps whose sightings are impossible for all particles do not count.
         ess: (T+1,) effective sample size after each step, before resampling.

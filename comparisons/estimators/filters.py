@@ -120,7 +120,8 @@ def unused_ids(log: Log) -> str | None:
 
 def _filtered(log: Log, front: fastslam.FilterOptions, models: dict[str, Any]) -> tuple[np.ndarray, Array]:
     """The ids (M,) and poses (T+1, 3) of a run of FastSLAM 2.0, -1 for sightings of no confirmed landmark."""
-    result = fastslam.FastSLAM2(log, options=front, **models).run()
+    # association knows no positions, and its start need not be in their frame
+    result = fastslam.FastSLAM2(log.replace(positions=None), options=front, **models).run()
     assert result.association is not None and result.unconfirmed is not None
     lost = (result.association == UNIDENTIFIED) | result.unconfirmed
     return np.where(lost, -1, result.association), result.poses

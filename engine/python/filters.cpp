@@ -232,6 +232,13 @@ void bind_weighing(nb::class_<SharedFilter>& c) {
             f.weigh_anonymous(sightings, classes, version_of(version));
         });
     });
+    c.def("weigh_by", [](SharedFilter& s, Numbers log_likelihoods) {
+        const auto given = copy_of(log_likelihoods);
+        s.with([&](Filter& f) {
+            require(given.size() == f.particles(), "a log likelihood for each particle");
+            f.weigh_by(given);
+        });
+    });
     c.def("reweigh", [](SharedFilter& s) {
         const auto [possible, log_evidence, ess] = s.with([](Filter& f) { return f.reweigh(); });
         return nb::make_tuple(possible, log_evidence, ess);

@@ -21,21 +21,21 @@ from graphslam.errors.checks import check_type, suggestion
 from graphslam.graph.localization import Fix
 from graphslam.identification.robot import known_robot
 from graphslam.log import Log
+from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
-from graphslam.se2 import Array, wrap
+from graphslam.se2 import Array
 
-from ..motions import Record, check_motion, robot_poses, sensor_motions
-from ..options import FilterOptions, check_memory, draw_key, finite, index, measurements
+from ..motions import Record, check_motion, checked_control, checked_motion, robot_poses, sensor_motions
+from ..options import FilterOptions, check_memory, draw_key, index, measurements
 from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, ParticleState, Samples
+from ..positions import check_frame, first_poses, log_likelihoods, one_position
 
-#: the standard deviations of particles around a first fix, over those of the fix
-SPREAD = 2.0
 #: the variance of a number that was not measured: it multiplies all likelihoods by the same factor
 NOT_MEASURED = 1e12
 
 
 class VanishedWeightsWarning(RuntimeWarning):
-    """The sightings of a step are impossible for every particle; the weights from before the step were kept."""
+    """The sightings or positions of a step are impossible for every particle; the weights from before the step were kept."""
 
 
 class ParticleFilter(ABC):
@@ -62,6 +62,10 @@ class ParticleFilter(ABC):
     Sightings with one number, a range or a bearing, weigh the particles by its likelihood (`Log.partial_sightings`, or NaN in
     the other column of `observe`).
 
+    Absolute positions multiply the weights by N(p + R(theta) a - (x, y); 0, C), a the lever, before a step is resampled,
+    also in FastSLAM 2.0: its proposal does not use them. Their frame is that of the first pose: a log whose first
+    positions are far from its odometry is refused. With smoothing they are left out with a warning.
+
     Random numbers come from one generator in this order: for each motion `options.standard_normals`, five per particle
     (nu, omega, x, y, theta; the first three for a Gaussian drawn at once), for each resampling what the scheme draws.
     The same seed gives exactly the same result for any number of threads.
@@ -71,12 +75,12 @@ class ParticleFilter(ABC):
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose. A
-            `Fix` in a map: poses are drawn with `SPREAD` times its standard deviations, because the sightings from
+            `Fix` in a map: poses are drawn with `positions.SPREAD` times its standard deviations, because the sightings from
             which it comes weigh the particles again.
 
     Raises:
         OptionError: an option has an impossible value, the log has sightings without ids and the filter needs them, or the
-            particles need more memory than there is.
+            particles need more memory than there is, or the log's first positions contradict its odometry.
         LogError: the log has no controls.
     """
 
@@ -111,7 +115,8 @@ class ParticleFilter(ABC):
         if log is not None and self._needs_ids and not log.identified:
             raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
         if log is not None:
-            log.warn_of_unused("a particle filter", ("partial_sightings",) if self._takes_single_numbers else ())
+            used = {"partial_sightings": self._takes_single_numbers, "positions": self._takes_positions}
+            log.warn_of_unused("a particle filter", [name for name, is_used in used.items() if is_used])
             check_memory(log, self.options, maps=self.HAS_MAPS)
         if log is not None and motion is None and sensor is None:
             # the same choice as that of `Graph.from_log`
@@ -121,15 +126,10 @@ class ParticleFilter(ABC):
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()
         self._rng = np.random.default_rng(self.options.seed)
 
-        if start is None:
-            start = np.zeros(3) if log is None else log.initial_poses[0]
-        elif isinstance(start, Fix):
-            start = self._rng.multivariate_normal(start.pose, SPREAD**2 * start.covariance, self.particles)
-        expected = f"a finite pose (3,) or one per particle ({self.particles}, 3)"
-        poses = np.empty((self.particles, 3))
-        poses[:] = self.sensor.mount(finite("start", start, expected, [(3,), (self.particles, 3)]))
-        poses[:, 2] = wrap(poses[:, 2])
-
+        poses = first_poses(start, log, self.particles, self._rng)
+        if log is not None and log.positions is not None and self._takes_positions:
+            check_frame(log, self.motion, poses)
+        poses = self.sensor.mount(poses)
         self._step, self._version, self._next = 0, 0, 0
         # of all steps, for backward simulation
         self._record = Record() if self.options.smoothing and self.HAS_MAPS else None
@@ -171,16 +171,9 @@ class ParticleFilter(ABC):
         if (control is None) == (motion is None):
             raise OptionError("move takes a control and dt, or a motion and its covariance")
         if motion is not None:
-            z = finite("motion", motion, "a finite pose (3,)", [(3,)])
-            P = finite("covariance", covariance, "a finite matrix (3, 3)", [(3, 3)])
-            if not np.allclose(P, P.T) or np.linalg.eigvalsh(P)[0] < -1e-12 * np.abs(P).max():
-                raise OptionError(f"covariance must be symmetric positive semidefinite, not {quoted(covariance)}")
-            self._move_by_gaussian(*sensor_motions(self.sensor, z[None], P[None]))
+            self._move_by_gaussian(*sensor_motions(self.sensor, *checked_motion(motion, covariance)))
             return
-        u = finite("control", control, "two finite numbers (nu, omega)", [(2,)])
-        dt = float(finite("dt", dt, "a finite number of seconds", [()]))
-        if dt < 0:
-            raise OptionError(f"dt must be 0 s or longer, not {quoted(dt)}")
+        u, dt = checked_control(control, dt)
         with np.errstate(over="ignore"):
             std = np.sqrt(np.diag(self.motion.M(u, dt))) if dt > 0 else np.zeros(2)
         if dt > 0 and self._gaussian_motions:
@@ -217,7 +210,24 @@ class ParticleFilter(ABC):
             raise OptionError(
                 "a range or a bearing alone needs ids, the landmark_update kalman, the range_noise measured and no smoothing"
             )
-        self._observe(ids, z)
+        if self._observe(ids, z):
+            self._resample_if_due()
+
+    def locate(self, position: ArrayLike, covariance: ArrayLike, *, lever: ArrayLike = (0.0, 0.0)) -> None:
+        """Weigh the particles by an absolute position of this step, and resample if due.
+
+        Call it after `observe`: sightings of the same step that come later only change the weights, as in FastSLAM 1.0.
+
+        The arguments are those of `OnlineSolver.locate`, in the frame of the first pose.
+
+        Raises:
+            LogError: an array has another shape, or the covariance is not positive definite.
+            OptionError: trajectories are drawn backwards (smoothing).
+        """
+        if not self._takes_positions:
+            raise OptionError("trajectories that are drawn backwards do not know positions: leave out smoothing")
+        if self._locate(one_position(position, covariance, lever)):
+            self._resample_if_due()
 
     @property
     def state(self) -> ParticleState:
@@ -273,6 +283,8 @@ class ParticleFilter(ABC):
         first = np.searchsorted(log.steps, np.arange(log.num_poses + 1))
         single = log.partial_sightings if self._takes_single_numbers else None
         alone = set() if single is None else set(single.steps.tolist())
+        positions = log.positions if self._takes_positions else None
+        located = set() if positions is None else set(positions.steps.tolist())
         for t in range(self._next, log.num_poses):
             if t > 0 and whole_motions:
                 self._move_by_gaussian(motions[t - 1 : t], covariances[t - 1 : t])
@@ -281,12 +293,14 @@ class ParticleFilter(ABC):
             rows = slice(first[t], first[t + 1])
             ids, sightings = log.landmarks[rows], log.sightings[rows]
             if single is not None and t in alone:
-                numbers = np.flatnonzero(single.steps == t)
-                ids = np.append(ids, single.landmarks[numbers])
-                pairs = np.column_stack([single.ranges[numbers], single.bearings[numbers]])
-                sightings = np.concatenate([sightings, pairs])
-            if len(ids):
-                self._observe(ids, sightings, rows)
+                now = single.among(single.steps == t)
+                ids = np.append(ids, now.landmarks)
+                sightings = np.concatenate([sightings, np.column_stack([now.ranges, now.bearings])])
+            weighed = len(ids) > 0 and self._observe(ids, sightings, rows)
+            if positions is not None and t in located:
+                weighed |= self._locate(positions.among(positions.steps == t))
+            if weighed:
+                self._resample_if_due()
             self._next = t + 1
             yield self.state
 
@@ -333,14 +347,9 @@ class ParticleFilter(ABC):
             return None
         marks = np.array([mixture[j].mean for j in sorted(mixture)])
         # a copy: what the filter draws later does not depend on whether it was asked for a result
+        rng, options = deepcopy(self._rng), self.options
         return self._record.smooth(
-            self._engine,
-            self.options.smoothing,
-            deepcopy(self._rng),
-            self.sensor,
-            mean_poses,
-            marks,
-            self.options.threads,
+            self._engine, options.smoothing, rng, self.sensor, mean_poses, marks, options.threads
         )
 
     def _association(self, poses: Array) -> dict[str, np.ndarray]:  # noqa: ARG002
@@ -361,6 +370,11 @@ class ParticleFilter(ABC):
     def _takes_single_numbers(self) -> bool:
         """Whether sightings with one number are used."""
         return self._needs_ids
+
+    @property
+    def _takes_positions(self) -> bool:
+        """Whether absolute positions are used: backward simulation moves later poses, which it takes as relative."""
+        return not (self.options.smoothing and self.HAS_MAPS)
 
     def _with_place(self, ids: np.ndarray, sightings: Array) -> np.ndarray:  # noqa: ARG002
         """Which sightings (k,) are of landmarks that have a place."""
@@ -427,14 +441,23 @@ class ParticleFilter(ABC):
         self._ess_history.append(self._ess_history[-1])
         self._resampled_history.append(False)
 
-    def _observe(self, ids: np.ndarray, sightings: Array, rows: slice | None = None) -> None:
+    def _locate(self, positions: AbsolutePositions) -> bool:
+        """Weigh the particles by positions of this step; whether the weights are new."""
+        self._version += 1
+        if self.options.stage == "motion":
+            return False
+        self._engine.weigh_by(log_likelihoods(positions, robot_poses(self.sensor, self._engine.poses)))
+        return self._reweigh("positions")
+
+    def _observe(self, ids: np.ndarray, sightings: Array, rows: slice | None = None) -> bool:
+        """Weigh the particles by sightings of this step; whether the weights are new."""
         missing = np.isnan(sightings)
         if missing.any():
             placed = self._with_place(ids, sightings)
             ids, sightings, missing = ids[placed], np.where(missing, (1.0, 0.0), sightings)[placed], missing[placed]
             if not len(ids):
                 self._version, self._observed = self._version + 1, True
-                return
+                return False
         with np.errstate(over="ignore"):
             q = np.diagonal(self.sensor.Q(sightings), axis1=-2, axis2=-1).copy()
         q[missing] = NOT_MEASURED
@@ -442,28 +465,36 @@ class ParticleFilter(ABC):
         self._version, self._observed = self._version + 1, True
         if not weighed or self.options.stage == "motion":
             self._remember(ids, sightings)
-            return
-        possible, log_evidence, ess = self._engine.reweigh()
+            return False
+        possible = self._reweigh("sightings")
         self._remember(ids, sightings)
+        if possible:
+            # without the density of what was not measured
+            self._log_evidence += 0.5 * np.count_nonzero(missing) * float(np.log(2 * np.pi * NOT_MEASURED))
+        return possible
+
+    def _reweigh(self, what: str) -> bool:
+        """Multiply the weights by the last likelihoods; False where these are 0 for all particles."""
+        possible, log_evidence, ess = self._engine.reweigh()
         if not possible:
             warnings.warn(
-                f"step {self._step}: its sightings are impossible for all {self.particles} particles; "
+                f"step {self._step}: its {what} are impossible for all {self.particles} particles; "
                 "the weights from before the step are kept",
                 VanishedWeightsWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
-            return
-        # without the density of what was not measured
-        self._log_evidence += log_evidence + 0.5 * np.count_nonzero(missing) * float(np.log(2 * np.pi * NOT_MEASURED))
+            return False
+        self._log_evidence += log_evidence
         self._ess_history[-1] = ess
-        if self.options.stage == "resampling" and ess <= self.options.ess_threshold * self.particles:
-            self._resample()
+        return True
 
     def _remember(self, ids: np.ndarray, sightings: Array) -> None:
         if self._record is not None:
             self._engine.remember()
             self._record.observe(self._step, ids, sightings)
 
-    def _resample(self) -> None:
+    def _resample_if_due(self) -> None:
+        if self.options.stage != "resampling" or self._ess_history[-1] > self.options.ess_threshold * self.particles:
+            return
         self._engine.branch(RESAMPLING_SCHEMES[self.options.resampling](self._engine.weights(), self._rng))
         self._resampled = self._resampled_history[-1] = True

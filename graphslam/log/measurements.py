@@ -265,14 +265,10 @@ class AbsolutePositions(_Records):
 
     def __post_init__(self) -> None:
         given = np.asarray(self.places)
-        columns = 2 if given.ndim == 2 and given.shape[1] == 2 else 3
+        columns = given.shape[1] if given.ndim == 2 else 0
         places = np.full((len(given) if given.ndim else 0, 3), np.nan)
-        measured = (
-            ~np.isnan(given[:, 2].astype(float)) if given.ndim == 2 and columns == 3 else np.zeros(len(places), bool)
-        )
-        places[:, :2] = finite_floats(
-            "the places of positions", given[..., :2] if given.ndim == 2 else given, (None, 2)
-        )
+        measured = ~np.isnan(given[:, 2].astype(float)) if columns == 3 else np.zeros(len(places), bool)
+        places[:, :2] = finite_floats("the places of positions", given[:, :2] if columns == 3 else given, (None, 2))
         if measured.any():
             places[measured, 2] = wrap(finite_floats("the headings of positions", given[measured, 2], (None,)))
         count = len(places)

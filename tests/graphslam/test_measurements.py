@@ -266,7 +266,7 @@ def test_a_first_position_with_a_heading_is_met():
 
 @pytest.mark.slow
 def test_whoever_does_not_use_them_says_so(log):
-    with pytest.warns(UserWarning, match="a particle filter does not use the relations and positions"):
+    with pytest.warns(UserWarning, match="a particle filter does not use the relations of the log"):
         fastslam.FastSLAM1(log, particles=5, seed=0)
     with pytest.warns(UserWarning, match="the lectures' program does not use"):
         textbook.solve(log)

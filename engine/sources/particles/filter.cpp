@@ -1,5 +1,6 @@
 #include "vmslam/particles/filter.hpp"
 
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 
@@ -108,6 +109,12 @@ bool Filter::weigh_identified(std::span<const LandmarkId> ids, std::span<const S
         weigh(Given(*poses_), scan, nullptr);
     identified_->end_scan();
     return scan.weighs();
+}
+
+void Filter::weigh_by(std::span<const double> log_likelihoods) {
+    std::copy(log_likelihoods.begin(), log_likelihoods.end(), log_likelihoods_.row(0));
+    // the weights now depend on the poses: later sightings of this step must not correct these
+    motion_.reset();
 }
 
 template <class Proposal>

@@ -58,6 +58,8 @@ class Filter {
     void weigh_known(std::span<const KnownSighting> sightings);
     bool weigh_identified(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, Version version);
     void weigh_anonymous(std::span<const Sighting> sightings, std::span<const std::int64_t> shown, Version version);
+    /// Take log likelihoods of the present poses that were computed elsewhere, as those of the last `weigh`.
+    void weigh_by(std::span<const double> log_likelihoods);
     /// Do what has to wait until an observed step is over.
     void end_step();
 
