@@ -91,11 +91,27 @@ class End:
         return self.certificate.status == GLOBAL
 
     @cached_property
+    def thorough(self) -> Certificate:
+        """The certificate of the end from all attempts."""
+        # without a negative direction further attempts do not differ from the first
+        if self.certificate.direction is None:
+            return self.certificate
+        return prove(self.graph, self.run.state, cost=self.cost)
+
+    @property
+    def known_certificate(self) -> Certificate | None:
+        """The certificate from all attempts, as far as the search has computed it."""
+        computed = vars(self)
+        if "thorough" in computed or ("certificate" in computed and self.certificate.direction is None):
+            return self.thorough
+        return None
+
+    @cached_property
     def open(self) -> bool:
         """Whether the search continues from this end, although it is accepted."""
         if self.graph.num_nodes > PROVABLE or self.certificate.proven or not self.certificate.applicable:
             return False
-        return not prove(self.graph, self.run.state, cost=self.cost).proven
+        return not self.thorough.proven
 
     @property
     def possible(self) -> bool:
@@ -128,9 +144,9 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
     """The lowest end among the starts of `AUTO`.
 
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
-    another start, other turns are tried from the end of the last one (`lower_by_turns`). If the lowest end is not
-    accepted or still open then, the search continues along the negative direction that its failed proof shows. The whole
-    search after the first end is bounded by a multiple of the steps that led to it.
+    another start, other turns are tried from the end of the last one (`lower_by_turns`), with a kernel only after its second
+    start. If the lowest end is not accepted or still open then, the search continues along the negative direction that its
+    failed proof shows. The whole search after the first end is bounded by a multiple of the steps that led to it.
     An end with a higher cost than the given values never counts. If no run converges to a lower one,
     Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
     information a fixed point of the iteration may have a higher J.)
@@ -149,6 +165,8 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
     ends: list[End] = []
     error: GraphError | None = None
     good: list[End] = []
+    # the starts from whose ends other turns are not yet tried: name, number of ends before and after
+    unturned: list[tuple[str, int, int]] = []
     further = FURTHER
     effort = _Effort(graph.num_nodes)
     for initialize, start in _starts(graph, ends, effort):
@@ -169,8 +187,12 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
             if ends[-1].run.converged:
                 break
         good = _counted(ends, given)
-        if not _finished(good, further):
-            ends += _with_other_turns(graph, run_from, ends, tried, initialize, effort)
+        unturned.append((initialize, tried, len(ends)))
+        # the second start of a kernel costs less than other turns, and often ends the search
+        if initialize != PLAIN and not _finished(good, further):
+            for started, before, after in unturned:
+                ends += _with_other_turns(graph, run_from, ends[:after], before, started, effort)
+            unturned = []
             good = _counted(ends, given)
         if _finished(good, further):
             break
@@ -221,7 +243,7 @@ def _with_other_turns(
     Beyond J of `DOUBTFUL` times the expected one, wrong sightings or noise models dominate, and other turns do not lower it.
 
     Args:
-        ends: all ends; the first ``tried`` of them are those of earlier starts.
+        ends: those until the last one; the first ``tried`` of them are those of earlier starts.
     """
     if not _sighted(graph) or len(ends) == tried or not ends[-1].run.converged:
         return []

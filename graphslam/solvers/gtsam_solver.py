@@ -262,12 +262,13 @@ def solve_with_gtsam(
             run.reason = "stuck: gtsam finds no step that lowers the cost"
         return run
 
-    auto = initialize == "auto"
-    run = best_end(graph, run_from, DAMPED).run if auto else run_from(starting_state(graph, initialize))
+    end = best_end(graph, run_from, DAMPED) if initialize == "auto" else None
+    run = run_from(starting_state(graph, initialize)) if end is None else end.run
     seconds = time.perf_counter() - begin
     return make_solution(
         graph, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,
         seconds=seconds, solver="gtsam", notes=(_contents(made),),
+        certificate=None if end is None else end.known_certificate,
     )  # fmt: skip
 
 

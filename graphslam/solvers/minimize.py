@@ -132,7 +132,7 @@ def minimize(
     cost_tolerance: float = 0.0,
 ) -> Solution:
     """Minimise J by Gauss-Newton or Levenberg-Marquardt; arguments and errors as of `solve`, which checks them."""
-    begin, cost = time.perf_counter(), None
+    begin, cost, certificate = time.perf_counter(), None, None
 
     def run_from(start: Array, search: str, descend: bool = False) -> Run:
         run = Run(start.copy(), tolerance, max_iterations, cost_tolerance, descend=descend)
@@ -158,6 +158,7 @@ def minimize(
     elif initialize == "auto":
         end = best_end(graph, run_from, method)
         run, cost = end.run, end.cost if isfinite(end.cost) else None
+        certificate = end.known_certificate
         if callback is not None:
             for step in run.recorded:
                 callback(step)
@@ -175,4 +176,5 @@ def minimize(
         solver="graphslam",
         cost=cost,
         notes=notes,
+        certificate=certificate,
     )

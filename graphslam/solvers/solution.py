@@ -358,8 +358,12 @@ def make_solution(
     solver: str,
     notes: tuple[str, ...] = (),
     cost: float | None = None,
+    certificate: Certificate | None = None,
 ) -> Solution:
-    """The `Solution` of a graph from the final state (n, 3) of a solver, its cost if known, and the record of its steps."""
+    """The `Solution` of a graph from the final state (n, 3) of a solver and the record of its steps.
+
+    Its ``cost`` and ``certificate`` are taken over where the solver knows them.
+    """
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     cost = graph.cost(state) if cost is None else cost
@@ -370,7 +374,7 @@ def make_solution(
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)
-    return Solution(
+    solution = Solution(
         poses=poses,
         estimated=estimated,
         landmarks=landmarks,
@@ -386,3 +390,7 @@ def make_solution(
         notes=(*graph.notes, *notes),
         graph=graph,
     )
+    if certificate is not None:
+        # the value of the cached property, which would repeat the same proof
+        solution.__dict__["certificate"] = certificate.of_run(converged, reason)
+    return solution

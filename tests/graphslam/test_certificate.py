@@ -13,6 +13,7 @@ from graphslam import Graph, GraphError, MotionModel, OptionError, certify, load
 from graphslam.edges import AnchorEdges, ConstantEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.se2 import between, compose, wrap
 from graphslam.simulation.simulator import SensorFaults
+from graphslam.solvers import auto
 from graphslam.solvers.certificate import _of_graph, prove, prove_edges
 
 
@@ -32,6 +33,19 @@ def test_the_sample_log_is_proven(sample, edges, weight):
     assert proof.lower_bound <= solution.cost
     assert proof.seconds > 0
     assert solution.certificate is proof
+
+
+@pytest.mark.parametrize("kernel", ["none", "cauchy"])
+def test_a_proof_of_the_search_is_not_repeated(sample, kernel, monkeypatch):
+    graph, calls = Graph.from_log(sample, kernel=kernel), []
+    monkeypatch.setattr(auto, "prove", lambda *a, **options: calls.append(prove(*a, **options)) or calls[-1])
+    found = solve(graph)
+    monkeypatch.setattr("graphslam.solvers.solution.prove", lambda *_: pytest.fail("a second proof"))
+    assert found.certificate in calls
+    again = prove(graph, found.state)
+    assert found.certificate.status == again.status
+    assert found.certificate.reason == again.reason
+    assert found.certificate.lower_bound == pytest.approx(again.lower_bound, rel=1e-9)
 
 
 def test_marginal_edges_without_psi_are_proven(sample):

@@ -361,6 +361,21 @@ def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs):
 
 
 @pytest.mark.slow
+def test_no_other_turns_are_tried_where_both_starts_of_a_kernel_agree(hard_logs, monkeypatch):
+    """At number 47, with the book's noise, both lead to the end that is reached from the truth."""
+    log, tried = hard_logs.hard_log(47), []
+    graph = Graph.from_log(log, edges="landmark+motion", kernel="cauchy")
+    monkeypatch.setattr(auto, "lower_by_turns", lambda *_: tried.append(1) or (None, 0))
+    solution = solve(graph)
+    assert solution.certificate.proven
+    assert not tried
+    start = graph.initial.copy()
+    start[: log.num_poses] = log.true_poses
+    start[log.num_poses :, :2] = [log.true_landmarks[j] for j in graph.landmark_ids.tolist()]
+    assert solution.cost == pytest.approx(solve(graph.with_initial(start), initialize="given").cost, rel=1e-9)
+
+
+@pytest.mark.slow
 def test_the_search_after_the_first_end_is_bounded(hard_logs, monkeypatch):
     """By a multiple of the steps of the first end, and by a number over all nodes where that is more."""
     graph = Graph.from_log(hard_logs.hard_log(48), edges="landmark+motion", kernel="none")
