@@ -346,6 +346,7 @@ def _evaluated(
     if covariances is not None and known[0] and np.isfinite([at[0], poses[0]]).all():
         nees = mean_nees(at, poses, covariances, relative=not covariances[0].any())
     on_map: dict[str, Any] = {}
+    notes = estimate.notes
     if places is not None and true_map is not None:
         moved = {j: compose(placement, [*place[:2], 0.0])[:2] for j, place in places.items()}
         pairs = matched_places(true_map, moved, options.cutoff)
@@ -355,6 +356,11 @@ def _evaluated(
             "missed": len(true_map) - len(pairs), "false": len(moved) - len(pairs),
             "gospa_m": gospa(true_map, moved, options.cutoff), "aligned_map": moved,
         }  # fmt: skip
+        if options.match == "id" and true_map.keys().isdisjoint(moved):
+            notes += (
+                f"the map of {estimate.name} has no id of the true map, so that its error is not known; "
+                "--match place finds pairs by place",
+            )
     return Evaluated(
         name=estimate.name, poses=len(known), compared=int(np.count_nonzero(known)),
         ate_m=float(np.sqrt(np.mean(errors**2))), most_m=float(errors.max()),
@@ -362,7 +368,7 @@ def _evaluated(
         heading_rad=heading_rmse(at, poses) if with_heading else None,
         nees=nees, times=(estimate.times[known] - truth.times[0]) / 1e9, errors=errors,
         aligned=compose(placement, estimate.poses),
-        notes=estimate.notes, **on_map,
+        notes=notes, **on_map,
     )  # fmt: skip
 
 

@@ -89,7 +89,7 @@ class ClockOffsets:
             f"{self.seconds[n]:+.3f} s for robot {n} (standard error {self.deviations[n]:.3f} s)" for n in others
         )
         if not self.differ:
-            return f"the clocks of the robots agree: the offsets are {each}, and not used"
+            return f"the clocks of the robots do not surely differ: the offsets are {each}, and not used"
         return (
             f"to the times of the robots is added, so that they are those of robot {next(iter(self.seconds))}: {each}"
         )

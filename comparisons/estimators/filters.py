@@ -149,8 +149,8 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
         return replace(result, notes=(*result.notes, left_out))
     if log.true_landmarks is None:
         raise OptionError(
-            f"mcl localises on the true map of the landmarks, which {log.name} does not have; fastslam1 and fastslam2 "
-            "estimate a map"
+            f"mcl localises on the true map of the landmarks, which {log.name} does not have; name a map with "
+            "--map FILE (landmark_map), or take fastslam1 and fastslam2, which estimate one"
         )
     return replace(_particle_filter("mcl", log, options), knows="true map")
 

@@ -116,11 +116,16 @@ class MapStates:
         """One sentence: how many landmarks agree, and which have moved, are gone or new."""
         parts = [f"{len(self.of(AGREES))} landmarks of the map agree"]
         parts += [
-            f"{each} {name}"
-            for name in (MOVED, VANISHED, NOT_IN_VIEW, NEW)
-            if (each := listed("landmark", self.of(name), most=8) if self.of(name) else "")
+            f"{listed('landmark', ids, most=8)} {verbs[len(ids) > 1]}"
+            for name, verbs in {
+                MOVED: ("has moved", "have moved"),
+                VANISHED: ("has vanished", "have vanished"),
+                NOT_IN_VIEW: ("was not in view of the sensor", "were not in view of the sensor"),
+                NEW: ("is new", "are new"),
+            }.items()
+            if (ids := self.of(name))
         ]
-        return "; ".join(parts).replace("not in view", "not in view of the sensor")
+        return "; ".join(parts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -332,7 +332,10 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     if cartesian:
         rows = _polar(reader.numbers(*third), options.axes)
     else:
-        reader.need("range", "bearing", instead=", and none for x and y instead of range and bearing")
+        instead = ", and none for x and y instead of range and bearing"
+        if reader.has("range") != reader.has("bearing"):
+            instead += " (a sensor that measures one of them has an empty column of the other)"
+        reader.need("range", "bearing", instead=instead)
         rows = reader.numbers("range", "bearing", finite=reader.has("orientation"))
         reader.refuse(
             "bearing", rows[:, 1], np.abs(rows[:, 1]) > 2 * np.pi + 1e-6,

@@ -46,7 +46,9 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
     table = reader.leave_out("t1", "t2", "dx", "dy", "dtheta")
     ns, ends = reader.times("t1"), reader.times("t2")
     if (k := first(ns == ends)) is not None:
-        raise table.error(k, f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it ties two poses")
+        raise table.error(
+            k, f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it needs two different times"
+        )
     motions = reader.numbers("dx", "dy", "dtheta")
     reader.refuse(
         "dtheta", motions[:, 2], np.abs(motions[:, 2]) > MOST_TURN,

@@ -235,7 +235,7 @@ class PoseRelations(_Records):
             for end in self.ENDS
         }
         if (k := first(ends["first"] == ends["second"])) is not None:
-            raise LogError(f"relation {k} goes from step {ends['first'][k]} to itself; it ties two poses")
+            raise LogError(f"relation {k} goes from step {ends['first'][k]} to itself; it needs two different steps")
         self._set(**ends, motions=motions, covariances=checked_covariances("relations", covariances, count, 3))
 
 

@@ -319,7 +319,9 @@ def test_filters_that_ignore_the_ids_number_their_map_and_are_judged_by_place(na
 
 def test_what_mcl_needs(log: Log) -> None:
     blind = log.replace(true_landmarks=None, name="attic")
-    with pytest.raises(OptionError, match="true map of the landmarks, which attic does not have; fastslam1"):
+    with pytest.raises(
+        OptionError, match="true map of the landmarks, which attic does not have; name a map with --map"
+    ):
         ESTIMATORS["mcl"].run(blind, OPTIONS)
 
 

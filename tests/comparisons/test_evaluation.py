@@ -124,6 +124,22 @@ def test_maps_are_compared_by_id_and_by_place(truth: Path, tmp_path: Path) -> No
     by_place = comparisons.evaluate(truth, estimate, match="place", cutoff=0.5, **options).estimates[0]
     assert by_place.landmark_rmse_m == pytest.approx(0.1, rel=1e-6)
     assert by_place.gospa_m == pytest.approx(np.sqrt(4 * 0.1**2 + 2 * 0.25 / 2), rel=1e-6)
+    assert not by_id.notes
+
+
+def test_a_map_with_other_ids_has_no_error_and_a_note_says_so(truth: Path, tmp_path: Path) -> None:
+    estimate = written(tmp_path / "mine.csv", TIMES, TRUE)
+    places = {j: [2.0 * j, 3.0] for j in range(5)}
+    LandmarkMap(places).save(tmp_path / "true.csv")
+    LandmarkMap({j + 100: place for j, place in places.items()}).save(tmp_path / "map.csv")
+    options = {"true_map": tmp_path / "true.csv", "maps": (str(tmp_path / "map.csv"),)}
+    by_id = comparisons.evaluate(truth, estimate, **options)
+    assert by_id.estimates[0].landmark_rmse_m is None
+    assert by_id.notes == (
+        "the map of mine has no id of the true map, so that its error is not known; --match place finds pairs by place",
+    )
+    by_place = comparisons.evaluate(truth, estimate, match="place", **options)
+    assert by_place.estimates[0].landmark_rmse_m == pytest.approx(0.0, abs=1e-9) and not by_place.notes
 
 
 def test_gospa_against_all_assignments() -> None:

@@ -182,7 +182,7 @@ def test_landmarks_that_have_moved_are_shown_and_written(
         tmp_path / "m.npz"
     )
     result = invoke("run", logs[1], "--map", "m.npz", "--estimators", "graph", "--json", "out.json")
-    assert "landmark 4 moved; landmarks 1 and 77 not in view of the sensor" in " ".join(result.output.split())
+    assert "landmark 4 has moved; landmarks 1 and 77 were not in view of the sensor" in " ".join(result.output.split())
     states = {each["id"]: each for each in json.loads((tmp_path / "out.json").read_text())["map_states"]}
     assert states[4]["state"] == "moved" and states[77]["state"] == "not in view" and states[0]["state"] == "agrees"
     # the map was shifted by 1.5 m along x; the noise of the book leaves some decimetres

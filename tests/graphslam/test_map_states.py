@@ -109,6 +109,6 @@ def test_a_landmark_that_was_not_in_view_is_not_said_to_be_gone():
 def test_sessions():
     logs = [FIRST.at_steps(np.arange(70)), second(2, {3: (1.5, 0.0)})]
     (found,) = session_states(join_logs(logs).log)
-    assert found.of("moved") == [3] and "landmark 3 moved" in found.sentence
+    assert found.of("moved") == [3] and "landmark 3 has moved" in found.sentence
     with pytest.raises(OptionError, match="is one drive"):
         session_states(FIRST)

@@ -354,7 +354,10 @@ def test_covariances_and_clocks_that_cannot_be(tmp_path):
         (lambda: AbsolutePositions(steps=[5], places=[[1, 2]], covariances=-np.eye(2)), "not symmetric and positive"),
         (lambda: AbsolutePositions(steps=[5], places=[[1, 2, 3]], covariances=np.eye(2)), "need covariances"),
         (lambda: AbsolutePositions(steps=[5], places=[1, 2], covariances=np.eye(2)), "must have shape"),
-        (lambda: PoseRelations(first=[1], second=[1], motions=[[1, 0, 0]], covariances=np.eye(3)), "ties two poses"),
+        (
+            lambda: PoseRelations(first=[1], second=[1], motions=[[1, 0, 0]], covariances=np.eye(3)),
+            "two different steps",
+        ),
         (lambda: PoseRelations(first=[1.5], second=[2], motions=[[1, 0, 0]], covariances=np.eye(3)), "whole numbers"),
     ],
 )

@@ -149,7 +149,8 @@ MISTAKES = {
     "a missing column": (
         {"sightings": text("t,id,range", [row[:3] for row in SEEN])},
         r"sightings.csv: no column for bearing \(named bearing or b or phi, ...\), and none for x and y instead of range "
-        r"and bearing; it has t, id, range. Say which it is: --columns sightings.bearing=NAME",
+        r"and bearing \(a sensor that measures one of them has an empty column of the other\); "
+        r"it has t, id, range. Say which it is: --columns sightings.bearing=NAME",
     ),
     "two columns of one meaning": (
         {"odometry": text("t,nu,omega,v_left,v_right", [(*row, 0.1, 0.2) for row in ODOMETRY]).replace("nu", "speed", 1)
