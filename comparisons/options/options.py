@@ -89,7 +89,7 @@ class NoiseOptions(Options):
     noise: Path | None = option(
         None, "File of noise models (TOML), written by calibrate. Single numbers take precedence over it. auto: estimate "
         "noise, biases and misread ids from this log. book: the values of the lectures.",
-        metavar="FILE|auto|book", default_text="the log's models, else auto where the log can tell",
+        metavar="FILE", default_text="the log's models, else auto where the log can tell",
     )  # fmt: skip
     check_ids: bool | None = option(
         None, "Compare every id with the sightings around it, by the given noise: misread ids get the id of the landmark "

@@ -145,6 +145,18 @@ def shown_help(*words: str) -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("language", ["en", "ja"])
+def test_names_of_options_of_run_are_whole_at_80_columns(language: str) -> None:
+    wide, narrow = (
+        CliRunner().invoke(make_app(language=language), ["run", "--help"], env={"COLUMNS": width}, obj=language).stdout
+        for width in ("2000", "80")
+    )
+    names = re.findall(r"^│ +(--[a-z-]+)", wide, re.MULTILINE)
+    assert len(names) > 50
+    assert [name for name in names if not re.search(rf"│ {name}[ ,]", narrow)] == []
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["", *(name_of(verb) for verb in VERBS)])
 def test_help_is_japanese(verb: str) -> None:
     lines = [line.strip(" │") for line in shown_help(*verb.split()).splitlines()]
