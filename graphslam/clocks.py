@@ -160,7 +160,7 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
         if met[n] < FEWEST:
             raise LogError(
                 f"robot {n} and the others saw each other {met[n]} times with clocks that differ by at most {REACH:g} s, and "
-                f"the offset of its clock takes {FEWEST}"
+                f"the offset of its clock takes {FEWEST}{_apart(n, logs)}"
             )
         found[n] = float(grid[np.argmin(_cost_of(n, found, grid, costs))])
     for n in logs:
@@ -168,6 +168,19 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
             others = {m: d for m, d in found.items() if m != n}
             found[n] = float(grid[np.argmin(_cost_of(n, others, grid, costs))])
     return {n: found[n] for n in logs}
+
+
+def _apart(n: int, logs: Mapping[int, Log]) -> str:
+    """The times of a robot and of the others, where no offset up to `REACH` makes them overlap; else ""."""
+    spans = {m: (log.times[0], log.times[-1]) for m, log in logs.items() if log.times is not None}
+    first, last = spans.pop(n)
+    begin, end = min(first for first, _ in spans.values()), max(last for _, last in spans.values())
+    if first <= end + REACH and last >= begin - REACH:
+        return ""
+    return (
+        f": its clock shows {first:.1f} to {last:.1f} s and theirs {begin:.1f} to {end:.1f} s, which do not overlap; "
+        "are they in one time?"
+    )
 
 
 def _cost_of(n: int, found: Mapping[int, float], grid: Array, costs: Mapping[tuple[int, int], Array]) -> Array:

@@ -199,7 +199,7 @@ def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
     if not isinstance(robots, Mapping) or not all(isinstance(each, Log) for each in robots.values()):
         raise OptionError("join_robots takes logs by the numbers of their robots: join_robots({1: first, 2: second})")
     logs = dict(zip(robots, with_common_noise(list(robots.values()))))
-    met = {(a, b): meetings for a in logs for b in logs if a != b and len(meetings := _meetings(logs[a], logs[b], b))}
+    met = {(a, b): rows for a in logs for b in logs if a != b and len(rows := _meetings(logs[a], logs[b], b))}
     if len(logs) > 1 and not met:
         raise LogError(_never(logs))
     # a pose of each robot at the instants at which the others saw it
@@ -221,10 +221,17 @@ def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
         return joined
     first, second, sightings = (np.concatenate(column) for column in zip(*found))
     relations = relations_of(first, second, sightings, joined.log.sensor or SensorModel())
-    note = f"{len(first):,} sightings of other robots are relations between two poses of one instant"
+    notes = [f"{len(first):,} sightings of other robots are relations between two poses of one instant"]
+    others = sum(len(meetings(logs[a], b)) for a in logs for b in logs if a != b) - len(first)
+    if others:
+        notes.append(
+            f"{others:,} sightings of other robots are from times at which these did not drive, and are not used"
+        )
     return replace(
         joined,
-        log=joined.log.replace(relations=joined_rows(joined.log.relations, relations), notes=(*joined.log.notes, note)),
+        log=joined.log.replace(
+            relations=joined_rows(joined.log.relations, relations), notes=(*joined.log.notes, *notes)
+        ),
     )
 
 

@@ -51,6 +51,8 @@ CHANGES = {
     "in kilometres: give it in metres": (1000.0, 1000.0),
     "in feet: give it in metres": (0.3048, 0.3048),
 }
+#: the part of the sightings that agree beyond which no other of these mistakes is tried
+CLEAR = 0.9
 #: attempts with more sightings and less evidence after which no more are taken
 PATIENCE = 3
 
@@ -402,13 +404,13 @@ def _no_fix(
             "two are needed"
         )
     what = f"{len(points.ids)} sightings of {listed('landmark', np.unique(points.ids).tolist(), most=4)} of the map"
-    if matches and matches[0].covariance[2, 2] >= OPEN**2 and _odds(matches) > LEAST:
+    cause = _cause(log, landmarks, sensor)
+    if not cause and matches and matches[0].covariance[2, 2] >= OPEN**2 and _odds(matches) > LEAST:
         wide = np.degrees(matches[0].covariance[2, 2] ** 0.5)
         return GraphError(
             f"{what} leave open where {log.name} heads at its first pose (standard deviation {wide:.0f} degrees); more "
             "sightings of other landmarks are needed"
         )
-    cause = _cause(log, landmarks, sensor)
     if not cause and len(matches) > 1 and _odds(matches[:1]) > SURE > _odds(matches):
         places = " and ".join(f"({m.pose[0]:.2f}, {m.pose[1]:.2f}) m" for m in matches[:2])
         return GraphError(
@@ -427,6 +429,7 @@ def _no_fix(
 def _cause(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel) -> str:
     """The change with which the map surely fits: a mirrored map or another unit; "" where there is none."""
     rows = _rows(log, landmarks)
+    likely, most = "", 0.0
     for name, scale in CHANGES.items():
         turn = np.diag(scale)
         changed = LandmarkMap(
@@ -434,6 +437,12 @@ def _cause(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel) -> str:
             {j: turn @ C[:2, :2] @ turn for j, C in landmarks.covariances.items()},
         )
         fix = _searched(log, changed, sensor, rows)[0]
-        if fix is not None and fix.odds > SURE and len(np.unique(log.landmarks[fix.agree])) > 2:
-            return f"; they would with the map {name}"
-    return ""
+        if fix is None or fix.odds <= SURE or len(np.unique(log.landmarks[fix.agree])) <= 2:
+            continue
+        # in a joined log, whose drives may begin anywhere, a wrong unit may fit some of them
+        share = len(fix.agree) / (len(fix.agree) + len(fix.disagree))
+        if share > most:
+            likely, most = f"; they would with the map {name}", share
+        if share > CLEAR:
+            break
+    return likely

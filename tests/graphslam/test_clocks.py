@@ -111,5 +111,15 @@ def test_too_few_meetings_are_said() -> None:
         LogError, match="robot 2 and the others saw each other 3 times with clocks that differ by at most 20 s"
     ):
         clock_offsets(few)
-    with pytest.raises(LogError, match="robot 3 and the others saw each other 0 times"):
-        clock_offsets(late(team(4), {3: 1e5}))
+    apart = late(team(4), {3: 1e5})
+    with pytest.raises(
+        LogError,
+        match=r"robot 3 and the others saw each other 0 times .* its clock shows -100000.0 to .* do not overlap",
+    ):
+        clock_offsets(apart)
+    unused = sum(
+        int(np.isin(log.classes, ["robot 3"] if n != 3 else ["robot 1", "robot 2"]).sum()) for n, log in apart.items()
+    )
+    assert f"{unused} sightings of other robots are from times at which these did not drive" in " ".join(
+        join_robots(apart).log.notes
+    )

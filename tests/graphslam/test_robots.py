@@ -11,6 +11,7 @@ import pytest
 
 from graphslam import (
     Graph,
+    GraphError,
     Log,
     LogError,
     MotionModel,
@@ -22,6 +23,7 @@ from graphslam import (
     solve,
     solve_with_gtsam,
 )
+from graphslam.graph.localization import first_fix
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.continuous_time import with_poses_at
@@ -153,6 +155,16 @@ def test_the_robots_of_a_team_need_one_clock_and_their_classes() -> None:
         join_robots(list(robots.values()))  # type: ignore[arg-type]
     with pytest.raises(LogError, match=r"no pose at 1e\+06 s|no pose at 1000000.000 s"):
         with_poses_at(robots[1], np.array([1e6]))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("millimetres", 1000.0), ("centimetres", 100.0), ("feet", 1 / 0.3048)])
+def test_the_unit_of_a_map_is_named_to_several_robots(unit: str, factor: float) -> None:
+    """A wrong unit may fit some drives of a joined log; the one that is named fits most sightings."""
+    robots = team(1)
+    assert robots[1].true_landmarks is not None
+    wrong = {j: place * factor for j, place in robots[1].true_landmarks.items()}
+    with pytest.raises(GraphError, match=f"they would with the map in {unit}"):
+        first_fix(join_robots(robots).log, wrong)
 
 
 def test_relations_without_a_heading() -> None:
