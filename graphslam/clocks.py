@@ -179,7 +179,7 @@ def _apart(n: int, logs: Mapping[int, Log]) -> str:
         return ""
     return (
         f": its clock shows {first:.1f} to {last:.1f} s and theirs {begin:.1f} to {end:.1f} s, which do not overlap; "
-        "are they in one time?"
+        "give the times of all robots by one clock"
     )
 
 
