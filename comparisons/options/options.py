@@ -184,6 +184,10 @@ class MapOptions(Options):
         super().__post_init__()
         if len(self.bound) != 2:
             raise OptionError(f"bound must be two numbers, metres and degrees, such as 0.5,5, not {quoted(self.bound)}")
+        if self.map is None and self.landmark_map is None:
+            for name in ("map_use", "bound"):
+                if getattr(self, name) != getattr(MapOptions, name):
+                    raise OptionError(f"{name} is about a map to localise in; name it with map (--map FILE)")
 
 
 @dataclass(frozen=True, kw_only=True)

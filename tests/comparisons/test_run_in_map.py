@@ -208,3 +208,9 @@ def test_the_probability_of_being_off_is_shown_written_and_drawn_live(invoke: In
     )
     refused = invoke(*arguments[:-1], "0.4")
     assert refused.exit_code == 2 and "bound must be two numbers" in refused.stderr
+
+
+@pytest.mark.parametrize("option", [("--map-use", "fixed"), ("--bound", "1,5")])
+def test_options_about_a_map_need_one(option: tuple[str, str], invoke: Invoke) -> None:
+    refused = invoke("run", *option)
+    assert refused.exit_code == 2 and "a map to localise in; name it with map (--map FILE)" in refused.stderr
