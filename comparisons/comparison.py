@@ -178,7 +178,7 @@ class Comparison(Displayed):
         order = list(ESTIMATORS)
         rows.sort(key=lambda row: order.index(row.name) if row.name in order else len(order))
         log = self.log
-        title = f"{log.name}: {log.num_poses} poses, {log.seen}"
+        title = f"{log.name}: {log.sizes}"
         return ResultTable(title, tuple(rows))
 
     def _row(self, result: EstimatorResult) -> Row:

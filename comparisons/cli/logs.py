@@ -58,8 +58,7 @@ def simulate(
     check_can_write(out)
     log = graphslam.simulate(**options.keywords_of_simulate(), name=out.stem)
     graphslam.save(log if truth else log.replace(true_poses=None, true_landmarks=None, notes=()), out, format=format)
-    sizes = f"{log.num_poses} poses, {log.seen}"
-    output.say(f"Wrote {out}: {sizes}.")
+    output.say(f"Wrote {out}: {log.sizes}.")
     output.hint(f"Next: {command('run', out)}")
     output.json(SimulateDocument(out, describe(log, out)))
 

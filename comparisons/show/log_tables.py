@@ -170,7 +170,7 @@ def overview_tables(overview: Overview) -> Tables:
         "true map": bool(log.true_landmarks),
     }  # fmt: skip
     known = ", ".join(part for part, present in parts.items() if present)
-    title = f"{log.name}: {log.num_poses} poses, {log.seen}"
+    title = f"{log.name}: {log.sizes}"
     rates = LeanTable("times", [""], ["number", "rate\n[Hz]", "longest\ngap [s]", "at\n[s]"])
     for each in overview.rates:
         rates.add_row(each.name, str(each.count), number(each.rate), number(each.longest_gap), number(each.gap_at, 1))

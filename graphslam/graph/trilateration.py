@@ -6,7 +6,7 @@ Each minimum is a place that they leave: two mirror images for ranges from a str
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +22,8 @@ from ..se2 import Array, mounted
 
 #: a place is clear when J at the second best one is higher by this much
 CLEAR = 30.0
+#: other places of a landmark are tried where J there, on the same trajectory, is higher by at most this much
+TRIED = 200.0
 #: directions, and distances as parts of the greatest one, from which places are searched
 DIRECTIONS, DISTANCES = 24, (0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 #: steps of the search, and how far away a landmark may be for bearings, in lengths of the way
@@ -215,6 +217,25 @@ def places_of(seen: list[tuple[PartialEdges, np.ndarray]], state: Array) -> Plac
     least, most = np.linalg.eigvalsh(H[best]).tolist()
     determined = least > SINGULAR * most
     return Places(m[kept], cost[kept], determined, known=determined and least > (KNOWN * distance) ** -2)
+
+
+def other_places(found: Iterable[tuple[int, Places, Array]]) -> Iterator[dict[int, Array]]:
+    """Other places {landmark: (2,)} that are not much worse on the same trajectory: of one each, then of all at once.
+
+    A straight way has a mirror image as a whole, in which single landmarks would contradict the others.
+
+    Args:
+        found: (landmark, the places that its numbers leave, where it is now) of each.
+    """
+    together: dict[int, Array] = {}
+    for landmark, each, now in found:
+        here = int(np.argmin(np.hypot(*(each.places - now[:2]).T))) if len(each.places) else 0
+        for k, cost in enumerate(each.costs):
+            if k != here and cost - each.costs[0] < TRIED:
+                together.setdefault(landmark, each.places[k])
+                yield {landmark: each.places[k]}
+    if len(together) > 1:
+        yield together
 
 
 def _rows(family: PartialEdges, rows: np.ndarray) -> PartialEdges:

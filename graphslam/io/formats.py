@@ -141,6 +141,12 @@ def _recognised(path: Path) -> Format:
             path, None, "this is a folder, and not that of a known data set; slam-compare datasets lists their files"
         )
     check_unpacked(path, head)
+    if head.lstrip().startswith((b"VERTEX", b"EDGE")):
+        raise FormatError(
+            path,
+            1,
+            "this is a pose graph and no log; slam-compare backends FILE solves it, and Graph.from_g2o reads it",
+        )
     raise FormatError(
         path,
         None if is_mat(head) else 1,

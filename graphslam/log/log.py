@@ -236,10 +236,7 @@ class Log:
             "truth": self.true_poses is not None,
         }
         known = ", ".join(part for part, present in parts.items() if present)
-        return (
-            f"<Log {self.name}: {self.num_poses} poses, {self.seen}, "
-            f"with {known or 'neither psi nor controls nor truth'}>"
-        )
+        return f"<Log {self.name}: {self.sizes}, with {known or 'neither psi nor controls nor truth'}>"
 
     @property
     def measured(self) -> dict[str, Measured]:
@@ -272,6 +269,11 @@ class Log:
     def landmark_ids(self) -> np.ndarray:
         """The ids of the landmarks that were seen, sorted; empty where the sensor gives no ids."""
         return np.setdiff1d(self.landmarks, [UNIDENTIFIED])
+
+    @property
+    def sizes(self) -> str:
+        """The numbers of poses, sightings and landmarks, in words."""
+        return singular(f"{self.num_poses} poses, {self.seen}")
 
     @property
     def seen(self) -> str:

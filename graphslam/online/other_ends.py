@@ -14,12 +14,10 @@ import numpy as np
 
 from ..edges import PositionEdges
 from ..graph.defaults import into_world
-from ..graph.trilateration import CLEAR, MORE, NumberRow, WaitingNumbers, edges_of_rows, places_of_rows
+from ..graph.trilateration import CLEAR, MORE, NumberRow, WaitingNumbers, edges_of_rows, other_places, places_of_rows
 from ..models import SensorModel
 from ..se2 import Array, wrap
 
-#: other places are tried where J, on the same trajectory, is higher by at most this much
-TRIED = 200.0
 #: so many times at most in a row
 SWEEPS = 3
 #: the way is tried where its positions put it when that turns it by more than this [rad]
@@ -79,23 +77,11 @@ class OtherEnds:
                     return list(self.numbers)
         return [id for id, _ in rows if len(self.numbers[id]) + 1 >= MORE * self.tried[id]]
 
-    def elsewhere(self, poses: Array, places: Mapping[int, Array], tried: Iterable[int]) -> Iterator[dict[int, Array]]:
-        """Other places {id: (2,)} that are not much worse from poses (T, 3): of one landmark each, then of all at once.
-
-        A straight way has a mirror image as a whole, in which single landmarks would contradict the others.
-        """
-        together: dict[int, Array] = {}
+    def elsewhere(self, poses: Array, places: Mapping[int, Array], tried: Sequence[int]) -> Iterator[dict[int, Array]]:
+        """Other places {id: (2,)} of landmarks from poses (T, 3); see `graph.trilateration.other_places`."""
         for id in tried:
-            rows = self.numbers[id]
-            self.tried[id] = len(rows)
-            found = places_of_rows(id, rows, self.sensor, poses)
-            here = int(np.argmin(np.hypot(*(found.places - places[id][:2]).T))) if len(found.places) else 0
-            for k, cost in enumerate(found.costs):
-                if k != here and cost - found.costs[0] < TRIED:
-                    together.setdefault(id, found.places[k])
-                    yield {id: found.places[k]}
-        if len(together) > 1:
-            yield together
+            self.tried[id] = len(self.numbers[id])
+        return other_places((id, places_of_rows(id, self.numbers[id], self.sensor, poses), places[id]) for id in tried)
 
     def turned(self, state: Array, poses: int) -> Array | None:
         """A state (n, 3), poses first, where the positions put it in closed form, where that is due and far from it."""

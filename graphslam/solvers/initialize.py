@@ -31,13 +31,11 @@ from ..graph.transform import (
     without_landmarks,
     without_positions,
 )
-from ..graph.trilateration import Places, places_of
+from ..graph.trilateration import Places, other_places, places_of
 from ..se2 import Array, compose
 from .iteration import end_of, gauss_newton, levenberg_marquardt, rough
 from .starts import dead_reckoning, place_landmarks, rotation_first, sequential_start
 
-#: other places of a landmark are tried at the end when J there, on the same trajectory, is higher by at most this much
-TRIED = 200.0
 #: places whose J differs by less than this from the lowest are named: the odds are below 1000
 DOUBTED = 2 * np.log(1000.0)
 #: other places of all landmarks are tried at most so many times
@@ -134,19 +132,9 @@ def image_notes(graph: Graph, state: Array) -> tuple[str, ...]:
 
 
 def _other_images(graph: Graph, state: Array) -> Iterator[dict[int, Array]]:
-    """Other places {node: (2,)} that are not much worse on the same trajectory: of one landmark each, then of all at once.
-
-    A straight way has a mirror image as a whole, in which single landmarks would contradict the others.
-    """
-    together: dict[int, Array] = {}
-    for node, found in _all_places(graph, state, len(graph.steps), set(_seen_whole(graph))):
-        here = int(np.argmin(np.hypot(*(found.places - state[node, :2]).T))) if len(found.places) else 0
-        for k, cost in enumerate(found.costs):
-            if k != here and cost - found.costs[0] < TRIED:
-                together.setdefault(node, found.places[k])
-                yield {node: found.places[k]}
-    if len(together) > 1:
-        yield together
+    """Other places {node: (2,)} of landmarks; see `graph.trilateration.other_places`."""
+    every = _all_places(graph, state, len(graph.steps), set(_seen_whole(graph)))
+    return other_places((node, found, state[node]) for node, found in every)
 
 
 def _with_places(state: Array, places: dict[int, Array]) -> Array:

@@ -27,7 +27,6 @@ from graphslam import (
 )
 from graphslam.association import score
 from graphslam.calibration import Calibration
-from graphslam.calibration.variances import fit_variances, standard_errors
 from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS
 from graphslam.identification.odometry import motion_parts, sensor_parts
@@ -147,26 +146,6 @@ def test_the_parts_make_up_the_models() -> None:
     np.testing.assert_allclose(whole, log.motions(motion)[1], rtol=1e-9, atol=1e-15)
     parts = sensor_parts(log.sightings)
     np.testing.assert_allclose(sum(vars(SENSOR)[n] ** 2 * C for n, C in parts.items()), SENSOR.Q(log.sightings))
-
-
-def test_one_variance_has_a_closed_form() -> None:
-    e = np.random.default_rng(1).normal(0, 0.3, (400, 2))
-    C = np.broadcast_to(np.eye(2), (400, 2, 2))
-    fit = fit_variances(e, {"a": C}, degrees=np.inf)
-    assert fit.variances["a"] == pytest.approx(np.mean(e**2), rel=1e-5)
-    # the Gaussian's Fisher information of a variance, n / (2 theta²)
-    assert fit.errors["a"] == pytest.approx(fit.variances["a"] * np.sqrt(2 / 800), rel=1e-9)
-    assert standard_errors(np.eye(2)[None], np.eye(2)[None, None], np.zeros(1), np.inf)[0] != 0
-    assert fit.log_likelihood == pytest.approx(-400 * (np.log(2 * np.pi * np.mean(e**2)) + 1), rel=1e-9)
-
-
-def test_options_freedom_are_found() -> None:
-    rng = np.random.default_rng(3)
-    e = rng.standard_t(4, (4000, 1)) * 0.2
-    fit = fit_variances(e, {"a": np.ones((4000, 1, 1))})
-    # three standard errors of nu at 4 and 4000 samples are about 1
-    assert 3.2 < fit.degrees < 5
-    assert fit.variances["a"] == pytest.approx(0.04, rel=0.1)
 
 
 @pytest.mark.slow
@@ -481,21 +460,3 @@ def test_parts_that_are_alike_have_bounds() -> None:
     assert along == pytest.approx(np.diagonal(MotionModel().M(log.controls, log.dt), axis1=1, axis2=2)[:, 0], rel=0.3)
     assert np.isnan(found.errors["nn"]) and 0.19 < found.bounds["nn"] < 0.25
     assert np.isnan(found.errors["sigma_v"]) and 0.03 < found.bounds["sigma_v"] < 0.08
-
-
-def test_a_bound_is_where_the_profile_likelihood_has_dropped() -> None:
-    """Variances a in one group of numbers and a + b in another: the best a for each b, by a fine grid."""
-    rng = np.random.default_rng(2)
-    one, other = rng.normal(size=150), rng.normal(size=50) * 1.05**0.5
-    e = np.concatenate([one, other])[:, None]
-    parts = {"a": np.ones((200, 1, 1)), "b": np.repeat([0.0, 1.0], [150, 50])[:, None, None]}
-    fit = fit_variances(e, parts, degrees=np.inf)
-    assert np.isnan(fit.errors["b"]) and fit.variances["b"] < fit.bound("b")
-    a = np.linspace(0.5, 2, 3001)
-
-    def profile(b: float) -> float:
-        first = 150 * np.log(a) + np.sum(one**2) / a
-        return float(np.max(-0.5 * (first + 50 * np.log(a + b) + np.sum(other**2) / (a + b))))
-
-    best = max(map(profile, np.linspace(0, 2, 2001)))
-    assert best - profile(fit.bound("b")) == pytest.approx(1.645**2 / 2, abs=0.1)

@@ -117,6 +117,7 @@ def test_a_control_leaves_its_pose(tmp_path):
         (WITH_CONTROLS.replace("u 1 0.2 0.1\n", "") + "x 2 0 0 0\n", 7, "3 poses need 2 controls, found 1"),
         ("delta 3\n", 1, "no pose line"),
         ("hello world\nthis is no log\n", 1, "not a log in any known format"),
+        ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n", 1, "this is a pose graph and no log"),
     ],
 )
 def test_damaged_files_name_the_line(tmp_path, content, line, message):

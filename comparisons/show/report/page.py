@@ -214,7 +214,7 @@ def _summary(view: View) -> str:
     log = view.log
     kind = "range, bearing, orientation" if log.has_orientation else "range, bearing"
     time = "" if view.times is None else f" in {view.times[-1] - view.times[0]:.1f} s"
-    return f"{log.num_poses} poses, {log.seen} ({kind}){time}"
+    return f"{log.sizes} ({kind}){time}"
 
 
 def _map_note(view: View) -> str:

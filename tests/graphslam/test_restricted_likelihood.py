@@ -1,0 +1,82 @@
+"""The restricted likelihood of noise and biases: its derivatives, its value by dense matrices, and its maximum."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from graphslam import Drive, SensorModel
+from graphslam.identification import restricted_likelihood
+from graphslam.identification import unknowns as unknowns_module
+from graphslam.identification.restricted_likelihood import improve_variances, log_likelihood
+from graphslam.identification.unknowns import Unknowns
+
+
+def test_the_jacobians_are_those_of_finite_differences() -> None:
+    log, _ = Drive(seed=7, duration=60.0, orientation=True, misread=0.0).simulate()
+    unknowns = Unknowns(log, log.landmarks, SensorModel())
+    rng, h = np.random.default_rng(0), 1e-5
+    start = unknowns.parameters.at(unknowns.parameters.values + 0.02 * rng.standard_normal(len(unknowns.parameters)))
+    for edges_of, names in ((unknowns.motions, start.names[:4]), (unknowns.sighted, start.names[4:])):
+        for name in names:
+            k, sides = start.names.index(name), []
+            for sign in (1, -1):
+                values = start.values.copy()
+                values[k] += sign * h
+                unknowns.parameters = start.at(values)
+                sides.append(edges_of().residuals)
+            unknowns.parameters = start
+            assert edges_of().by_parameters[:, :, k] == pytest.approx((sides[0] - sides[1]) / (2 * h), abs=1e-6), name
+        edges, state = edges_of(), unknowns.state.copy()
+        for node in (5, 40, int(edges.second.max())):
+            for c in range(3):
+                sides = []
+                for sign in (1, -1):
+                    unknowns.state = state.copy()
+                    unknowns.state[node, c] += sign * h
+                    sides.append(edges_of().residuals)
+                unknowns.state = state
+                numeric = (sides[0] - sides[1]) / (2 * h)
+                for ends, jacobian in ((edges.first, edges.by_first), (edges.second, edges.by_second)):
+                    rows = ends == node
+                    assert jacobian[rows, :, c] == pytest.approx(numeric[rows], abs=1e-6)
+
+
+def test_variances_that_are_ten_times_too_large_come_down_to_the_truth() -> None:
+    """From ten times the true standard deviation of the bearing, as from a tenth of it."""
+    log, truth = Drive(seed=8, duration=60.0, landmarks=12, misread=0.0).simulate()
+    for factor in (0.1, 10.0):
+        unknowns = Unknowns(log, log.landmarks, SensorModel())
+        unknowns.logarithms["bearing_std"] = 2 * np.log(factor * truth.sensor.bearing_std)
+        for _ in range(10):
+            unknowns.iterate(3)
+            improve_variances(unknowns)
+        assert unknowns.variances["bearing_std"] ** 0.5 == pytest.approx(truth.sensor.bearing_std, rel=0.3)
+
+
+def test_the_likelihood_is_that_of_dense_matrices() -> None:
+    """Its differences between variances, where Student's t has so many degrees of freedom that it is Gaussian."""
+    log = Drive(seed=8, duration=12.0, landmarks=8, misread=0.0).simulate()[0]
+    unknowns = Unknowns(log, log.landmarks, SensorModel())
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (restricted_likelihood, unknowns_module):
+            patch.setattr(module, "DEGREES_MOTIONS", 1e9)
+            patch.setattr(module, "DEGREES_SIGHTINGS", 1e9)
+        values = []
+        for factor in (1.0, 3.0):
+            unknowns.logarithms["bearing_std"] += np.log(factor)
+            linear, p = unknowns.linearized(), unknowns.parameters
+            n, K = len(unknowns.state), len(p)
+            free = np.array([c for c in range(3, 3 * n) if c < 3 * unknowns.poses or c % 3 < 2])
+            information, determinants, quadratic = np.diag(np.r_[np.zeros(len(free)), p.weights]), 0.0, 0.0
+            for edges in linear.edges:
+                unit = np.eye(3 * n + K)
+                A = edges.moved(unit[: 3 * n].reshape(n, 3, -1), unit[3 * n :])[:, :, np.r_[free, 3 * n : 3 * n + K]]
+                C = unknowns.covariances(edges)
+                information += np.einsum("eij,eik,ekl->jl", A, np.linalg.inv(C), A)
+                determinants += np.linalg.slogdet(C)[1].sum()
+                quadratic += np.sum(edges.residuals * np.linalg.solve(C, edges.residuals[:, :, None])[:, :, 0])
+            dense = -0.5 * (determinants + quadratic + np.linalg.slogdet(information)[1])
+            values.append((dense, log_likelihood(unknowns)))
+    (dense, own), (dense_after, own_after) = values
+    assert own_after - own == pytest.approx(dense_after - dense, abs=1e-4)
