@@ -27,9 +27,8 @@ import numpy as np
 
 from graphslam import Certificate, Graph, GraphError, OptionError, certify, solve
 from graphslam.edges import RelativePointEdges, RelativePoseEdges
-from graphslam.factors import RelativePointFactor
 from graphslam.se2 import Array, rotation
-from graphslam.solvers.gtsam_solver import from_values, to_values
+from graphslam.solvers.gtsam_factors import from_values, to_gtsam, to_values
 from graphslam.solvers.initialize import starting_state
 
 from ..display import Displayed
@@ -68,7 +67,7 @@ def information_of_g2o(edges: RelativePoseEdges) -> Array:
 
 
 def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
-    """The graph in GTSAM's own factors: BetweenFactorPose2, a stiff prior per fixed node, our factor for points.
+    """The graph in GTSAM's own factors: BetweenFactorPose2, a stiff prior per fixed node; our factors for points.
 
     Raises:
         OptionError: the graph has edges that are not those of a pose graph.
@@ -82,10 +81,8 @@ def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
                 noise = gtsam.noiseModel.Gaussian.Information(omega)
                 factors.add(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*z), noise))
         elif isinstance(family, RelativePointEdges):
-            for i, j, z, omega in zip(
-                family.first.tolist(), family.second.tolist(), family.measured, family.information
-            ):
-                factors.add(RelativePointFactor(i, j, z, omega))
+            # Python evaluates them, with a copy of all values at each call: many in one factor are few calls
+            factors.push_back(to_gtsam(replace(graph, families=(family,), fixed=graph.fixed[:0])))
         else:
             raise OptionError(f"{type(family).__name__} do not belong to a pose graph")
     stiff = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
