@@ -67,9 +67,10 @@ void bind(nb::module_& m) {
         .def("add_node", &OnlineSystem::add_node)
         .def("add_point", &OnlineSystem::add_point)
         .def("add_prior",
-             [](OnlineSystem& s, const Numbers32& nodes, In<double> places, In<double> information, bool points) {
-                 s.add_prior(nodes, triples_of(places), {information.data(), information.data() + information.size()},
-                             points);
+             [](OnlineSystem& s, const Numbers32& nodes, In<double> places, In<double> information, bool points,
+                In<double> pivot) {
+                 s.add_prior(nodes, triples_of(places), {information.data(), information.data() + information.size()}, points,
+                             {pivot.data(), pivot.data() + pivot.size()});
              })
         .def("add",
              [](OnlineSystem& s, Number known, In<Number> ends, In<signed char> kinds, In<signed char> rows,

@@ -35,6 +35,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betainc, ndtr
 
+from ..edges import PriorEdges, Way
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import listed
 from ..graph import Graph
@@ -267,21 +268,23 @@ def _shifts(
     assert graph is not None
     d, ids = graph.landmark_dimension, [j for j in used if j in solution.landmarks]
     P = solution.covariance(landmarks=[*ids, *(fresh[j] for j in fresh)], joint=True)
-    size = d * len(ids)
+    size, of_coordinates = d * len(ids), np.tile(np.arange(3) < d, len(ids))
     if used.joint is not None:
-        kept = np.tile(np.arange(3) < d, len(ids))
-        L = used.joint_information(ids, d)[np.ix_(kept, kept)]
+        L = used.joint_information(ids, d)[np.ix_(of_coordinates, of_coordinates)]
     else:
         L = np.zeros((size, size))
         for k, j in enumerate(ids):
             L[k * d : (k + 1) * d, k * d : (k + 1) * d] = used.own_information(j, d)[:d, :d]
-    means = np.zeros((len(ids), d))
+    means, places = np.zeros((2, len(ids), 3))
     for k, j in enumerate(ids):
-        means[k, : len(used[j])] = used[j][:d]
-    off = np.array([solution.landmarks[j] for j in ids]) - means
-    off[:, 2:] = wrap(off[:, 2:])
-    score = L @ off.ravel()
-    S = L - L @ P[:size, :size] @ L
+        means[k, : min(d, len(used[j]))] = used[j][:d]
+        places[k, :d] = solution.landmarks[j]
+    # a joint prior turns with the map
+    pivot = next((family.pivot for family in graph.families if isinstance(family, PriorEdges)), None)
+    way = Way.of(places, means, pivot)
+    LJ = L @ way.jacobian()[np.ix_(of_coordinates, of_coordinates)]
+    score = L @ way.v[of_coordinates]
+    S = L - LJ @ P[:size, :size] @ LJ.T
     found = {}
     for k, j in enumerate(ids):
         n = min(d, len(used[j]))
@@ -294,6 +297,7 @@ def _shifts(
         else:
             V = np.linalg.inv((S[rows, rows] + S[rows, rows].T) / 2)
             shift = V @ score[rows]
+            shift[:2] = shift[:2] @ way.turn
         shift[2:] = wrap(shift[2:])
         square = float(shift @ np.linalg.solve(V, shift))
         # one that has moved may have turned or not

@@ -9,7 +9,7 @@ from .observation import (
     PolarObservationEdges,
     RangeEdges,
 )
-from .priors import ANCHOR_INFORMATION, AnchorEdges, LandmarkPriors, PositionEdges, PriorEdges
+from .priors import ANCHOR_INFORMATION, AnchorEdges, LandmarkPriors, PositionEdges, PriorEdges, Way, freest_turn
 from .relative import RelationEdges, RelativePointEdges, RelativePoseEdges, motion_edges
 from .robust import DoubtedEdges, SingleEdges
 from .sightings import LandmarkSightings, MarginalEdges, SightingEdges
@@ -40,5 +40,7 @@ __all__ = [
     "SightingEdges",
     "SingleEdges",
     "VirtualMotionEdges",
+    "Way",
+    "freest_turn",
     "motion_edges",
 ]

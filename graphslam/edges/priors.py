@@ -16,7 +16,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from math import atan2, cos, sin
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -79,6 +80,89 @@ class LandmarkPriors(AnchorEdges):
         return rows, rows
 
 
+def freest_turn(values: Array, information: Array) -> Array | None:
+    """The centre c (2,) about which nodes turn together at the least cost of a joint prior.
+
+    Args:
+        values: (K, 3) of the nodes.
+        information: (3K, 3K), zero for coordinates about which the prior says nothing.
+
+    Returns:
+        The c that minimises d' Omega d with d_k = (perp(p_k - c), 1); None where all nodes are at one place.
+    """
+    places = values[:, :2]
+    if not np.ptp(places, axis=0).any():
+        return None
+    shift = np.tile(np.eye(3)[:, :2], (len(values), 1))
+    turn = np.column_stack([perpendicular(places), np.ones(len(values))]).ravel()
+    x, y = np.linalg.lstsq(shift.T @ information @ shift, shift.T @ information @ turn, rcond=None)[0]
+    return np.array([y, -x])
+
+
+class Way(NamedTuple):
+    """The residual v (3K,) of a prior of K nodes, and its Jacobian.
+
+    The Jacobian turns the change of each node's place by ``turn`` (2, 2), and adds along gradient', with ``along`` =
+    dv/dtheta and ``gradient`` = dtheta/dx (3K,).
+    """
+
+    v: Array
+    turn: Array
+    along: Array
+    gradient: Array
+
+    @classmethod
+    def of(cls, nodes: Array, values: Array, pivot: Array | None) -> Way:
+        """How far nodes (K, 3) are from their values (K, 3). With a ``pivot`` c, a turn of all counts as its angle:
+
+            v_k = R(theta)' (p_k - c) - (p̂_k - c) + theta perp(p̂_k - c),   heading_k - its value,
+
+        where theta turns the values about their centroid onto the places, as well as one angle can. To first order in theta
+        this is the plain difference, which grows with theta^2, too, where the nodes turn and keep their shape.
+        """
+        v, n = difference(nodes, values), 3 * len(nodes)
+        along, gradient = np.zeros((2, len(nodes), 3))
+        if pivot is None:
+            return cls(v.ravel(), np.eye(2), np.zeros(n), np.zeros(n))
+        arms, spread = values[:, :2] - pivot, values[:, :2] - values[:, :2].mean(axis=0)
+        across = perpendicular(spread)
+        c, s = float(np.sum(spread * nodes[:, :2])), float(np.sum(across * nodes[:, :2]))
+        theta = atan2(s, c)
+        turn = np.array([[cos(theta), sin(theta)], [-sin(theta), cos(theta)]])
+        moved = (nodes[:, :2] - pivot) @ turn.T
+        v[:, :2] = moved - arms + theta * perpendicular(arms)
+        along[:, :2] = perpendicular(arms - moved)
+        gradient[:, :2] = (c * across - s * spread) / (c * c + s * s)
+        return cls(v.ravel(), turn, along.ravel(), gradient.ravel())
+
+    def jacobian(self) -> Array:
+        """dv/dx (3K, 3K)."""
+        return np.kron(np.eye(len(self.v) // 3), self._turn_of_node) + np.outer(self.along, self.gradient)
+
+    def pulled(self, force: Array) -> Array:
+        """J' force (3K,)."""
+        turned = force.reshape(-1, 3) @ self._turn_of_node
+        return turned.ravel() + self.gradient * float(self.along @ force)
+
+    def information(self, omega: Array) -> Array:
+        """J' Omega J (3K, 3K), without products of large matrices."""
+        k, turn = len(self.v) // 3, self._turn_of_node
+        turned = np.einsum("ra,irjs,sb->iajb", turn, omega.reshape(k, 3, k, 3), turn, optimize=True).reshape(
+            3 * k, 3 * k
+        )
+        pull = omega @ self.along
+        half = np.outer(
+            (pull.reshape(k, 3) @ turn).ravel() + 0.5 * float(self.along @ pull) * self.gradient, self.gradient
+        )
+        return turned + half + half.T
+
+    @property
+    def _turn_of_node(self) -> Array:
+        turn = np.eye(3)
+        turn[:2, :2] = self.turn
+        return turn
+
+
 @dataclass(frozen=True, eq=False)
 class PriorEdges(EdgeFamily):
     """A joint prior of K nodes: v' Omega v - 2 b' v + b' Omega^+ b, with v (3K,) the way of the nodes from their values.
@@ -88,12 +172,15 @@ class PriorEdges(EdgeFamily):
         values: (K, 3), in world axes; headings of v are wrapped.
         information: Omega (3K, 3K); zero for coordinates about which it says nothing.
         rhs: b (3K,), or None for zero, where the values are the mean.
+        pivot: the centre of `freest_turn`, for a prior that turns with its nodes (`Way.of`), such as that of a map, of whose
+            landmarks the heading of the whole is known worst; None for one that is quadratic in the nodes.
     """
 
     nodes: np.ndarray
     values: Array
     information: Array
     rhs: Array | None = None
+    pivot: Array | None = None
 
     @cached_property
     def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
@@ -115,9 +202,10 @@ class PriorEdges(EdgeFamily):
         """One edge with one end for each node; of priors without ``rhs`` only."""
         if self.rhs is not None:
             raise GraphError("a prior that is not centred at its values has no residual")
-        jacobians = np.eye(len(self.information)).reshape(-1, len(self.nodes), 3).transpose(1, 0, 2)
+        way = self._way(state)
+        jacobians = way.jacobian().reshape(-1, len(self.nodes), 3).transpose(1, 0, 2)
         ends = tuple(self.nodes[:, None])
-        return Linearization(self._way(state)[None], self.information[None], ends, tuple(jacobians[:, None]))
+        return Linearization(way.v[None], self.information[None], ends, tuple(jacobians[:, None]))
 
     def constant(self, state: Array) -> ConstantEdges:
         raise GraphError(
@@ -126,15 +214,16 @@ class PriorEdges(EdgeFamily):
         )
 
     def accumulate(self, state: Array, reference: Array, system: BlockSystem | None) -> float:
-        v, k = self._way(state), len(self.nodes)
+        way, k = self._way(state), len(self.nodes)
+        v = way.v
         pull = self.information @ v
         if system is not None:
-            blocks = self.information.reshape(k, 3, k, 3).transpose(0, 2, 1, 3)
+            blocks = way.information(self.information).reshape(k, 3, k, 3).transpose(0, 2, 1, 3)
             system.values[system.diagonal_slots[self.nodes]] += blocks[np.arange(k), np.arange(k)]
             if k > 1:
                 i, j = self._pairs
                 system.values[system.slots_of(*self._ends)[2]] += blocks[i, j]
-            system.xi[self.nodes] += ((0.0 if self.rhs is None else self.rhs) - pull).reshape(k, 3)
+            system.xi[self.nodes] += way.pulled((0.0 if self.rhs is None else self.rhs) - pull).reshape(k, 3)
         if self.rhs is None:
             return float(v @ pull)
         return float(v @ pull - 2 * self.rhs @ v + self._least)
@@ -150,8 +239,8 @@ class PriorEdges(EdgeFamily):
         i, j = self._pairs
         return self.nodes[i], self.nodes[j]
 
-    def _way(self, state: Array) -> Array:
-        return difference(state[self.nodes], self.values).ravel()
+    def _way(self, state: Array) -> Way:
+        return Way.of(state[self.nodes], self.values, self.pivot)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ The place of a point of the robot in the world: GPS, motion capture, a total sta
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import cos, sin
 
 import gtsam
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import OptionError, quoted
+from ..se2 import Array
 from .arguments import PoseLike, numbers, positive_definite
 from .arguments import pose as checked
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
@@ -21,12 +22,17 @@ from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, list
 class PriorFactor(Factor):
     """The values at keys, with a joint prior: e = x - x̂ of all of them in world axes, headings wrapped.
 
+    With a ``pivot`` c, that of a map, a turn of all keys together counts as its angle theta. In complex numbers x + i y,
+
+        e = exp(-i theta) (x - c) - (x̂ - c) + i theta (x̂ - c),   theta = arg sum of conj(x̂ - mean) x.
+
     Args:
         keys: of the nodes, each a `gtsam.Pose2` or a `gtsam.Point2`.
         values: x̂ (K, 3); the heading of a point is not used.
         information: (N, N), for the coordinates of all keys in their order.
         coordinates: (K,) 3 or 2, how many coordinates of each key the prior is about; default: all that it has.
         points: the number of points; they are the last keys.
+        pivot: the centre (2,) of `graphslam.edges.freest_turn`; default: the prior is quadratic in the values.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
@@ -43,6 +49,7 @@ class PriorFactor(Factor):
         *,
         coordinates: Sequence[int] | np.ndarray | None = None,
         points: int = 0,
+        pivot: ArrayLike | None = None,
         kernel: KernelLike = None,
     ) -> None:
         keys = listed_keys("PriorFactor", keys)
@@ -60,17 +67,52 @@ class PriorFactor(Factor):
             jacobian[start : start + n, :n] = np.eye(n)
             jacobians.append(jacobian)
         rows = held.tolist()
+        centre = None if pivot is None else numbers("pivot", pivot, (2,))
+        turning = None if centre is None else _turning(held, complex(*centre), used, most)
 
         def residual(*nodes: Coordinates) -> Linearized:
+            if turning is not None:
+                return turning(nodes)
             e: list[float] = []
             for at, (x, y, theta), n in zip(nodes, rows, used):
                 e += [at[0] - x, at[1] - y] + ([wrapped(at[2] - theta)] if n == 3 else [])
             return e, jacobians
 
         arguments = {
-            "values": held, "information": omega, "coordinates": np.array(used), "points": points, "kernel": kernel,
+            "values": held, "information": omega, "coordinates": np.array(used), "points": points,
+            "pivot": centre, "kernel": kernel,
         }  # fmt: skip
         super().__init__(keys, kinds, residual, arguments, information=omega)
+
+
+def _turning(
+    held: Array, centre: complex, used: list[int], most: list[int]
+) -> Callable[[Sequence[Coordinates]], Linearized]:
+    """The residual of a prior that turns with its keys, in complex numbers."""
+    places = held[:, 0] + 1j * held[:, 1]
+    arms, spread = places - centre, np.conj(places - places.mean())
+    # which of the three coordinates of each key the prior is about, and which it has
+    about, has = (np.flatnonzero(np.arange(3) < np.array(n)[:, None]) for n in (used, most))
+    ends = np.cumsum(most)[:-1]
+
+    def residual(nodes: Sequence[Coordinates]) -> Linearized:
+        at = np.array([(*node, 0.0)[:3] for node in nodes])
+        x = at[:, 0] + 1j * at[:, 1]
+        fit = spread @ x
+        theta = float(np.angle(fit))
+        back = np.exp(-1j * theta)
+        way = back * (x - centre) - (1 - 1j * theta) * arms
+        e = np.column_stack([way.real, way.imag, [wrapped(heading) for heading in at[:, 2] - held[:, 2]]])
+        by_theta = 1j * (arms - back * (x - centre))
+        theta_by = spread / fit
+        jacobian = np.kron(np.eye(len(x)), [[back.real, -back.imag, 0], [back.imag, back.real, 0], [0, 0, 1]])
+        jacobian += np.outer(
+            np.column_stack([by_theta.real, by_theta.imag, np.zeros(len(x))]),
+            np.column_stack([theta_by.imag, theta_by.real, np.zeros(len(x))]),
+        )
+        return e.ravel()[about], np.split(jacobian[np.ix_(about, has)], ends, axis=1)
+
+    return residual
 
 
 class AnchorFactor(Factor):

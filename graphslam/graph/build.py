@@ -20,6 +20,7 @@ from ..edges import (
     RelationEdges,
     RelativePoseEdges,
     VirtualMotionEdges,
+    freest_turn,
     motion_edges,
 )
 from ..edges.robust import Kernel
@@ -157,7 +158,7 @@ def _priors(
         return [], fixed
     if landmark_map.joint is not None:
         information = landmark_map.joint_information(uncertain, d)
-        return [PriorEdges(nodes, initial[nodes], information)], fixed
+        return [PriorEdges(nodes, initial[nodes], information, pivot=freest_turn(initial[nodes], information))], fixed
     information = np.array([landmark_map.own_information(j, d) for j in uncertain])
     return [LandmarkPriors(nodes, initial[nodes], information)], fixed
 

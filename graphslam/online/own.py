@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from ..edges import ANCHOR_INFORMATION, RangeEdges
+from ..edges import ANCHOR_INFORMATION, RangeEdges, freest_turn
 from ..edges.robust import Kernel, code_and_width
 from ..engine import engine
 from ..errors import GraphError
@@ -94,7 +94,7 @@ class OwnBackend(Backend):
                 own, gain = kernel.of_dimension(rows), kernel.information_per_weight(rows)
                 self.system.use_kernel(*code_and_width(own), gain, rows)
         held = ANCHOR_INFORMATION if start_covariance is None else information_of(start_covariance)
-        self.system.add_prior([0], start, np.ascontiguousarray(held), False)
+        self.system.add_prior([0], start, np.ascontiguousarray(held), False, np.empty(0))
         self.system.solve(self._poses, self._poses)
         if map is not None:
             known = as_map(map)
@@ -106,13 +106,14 @@ class OwnBackend(Backend):
         self.columns = columns
         self._landmarks = {j: self.system.add_node() for j in ids}
         nodes = list(self._landmarks.values())
-        if known.joint is not None:
-            self.system.add_prior(nodes, places, np.ascontiguousarray(information), columns == 2)
-        else:
-            # one prior of all of them would tie them together
-            for k, node in enumerate(nodes):
-                own = np.ascontiguousarray(information[3 * k : 3 * k + 3, 3 * k : 3 * k + 3])
-                self.system.add_prior([node], places[k], own, columns == 2)
+        # one prior of all of them would tie together those that are not
+        together = [k for k, j in enumerate(ids) if known.joint is not None and j in known.covariances]
+        for group in ([together] if together else []) + [[k] for k in range(len(ids)) if k not in together]:
+            of_group = np.add.outer(3 * np.array(group), np.arange(3)).ravel()
+            omega = np.ascontiguousarray(information[np.ix_(of_group, of_group)])
+            pivot = freest_turn(places[group], omega)
+            turns = np.empty(0) if pivot is None else pivot
+            self.system.add_prior([nodes[k] for k in group], places[group], omega, columns == 2, turns)
         self.system.solve(nodes, self._poses)
 
     # -- measurements ------------------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
     for family in families:
         if isinstance(family, edges.PriorEdges):
-            made.add(_prior_factor(graph, family.nodes, family.values, family.information))
+            made.add(_prior_factor(graph, family.nodes, family.values, family.information, family.pivot))
             continue
         if isinstance(family, edges.LandmarkPriors):
             for k in range(family.count):
@@ -73,13 +73,15 @@ def _is_point(graph: Graph, node: int) -> bool:
     return node >= len(graph.steps) and graph.landmark_dimension == 2
 
 
-def _prior_factor(graph: Graph, nodes: np.ndarray, values: Array, information: Array) -> gtsam.NonlinearFactor:
+def _prior_factor(
+    graph: Graph, nodes: np.ndarray, values: Array, information: Array, pivot: Array | None = None
+) -> gtsam.NonlinearFactor:
     """The factor of a prior of landmarks with information (3K, 3K), zero for coordinates without a prior."""
     known = np.diagonal(information).reshape(-1, 3) > 0
     rows = known.ravel()
     return factor_types.PriorFactor(
         nodes.tolist(), values, information[np.ix_(rows, rows)], coordinates=known.sum(axis=1).tolist(),
-        points=len(nodes) if graph.landmark_dimension == 2 else 0,
+        points=len(nodes) if graph.landmark_dimension == 2 else 0, pivot=pivot,
     )  # fmt: skip
 
 

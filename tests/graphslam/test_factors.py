@@ -11,11 +11,12 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from graphslam import MotionModel, OptionError, SensorModel, textbook
+from graphslam.edges import freest_turn
 from graphslam.factors import AnchorFactor, MotionFactor, PriorFactor, RelativePoseFactor, VirtualMotionFactor
 from graphslam.factors.arguments import sighted_covariance
 from graphslam.factors.relative import _from_origin
 from graphslam.linear.precision import small_inverse
-from graphslam.se2 import wrap
+from graphslam.se2 import between, compose, perpendicular, wrap
 
 sensor, motion = SensorModel(), MotionModel(slip=0.05)
 x1, x2 = gtsam.symbol("x", 1), gtsam.symbol("x", 2)
@@ -79,6 +80,47 @@ def test_prior_jacobians(a, b, held_1, held_2, coordinates):
     assert np.allclose(e[:2], a[:2] - held_1[:2]) and np.allclose(e[coordinates[0] :][:2], b[:2] - held_2[:2])
     assume(all(abs(abs(wrap(x[2] - held[2])) - np.pi) > 1e-3 for x, held in ((a, held_1), (b, held_2))))
     check(factor, a, b)
+
+
+@given(st.lists(pose, min_size=3, max_size=3), pose, st.sampled_from([0, 3]))
+def test_a_prior_that_turns_with_its_keys(values, moved, points):
+    """Turning all keys about the pivot costs the squared angle, and the Jacobian is that of differences."""
+    held = np.array([[0.0, 0, 0], [5, 1, 1], [-2, 4, -1]])
+    rows = np.arange(9).reshape(3, 3)[:, : 2 if points else 3].ravel()
+    A = np.eye(9) + 0.2 * np.sin(np.add.outer(np.arange(9), 3 * np.arange(9)))
+    omega = np.zeros((9, 9))
+    omega[np.ix_(rows, rows)] = (A @ A.T)[np.ix_(rows, rows)]
+    pivot = freest_turn(held, omega)
+    options = {"points": points, "pivot": pivot}
+    factor = PriorFactor([1, 2, 3], held, omega[np.ix_(rows, rows)], **options)
+
+    def at(nodes):
+        filled = gtsam.Values()
+        for key, node in enumerate(nodes, 1):
+            filled.insert(key, gtsam.Point2(*node[:2]) if points else gtsam.Pose2(*node))
+        return filled
+
+    angle = 0.3 * moved[2]
+    turned = compose([*pivot, angle], between([*pivot, 0.0], held))
+    turned[:, 2] = held[:, 2] + (0 if points else angle)
+    along = np.column_stack([perpendicular(held[:, :2] - pivot), np.full(3, 0.0 if points else 1.0)]).ravel()
+    assert factor.error(at(turned)) == pytest.approx(0.5 * angle**2 * along @ omega @ along, abs=1e-9)
+    # no other centre costs less
+    for other in np.eye(2):
+        away = np.column_stack([perpendicular(held[:, :2] - pivot - 0.1 * other), along.reshape(3, 3)[:, 2]]).ravel()
+        assert away @ omega @ away > along @ omega @ along
+    here = at(turned + 0.1 * np.array(values))
+    jacobian, _ = factor.linearize(here).jacobian()
+    columns = []
+    for column in 1e-6 * np.eye(jacobian.shape[1]):
+        change = gtsam.VectorValues()
+        back = gtsam.VectorValues()
+        for key, part in enumerate(np.split(column, 3), 1):
+            change.insert(key, part)
+            back.insert(key, -part)
+        ahead, behind = (factor.unwhitenedError(here.retract(way)) for way in (change, back))
+        columns.append((ahead - behind) / 2e-6)
+    np.testing.assert_allclose(jacobian, factor.noiseModel().R() @ np.transpose(columns), atol=1e-6)
 
 
 def test_a_prior_of_points_can_be_saved_and_says_what_it_needs(tmp_path):

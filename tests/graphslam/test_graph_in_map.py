@@ -111,7 +111,7 @@ def test_a_map_by_hand():
 
 
 @pytest.mark.parametrize("orientation", [True, False])
-@pytest.mark.parametrize(("noise", "sigmas", "spread"), [(1.0, 0.15, 0.05), (0.1, 2e-3, 5e-3), (0.01, 2e-5, 2e-4)])
+@pytest.mark.parametrize(("noise", "sigmas", "spread"), [(1.0, 0.03, 0.01), (0.1, 5e-4, 1e-3), (0.01, 2e-5, 2e-4)])
 def test_the_map_of_a_session_is_all_that_the_next_one_needs(noise, sigmas, spread, orientation):
     """Session 1 as a joint prior of session 2 is the graph of both, the more exactly the more linear they are."""
     first, second = sessions(noise, orientation=orientation)

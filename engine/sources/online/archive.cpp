@@ -36,8 +36,8 @@ auto fields(auto& value)
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Prior>
 {
-    auto& [members, information, rhs, centre, relative, linear, carry, at, group] = value;
-    return std::tie(members, information, rhs, centre, relative, linear, carry, at, group);
+    auto& [members, information, rhs, centre, relative, pivot, linear, carry, at, group] = value;
+    return std::tie(members, information, rhs, centre, relative, pivot, linear, carry, at, group);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Memory>

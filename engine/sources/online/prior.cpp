@@ -99,6 +99,12 @@ void Prior::evaluate(const Graph& graph, bool renew) {
 }
 
 bool Prior::outdated(const Graph& graph) const {
+    if (!pivot.empty()) {
+        const std::vector<char> point = points_of(graph, members);
+        std::vector<Triple> x;
+        for (const Number member : members) x.push_back(graph.nodes[member].x);
+        return Way(*this, x, point).turned_from(Way(*this, at, point)) > most_turned;
+    }
     const Triple &first = graph.nodes[members[0]].x, &then = at[0];
     const Rotation axes(first[2]), axes_then(then[2]);
     const double turned = first[2] - then[2];
@@ -114,6 +120,10 @@ bool Prior::outdated(const Graph& graph) const {
 
 Way::Way(const Prior& prior, std::span<const Triple> x, const std::vector<char>& point)
     : v(3 * x.size(), 0.0), relative_(prior.relative), point_(point), own_(x.size()), of_first_(x.size()), seen_(x.size()) {
+    if (!prior.pivot.empty()) {
+        turn_with(prior, x);
+        return;
+    }
     const Triple &first = x[0], &centre = prior.centre[0];
     const Rotation axes(first[2]), axes_of_centre(centre[2]);
     for (std::size_t k = relative_ ? 1 : 0; k < x.size(); ++k) {
@@ -138,6 +148,52 @@ Way::Way(const Prior& prior, std::span<const Triple> x, const std::vector<char>&
     }
 }
 
+void Way::turn_with(const Prior& prior, std::span<const Triple> x) {
+    const std::size_t count = x.size();
+    Lever middle{0.0, 0.0};
+    for (const Triple& c : prior.centre) middle = {middle.x + c[0] / double(count), middle.y + c[1] / double(count)};
+    // the cosine and the sine of t, times a common length
+    double cosine = 0.0, sine = 0.0;
+    for (std::size_t k = 0; k < count; ++k) {
+        const double sx = prior.centre[k][0] - middle.x, sy = prior.centre[k][1] - middle.y;
+        cosine += sx * x[k][0] + sy * x[k][1];
+        sine += sx * x[k][1] - sy * x[k][0];
+    }
+    const double t = std::atan2(sine, cosine), square = cosine * cosine + sine * sine;
+    const Rotation back(-t);
+    along_.assign(3 * count, 0.0), gradient_.assign(3 * count, 0.0);
+    const auto put = [](const Rotation& R, double a, double b, double* to) {
+        to[0] = R.c * a - R.s * b;
+        to[1] = R.s * a + R.c * b;
+    };
+    for (std::size_t k = 0; k < count; ++k) {
+        const Triple& c = prior.centre[k];
+        const double turned = x[k][2] - c[2];
+        const double ax = c[0] - prior.pivot[0], ay = c[1] - prior.pivot[1];
+        double moved[2];
+        put(back, x[k][0] - prior.pivot[0], x[k][1] - prior.pivot[1], moved);
+        const Rotation axes(point_[k] ? 0.0 : -c[2]);
+        own_[k] = Rotation(point_[k] ? -t : turned - t);
+        put(axes, moved[0] - ax - t * ay, moved[1] - ay + t * ax, v.data() + 3 * k);
+        v[3 * k + 2] = point_[k] ? 0.0 : edges::wrap(turned);
+        put(axes, moved[1] - ay, ax - moved[0], along_.data() + 3 * k);
+        const double sx = c[0] - middle.x, sy = c[1] - middle.y;
+        put(Rotation(point_[k] ? 0.0 : -x[k][2]), -(cosine * sy + sine * sx) / square, (cosine * sx - sine * sy) / square,
+            gradient_.data() + 3 * k);
+    }
+}
+
+double Way::turned_from(const Way& other) const {
+    double most = 0.0, stretched = 0.0, steepest = 0.0;
+    for (std::size_t k = 0; k < own_.size(); ++k)
+        most = std::max(most, std::abs(own_[k].s * other.own_[k].c - own_[k].c * other.own_[k].s));
+    for (std::size_t k = 0; k < along_.size(); ++k) {
+        stretched = std::max(stretched, std::abs(along_[k] - other.along_[k]));
+        steepest = std::max(steepest, std::abs(gradient_[k]));
+    }
+    return std::max(most, stretched * steepest);
+}
+
 // With u, phi the increments of the first node and B, A the rotations `of_first_` and `own_` of node k, relative ways change by
 //
 //     dv_k = A d_k - B (u + phi perp(seen_k)),    dtheta_k = d_theta_k - phi.
@@ -157,6 +213,10 @@ void Way::times_jacobian(const double* row, double* product) const {
         first[2] -= seen_[k].x * y - seen_[k].y * x + (point_[k] ? 0.0 : a[2]);
     }
     if (relative_) std::copy_n(first.data(), 3, product);
+    if (along_.empty()) return;
+    double of_turn = 0.0;
+    for (std::size_t i = 0; i < along_.size(); ++i) of_turn += row[i] * along_[i];
+    for (std::size_t i = 0; i < along_.size(); ++i) product[i] += of_turn * gradient_[i];
 }
 
 double Way::cost(const Prior& prior) const {

@@ -84,8 +84,8 @@ OnlineSystem::Pass OnlineSystem::pass(double least) {
         Prior& prior = *std::ranges::find(priors_, group, &Prior::group);
         prior.evaluate(graph_, false);
         write_prior(prior, false);
-        // an absolute one is linear in the increments of points, and has to do with single poses else
-        if (prior.relative && prior.outdated(graph_)) result.outdated.push_back(&prior);
+        // an absolute one has to do with single poses where it is not linear
+        if (!prior.linear_in_places() && prior.outdated(graph_)) result.outdated.push_back(&prior);
     }
     Evaluation found{memory_.limit, memory_.bent};
     for (auto s = moved.supernodes.rbegin(); s != moved.supernodes.rend(); ++s) tree_.evaluate(graph_, *s, found);
@@ -104,10 +104,11 @@ bool OnlineSystem::factorize_late(std::span<const Number> late, std::span<const 
     return good;
 }
 
-// Relative priors have no second derivatives in the factor. Those of the edges alone are of no use then: they sum up to nothing
+// Relative priors, and those that turn, have no second derivatives in the factor. Those of the edges alone are of no use then: they sum up to nothing
 // along a turn of many nodes only together with those of what pulls on the other side.
 Bent OnlineSystem::usual_bent() const {
-    return std::ranges::any_of(priors_, [](const Prior& prior) { return prior.relative; }) ? Bent::never() : Bent{};
+    const bool all = std::ranges::all_of(priors_, [](const Prior& prior) { return prior.linear_in_places(); });
+    return all ? Bent{} : Bent::never();
 }
 
 /// Linearise priors where their nodes are; returns the supernodes above, which are to be factorised again.

@@ -34,8 +34,9 @@ Number OnlineSystem::add_point(double x, double y) {
 }
 
 void OnlineSystem::add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information,
-                             bool points) {
+                             bool points, std::vector<double> pivot) {
     Prior prior;
+    prior.pivot = std::move(pivot);
     prior.members.assign(nodes.begin(), nodes.end());
     prior.information = std::move(information);
     prior.rhs.assign(3 * nodes.size(), 0.0);
@@ -49,6 +50,7 @@ void OnlineSystem::add_prior(std::span<const Number> nodes, std::span<const Trip
     prior.evaluate(graph_, true);
     hang_prior(prior);
     priors_.push_back(std::move(prior));
+    memory_.bent = usual_bent();
 }
 
 /// Put a prior into the tree, where the next elimination of its nodes finds it.

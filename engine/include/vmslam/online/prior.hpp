@@ -1,9 +1,12 @@
 // Priors of an online solution: what a map says, or what the edges of marginalised poses have left.
 //
-// A prior is v' Lambda v - 2 b' v in J, with v(x) the way of its nodes from their centres. Two kinds:
+// A prior is v' Lambda v - 2 b' v in J, with v(x) the way of its nodes from their centres. Three kinds:
 //
 //     absolute   v_k = R_ck' (p_k - c_k), theta_k - theta_ck, in the axes of the centre; of points in those of the world,
-//     relative   the same for what the first node sees, R_0' (p_k - p_0), so that turning all nodes together costs nothing.
+//     relative   the same for what the first node sees, R_0' (p_k - p_0), so that turning all nodes together costs nothing,
+//     turning    R_ck' (R_t' (p_k - q) - (c_k - q) + t perp(c_k - q)), theta_k - theta_ck: turning all nodes together about the
+//                pivot q counts as the angle t, which turns the centres about their centroid onto the nodes. So is the joint
+//                prior of a map, of whose landmarks the heading of the whole is known worst (`Way` in edges/priors.py).
 //
 // What edges between nodes leave is relative: after a long way the heading of the first node is uncertain, and an absolute way
 // is not linear in it. The tree has Lambda_x = J' Lambda J, J = dv/dx, and
@@ -23,6 +26,7 @@ struct Prior {
     std::vector<double> information, rhs;  ///< Lambda (3k, 3k) and b (3k)
     std::vector<Triple> centre;
     bool relative = false;
+    std::vector<double> pivot;  ///< q (2) of a prior that turns with its nodes, otherwise empty
     std::vector<double> linear, carry;  ///< Lambda_x and `carry` of the tree
     std::vector<Triple> at;  ///< the values of the nodes at which Lambda_x was evaluated
     Number group = 0;  ///< the supernode of the prior
@@ -33,6 +37,8 @@ struct Prior {
     void evaluate(const Graph& graph, bool renew);
     /// v' Lambda v - 2 b' v at the present values of the nodes.
     double cost(const Graph& graph) const;
+    /// Whether v is linear in the increments of points.
+    bool linear_in_places() const { return !relative && pivot.empty(); }
     /// Whether the nodes have turned or moved so far against each other that Lambda_x is no good approximation.
     bool outdated(const Graph& graph) const;
 };
@@ -47,8 +53,12 @@ class Way {
     /// J' (b - Lambda v) and J' Lambda J.
     std::vector<double> gradient(const Prior& prior) const;
     std::vector<double> information(const Prior& prior) const;
+    /// How far the Jacobian is turned against another one, or stretched.
+    double turned_from(const Way& other) const;
 
    private:
+    /// v and its Jacobian of a prior that turns with its nodes.
+    void turn_with(const Prior& prior, std::span<const Triple> x);
     /// a J of a row vector.
     void times_jacobian(const double* row, double* product) const;
 
@@ -56,6 +66,7 @@ class Way {
     const std::vector<char>& point_;
     std::vector<Rotation> own_, of_first_;  ///< what turns increments of a node, and those of the first, to the axes of v
     std::vector<Lever> seen_;  ///< where the first node sees the others
+    std::vector<double> along_, gradient_;  ///< dv/dt and dt/dx of a prior that turns with its nodes
 };
 
 /// y = A x for a square matrix.

@@ -34,9 +34,10 @@ class OnlineSystem {
     Number add_node();
     /// A new landmark without heading at a place, for single numbers.
     Number add_point(double x, double y);
-    /// Put nodes at places, with their joint information (3k, 3k) in world axes. `points` have no heading.
+    /// Put nodes at places, with their joint information (3k, 3k) in world axes. `points` have no heading. With a `pivot` (2)
+    /// the prior turns with its nodes.
     void add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information,
-                   bool points);
+                   bool points, std::vector<double> pivot = {});
 
     /// Add edges to new nodes, those from number `known` on, or between others, and solve; `newest` are eliminated last.
     /// False where a node is not determined: the system is as before then, without the new nodes.
