@@ -70,6 +70,7 @@ class Comparison(Displayed):
         options: of the run, noise models filled in.
         estimators: the names that were asked for; None for all.
         time_limit: of each estimator [s]; None for none.
+        alone: of several logs, what the graph solvers of `ALONE` find for each log by itself, by name; None where one failed.
     """
 
     log: Log
@@ -79,6 +80,7 @@ class Comparison(Displayed):
     options: RunOptions = field(default_factory=RunOptions)
     estimators: tuple[str, ...] | None = None
     time_limit: float | None = None
+    alone: Mapping[str, tuple[EstimatorResult | None, ...]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Comparison({self.log.name!r}: {', '.join(result.name for result in self.results)})"
@@ -380,6 +382,8 @@ class RunDocument:
     warnings: list[str]
 
 
+#: the estimators that solve each of several logs by itself, too, since that takes them no time
+ALONE = ("graph", "graph-marginal", "graph-no-kernel")
 #: called with a name when an estimator begins (None) and when it is done
 Progress = Callable[[str, EstimatorResult | Skipped | None], None]
 
@@ -447,13 +451,18 @@ def compare(
                 results.append(outcome)
             if progress is not None:
                 progress(name, outcome)
+        alone = dict[str, tuple[EstimatorResult | None, ...]]()
+        for name in [r.name for r in results if data.sessions and r.name in ALONE]:
+            drives = (data.at_steps(np.arange(each.start, each.stop)).replace(sessions=()) for each in data.drives)
+            outcomes = [attempt(name, drive, options) for drive in drives]
+            alone[name] = tuple(None if isinstance(each, Skipped) else each for each in outcomes)
     if not results:
         # what was tried says more than what was left out beforehand
         first = next((each for each in skipped if each.error is not None), skipped[0])
         if isinstance(first.error, SlamError):
             raise first.error
         raise SlamError(f"no estimator has a result; {first.name} {first.outcome}: {first.reason}") from first.error
-    return Comparison(data, tuple(results), tuple(skipped), source, options, names, time_limit)
+    return Comparison(data, tuple(results), tuple(skipped), source, options, names, time_limit, alone)
 
 
 def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:

@@ -141,7 +141,9 @@ class Output:
         from ..show.tables import tables_of
 
         tables, remarks = tables_of(result, **options)
-        for table in tables:
+        for k, table in enumerate(tables):
+            if k:
+                self.console.print()
             self.console.print(translated_table(table, self.language))
         self.say(*remarks)
 

@@ -65,7 +65,7 @@ def run(
     files = outcome.save(
         saving.out, figures=saving.figures, language=output.language_of_figures() if saving.figures else "en"
     )
-    output.show(outcome)
+    output.show(outcome, brief=True)
     for kind, (path, write) in writers.items():
         with noted(files.notes, "there is no interactive report" if kind == "html" else f"there is no {path}"):
             write(outcome, path, **({"language": output.language} if kind == "html" else {}))
@@ -155,7 +155,7 @@ def report(
     log, page = places(words, "a log and a file to write: slam-compare report LOG OUT.html")
     check_page(page)
     outcome = _compared(output, log, chosen, options)
-    output.show(outcome)
+    output.show(outcome, brief=True)
     write_report(outcome, page, language=output.language)
     output.hint(PAGE.format(page))
     output.json(outcome.to_json({"html": page}))

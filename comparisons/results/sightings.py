@@ -139,12 +139,14 @@ class SessionErrors(Errors):
 
     Attributes:
         together_m: the ATE of its poses after the common alignment of all logs [m].
+        alone_m: the ATE where the estimator has this log only [m]; of the graph solvers.
         poses_counted: number of poses that the metrics are of.
     """
 
     session: Session = field(repr=False)
     estimator: str = field(repr=False)
     together_m: float | None
+    alone_m: float | None
     poses_counted: Count | None
 
 
@@ -179,15 +181,19 @@ def errors_of_sessions(comparison: Comparison) -> Iterator[SessionErrors]:
     truth = np.full((log.num_poses, 3), np.nan) if log.true_poses is None else log.true_poses
     estimates = {r.name: log.at_truth(r.poses) for r in comparison.results}
     off = comparison.position_errors
-    for session, drive in zip(log.sessions, log.drives):
+    for k, (session, drive) in enumerate(zip(log.sessions, log.drives)):
         for r in comparison.results:
-            alone, together = Metrics(), None
+            here, together, apart = Metrics(), None, comparison.alone.get(r.name, (None,) * len(log.sessions))[k]
+            alone = None
             if log.covered[drive].any():
-                alone = evaluate(truth[drive], None, estimates[r.name][drive], {}, mask=r.estimated[drive])
+                here = evaluate(truth[drive], None, estimates[r.name][drive], {}, mask=r.estimated[drive])
+                if apart is not None:
+                    placed = log.at_truth(np.concatenate([r.poses[: drive.start], apart.poses, r.poses[drive.stop :]]))
+                    alone = evaluate(truth[drive], None, placed[drive], {}, mask=apart.estimated).ate_m
             if r.name in off and np.isfinite(off[r.name][drive]).any():
                 together = float(np.sqrt(np.nanmean(off[r.name][drive] ** 2)))
-            errors = {name: getattr(alone, name) for name in (*METRICS, "poses_counted")}
-            yield SessionErrors(session=session, estimator=r.name, together_m=together, **errors)
+            errors = {name: getattr(here, name) for name in (*METRICS, "poses_counted")}
+            yield SessionErrors(session=session, estimator=r.name, together_m=together, alone_m=alone, **errors)
 
 
 def shared_landmarks(log: Log) -> list[tuple[int, int]]:

@@ -20,12 +20,11 @@ from rich.text import Text
 
 from graphslam.errors import printable
 from graphslam.files import write_whole
-from graphslam.log.measurements import Session
 from graphslam.metrics import exchanged
 from graphslam.metrics import headings as metric_headings
 
 from ..options import DOUBTFUL
-from ..results.sightings import errors_of_sessions, shared_landmarks, sightings_of
+from ..results.sightings import errors_of_sessions, sightings_of
 from .canvas import placement_of_result
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 
@@ -196,8 +195,17 @@ def _counts(association: FoundIds | None) -> str:
     return f"{association.found} {association.missed} {association.doubled} {association.invented}"
 
 
-def comparison_tables(comparison: Comparison) -> Tables:
-    """The table of the results, with agreement, skipped estimators, and notes of the log and the estimators."""
+#: of several logs, so many notes about single ones are shown in brief
+BRIEF = 10
+
+
+def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
+    """The table of the results, with agreement, skipped estimators, and notes of the log and the estimators.
+
+    Args:
+        comparison: what to show.
+        brief: of several logs, only say where the notes about single ones are, if there are many.
+    """
     log, remarks = comparison.log, _noise_remarks(comparison)
     remarks += [f"WARNING: {finding.message}." for finding in comparison.findings]
     if any(value is not None for value in comparison.nees.values()):
@@ -231,33 +239,37 @@ def comparison_tables(comparison: Comparison) -> Tables:
     remarks += [f"{r.name} did not converge: {r.reason}." for r in comparison.results if r.converged is False]
     notes: dict[str, list[str]] = {note: [log.name] for note in log.notes if not log.sessions}
     # those of several logs begin with the name of theirs
-    remarks += [f"{note}." for note in log.notes if log.sessions]
+    of_single = tuple(f"{session.name}: " for session in log.sessions)
+    single = [note for note in log.notes if log.sessions and note.startswith(of_single)]
+    hidden = single if brief and len(single) > BRIEF else []
+    remarks += [f"{note}." for note in log.notes if log.sessions and note not in hidden]
+    if hidden:
+        remarks.append(
+            f"{len(hidden)} notes about reading, noise and ids of single logs are in the JSON (log.notes) and in the report."
+        )
     for result in comparison.results:
         for note in comparison.notes_of(result):
             notes.setdefault(note, []).append(result.name)
     remarks += [f"{', '.join(names)}: {note}." for note, names in notes.items()]
-    tables = [*result_tables(comparison.table)[0], *session_tables(comparison)]
-    changed = state_table(comparison)
-    return tables if changed is None else [*tables, changed], remarks
+    others = [session_table(comparison), state_table(comparison)]
+    return [*result_tables(comparison.table)[0], *(table for table in others if table is not None)], remarks
 
 
-def session_tables(comparison: Comparison) -> list[Table]:
-    """A table for each of several logs that were solved together: its errors, alone and after the common alignment."""
+def session_table(comparison: Comparison) -> Table | None:
+    """The errors in each of several logs that were solved together, and of each log by itself; None where none is known."""
     errors = list(errors_of_sessions(comparison))
     metrics = {n: title for n, title in metric_headings().items() if any(getattr(e, n) is not None for e in errors)}
     if not metrics and all(each.together_m is None for each in errors):
-        return []
-    log, tables = comparison.log, dict[Session, LeanTable]()
-    for k, (session, (seen, shared)) in enumerate(zip(log.sessions, shared_landmarks(log))):
-        drive = log.drives[k]
-        title = (
-            f"log {k + 1}, {session.name}: {drive.stop - drive.start} poses, {seen} landmarks, {shared} also in others"
-        )
-        tables[session] = LeanTable(title, ["estimator"], [*metrics.values(), "ATE in the\ncommon frame [m]"])
+        return None
+    of_all = ["ATE in the\ncommon\nframe [m]", "ATE of\nthis log\nalone [m]"][: 1 + bool(comparison.alone)]
+    table = LeanTable("Errors in each log", ["log", "estimator"], [*metrics.values(), *of_all])
+    last = None
     for each in errors:
-        alone = (number(getattr(each, metric)) for metric in metrics)
-        tables[each.session].add_row(each.estimator, *alone, number(each.together_m))
-    return list(tables.values())
+        numbers = [*(getattr(each, metric) for metric in metrics), each.together_m, each.alone_m]
+        name = "" if each.session is last else each.session.name
+        table.add_row(name, each.estimator, *map(number, numbers[: len(metrics) + len(of_all)]))
+        last = each.session
+    return table
 
 
 def state_table(comparison: Comparison) -> Table | None:

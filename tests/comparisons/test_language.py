@@ -45,7 +45,7 @@ ROOT = Path(__file__).parents[2]
 JAPANESE = re.compile("[\u3040-\u30ff\u4e00-\u9fff]")
 #: what makes the sentences of `run` and of its report
 SOURCES: tuple[Callable[..., Any], ...] = (
-    tables.result_tables, tables.comparison_tables, tables.session_tables, tables.state_table, tables.landmark_table,
+    tables.result_tables, tables.comparison_tables, tables.session_table, tables.state_table, tables.landmark_table,
     tables._exchanged, tables._noise_remarks, verbs.run, verbs.report, verbs._noise_advice,
     comparison.Comparison._noise_findings, exchange.reason_without_graph, filters._one_run, filters.of_several_seeds,
     build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._convergence, page._matrix,

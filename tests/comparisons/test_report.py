@@ -22,6 +22,7 @@ from comparisons.show.report import page, paths
 from comparisons.show.report.curves import convergence_figure, costs_figure, errors_figure, iterations, plain_steps
 from comparisons.show.report.page import page_of, write_report
 from comparisons.show.report.view import dash_of, view_of
+from comparisons.show.tables import comparison_tables
 from graphslam import Graph, Log, MotionModel, OptionError, SlamError, save, simulate, solve, textbook
 from graphslam.linear.cholesky import analyze
 from graphslam.log import UNIDENTIFIED
@@ -314,6 +315,19 @@ def test_every_kind_of_log_has_a_page(log: Log, kind: str) -> None:
     if kind == "one sighting":
         assert "Left out: no estimator of this comparison solved a graph" in elements.text
         assert "matrix" not in figures
+
+
+def test_several_logs_have_a_page_with_their_errors_and_all_notes(log: Log) -> None:
+    middle = log.num_poses // 2
+    parts = [log.at_steps(np.arange(*ends)) for ends in ((0, middle), (middle, log.num_poses))]
+    named = [part.replace(name=f"day{k}", notes=tuple(f"note {n}" for n in range(8))) for k, part in enumerate(parts)]
+    outcome = run(named, estimators=["graph"])
+    text = Elements(page_of(outcome)).text
+    assert "Errors in each log" in text and "day0: note 7" in text and "day1: note 7" in text
+    # the terminal leaves them out
+    remarks = comparison_tables(outcome, brief=True)[1]
+    assert any("notes about reading, noise and ids of single logs are in the JSON" in each for each in remarks)
+    assert not any("note 7" in each for each in remarks)
 
 
 def test_only_true_landmarks_that_were_seen_are_drawn(log: Log) -> None:

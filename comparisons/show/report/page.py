@@ -117,13 +117,13 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
         "convergence": convergence,
         "matrix": matrix,
     }
-    (table,), sentences = tables_of(comparison)
-    table.title = None
+    tables, sentences = tables_of(comparison)
+    tables[0].title = None
     part = {
         "title": escape(comparison.log.name),
         "language": language,
         "summary": say(_summary(view)),
-        "table": table_as_html(translated_table(table, language)),
+        "table": "\n".join(table_as_html(translated_table(table, language)) for table in tables),
         "remarks": items(sentences),
         "landmarks": _landmarks(comparison, language),
         "estimators": "\n".join(
