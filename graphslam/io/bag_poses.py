@@ -27,6 +27,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..log.measurements import not_positive
+from ..log.plane import datum_note, local_plane
 from ..log.table import COVARIANCES, Columns
 from ..se2 import Array, between, compose, turn_matrix
 from .bag_messages import Frames, clean, rotation_of
@@ -45,8 +46,6 @@ APART, GAP, JUMP = 1.0, 2.0, 5.0
 FIX = 5.0
 #: variances from here on mean that something was not measured [m², rad²]
 UNKNOWN = 1e4
-#: the half axis [m] and the eccentricity squared of WGS 84
-_AXIS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
 _UPPER = ((0, 0), (0, 1), (0, 5), (1, 1), (1, 5), (5, 5))
 
 
@@ -212,28 +211,8 @@ def _on_plane(found: Poses, std: Sequence[float] | None) -> tuple[Array, Array, 
             f"{FIX:g} m is assumed; [positions] std = [METRES] in the recipe states it"
         )
     C[~good] = np.eye(2)
-    notes.append(
-        f"positions are metres east and north of latitude {datum[0]:.8f}, longitude {datum[1]:.8f} degrees (WGS 84), the "
-        f"first fix of {found.source}"
-    )
+    notes.append(datum_note(datum, found.source))
     return places, C, notes
-
-
-def local_plane(fixes: Array, datum: Array, height: float = 0.0) -> Array:
-    """East and north (N, 2) [m] of fixes (N, 2), latitude and longitude [degrees], in the plane that touches at the datum."""
-
-    def earth(latitude: Array, longitude: Array) -> Array:
-        N = _AXIS / np.sqrt(1 - _ECCENTRICITY * np.sin(latitude) ** 2)
-        along = (N + height) * np.cos(latitude)
-        up = (N * (1 - _ECCENTRICITY) + height) * np.sin(latitude)
-        return np.stack([along * np.cos(longitude), along * np.sin(longitude), up], axis=-1)
-
-    phi, lam = np.radians(datum)
-    axes = np.array([
-        [-np.sin(lam), np.cos(lam), 0.0],
-        [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)],
-    ])  # fmt: skip
-    return np.asarray((earth(*np.radians(fixes).T) - earth(phi, lam)) @ axes.T)
 
 
 def _no_noise(C: Array) -> str:

@@ -40,7 +40,10 @@ ROLES = {
     "truth": ("t", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
     "relations": ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS, *COVARIANCES),
-    "positions": ("t", "nanosec", "x", "y", "theta", "sigma", *DEVIATIONS, *COVARIANCES, "lever_x", "lever_y"),
+    "positions": (
+        *("t", "nanosec", "x", "y", "theta", "latitude", "longitude"),
+        *("sigma", *DEVIATIONS, *COVARIANCES, "lever_x", "lever_y"),
+    ),
 }
 _TUM = ("t", "x", "y", "", "qx", "qy", "qz", "qw")
 #: columns of tables without names, by their number

@@ -20,6 +20,7 @@ from .cells import Doubt, seconds
 from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
 from .log import Log
 from .measurements import NOT_POSITIVE, not_positive
+from .plane import datum_note, local_plane
 from .rows import ReadOptions
 from .streams import Stream
 from .synchronize import synchronize
@@ -71,14 +72,23 @@ def _no_steps(steps: list[str]) -> str:
 def positions_of(table: Table, options: TableOptions) -> Timed:
     """The absolute positions: rows (N, 14), (x, y, theta or NaN), covariances with NaN likewise, and levers.
 
+    Latitude and longitude become metres east and north of the first fix (`plane.local_plane`).
+
     Raises:
         LogError: a column is missing, a number is none, or a covariance is not positive definite.
     """
-    reader = Reader("positions", table, options)
-    reader.need("t", "x", "y")
-    table = reader.leave_out("x", "y")
+    reader, plane = Reader("positions", table, options), tuple[str, ...]()
+    columns = ("latitude", "longitude") if reader.has("latitude", "longitude") and not reader.has("x") else ("x", "y")
+    reader.need("t", *columns)
+    table = reader.leave_out(*columns)
     ns = reader.times()
-    places = np.column_stack([reader.numbers("x", "y"), np.full(len(ns), np.nan)])
+    plain = reader.numbers(*columns)
+    if columns[0] == "latitude":
+        if (k := first(np.abs(plain[:, 0]) > 90)) is not None:
+            raise table.error(k, f"{plain[k, 0]:g} is no latitude in degrees; are latitude and longitude exchanged?")
+        datum = plain[np.argmin(ns)]
+        plain, plane = local_plane(plain, datum), (datum_note(datum, table.source),)
+    places = np.column_stack([plain, np.full(len(ns), np.nan)])
     if reader.has("theta"):
         # an empty cell: the heading is not known there
         places[:, 2:] = reader.numbers("theta", finite=False)
@@ -93,7 +103,7 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
             levers[:, column] = reader.numbers(role)[:, 0]
     ns, order, notes = ordered(reader, ns)
     rows = np.column_stack([places, covariances.reshape(-1, 9), levers])[order]
-    return Timed(table, ns, rows, reader.described(), notes=notes)
+    return Timed(table, ns, rows, reader.described(), notes=(*notes, *plane))
 
 
 def _noise(reader: Reader, oriented: np.ndarray) -> Array:

@@ -198,11 +198,15 @@ NAMES: dict[str, tuple[str, ...]] = {
     "cov_yy": ("cov_yy", "cyy", "var_y", "c22"),
     "cov_ytheta": ("cov_ytheta", "cov_yt", "cyt", "cov_y_theta", "cov_yyaw", "c23"),
     "cov_thetatheta": ("cov_thetatheta", "cov_tt", "ctt", "var_theta", "cov_theta_theta", "var_yaw", "c33"),
+    "latitude": ("latitude", "lat"),
+    "longitude": ("longitude", "lon", "lng", "long"),
     "lever_x": ("lever_x", "lever_ahead", "antenna_x", "offset_x"),
     "lever_y": ("lever_y", "lever_left", "antenna_y", "offset_y"),
 }  # fmt: skip
 #: names too short or too general to be recognised at the end of a longer one
-WHOLE = ("v", "w", "r", "l", "d", "b", "kind", "type", "from", "to", "std", "sx", "sy", "t1", "t2")
+WHOLE = (
+    "v", "w", "r", "l", "d", "b", "kind", "type", "from", "to", "std", "sx", "sy", "t1", "t2", "lat", "lon", "lng", "long",
+)  # fmt: skip
 #: units at the end of the name of a column -> the unit
 UNITS = {
     "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms",

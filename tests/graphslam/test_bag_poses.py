@@ -17,8 +17,9 @@ from graphslam import AbsolutePositions, FormatError, Graph, Log, PoseRelations,
 from graphslam.io.bag import open_bag
 from graphslam.io.bag_drive import drive_of_bag
 from graphslam.io.bag_messages import Frames
-from graphslam.io.bag_poses import Poses, local_plane, positions_table, relations_table
+from graphslam.io.bag_poses import Poses, positions_table, relations_table
 from graphslam.io.tables import Recipe, read_recipe
+from graphslam.log.plane import local_plane
 from graphslam.log.rows import ReadOptions
 from graphslam.log.table import Columns
 from graphslam.se2 import between, compose

@@ -312,6 +312,19 @@ def test_tables_give_poses_at_the_times_of_measurements(tmp_path):
     assert "1 of 3 positions are from before or after the odometry: left out" in log.notes
 
 
+def test_latitude_and_longitude_are_metres_from_the_first_fix(tmp_path):
+    # a minute of arc in the latitude is 1,852 m within a hundredth, in the longitude cos(60 degrees) of it
+    rows = [(7.25, 60 + 0.01 / 60, 25.0, 0.1), (0.2, 60.0, 25.0, 0.1), (9.5, 60.0, 25 + 0.01 / 60, 0.1)]
+    log = load(write_tables(tmp_path / "drive", positions=text("t,lat,lon,sigma", rows)))
+    np.testing.assert_allclose(log.positions.places[:, :2], [[0, 0], [0, 18.52], [9.26, 0]], atol=0.1)
+    assert any("metres east and north of latitude 60.00000000, longitude 25.00000000" in note for note in log.notes)
+    wrong = text("t,latitude,longitude,sigma", [(0.2, 125.0, 60.0, 0.1), (7.25, 125.0, 60.0, 0.1)])
+    with pytest.raises(
+        LogError, match=r"positions.csv:2: 125 is no latitude in degrees; are latitude and longitude exch"
+    ):
+        load(write_tables(tmp_path / "exchanged", positions=wrong))
+
+
 @pytest.mark.parametrize(
     ("table", "old", "new", "message"),
     [
