@@ -5,22 +5,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graphslam import Graph, solve
+from graphslam.edges import AnchorEdges
 from graphslam.errors import OptionError
-from graphslam.graph.defaults import position_edges
 from graphslam.graph.localization import Fix
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
-from graphslam.models import MotionModel
-from graphslam.se2 import Array, compose, perpendicular, transform, turn_matrix, wrap
+from graphslam.models import MotionModel, SensorModel
+from graphslam.se2 import Array, transform, wrap
 
 from .options import finite
 
 #: the standard deviations of particles around a first fix, over those of the fix
 SPREAD = 2.0
-#: how many positions at the beginning of a log are compared with the odometry
-FIRST = 10
-#: from this distance on, in standard deviations, positions and odometry have different frames: half of the first positions
-#: are as far from dead reckoning
+#: from this distance on, in standard deviations, a start is in another frame than the positions; far, because covariances of
+#: pairs of sightings, and those of odometry with other noise than its model, are too small
 OTHER_FRAME = 10.0
 
 
@@ -60,40 +59,44 @@ def log_likelihoods(positions: AbsolutePositions, poses: Array) -> Array:
     return total
 
 
-def check_frame(log: Log, motion: MotionModel, start: Array) -> None:
-    """Raise `OptionError` where the first positions of a log contradict its odometry from the first poses (N, 3).
+def in_frame(
+    poses: Array, log: Log, motion: MotionModel, sensor: SensorModel, rng: np.random.Generator, given: bool
+) -> Array:
+    """First poses (N, 3) in the frame of the positions of a log; drawn anew where a start that nobody gave is in another one.
 
-    Positions are compared with dead reckoning, whose covariance is J (F C F' + G P G') J' + that of the position; C is that
-    of the first poses, P that of the motion. Their median counts, so that a wrong one is no contradiction.
+    The graph of the log puts the first pose at x with covariance P; under Cauchy's kernel one wrong position counts little.
+    The start m is compared by the Mahalanobis distance (m - x)' (P + C)^-1 (m - x), C the covariance of the poses.
+
+    Raises:
+        OptionError: a start that was given contradicts the positions.
     """
     assert log.positions is not None
-    order = np.argsort(log.positions.steps, kind="stable")[:FIRST]
-    if not len(order):
-        return
-    mean = np.array([*start[:, :2].mean(axis=0), np.angle(np.exp(1j * start[:, 2]).mean())])
-    away = start - mean
-    away[:, 2] = wrap(away[:, 2])
-    first = away.T @ away / len(start)
-    poses, covariances = np.tile(mean, (len(order), 1)), np.tile(first, (len(order), 1, 1))
-    turned = turn_matrix(mean[2])
-    for k, step in enumerate(log.positions.steps[order].tolist()):
-        if step == 0:
-            continue
-        motions, of_motion = log.at_steps([0, step]).motions(motion)
-        poses[k] = compose(mean, motions[0])
-        F = np.eye(3)
-        F[:2, 2] = perpendicular(poses[k, :2] - mean[:2])
-        covariances[k] = F @ first @ F.T + turned @ of_motion[0] @ turned.T
-    distances = []
-    for edges in position_edges(log.positions.among(order), np.arange(len(order))):
-        linear = edges.linearize(poses, poses)
-        B, e = linear.jacobians[0], linear.residuals
-        S = B @ covariances[edges.nodes] @ np.swapaxes(B, 1, 2) + np.linalg.inv(linear.information)
-        distances.append(np.einsum("ka,ka->k", e, np.linalg.solve(S, e[..., None])[..., 0]))
-    off = float(np.sqrt(np.median(np.concatenate(distances))))
-    if off > OTHER_FRAME:
-        raise OptionError(
-            f"the first positions of {log.name} are {off:.0f} standard deviations from the odometry that begins at the first "
-            "pose, which a particle filter expects in the frame of the positions: give start, such as "
-            "solve(Graph.from_log(log)).poses[0], or leave the positions out by log.replace(positions=None)"
-        )
+    if not len(log.positions.steps):
+        return poses
+    used = log if log.identified else log.with_sightings(np.zeros(len(log.steps), dtype=bool))
+    graph = Graph.from_log(
+        used.replace(partial_sightings=None, relations=None), motion=motion, sensor=sensor, kernel="cauchy"
+    )
+    solution = solve(graph)
+    x, P = solution.poses[0], solution.covariance(poses=[0])[0]
+    mean = np.array([*poses[:, :2].mean(axis=0), np.angle(np.exp(1j * poses[:, 2]).mean())])
+    e = np.column_stack([poses[:, :2] - mean[:2], wrap(poses[:, 2] - mean[2])])
+    off = np.array([*(mean - x)[:2], wrap(mean[2] - x[2])])
+    distance = np.sqrt(off @ np.linalg.solve(P + e.T @ e / len(e), off))
+    if distance <= OTHER_FRAME:
+        return poses
+    if not given:
+        poses = rng.multivariate_normal(x, SPREAD**2 * P, len(poses))
+        poses[:, 2] = wrap(poses[:, 2])
+        return poses
+    # the positions may leave the direction open; then the anchor holds that of the odometry, which a start may differ from
+    if any(isinstance(family, AnchorEdges) for family in graph.families):
+        return poses
+
+    def place(pose: Array) -> str:
+        return f"({pose[0]:.2f}, {pose[1]:.2f}) m, {np.degrees(pose[2]):.0f} deg"
+
+    raise OptionError(
+        f"the start {place(mean)} is {distance:.0f} standard deviations from {place(x)}, where the positions of {log.name} put "
+        "the first pose: give a start in their frame, or none, or leave the positions out by log.replace(positions=None)"
+    )

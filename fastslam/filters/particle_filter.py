@@ -28,7 +28,7 @@ from graphslam.se2 import Array
 from ..motions import Record, check_motion, checked_control, checked_motion, robot_poses, sensor_motions
 from ..options import FilterOptions, check_memory, draw_key, index, measurements
 from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, ParticleState, Samples
-from ..positions import check_frame, first_poses, log_likelihoods, one_position
+from ..positions import first_poses, in_frame, log_likelihoods, one_position
 
 #: the variance of a number that was not measured: it multiplies all likelihoods by the same factor
 NOT_MEASURED = 1e12
@@ -63,8 +63,9 @@ class ParticleFilter(ABC):
     the other column of `observe`).
 
     Absolute positions multiply the weights by N(p + R(theta) a - (x, y); 0, C), a the lever, before a step is resampled,
-    also in FastSLAM 2.0: its proposal does not use them. Their frame is that of the first pose: a log whose first
-    positions are far from its odometry is refused. With smoothing they are left out with a warning.
+    also in FastSLAM 2.0: its proposal does not use them. Where the log's first pose is
+    in another frame than they, the filter starts where positions and odometry put it. With smoothing they are left out with
+    a warning.
 
     Random numbers come from one generator in this order: for each motion `options.standard_normals`, five per particle
     (nu, omega, x, y, theta; the first three for a Gaussian drawn at once), for each resampling what the scheme draws.
@@ -74,13 +75,14 @@ class ParticleFilter(ABC):
         log: controls and sightings; None for a filter that is used with `move` and `observe`.
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
-        start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose. A
+        start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose, in
+            the frame of the log's positions. A
             `Fix` in a map: poses are drawn with `positions.SPREAD` times its standard deviations, because the sightings from
             which it comes weigh the particles again.
 
     Raises:
         OptionError: an option has an impossible value, the log has sightings without ids and the filter needs them, or the
-            particles need more memory than there is, or the log's first positions contradict its odometry.
+            particles need more memory than there is, or ``start`` contradicts the log's positions.
         LogError: the log has no controls.
     """
 
@@ -128,7 +130,7 @@ class ParticleFilter(ABC):
 
         poses = first_poses(start, log, self.particles, self._rng)
         if log is not None and log.positions is not None and self._takes_positions:
-            check_frame(log, self.motion, poses)
+            poses = in_frame(poses, log, self.motion, self.sensor, self._rng, given=start is not None)
         poses = self.sensor.mount(poses)
         self._step, self._version, self._next = 0, 0, 0
         # of all steps, for backward simulation

@@ -80,6 +80,8 @@ class FormatError(LogError):
         super().__init__(f"{where}: {message}")
         self.path = path
         self.line = line
+        #: the text without file and line
+        self.problem = message
 
 
 class OptionError(SlamError, ValueError):

@@ -134,11 +134,18 @@ def read_pose_graph(path: Path, dialect: str | None = None, unknown: str = "erro
         check_choice("format", dialect, DIALECTS)
     check_choice("unknown", unknown, ("error", "skip"))
     lines = _Lines(path)
-    for line, content in enumerate(read_text(path).split("\n"), start=1):
+    contents = read_text(path).split("\n")
+    for line, content in enumerate(contents, start=1):
         words = content.split()
         if words and not words[0].startswith("#"):
             lines.tags[words[0]] += 1
-            _take(lines, line, words, unknown)
+            try:
+                _take(lines, line, words, unknown)
+            except FormatError as error:
+                if line < len(contents):
+                    raise
+                hint = "the file ends within this line; perhaps it was not copied or downloaded to its end"
+                raise FormatError(path, line, f"{error.problem}; {hint}") from None
     tags = lines.tags
     if left_out := tags.keys() - {*_TAGS, "FIX"}:
         counted = named(f"{count} x {tag}" for tag, count in tags.items() if tag in left_out)

@@ -106,29 +106,28 @@ def test_position_of_the_step_before_it_is_resampled() -> None:
     assert len(drawn) == len(set(drawn)) and set(log.positions.steps) <= set(drawn)
 
 
-@pytest.mark.parametrize("motion", [(500.0, 300.0, 0.0), (0.0, 0.0, 2.0)])
-def test_positions_in_another_frame_are_refused(motion: tuple[float, float, float]) -> None:
-    """Turned ones only where the odometry knows directions better than that, unlike the book's after a few metres."""
-    precise = MotionModel(nn=0.03, no=0.01, on=0.01, oo=0.03)
+@pytest.mark.parametrize("motion", [(500.0, 300.0, 0.0), (0.0, 0.0, 2.0), (3.0, -5.0, 1.0)])
+@pytest.mark.parametrize("precise", [MotionModel(nn=0.03, no=0.01, on=0.01, oo=0.03), MotionModel()])
+def test_start_is_in_the_frame_of_the_positions(motion: tuple[float, float, float], precise: MotionModel) -> None:
+    """Also of turned ones that the odometry of the book's robot would not contradict in the first metres."""
     log = located(5, motion=precise, clean=True).replace(motion=precise, sensor=SensorModel())
     places = log.positions.places.copy()
     places[:, :2], places[:, 2] = transform(motion, places[:, :2]), places[:, 2] + motion[2]
     moved = log.replace(
         positions=AbsolutePositions(steps=log.positions.steps, places=places, covariances=C, levers=LEVER)
     )
-    with pytest.raises(OptionError, match=r"in the frame of the positions: give start"):
-        FastSLAM1(moved, particles=10)
-    # the remedy
-    start = solve(Graph.from_log(moved)).poses[0]
-    found = run(FastSLAM1, moved, particles=300, seed=0, start=start)
+    found = run(FastSLAM1, moved, particles=300, seed=0)
     true = log.true_poses.copy()
     true[:, :2] = transform(motion, true[:, :2])
     assert np.sqrt(np.mean(np.sum((found.mean_poses - true)[:, :2] ** 2, axis=1))) < 0.5
+    with pytest.raises(OptionError, match=r"the start \(0\.00, -3\.00\) m, 0 deg is .* standard deviations from"):
+        FastSLAM1(moved, particles=10, start=log.initial_poses[0])
+    run(FastSLAM1, moved, particles=30, seed=0, start=solve(Graph.from_log(moved)).poses[0])
     # one wrong position among right ones contradicts nothing
     places = log.positions.places.copy()
     places[0, :2] += 100.0
     one = AbsolutePositions(steps=log.positions.steps, places=places, covariances=C, levers=LEVER)
-    FastSLAM1(log.replace(positions=one), particles=10)
+    FastSLAM1(log.replace(positions=one), particles=10, start=log.true_poses[0])
 
 
 def test_smoothing_leaves_positions_out() -> None:

@@ -191,6 +191,8 @@ def test_an_angle_of_a_billion(tmp_path):
     ("text", "line", "message"),
     [
         (SQUARE + "EDGE_SE3 1 2 3\n", 10, "unknown tag 'EDGE_SE3'"),
+        (SQUARE + "EDGE_S", 10, "unknown tag 'EDGE_S'.*; the file ends within this line; perhaps it was not copied"),
+        (SQUARE + "EDGE_SE2 1 2 0.5", 10, "12 columns, found 4; the file ends within this line"),
         (SQUARE + "EDGE_SE2 0 7 1 0 0 1 0 0 1 0 1\n", 10, "uses pose 7, which no vertex line gives"),
         (SQUARE + "EDGE_SE2_XY 0 8 1 0 1 0 1\n", 10, "uses landmark 8, which no vertex line gives"),
         (SQUARE + "VERTEX_SE2 1 0 0 0\n", 10, "vertex 1 is given a second time"),
