@@ -51,6 +51,8 @@ from .results.saving import jsonable
 
 #: times that differ by at most this are the same [ns]: those since 1970 are rounded in other programs
 ROUNDED = 1_000
+#: what to do with a log that is given as an estimate
+SOLVED = "'slam-compare run LOG --out FOLDER' solves a log and writes trajectories, such as FOLDER/graph.tum"
 #: stands for the map of an estimate that has none
 NO_MAP = Path("-")
 #: the tables of all estimates in the options of tables, beside "truth"
@@ -218,7 +220,7 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
     if path.suffix.lower() not in (*TEXT, *PARQUET):
         raise LogError(
             f"{path}: a trajectory is a table ({', '.join((*TEXT, *PARQUET))}) with columns t, x, y and theta, a topic of a "
-            "bag, or an .npz archive"
+            f"bag, or an .npz archive; {SOLVED}"
         )
     table = table_of(path, "trajectory")
     timed = truth_of(table, options)
@@ -274,7 +276,7 @@ def _of_archive(path: Path, name: str) -> Trajectory:
     """The arrays times, poses and covariances of an .npz archive."""
     arrays = read_archive(path, "a trajectory")
     if not {"times", "poses"} <= arrays.keys():
-        which = "it is a log" if "steps" in arrays else f"it has {named(arrays) or 'nothing'}"
+        which = f"it is a log; {SOLVED}" if "steps" in arrays else f"it has {named(arrays) or 'nothing'}"
         raise FormatError(
             path, None, f"a trajectory in .npz has the arrays times [s] and poses (x, y, theta), and {which}"
         )

@@ -97,6 +97,6 @@ def in_frame(
         return f"({pose[0]:.2f}, {pose[1]:.2f}) m, {np.degrees(pose[2]):.0f} deg"
 
     raise OptionError(
-        f"the start {place(mean)} is {distance:.0f} standard deviations from {place(x)}, where the positions of {log.name} put "
-        "the first pose: give a start in their frame, or none, or leave the positions out by log.replace(positions=None)"
+        f"the start {place(mean)} is {distance:.0f} standard deviations from {place(x)}, where the positions of {log.name} "
+        "put the first pose: give a start in their frame, or none, or leave the positions out by log.replace(positions=None)"
     )

@@ -200,6 +200,8 @@ def test_impossible_input_is_refused_with_a_sentence(truth: Path, tmp_path: Path
     with pytest.raises(FormatError):
         comparisons.evaluate(truth, tmp_path / "missing.csv")
     save(simulate(seed=0).replace(true_poses=None, true_landmarks=None), tmp_path / "log.npz")
+    with pytest.raises(FormatError, match="it is a log; 'slam-compare run LOG --out FOLDER' solves a log and writes traj"):
+        comparisons.evaluate(truth, tmp_path / "log.npz")
     with pytest.raises(LogError, match="the log has no true poses with times"):
         comparisons.evaluate(tmp_path / "log.npz", estimate)
     gap = TRUE.copy()
