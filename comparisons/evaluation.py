@@ -125,7 +125,7 @@ class Evaluation(Displayed):
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """The notes of the readers of all files."""
-        return (*self.truth.notes, *(note for each in self.estimates for note in each.notes))
+        return tuple(f"{each.name}: {note}" for each in (self.truth, *self.estimates) for note in each.notes)
 
     def to_json(self) -> dict[str, Any]:
         """The errors as plain data, see docs/schema.json."""
@@ -360,8 +360,7 @@ def _evaluated(
         }  # fmt: skip
         if options.match == "id" and true_map.keys().isdisjoint(moved):
             notes += (
-                f"the map of {estimate.name} has no id of the true map, so that its error is not known; "
-                "--match place finds pairs by place",
+                "the map has no id of the true map, so that its error is not known; --match place finds pairs by place",
             )
     return Evaluated(
         name=estimate.name, poses=len(known), compared=int(np.count_nonzero(known)),

@@ -161,7 +161,10 @@ def _joined(
     remarks: list[str] = []
     with noted(remarks, "what has changed between the logs is not known"):
         changes = session_states(joined) if len(known) > 1 else []
-        remarks += [f"{each.name}: {found.sentence}" for each, found in zip(joined.sessions[1:], changes)]
+        remarks += [
+            f"{each.name}: {found.sentence} (the map of the logs before it)"
+            for each, found in zip(joined.sessions[1:], changes)
+        ]
     joined = joined.replace(notes=(*joined.notes, *remarks))
     # biases of options and of a noise file are the same for all
     return joined, tuple(source for _, source in read), known[0][1], any(found is not None for _, _, found in known)

@@ -242,7 +242,8 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
     of_single = tuple(f"{session.name}: " for session in log.sessions)
     single = [note for note in log.notes if log.sessions and note.startswith(of_single)]
     hidden = single if brief and len(single) > BRIEF else []
-    remarks += [f"{note}." for note in log.notes if log.sessions and note not in hidden]
+    of_all = [f"{note[0].upper()}{note[1:]}" for note in log.notes if log.sessions and note not in single]
+    remarks += [f"{note}." for note in (*(each for each in single if each not in hidden), *of_all)]
     if hidden:
         remarks.append(
             f"{len(hidden)} notes about reading, noise and ids of single logs are in the JSON (log.notes) and in the report."

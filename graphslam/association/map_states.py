@@ -115,7 +115,8 @@ class MapStates:
     @property
     def sentence(self) -> str:
         """One sentence: how many landmarks agree, and which have moved, are gone or new."""
-        parts = [f"{len(self.of(AGREES))} landmarks of the map agree"]
+        agree = len(self.of(AGREES))
+        parts = [f"{agree} {'landmark agrees' if agree == 1 else 'landmarks agree'} with the map"]
         parts += [
             f"{listed('landmark', ids, most=8)} {verbs[len(ids) > 1]}"
             for name, verbs in {

@@ -136,7 +136,7 @@ def test_a_map_with_other_ids_has_no_error_and_a_note_says_so(truth: Path, tmp_p
     by_id = comparisons.evaluate(truth, estimate, **options)
     assert by_id.estimates[0].landmark_rmse_m is None
     assert by_id.notes == (
-        "the map of mine has no id of the true map, so that its error is not known; --match place finds pairs by place",
+        "mine: the map has no id of the true map, so that its error is not known; --match place finds pairs by place",
     )
     by_place = comparisons.evaluate(truth, estimate, match="place", **options)
     assert by_place.estimates[0].landmark_rmse_m == pytest.approx(0.0, abs=1e-9) and not by_place.notes
@@ -200,7 +200,9 @@ def test_impossible_input_is_refused_with_a_sentence(truth: Path, tmp_path: Path
     with pytest.raises(FormatError):
         comparisons.evaluate(truth, tmp_path / "missing.csv")
     save(simulate(seed=0).replace(true_poses=None, true_landmarks=None), tmp_path / "log.npz")
-    with pytest.raises(FormatError, match="it is a log; 'slam-compare run LOG --out FOLDER' solves a log and writes traj"):
+    with pytest.raises(
+        FormatError, match="it is a log; 'slam-compare run LOG --out FOLDER' solves a log and writes traj"
+    ):
         comparisons.evaluate(truth, tmp_path / "log.npz")
     with pytest.raises(LogError, match="the log has no true poses with times"):
         comparisons.evaluate(tmp_path / "log.npz", estimate)
