@@ -125,7 +125,8 @@ class Evaluation(Displayed):
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """The notes of the readers of all files."""
-        return tuple(f"{each.name}: {note}" for each in (self.truth, *self.estimates) for note in each.notes)
+        read = [(self.truth.name, self.truth.notes), *((each.name, each.notes) for each in self.estimates)]
+        return tuple(f"{name}: {note}" for name, notes in read for note in notes)
 
     def to_json(self) -> dict[str, Any]:
         """The errors as plain data, see docs/schema.json."""

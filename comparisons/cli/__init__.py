@@ -10,7 +10,7 @@ import inspect
 import os
 import sys
 from collections.abc import Collection
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -55,6 +55,16 @@ VERBS = (
 )  # fmt: skip
 
 
+class _Verb(TyperCommand):
+    """A verb whose help is cut nowhere."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        from .help import folded
+
+        with folded():
+            super().format_help(ctx, formatter)
+
+
 def make_app(complete: Collection[str] | None = None, language: str = "en") -> typer.Typer:
     """The command line.
 
@@ -62,7 +72,8 @@ def make_app(complete: Collection[str] | None = None, language: str = "en") -> t
         complete: the verbs that have all their options; the others are only listed. Default: all.
         language: of the help, and of what the parser says.
     """
-    group, command = TyperGroup, TyperCommand
+    group: type[TyperGroup] = TyperGroup
+    command: type[TyperCommand] = _Verb
     if language != "en":
         from .help import classes_of
 

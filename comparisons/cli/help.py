@@ -1,13 +1,13 @@
 """Help, and errors of the command line itself, in the language that is asked for.
 
 Typer makes them of texts of its own and of ours. Ours are translated where the verbs are made (`verb.add_verb`), Typer's
-here. For English, Typer's classes are used as they are, and this module is not loaded.
+here. For English this module is loaded only when help is shown.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from rich.cells import cell_len
@@ -63,12 +63,21 @@ def _with_help(base: Any, language: str) -> Any:
     return Translated
 
 
-@contextmanager
-def _texts_of_typer(language: str) -> Iterator[None]:
+def folded() -> AbstractContextManager[None]:
+    """While help is written, break names that are too long for a narrow terminal, instead of cutting them."""
+    return _changed({"Table": _Folding})
+
+
+def _texts_of_typer(language: str) -> AbstractContextManager[None]:
     """While a command runs, replace the fixed texts of Typer, such as titles, and how its tables break lines."""
     texts = {name: text for name, text in vars(rich_utils).items() if name.isupper() and isinstance(text, str)}
     changed: dict[str, Any] = {name: translated(text, language) for name, text in texts.items()}
-    changed |= {"Columns": _Wrapped, "Table": _Wrapping}
+    return _changed(changed | {"Columns": _Wrapped, "Table": _Wrapping})
+
+
+@contextmanager
+def _changed(changed: dict[str, Any]) -> Iterator[None]:
+    """Replace names in the part of Typer that writes help."""
     before = {name: getattr(rich_utils, name) for name in changed if hasattr(rich_utils, name)}
     try:
         for name in before:
@@ -77,6 +86,16 @@ def _texts_of_typer(language: str) -> Iterator[None]:
     finally:
         for name, value in before.items():
             setattr(rich_utils, name, value)
+
+
+class _Folding(Table):
+    """A table whose words are broken where they are longer than a line."""
+
+    def add_row(self, *cells: Any, **options: Any) -> None:
+        for cell in cells:
+            if isinstance(cell, Text):
+                cell.overflow = "fold"
+        super().add_row(*cells, **options)
 
 
 class _Wrapping(Table):

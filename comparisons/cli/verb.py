@@ -153,7 +153,10 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
         several = "One or several of, with commas between: {}." if option.kind is tuple else "One of: {}."
         text += f" {in_language(several, language).format(', '.join(option.choices))}"
     text_of_default = in_language(option.default_text, language) if option.default_text else ""
-    default = text_of_default or (option.default not in (None, False) and option.text(option.default))
+    # spaces, at which the help breaks lines
+    default = text_of_default or (
+        option.default not in (None, False) and option.text(option.default).replace(",", ", ")
+    )
     metavar = option.metavar or None
     settings = typer.Option(
         *flags,

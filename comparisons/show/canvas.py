@@ -120,9 +120,10 @@ def font_of(language: str) -> str | None:
 
 
 def _has(file: str, letters: str) -> bool:
+    """Whether a font has a glyph for each letter; matplotlib's font of last resort has one box for all of a script."""
     with suppress(RuntimeError, OSError):
-        font = get_font(file)
-        return all(font.get_char_index(ord(letter)) for letter in letters)
+        glyphs = {get_font(file).get_char_index(ord(letter)) for letter in letters}
+        return 0 not in glyphs and len(glyphs) == len(letters)
     return False
 
 

@@ -43,7 +43,7 @@ _EIGHTHS = " ▏▎▍▌▋▊▉█"
 
 
 def bars(edges: Array, counts: np.ndarray, unit: str, width: int = 40) -> list[str]:
-    """A line for each interval, its bar as long as its count."""
+    """A line for each interval [begin, end), its bar as long as its count."""
     most = max(int(np.max(counts, initial=0)), 1)
     low, high = ([f"{edge:.2f}" for edge in ends] for ends in (edges[:-1], edges[1:]))
     wide = max(map(len, (*low, *high)))
@@ -51,7 +51,7 @@ def bars(edges: Array, counts: np.ndarray, unit: str, width: int = 40) -> list[s
     for begin, end, count in zip(low, high, counts.tolist()):
         eighths = round(8 * width * count / most)
         bar = "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
-        lines.append(f"{begin:>{wide}} to {end:>{wide}} {unit}  {bar} {count}")
+        lines.append(f"[{begin:>{wide}}, {end:>{wide}}) {unit}  {bar} {count}")
     return lines
 
 

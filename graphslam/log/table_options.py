@@ -49,7 +49,7 @@ class TableOptions:
         default_text="as the names of the columns say, else m",
     )  # fmt: skip
     columns: str | None = option(
-        None, "Which column is what, by name or by number from 1: odometry.nu=speed,sightings.range=4",
+        None, "Which column is what, by name or by number from 1, such as odometry.nu=speed or sightings.range=4",
         metavar="TABLE.WHAT=COLUMN,...", default_text="by common names",
     )  # fmt: skip
     clocks: str | None = option(

@@ -121,7 +121,7 @@ def test_show_without_controls_or_landmarks():
 
 def test_plots_of_characters():
     lines = bars(np.array([0.0, 1.0, 2.0]), np.array([1, 4]), "m", width=8)
-    assert lines == ["0.00 to 1.00 m  ██ 1", "1.00 to 2.00 m  ████████ 4"]
+    assert lines == ["[0.00, 1.00) m  ██ 1", "[1.00, 2.00) m  ████████ 4"]
     path = np.column_stack([np.linspace(0, 10, 200), np.zeros(200)])
     lines = plan(path, np.array([[5.0, 3.0]]), width=21, height=9)
     assert lines[-2].startswith("S····") and "+" in lines[0] and lines[0].index("+") == 10

@@ -261,6 +261,13 @@ def test_figures_are_japanese_where_a_font_has_the_letters(tmp_path: Path, monke
     assert kept <= {"graph (pairs)", "graph"}
 
 
+def test_font_of_last_resort_is_no_font() -> None:
+    """It has a box for each script, as wide as a letter, and comes with matplotlib."""
+    for font in canvas.fontManager.ttflist:
+        if font.name.startswith(("Last Resort", "DejaVu Sans")):
+            assert not canvas._has(font.fname, canvas._LETTERS["ja"])
+
+
 @pytest.mark.skipif(canvas.font_of("ja") is None, reason="needs a font with Japanese letters")
 def test_the_font_has_the_letters(tmp_path: Path) -> None:
     found = run(simulate(seed=2, steps=24, clean=True), estimators=["graph"])
