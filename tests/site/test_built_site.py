@@ -164,7 +164,7 @@ def test_page(page: str, address: str, browser: Chromium) -> None:
 @pytest.mark.parametrize("language", ["en", "ja"])
 def test_search_finds_the_page_among_the_first_three(language: str, address: str, browser: Chromium) -> None:
     questions = tomllib.loads((SITE.parent / "docs" / "_site" / "questions.toml").read_text())[language]
-    assert len(questions) == 30
+    assert len(questions) >= 30
     browser.send("Page.navigate", url=f"{address}/{'ja/' if language == 'ja' else ''}index.html")
     browser.wait_for("document.readyState === 'complete' && document.querySelector('article') !== null")
     found = browser.evaluate(FOUND % json.dumps(list(questions)))

@@ -61,6 +61,7 @@ export function make(figure, engine, log, words, book) {
     if (!state.moved && !move()) return false;
     observe();
     draw();
+    keep();
     return true;
   }
   /** The motion of a step, and its sightings when it is called again. */
@@ -68,7 +69,10 @@ export function make(figure, engine, log, words, book) {
     if (state.moved) observe();
     else move();
     draw();
+    keep();
   }
+  /** The robot and the particle that is drawn stay in view. */
+  function keep() { stage.keep([truth[state.t], history.at(-1).poses[chosen()]]); }
   /** Carry the robot to another place: from now on it drives there by the same controls, and the sightings are measured anew. */
   function kidnap() {
     if (state.kidnapped || state.t + 1 >= seen.length) return;

@@ -68,6 +68,8 @@ export function make(figure, engine, log, words) {
       : `${most === 1 ? "" : words.steps(end.steps) + words.comma}${words.norm}: ${end.norm.toPrecision(2)}`
         + (most > 1 && !end.converged ? words.comma + words.notConverged : "") + (state.anchor ? "" : words.stop + words.noAnchor);
     draw();
+    // not while something is dragged: it would move away from under the finger
+    stage.keep(state.poses);
   }
   function change(name, value) {
     state[name] = value;
@@ -79,7 +81,7 @@ export function make(figure, engine, log, words) {
   const controls = new Controls(figure, given.controls?.split(" ") ?? null);
   controls.button("step", words.step, () => solve(1));
   controls.button("all", words.all, () => solve(100));
-  controls.button("reset", words.reset, () => { state.poses = graph.deadReckoning(); message = ""; draw(); });
+  controls.button("reset", words.reset, () => { state.poses = graph.deadReckoning(); message = ""; draw(); stage.keep(state.poses); });
   for (const [name, key] of [["psi", "oriented"], ["motions", "motions"], ["wrong", "wrong"], ["kernel", "kernel"], ["anchor", "anchor"],
     ["marginal", "marginal"], ["world", "world"], ["ellipses", "ellipses"], ["certificate", "certificate"]])
     controls.toggle(name, words[name], state[key], (value) => change(key, value));

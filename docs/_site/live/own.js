@@ -5,13 +5,15 @@ import { TableError, logOf, readTable } from "./tables.js";
 const ROLES = { odometry: ["t", "nu", "omega"], sightings: ["t", "id", "range", "bearing", "orientation?"] };
 
 export function make(figure, engine, data, words) {
-  const state = { tables: {}, kernel: true, log: null, found: null }, inputs = {};
+  const state = { tables: {}, kernel: true, log: null, found: null }, inputs = {}, names = {};
   const area = html("div", { class: "live-files" }, figure);
   for (const kind of Object.keys(ROLES)) {
-    const label = html("label", {}, area);
-    label.append(`${words[kind]} `);
+    // the button of a file input is in the browser's language, so that a label of the page's stands for it
+    const row = html("div", {}, area), label = html("label", { class: "md-button" }, row);
+    label.append(words[kind]);
     inputs[kind] = html("input", { type: "file", accept: ".csv,.tsv,.txt,text/csv", "data-name": kind }, label);
     inputs[kind].addEventListener("change", () => take([...inputs[kind].files], kind));
+    names[kind] = html("output", {}, row);
   }
   html("p", { class: "live-legend" }, area).textContent = words.dropHere;
   area.addEventListener("dragover", (event) => event.preventDefault());
@@ -41,6 +43,7 @@ export function make(figure, engine, data, words) {
   }
   function solve() {
     const { odometry, sightings } = state.tables;
+    for (const [kind, table] of Object.entries(state.tables)) names[kind].textContent = table.name;
     if (!odometry || !sightings) {
       status.textContent = odometry ? words.needSightings : sightings ? words.needOdometry : "";
       return;

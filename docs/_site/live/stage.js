@@ -25,7 +25,19 @@ export class Stage {
   show(points, margin = 0.5) {
     const [x, y] = [0, 1].map((k) => points.map((p) => p[k]).filter(Number.isFinite));
     this.box = [Math.min(...x) - margin, Math.min(...y) - margin, Math.max(...x) + margin, Math.max(...y) + margin];
+    [this.margin, this.first] = [margin, null];
     this.fit();
+  }
+  /** Show more of the plane, up to three times as much as at first, where some of these points would be outside. */
+  keep(points) {
+    if (!this.box) return;
+    const [x0, y0, x1, y1] = (this.first ??= this.box), most = Math.max(x1 - x0, y1 - y0), before = [...this.box];
+    for (const [x, y] of points) {
+      if (!(x > x0 - most && x < x1 + most && y > y0 - most && y < y1 + most)) continue;
+      this.box = [Math.min(this.box[0], x - this.margin), Math.min(this.box[1], y - this.margin),
+                  Math.max(this.box[2], x + this.margin), Math.max(this.box[3], y + this.margin)];
+    }
+    if (this.box.some((value, k) => value !== before[k])) this.fit();
   }
   fit() {
     const { width } = this.svg.getBoundingClientRect();

@@ -40,7 +40,7 @@ const WORDS = {
     fastslamLegend: (weighted) => `Dots: particles${weighted ? ", larger with a larger weight" : ""}. Thin lines: their trajectories. `
       + "Click a particle to see its trajectory and its map (ellipses of two standard deviations); at first it is the one "
       + `${weighted ? "with the largest weight" : "with the number 0"}. Dashed line and crosses: ground truth.`,
-    odometry: "Odometry (t, nu, omega):", sightings: "Sightings (t, id, range, bearing):", dropHere: "You can also drop both files here.",
+    odometry: "Choose the odometry (t, nu, omega)", sightings: "Choose the sightings (t, id, range, bearing)", dropHere: "You can also drop both files here.",
     example: "Take the example", ownLabel: "trajectory and map of your data",
     needSightings: "Now the sightings.", needOdometry: "Now the odometry.",
     noRows: "a table needs a line with the names of its columns, and rows below",
@@ -93,7 +93,7 @@ const WORDS = {
     fastslamLegend: (weighted) => `点はパーティクルです${weighted ? "（重みが大きいほど大きく描きます）" : ""}。細い線はその軌跡です。`
       + "パーティクルをクリックすると、その軌跡と地図（標準偏差の2倍の楕円）を表示します。"
       + `最初は${weighted ? "重みが最大の" : "0番の"}パーティクルです。破線と十字は真の軌跡とランドマークです。`,
-    odometry: "オドメトリ（t, nu, omega）:", sightings: "センサ値（t, id, range, bearing）:", dropHere: "2つのファイルをここにドロップすることもできます。",
+    odometry: "オドメトリを選ぶ（t, nu, omega）", sightings: "センサ値を選ぶ（t, id, range, bearing）", dropHere: "2つのファイルをここにドロップすることもできます。",
     example: "例を使う", ownLabel: "あなたのデータの軌跡と地図",
     needSightings: "次に、センサ値のファイルを選んでください。", needOdometry: "次に、オドメトリのファイルを選んでください。",
     noRows: "列の名前の行と、その下のデータの行が必要です",

@@ -11,7 +11,7 @@ rng = np.random.default_rng(0)
 # %% run
 states = {}
 for t, particles in enumerate(textbook.fastslam1(log, particles=40, rng=rng)):
-    if t % 8 == 0:
+    if t and t % 8 == 0:
         best = max(particles, key=lambda p: p.log_weight)
         states[t] = ([np.array(p.path) for p in particles], {j: m.mean for j, m in best.map.items()})
 
