@@ -16,12 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from graphslam import Graph, Log, Solution, solve
-from graphslam.clocks import clock_offsets
 from graphslam.identification.robot import known_robot
 from graphslam.io.formats import load_robots
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
-from graphslam.sessions import join_robots
+from graphslam.sessions import clock_offsets, join_robots
 
 #: how many seconds the clocks are set behind
 OFF = {2: 0.5, 3: -1.0, 4: 2.0, 5: 3.0}

@@ -31,7 +31,6 @@ from graphslam import (
 from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
 from graphslam.calibration.estimate import robot_of
-from graphslam.clocks import ClockOffsets, clock_offsets
 from graphslam.errors import quoted
 from graphslam.files import check_file
 from graphslam.graph.landmark_map import as_map
@@ -43,7 +42,7 @@ from graphslam.identification.robot import enough_ids, estimate_robot, known_rob
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.rows import ReadOptions
-from graphslam.sessions import join_robots, with_common_noise
+from graphslam.sessions import ClockOffsets, clock_offsets, join_robots, with_common_noise
 
 from ..results import noted
 from .option import options_of

@@ -75,10 +75,9 @@ class ParticleFilter(ABC):
         log: controls and sightings; None for a filter that is used with `move` and `observe`.
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
-        start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose, in
-            the frame of the log's positions. A
-            `Fix` in a map: poses are drawn with `positions.SPREAD` times its standard deviations, because the sightings from
-            which it comes weigh the particles again.
+        start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose, in the frame of
+            its positions. Of a `Fix`, poses are drawn with `positions.SPREAD` times its standard deviations, because its
+            sightings weigh the particles again.
 
     Raises:
         OptionError: an option has an impossible value, the log has sightings without ids and the filter needs them, or the
@@ -111,12 +110,10 @@ class ParticleFilter(ABC):
         self._check_options()
         self.particles = self.options.particles
         if log is not None and log.controls is None:
-            raise LogError(
-                f"{log.name} has no controls, by which a particle filter moves its particles: use graph SLAM"
-            )
-        if log is not None and self._needs_ids and not log.identified:
-            raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
+            raise LogError(f"{log.name} has no controls, which move the particles of a filter: use graph SLAM")
         if log is not None:
+            if self._needs_ids and not log.identified:
+                raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
             used = {"partial_sightings": self._takes_single_numbers, "positions": self._takes_positions}
             log.warn_of_unused("a particle filter", [name for name, is_used in used.items() if is_used])
             check_memory(log, self.options, maps=self.HAS_MAPS)

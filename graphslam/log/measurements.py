@@ -130,7 +130,7 @@ class Session:
     """One of the drives, or robots, that a log was joined from: its name, its first step, and the time of that [s].
 
     ``clock_offset`` and ``clock_deviation`` are what is added to its times so that they are those of the first robot, and the
-    standard error [s] (`graphslam.clocks`); None where that was not estimated.
+    standard error [s] (`graphslam.sessions.clocks`); None where that was not estimated.
     """
 
     name: str

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, Log, LogError, MotionModel, SensorModel, load, save, simulate, solve
-from graphslam.clocks import ClockOffsets, clock_offsets
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import Session
-from graphslam.sessions import join_robots
+from graphslam.sessions import ClockOffsets, clock_offsets, join_robots
 
 MOTION = MotionModel(nn=0.05, no=0.001, on=0.03, oo=0.05, epsilon=1e-9)
 SENSOR = SensorModel(range_rate=0.03, bearing_std=0.02)

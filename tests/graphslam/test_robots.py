@@ -149,7 +149,7 @@ def test_the_robots_of_a_team_need_one_clock_and_their_classes() -> None:
     with pytest.raises(LogError, match="no sighting has the class of another robot"):
         join_robots({n: log.with_sightings(log.landmarks != UNIDENTIFIED) for n, log in robots.items()})
     stray = {n: log.replace(classes=["robot 7" if each else "" for each in log.classes]) for n, log in robots.items()}
-    with pytest.raises(LogError, match="the robots saw 'robot 7' only, and the logs are of robots 1 and 2"):
+    with pytest.raises(LogError, match="the robots saw 'robot 7' only, and the logs are of robots 1, 2"):
         join_robots(stray)
     with pytest.raises(OptionError, match="join_robots takes logs by the numbers"):
         join_robots(list(robots.values()))  # type: ignore[arg-type]

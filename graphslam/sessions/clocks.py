@@ -24,16 +24,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .edges import RelationEdges
-from .errors import GraphError, LogError
-from .graph import Graph
-from .log import Log
-from .log.continuous_time import control_path
-from .models import SensorModel
-from .se2 import Array
-from .sessions import Sessions, join_logs, join_robots, meetings, not_of_robots, with_common_noise
-from .solvers.solve import solve
-from .solvers.uncertainty import Uncertainty
+from ..edges import RelationEdges
+from ..errors import GraphError, LogError
+from ..graph import Graph
+from ..log import Log
+from ..log.continuous_time import control_path
+from ..models import SensorModel
+from ..se2 import Array
+from ..solvers.solve import solve
+from ..solvers.uncertainty import Uncertainty
+from .drives import Sessions, join_logs, with_common_noise
+from .robots import join_robots, meetings, not_of_robots
 
 #: offsets from -`REACH` to `REACH` are searched in steps of `GRID` [s]
 REACH, GRID = 20.0, 0.05

@@ -1,0 +1,157 @@
+"""Several drives of one place as one log: their common landmarks tie them, and each keeps its own odometry.
+
+Between the end of a drive and the start of the next, the robot may have gone anywhere. The log has a control there that
+says nothing, with the variances `ANYWHERE`, so that all solvers of graphs and all checks take it like any other log, and it
+knows its `Log.sessions`. The start values matter: each drive is put where its first sightings fit the map of those before
+(`first_fix`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..association.across_logs import joined_without_ids
+from ..errors import GraphError, LogError, OptionError, named
+from ..graph import Graph
+from ..graph.landmark_map import LandmarkMap
+from ..graph.localization import first_fix
+from ..identification.robot import known_robot
+from ..log import Log
+from ..log.end_to_end import end_to_end
+from ..models import MotionModel, SensorModel
+from ..se2 import Array, between, compose
+from ..solvers.solve import solve
+
+
+@dataclass(frozen=True, eq=False)
+class Sessions:
+    """Drives that were joined.
+
+    Attributes:
+        log: all of them, in the frame of the first.
+        starts: the step at which each drive starts, and after them the number of poses.
+    """
+
+    log: Log
+    starts: tuple[int, ...]
+
+    def split(self, rows: Array) -> list[Array]:
+        """Rows (T+1, ...) that belong to the poses, one array for each drive."""
+        return np.split(np.asarray(rows), self.starts[1:-1])
+
+
+def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = False) -> Sessions:
+    """One log of several drives in one place; ``Graph.from_log(join_logs(logs).log)`` solves them together.
+
+    Args:
+        logs: with controls, and ids that mean the same landmarks in all of them. Where one has sightings without ids, each
+            log is associated, and their maps are matched (`association.across_logs`). Noise models must be the same in all,
+            or be given to `Graph.from_log`. Their ground truth is in one frame, and unknown where a log has none.
+        mean_noise: the noise of each log is found as in `Graph.from_log`, and all get the means (`with_common_noise`).
+        placed: the initial poses of all are in one frame already, so that none is looked for.
+
+    Raises:
+        OptionError: there is no log, or something else than logs.
+        LogError: a log has no controls, or logs differ in their noise models, their sightings, or the point of their truth.
+        GraphError: a log shares no landmarks with those before, or its first sightings fit no place among them.
+    """
+    if isinstance(logs, Log) or not isinstance(logs, Sequence) or not all(isinstance(each, Log) for each in logs):
+        raise OptionError("join_logs takes a list of logs: join_logs([first, second])")
+    if not logs:
+        raise OptionError("join_logs needs at least one log")
+    if mean_noise:
+        logs = with_common_noise([known_robot(each)[0] for each in logs])
+    for each in logs:
+        _check(each, logs[0])
+    if len(logs) > 1 and not all(each.identified for each in logs):
+        joined, starts = joined_without_ids(logs)
+        return Sessions(joined, (*starts, joined.num_poses))
+    joined, starts = logs[0], [0]
+    known = known_robot(logs[0])[0] if len(logs) > 1 and not placed else logs[0]
+    models: dict[str, Any] = {"motion": known.motion or MotionModel(), "sensor": known.sensor or SensorModel()}
+    # the same with the poses that the map of the next log comes from
+    solved = joined
+    for k, each in enumerate(logs[1:]):
+        starts.append(joined.num_poses)
+        if not placed:
+            graph = Graph.from_log(solved, edges="landmark+motion", **models)
+            solution = solve(graph, initialize="given" if k else "auto")
+            each = _placed(each, joined, solution.map, models)
+            solved = end_to_end(solved.replace(initial_poses=solution.poses), each)
+        joined = end_to_end(joined, each)
+    return Sessions(joined, (*starts, joined.num_poses))
+
+
+def from_logs(logs: Sequence[Log], **options: Any) -> Graph:
+    """The graph of several logs of one place, as `join_logs` joins them, with the ``options`` of `Graph.from_log`."""
+    return Graph.from_log(join_logs(logs, mean_noise=True).log, **options)
+
+
+Graph.from_logs = staticmethod(from_logs)
+
+
+def with_common_noise(logs: Sequence[Log]) -> list[Log]:
+    """The logs with noise models that are the same in all, as one graph needs them.
+
+    Variances are the means of those of the logs, of which the ones that bring no models count with the book's. Where the
+    sensors sit in different places, sightings are given as from the mean of these.
+    """
+    motions, sensors = [each.motion or MotionModel() for each in logs], [each.sensor or SensorModel() for each in logs]
+    if len(set(motions)) == len(set(sensors)) == 1:
+        return list(logs)
+
+    def squares(models: Sequence[MotionModel | SensorModel]) -> dict[str, float]:
+        rows = [vars(each) for each in models]
+        geometry = (*SensorModel.GEOMETRY, "epsilon")
+        return {
+            name: float(np.sqrt(np.mean([row[name] ** 2 for row in rows]))) for name in rows[0] if name not in geometry
+        }
+
+    motion = MotionModel(**squares(motions), epsilon=float(np.mean([each.epsilon for each in motions])))
+    ahead, left = np.mean([each.offset for each in sensors], axis=0).tolist()
+    sensor = SensorModel(
+        **squares(sensors), offset=(ahead, left), min_range=min(each.min_range for each in sensors),
+        max_range=max(each.max_range for each in sensors), field_of_view=max(each.field_of_view for each in sensors),
+    )  # fmt: skip
+    note = f"its noise models are the means of those of {len(logs)} logs"
+    common = []
+    for log, own in zip(logs, sensors):
+        robot = np.zeros((len(log.sightings), 3))
+        seen = log.sightings if own.offset == sensor.offset else sensor.h(robot, own.h_inverse(robot, log.sightings))
+        common.append(log.replace(motion=motion, sensor=sensor, sightings=seen, notes=(*log.notes, note)))
+    return common
+
+
+def _check(log: Log, first: Log) -> None:
+    """Raise `LogError` where a log cannot be joined to the first one."""
+    if log.controls is None:
+        raise LogError(f"{log.name} has no controls, and drives are joined by their odometry and their landmarks")
+    if log.sightings.shape[1] != first.sightings.shape[1]:
+        raise LogError(
+            f"{log.name} has sightings of {log.sightings.shape[1]} numbers and {first.name} of {first.sightings.shape[1]}; "
+            "leave psi out: --dimensions 2, or Log.without_orientation of the one that has it"
+        )
+    for name in ("motion", "sensor", "truth_offset"):
+        if getattr(log, name) != getattr(first, name):
+            raise LogError(
+                f"{log.name} and {first.name} differ in {name}: {getattr(log, name)} and {getattr(first, name)}. One graph "
+                f"has one; make them the same with Log.replace({name}=...)"
+                + (", or join_logs(logs, mean_noise=True) takes the means" if name != "truth_offset" else "")
+            )
+
+
+def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -> Log:
+    """The log with its initial poses in the frame of those before, by the map that these give."""
+    if not set(log.landmark_ids.tolist()) & set(before.landmark_ids.tolist()):
+        others = named([each.name for each in before.sessions] or [before.name])
+        raise GraphError(f"{log.name} and {others} share no landmark: do the ids mean the same ones in all of them?")
+    fix = first_fix(log, known, **models)
+    start = log.initial_poses[0]
+    initial = compose(fix.pose, between(start, log.initial_poses))
+    # without jumps of a full turn
+    initial[:, 2] = fix.pose[2] + log.initial_poses[:, 2] - start[2]
+    return log.replace(initial_poses=initial, notes=(*log.notes, f"joined where {fix.sentence}"))
