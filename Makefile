@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 FETCH := $(PIP) install --no-compile
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: compare test pytest test-nightly test-some test-all check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
+.PHONY: compare test pytest test-nightly test-some test-all check lint wheel-check later-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
 
 compare: .venv/.installed
 	$(BIN)/slam-compare run
@@ -35,7 +35,7 @@ test-some: .venv/.installed-test
 	$(PYTEST) $(NIGHTLY) --one-in 6
 
 # the site comes first, because its tests are skipped without it
-test-all: docs engine-test engine-fuzz engine-lint wheel-check test test-nightly
+test-all: docs engine-test engine-fuzz engine-lint wheel-check later-check test test-nightly
 
 check: ONLY := -m "not slow and not nightly and not browser and not cluster"
 check: .venv/.installed-test
@@ -83,6 +83,19 @@ wheel-check: .venv/.tools
 	build/wheel-venv/bin/python -m pip --quiet --disable-pip-version-check install build/wheels/*.whl
 	mkdir build/wheel-run
 	cd build/wheel-run && ../wheel-venv/bin/slam-compare run
+
+# the same with a later Python, if this machine has one: from 3.12 on the engine has the stable ABI and is built otherwise
+LATER ?= $(lastword $(sort $(wildcard $(HOME)/.pyenv/versions/3.1[2-9].*/bin/python3 /usr/bin/python3.1[2-9] \
+	/usr/local/bin/python3.1[2-9] /opt/hostedtoolcache/Python/3.1[2-9].*/x64/bin/python3)))
+later-check:
+ifeq ($(LATER),)
+	@echo "There is no Python later than 3.11 in the usual places; name it with: make later-check LATER=/path/to/python"
+else
+	rm -rf build/later
+	$(LATER) -m venv build/later
+	build/later/bin/python -m pip --quiet --disable-pip-version-check install .
+	cd build/later && bin/slam-compare run --estimators graph,gtsam,fastslam1
+endif
 
 # the tests of the engine that need no Python, with sanitizers
 engine-test: build/engine-test/CMakeCache.txt
