@@ -28,6 +28,7 @@ from comparisons.studies.solvers import SolverComparison
 from comparisons.studies.summary import Summary
 from comparisons.studies.sweep import SweepOutcome
 from graphslam.calibration import Calibration
+from graphslam.se2 import Array
 
 DOCS = Path(__file__).parent
 #: the class whose object each verb writes
@@ -147,7 +148,8 @@ def entry_of(hint: Any, kinds: list[type]) -> dict[str, Any]:
     if is_dataclass(hint):
         kinds.append(hint)
         return {"$ref": f"#/$defs/{hint.__name__}"}
-    return dict(PLAIN[np.ndarray if origin is np.ndarray else hint])
+    # `Array` is an alias of which newer versions of NumPy do not tell the origin
+    return dict(PLAIN[np.ndarray if hint == Array or origin is np.ndarray else hint])
 
 
 def sentences_of(kind: type) -> dict[str, str]:
