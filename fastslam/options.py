@@ -87,7 +87,7 @@ def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
     if numbers.dtype.kind not in "iu":
         raise OptionError(f"the ids of landmarks must be whole numbers, not {quoted(numbers.tolist())}")
     if numbers.dtype.kind == "u" and np.any(numbers > np.iinfo(np.int64).max):
-        raise OptionError(f"the ids of landmarks must be below 2^63, not {quoted(int(numbers.max()))}")
+        raise OptionError(f"the ids of landmarks must be below 2^63, not {quoted(int(np.max(numbers)))}")
     numbers = numbers.astype(np.int64)
     missing = np.isnan(z)
     if not np.all(np.isfinite(z) | missing) or np.any(z[:, 0] <= 0) or np.any(missing.sum(axis=1) > (z.shape[1] == 2)):
@@ -276,7 +276,7 @@ def forecast(log: Log, options: FilterOptions, *, maps: bool) -> Forecast:
         landmark += 8 * (3 * JOINT + 1)
     if not options.uses_ids and log.classes is not None:
         landmark += 8 * len(np.unique(log.classes))
-    spare = int(np.bincount(log.steps).max(initial=0)) + 1
+    spare = int(np.max(np.bincount(log.steps), initial=0)) + 1
     seen = len(log.landmark_ids) * (1 if options.uses_ids else ANONYMOUS) + spare
     fixed = BUFFERS + (seen * landmark + len(log.landmark_ids) * INDEX if maps else 0)
     # arrays that grow are copied into others of twice the size

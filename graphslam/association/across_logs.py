@@ -18,7 +18,7 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..graph.constellation import Constellations, Merged, match
 from ..graph.landmark_map import LandmarkMap
-from ..graph.localization import SURE
+from ..graph.localization import SURE, odds_of
 from ..graph.tracking import follow
 from ..log import UNIDENTIFIED, Log
 from ..log.end_to_end import end_to_end
@@ -82,7 +82,7 @@ def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
     names = {j: fresh + k for k, j in enumerate(own)} | {UNIDENTIFIED: UNIDENTIFIED}
     ways = list[Log]()
     found = match(_merged(own, log), Constellations.of(known, reach))
-    if found and _odds([each.evidence for each, _ in found]) > SURE and np.sum(found[0][0].agree) >= FEWEST:
+    if found and odds_of([each for each, _ in found]) > SURE and np.sum(found[0][0].agree) >= FEWEST:
         best, where = found[0]
         ids = np.array(list(known))
         partners = {j: int(ids[where[k]]) for k, j in enumerate(own) if best.agree[k]}
@@ -133,12 +133,6 @@ def _moved(poses: Array, frame: Array) -> Array:
     moved = compose(frame, poses)
     moved[:, 2] = poses[:, 2] + frame[2]
     return moved
-
-
-def _odds(evidence: Sequence[float]) -> float:
-    """The odds of the first place against the others and none."""
-    others = float(np.logaddexp.reduce([0.0, *evidence[1:]]))
-    return float(np.exp(np.clip(evidence[0] - others, -700.0, 700.0)))
 
 
 def _names(log: Log) -> str:

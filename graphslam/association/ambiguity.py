@@ -156,7 +156,7 @@ def returns(steps: np.ndarray, times: np.ndarray, labels: np.ndarray, moment: in
     of, at = labels[order], steps[order]
     again = np.flatnonzero((of[1:] == of[:-1]) & (times[at[1:]] - times[at[:-1]] > moment))
     found: list[tuple[int, int, list[int]]] = []
-    for step, last, label in sorted((int(at[k + 1]), int(at[k]), int(of[k])) for k in again):
+    for step, last, label in sorted((int(at[k + 1]), int(at[k]), int(of[k])) for k in again.tolist()):
         if found and times[step] <= times[found[-1][0]] + moment:
             begin, before, members = found[-1]
             found[-1] = (begin, max(before, last) if last < begin else before, [*members, label])

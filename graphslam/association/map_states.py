@@ -40,6 +40,7 @@ from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.landmark_map import LandmarkMap, as_map
+from ..graph.map_evidence import log_sum
 from ..log import Log
 from ..se2 import Array, wrap
 from ..solvers.solution import Solution
@@ -303,7 +304,7 @@ def _shifts(
         square = float(shift @ np.linalg.solve(V, shift))
         # one that has moved may have turned or not
         turned = [_density(shift, V + np.diag([MOVE, MOVE, turn][: len(shift)]) ** 2) for turn in (0.0, TURN)]
-        gain = np.logaddexp.reduce(turned) - np.log(2) - _density(shift, V)
+        gain = log_sum(turned) - np.log(2) - _density(shift, V)
         odds = np.log(prior / (1 - prior)) + gain
         found[j] = shift, square, float(1 / (1 + np.exp(-np.clip(odds, -700, 700))))
     return found
@@ -388,9 +389,9 @@ def _gone(there: list[_Views], prior: float) -> Callable[[np.ndarray], float]:
         counted = views.inside > 0.5
         log_likelihood = np.sum(views.seen[counted]) * np.log(d)
         log_likelihood += np.log1p(-views.inside[counted & ~views.seen, None] * d).sum(axis=0)
-        most = log_likelihood.max()
+        most = np.max(log_likelihood)
         weight += np.log(shares @ np.exp(log_likelihood - most) + 1e-300) + most
-    weight = np.exp(weight - weight.max())
+    weight = np.exp(weight - np.max(weight))
     mixed = (weight / weight.sum()) @ shares
 
     def probability(counts: np.ndarray) -> float:

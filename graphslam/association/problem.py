@@ -23,6 +23,7 @@ import numpy as np
 from ..errors import LogError
 from ..errors.checks import option
 from ..errors.options import check_options
+from ..graph.map_evidence import log_sum
 from ..log import UNIDENTIFIED, Log
 from ..log.rows import MOST_CLASSES
 from ..models import SensorModel
@@ -133,7 +134,7 @@ class Classes:
         """log of P(both | one landmark) / (P(a) P(b)) for sums (..., n), broadcast; 0 where there are no classes."""
         if self.count == 1:
             return np.zeros(np.broadcast_shapes(a.shape, b.shape)[:-1])
-        one, first, second = (np.logaddexp.reduce(each, axis=-1) for each in (a + b, a, b))
+        one, first, second = (log_sum(each, axis=-1) for each in (a + b, a, b))
         return one - first - second + np.log(self.count)
 
 

@@ -5,6 +5,7 @@ The robot of a log whose sightings may have no ids.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -327,7 +328,7 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
     relative = [found.errors.get("wheel_scale", 0.0) / found.wheel_scale, np.nan_to_num(errors["wheel_scale"])]
     biases: dict[str, Any] = {"turn_scale": 1.0, "curvature_bias": 0.0, "range_scale": 1 / factor} | means
     known = {name: error for name, error in found.errors.items() if name not in biases}
-    known |= {"range_scale": float(np.hypot(*relative)) / factor, "range_std": found.errors["range_std"] * factor}
+    known |= {"range_scale": math.hypot(*relative) / factor, "range_std": found.errors["range_std"] * factor}
     note = (
         "there is no true map: the numbers of the motion, with wheel_scale and turn_rate_bias, are from the true poses, and "
         "those of the sensor from residuals"

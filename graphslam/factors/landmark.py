@@ -99,7 +99,7 @@ class LandmarkFactor(Factor):
         if weight == "marginal":
             rows, residual, error = _marginal(z, node, sensor, world, trusted, frozen)
         else:
-            scale = 2 / trusted.sum() if weight == "tempered" else 1.0
+            scale = 2 / float(np.sum(trusted)) if weight == "tempered" else 1.0
             rows, residual, error = _pairs(z, node, sensor, world, trusted, frozen, scale)
         options = {"frame": frame, "weight": weight, "at": frozen, "kernel": kernel}
         arguments = {"sightings": z, "sensor": sensor, "trust": None if trust is None else trusted} | options

@@ -247,7 +247,7 @@ class RelativeEdgesFactor(Factor):
         keys = listed_keys("RelativeEdgesFactor", keys)
         poses, world = len(keys) - points, in_world_frame(frame)
         i, j = (np.array(ends, dtype=np.int64) for ends in (first, second))
-        if len(i) == 0 or i.shape != j.shape or min(i.min(), j.min()) < 0 or i.max() >= poses or j.max() >= len(keys):
+        if len(i) == 0 or i.shape != j.shape or np.min([i, j]) < 0 or np.max(i) >= poses or np.max(j) >= len(keys):
             raise OptionError("first and second must be places of keys, one of a pose and one of any node per edge")
         z = numbers("measured", measured, (3,), rows=len(i))
         check_heading("measured", float(np.abs(z[j < poses, 2]).max(initial=0.0)))

@@ -24,7 +24,7 @@ from ..se2 import Array, between, compose, perpendicular, turn_matrix
 from .carried import by_pose, paired, points_of, seen_from, smoothed, together
 from .constellation import Constellations, Merged, match, merged, with_alike
 from .landmark_map import LandmarkMap, as_map
-from .map_evidence import Weighed
+from .map_evidence import Weighed, log_sum
 from .registration import Match, Points, register
 from .stretch import Drift, Stretch
 from .tracker import Tracker
@@ -147,9 +147,9 @@ def _searched(
             ) from None
         whole = count == len(rows)
         # one by one they are surer than together, because they share the errors of the odometry
-        if whole or _odds(matches) > SURE:
+        if whole or odds_of(matches) > SURE:
             found = together(log, landmarks, sensor, used, drift, points, matches)
-            odds = _odds(found)
+            odds = odds_of(found)
             if odds > (LEAST if whole else SURE):
                 best = found[0]
                 # one landmark with a heading fits a map in any unit, and two without one a mirrored map
@@ -251,12 +251,12 @@ def _fixes_here(log: Stretch, known: Constellations, landmarks: LandmarkMap, sen
         found = match(seen, known)
         best = found[0][0] if found else None
         sure = False
-        if best is not None and _odds([each for each, _ in found]) > SURE:
+        if best is not None and odds_of([each for each, _ in found]) > SURE:
             fits, against = int(np.sum(best.agree)), np.asarray(found[0][1] < 0)
             sure = fits >= max(FEWEST, int(np.sum(seen.counts[against] > 1)) + 1) and fits > int(np.sum(against))
             if sure:
                 found = with_alike(seen, known, found)
-                best, sure = found[0][0], _odds([each for each, _ in found]) > SURE
+                best, sure = found[0][0], odds_of([each for each, _ in found]) > SURE
         attempts.append((best.evidence if best else -np.inf, rows, step, seen, found))
         # the errors of a long way hide a constellation
         since = len(attempts) - 1 - int(np.argmax([each[0] for each in attempts]))
@@ -265,10 +265,9 @@ def _fixes_here(log: Stretch, known: Constellations, landmarks: LandmarkMap, sen
         count = int(count * GROWTH)
     if not sure:
         _, rows, step, seen, found = max(attempts, key=lambda each: each[0])
-    evidence, fixes = np.array([each.evidence for each, _ in found]), []
+    fixes = []
     for k, (each, partners) in enumerate(found):
-        others = float(np.logaddexp.reduce([0.0, *np.delete(evidence, k)]))
-        odds = float(np.exp(np.clip(each.evidence - others, -700.0, 700.0)))
+        odds = odds_of([match for match, _ in found], k)
         agree, disagree = rows[each.agree[seen.which]], rows[partners[seen.which] < 0]
         fixes.append(Fix(each.pose, each.covariance, step, agree, disagree, odds if sure else min(odds, SURE)))
     if sure:
@@ -379,12 +378,13 @@ def _rows(log: Stretch, landmarks: LandmarkMap) -> np.ndarray:
     return rows
 
 
-def _odds(matches: Sequence[Match]) -> float:
-    """The odds of the best hypothesis against the others and none; 0 where there is none."""
+def odds_of(matches: Sequence[Match], k: int = 0) -> float:
+    """The odds of hypothesis k against the others and none; 0 where there is none."""
     if not matches:
         return 0.0
-    others = np.logaddexp.reduce([0.0, *(match.evidence for match in matches[1:])])
-    return float(np.exp(np.minimum(matches[0].evidence - others, 700.0)))
+    evidence = [match.evidence for match in matches]
+    others = log_sum([0.0, *evidence[:k], *evidence[k + 1 :]])
+    return float(np.exp(np.clip(evidence[k] - others, -700.0, 700.0)))
 
 
 def _no_fix(
@@ -405,13 +405,13 @@ def _no_fix(
         )
     what = f"{len(points.ids)} sightings of {listed('landmark', np.unique(points.ids).tolist(), most=4)} of the map"
     cause = _cause(log, landmarks, sensor)
-    if not cause and matches and matches[0].covariance[2, 2] >= OPEN**2 and _odds(matches) > LEAST:
+    if not cause and matches and matches[0].covariance[2, 2] >= OPEN**2 and odds_of(matches) > LEAST:
         wide = np.degrees(matches[0].covariance[2, 2] ** 0.5)
         return GraphError(
             f"{what} leave open where {log.name} heads at its first pose (standard deviation {wide:.0f} degrees); more "
             "sightings of other landmarks are needed"
         )
-    if not cause and len(matches) > 1 and _odds(matches[:1]) > SURE > _odds(matches):
+    if not cause and len(matches) > 1 and odds_of(matches[:1]) > SURE > odds_of(matches):
         places = " and ".join(f"({m.pose[0]:.2f}, {m.pose[1]:.2f}) m" for m in matches[:2])
         return GraphError(
             f"{what} fit several first poses of {log.name} alike, such as {places}; more sightings are needed"

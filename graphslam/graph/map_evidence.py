@@ -28,12 +28,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..se2 import Array, perpendicular, turn_matrix, wrap
 from .registration import ALONE, RIGHT, STEPS, Match, Points, linear, padded
 
+#: log(sum of exp) along an axis; whether it has a type differs between versions of NumPy
+log_sum: Any = np.logaddexp.reduce
 #: degrees of freedom nu of the noise
 FREEDOM = 8
 #: the most sightings that are weighed together

@@ -129,7 +129,7 @@ def read_columns(
         notes += about
         rows, numbers = rows[kept], numbers[kept]
     if times and (k := first(disorder(rows[:, 0]) > MOST_DISORDER)) is not None:
-        before = rows[:k, 0].max()
+        before = np.max(rows[:k, 0])
         message = (
             f"time runs backwards: {decimals(rows[k, 0])} s comes after {decimals(before)} s; sort the lines by time"
         )

@@ -203,7 +203,7 @@ def _after_step(log: Log, solver: OnlineSolver, before: Array) -> Frame:
     trajectory = np.concatenate([poses, np.zeros((log.num_poses - len(poses), 3))])
     estimated = estimate_map(past, trajectory, sensor=solver.sensor, kernel=solver.kernel)
     seen = log.sightings[log.steps == step]
-    metres = corrections.max()
+    metres = np.max(corrections)
     length = f"{metres:.2f} m" if metres >= 0.1 else f"{1000 * metres:.1f} mm"
     return Frame(
         number=step, caption=f"step {step}    largest correction {length}", poses=poses,
