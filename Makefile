@@ -54,7 +54,9 @@ lint: .venv/.installed-test
 # cmake, ninja and a compiler come from PyPI where the machine has none; they stay, so that later builds take seconds
 .venv/.tools: engine/build_backend.py | .venv/bin/python
 	$(FETCH) 'scikit-build-core>=0.11' 'nanobind>=2.4'
-	$(BIN)/python engine/build_backend.py | $(FETCH) --requirement /dev/stdin
+	@mkdir -p build
+	$(BIN)/python engine/build_backend.py > build/requirements
+	$(FETCH) --requirement build/requirements
 	@touch $@
 
 # pip runs again when the requirements or the engine change; a stamp is written only when everything is installed

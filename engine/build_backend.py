@@ -14,6 +14,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -53,8 +54,18 @@ def compiler() -> str | None:
     return found
 
 
+def check_headers(folder: str) -> None:
+    """Leave with a sentence where the headers of Python are missing; Linux distributions have them in a package of its own."""
+    if not (Path(folder) / "Python.h").exists():
+        sys.exit(
+            f"The engine is built with the headers of Python, and {folder} has no Python.h. Install them (Debian and Ubuntu: "
+            "apt install python3-dev; Fedora: dnf install python3-devel), or take another Python: make PYTHON=/path/to/python."
+        )
+
+
 def _extra() -> list[str]:
     """What a build needs beside scikit-build-core and nanobind."""
+    check_headers(sysconfig.get_path("include"))
     tools = ["cmake>=3.20"] if shutil.which("cmake") is None else []
     tools += ["ninja>=1.11"] if shutil.which("ninja") is None else []
     return tools + (["ziglang>=0.13"] if compiler() is None else [])

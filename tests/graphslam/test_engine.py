@@ -38,6 +38,12 @@ def test_a_machine_without_compiler_gets_one_from_pypi(backend, monkeypatch, tmp
     assert [name.split(">")[0] for name in backend._extra()] == ["cmake", "ninja", "ziglang"]
 
 
+def test_missing_headers_of_python_are_named(backend, monkeypatch, tmp_path):
+    monkeypatch.setattr(backend.sysconfig, "get_path", lambda _: str(tmp_path))
+    with pytest.raises(SystemExit, match=r"has no Python.h. Install them \(Debian and Ubuntu: apt install python3-dev"):
+        backend._extra()
+
+
 def test_a_compiler_that_is_too_old_is_named(backend, monkeypatch, tmp_path):
     old = tmp_path / "old-c++"
     old.write_text("#!/bin/sh\nexit 1\n")
