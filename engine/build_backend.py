@@ -55,10 +55,10 @@ def compiler() -> str | None:
 
 
 def check_headers(folder: str) -> None:
-    """Leave with a sentence where the headers of Python are missing; Linux distributions have them in a package of its own."""
+    """Leave with a sentence where the headers of Python are missing, which Linux distributions have in another package."""
     if not (Path(folder) / "Python.h").exists():
         sys.exit(
-            f"The engine is built with the headers of Python, and {folder} has no Python.h. Install them (Debian and Ubuntu: "
+            f"The engine is built with the headers of Python, and {folder} has no Python.h. Install them (Debian, Ubuntu: "
             "apt install python3-dev; Fedora: dnf install python3-devel), or take another Python: make PYTHON=/path/to/python."
         )
 

@@ -40,7 +40,7 @@ def test_a_machine_without_compiler_gets_one_from_pypi(backend, monkeypatch, tmp
 
 def test_missing_headers_of_python_are_named(backend, monkeypatch, tmp_path):
     monkeypatch.setattr(backend.sysconfig, "get_path", lambda _: str(tmp_path))
-    with pytest.raises(SystemExit, match=r"has no Python.h. Install them \(Debian and Ubuntu: apt install python3-dev"):
+    with pytest.raises(SystemExit, match=r"has no Python.h. Install them \(Debian, Ubuntu: apt install python3-dev"):
         backend._extra()
 
 
