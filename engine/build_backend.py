@@ -59,7 +59,7 @@ def check_headers(folder: str) -> None:
     if not (Path(folder) / "Python.h").exists():
         sys.exit(
             f"The engine is built with the headers of Python, and {folder} has no Python.h. Install them (Debian, Ubuntu: "
-            "apt install python3-dev; Fedora: dnf install python3-devel), or take another Python: make PYTHON=/path/to/python."
+            "apt install python3-dev; Fedora: dnf install python3-devel), or take another one: make PYTHON=/path/to/python."
         )
 
 
