@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import atexit
 import html
 import re
 from collections.abc import Callable
@@ -70,5 +71,7 @@ def _expanded(formula: str) -> str:
 @cache
 def _katex() -> MiniRacer:
     engine = MiniRacer()
+    # at the end of the program, when the engine is collected, its thread no longer runs, and closing waits for that forever
+    atexit.register(engine.close)
     engine.eval(_KATEX.read_text())
     return engine
