@@ -323,22 +323,25 @@ class OnlineSolver:
         return matrix if joint else split(matrix, poses, landmarks)
 
     def integrity_risk(self, metres: float, radians: float = np.inf) -> float:
-        """The probability that the newest pose is off by more than the bounds, in a map; 1 before the robot is `located`.
+        """The probability that the newest pose is off by more than the bounds; in a map 1 before the robot is `located`.
 
-        `graph.integrity` has the equations.
+        Without a map, errors are those against the first pose, and covariances count as they are: the sizes of residuals, by
+        which a map enlarges them, are known after the drive (`Solution.integrity_risk`). `graph.integrity` has the equations.
 
         Args:
             metres: the bound on the position.
             radians: the bound on the heading.
 
         Raises:
-            GraphError: there is no map, or the edges do not determine the pose. OptionError: a bound is not positive.
+            GraphError: the edges do not determine the pose. OptionError: a bound is not positive.
         """
         tracker = self._backend.tracker
-        if tracker is None and not isinstance(self._backend, Localizer):
-            raise GraphError("integrity_risk needs a map: without one, poses are known against the first pose only")
-        off = beyond(np.eye(3) if tracker is None else inflation(tracker.squares) * self.covariance(), metres, radians)
-        return 1.0 if tracker is None else float(1 - expit(tracker.log_odds) * (1 - off))
+        if tracker is None:
+            in_map = isinstance(self._backend, Localizer)
+            off = beyond(np.eye(3) if in_map else self.covariance(), metres, radians)
+            return 1.0 if in_map else float(off)
+        off = beyond(inflation(tracker.squares) * self.covariance(), metres, radians)
+        return float(1 - expit(tracker.log_odds) * (1 - off))
 
     # -- checks ------------------------------------------------------------------------------------------------------
 

@@ -6,7 +6,6 @@ from scipy.stats import norm
 
 from graphslam import (
     Graph,
-    GraphError,
     LandmarkMap,
     MotionModel,
     OnlineSolver,
@@ -133,8 +132,17 @@ def test_before_the_robot_is_located_the_risk_is_one():
     log, known = drive(3)
     first = next(online(log.with_sightings(log.steps > 4), known))
     assert not first.located and first.integrity_risk(100.0) == 1.0
-    with pytest.raises(GraphError, match="needs a map"):
-        OnlineSolver().integrity_risk(0.5)
+
+
+def test_without_a_map_the_risk_is_against_the_first_pose():
+    robot = OnlineSolver()
+    assert robot.integrity_risk(0.5) < 1e-9
+    said = []
+    for _ in range(8):
+        robot.move((1.0, 0.1), 1.0)
+        said.append(robot.integrity_risk(0.5))
+        assert said[-1] == pytest.approx(float(beyond(robot.covariance(), 0.5)))
+    assert np.all(np.diff(said) > 0) and said[-1] > 0.3
 
 
 def test_a_drive_that_is_somewhere_else_is_not_there():
