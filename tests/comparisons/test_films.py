@@ -23,10 +23,24 @@ from comparisons.options import AnimationOptions, RunOptions
 from comparisons.options.option import options_of
 from comparisons.show.figures import ellipses
 from comparisons.show.films import Film, animate
-from comparisons.show.films.scene import Residuals, kept
+from comparisons.show.films.graphs import Residuals
+from comparisons.show.films.scene import kept
 from fastslam import ParticleGibbs
-from graphslam import GraphError, Log, LogError, OptionError, SlamError, save, simulate, solve, solve_online
-from graphslam.se2 import wrap
+from graphslam import (
+    AbsolutePositions,
+    Graph,
+    GraphError,
+    Log,
+    LogError,
+    OptionError,
+    PoseRelations,
+    SlamError,
+    save,
+    simulate,
+    solve,
+    solve_online,
+)
+from graphslam.se2 import mounted, wrap
 
 FEW = {"particles": 30, "seed": 4, "gibbs_iterations": 12, "gibbs_warm_up": 4, "gibbs_particles": 5, "gibbs_chains": 2}
 ANIMATED = options_of(AnimationOptions)["estimator"].choices
@@ -79,10 +93,31 @@ def test_distances_add_up_to_the_cost(log: Log, options: dict[str, str]) -> None
     np.testing.assert_allclose(nearest, 0, atol=1e-12)
 
 
+def test_edges_of_other_sensors_are_lines(log: Log) -> None:
+    """Of positions from the antenna to where it was measured, of relations between their poses; priors of a map are none."""
+    lever, steps = (0.5, 0.1), np.array([4, 9])
+    positions = AbsolutePositions(
+        steps=steps,
+        places=mounted(log.true_poses[steps], lever)[:, :2] + 0.1,
+        covariances=0.01 * np.eye(2),
+        levers=lever,
+    )
+    relations = PoseRelations(first=[2], second=[12], motions=[[1.0, 0.0, 0.0]], covariances=0.1 * np.eye(3))
+    graph = make_graph(log.replace(positions=positions, relations=relations), RunOptions.of(edges="landmark+motion"))
+    lines, distances = Residuals(graph)(graph.initial)
+    assert np.sum(distances**2) == pytest.approx(graph.cost(graph.initial), rel=1e-9)
+    ends = {tuple(line[1].round(9)) for line in lines}
+    assert {tuple(place.round(9)) for place in positions.places[:, :2]} <= ends
+    known = solve(Graph.from_log(log, edges="landmark+motion")).map
+    in_map = Graph.from_log(log, map=known)
+    assert Residuals(in_map).drawn == Residuals(in_map).count
+    assert len(animate(log, landmark_map=known, max_frames=3)) > 1
+
+
 def test_thinned_edges_keep_their_distances(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     graph = make_graph(log, RunOptions(weight="tempered"))
     _, every = Residuals(graph)(graph.initial)
-    monkeypatch.setattr("comparisons.show.films.scene.MOST_EDGES", 20)
+    monkeypatch.setattr("comparisons.show.films.graphs.MOST_EDGES", 20)
     thinned = Residuals(graph)
     _, some = thinned(graph.initial)
     assert thinned.drawn == len(some) < thinned.count == len(every)
