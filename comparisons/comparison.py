@@ -245,11 +245,21 @@ class Comparison(Displayed):
         from the drive. With half the noise of the sensor one is above 2 on 15 of the 16 whose errors are not correlated; J
         does not show it where they are.
         """
-        sources = {"given", "log", "file", "estimated"} & set(self.noise_source.values())
-        if not sources or self.noise_ratio is None:
+        if self.noise_ratio is None:
             return
         name, ratio = self.noise_ratio
         medians = typical_costs(self[name])
+        misfits = {kind: median for kind in ("relations", "positions") if (median := medians.pop(kind, 0.0)) > DOUBTFUL}
+        for kind, median in misfits.items():
+            known = "the map" if self.options.landmark_map is not None else "odometry and sightings"
+            yield Finding(
+                "misfit",
+                f"half of the {kind} contradict {known}: in the median, their squared errors are {median:.1f} times those "
+                "that their covariances say; they may be in another frame, or their noise is larger",
+            )
+        sources = {"given", "log", "file", "estimated"} & set(self.noise_source.values())
+        if not sources:
+            return
         fit = f"J per degree of freedom of {name} is {ratio:.1f}, and should be about 1"
         if medians:
             shown = " and ".join(f"{value:.1f} for {each}" for each, value in medians.items())
@@ -269,7 +279,7 @@ class Comparison(Displayed):
                     else "Do they belong to another robot, or are sightings wrong? Compare with --noise auto"
                 ),
             )
-        elif ratio > DOUBTFUL:
+        elif ratio > DOUBTFUL and not misfits:
             yield Finding(
                 "wrong sightings",
                 f"{fit}: the noise models fit most sightings, and some sightings are wrong"

@@ -17,6 +17,7 @@ from fastslam.gibbs.chains import GibbsResult
 from fastslam.particles import FilterResult, Samples
 from graphslam import Certificate, FormatError, Graph, Log, MotionModel, SlamError, Solution
 from graphslam.association import Association
+from graphslam.edges import EdgeFamily, PositionEdges, RelationEdges
 from graphslam.errors import printable
 from graphslam.graph.stretch import drifted
 from graphslam.identification.declared import ParameterEstimate
@@ -287,19 +288,25 @@ def dead_reckoning_covariances(log: Log, motion: MotionModel | None = None) -> A
 
 
 def typical_costs(result: EstimatorResult) -> dict[str, float]:
-    """The medians of the squared Mahalanobis norms of "sightings" and "motions", over those of chi-square.
+    """The medians of squared Mahalanobis norms over those of chi-square, of "sightings", "motions", "relations", "positions".
 
-    A median does not see single wrong sightings. With the right noise it is about 1 or less, because the solution follows
+    A median does not see single wrong ones. With the right noise it is about 1 or less, because the solution follows
     the noise, most of all that of the motions. Results without a graph have none.
     """
     if result.graph is None or result.state is None:
         return {}
     from scipy.special import chdtri
 
-    kinds = {"sightings": sighted_edges(result.graph), "motions": motion_edges(result.graph)}
+    kinds: dict[str, list[EdgeFamily | None]] = {
+        "sightings": [sighted_edges(result.graph)],
+        "motions": [motion_edges(result.graph)],
+        "relations": [f for f in result.graph.families if isinstance(f, RelationEdges)],
+        "positions": [f for f in result.graph.families if isinstance(f, PositionEdges)],
+    }
     found = {}
-    for name, family in kinds.items():
-        if family is not None and family.count:
-            edges = family.linearize(result.state, result.state)
-            found[name] = float(np.median(edges.mahalanobis) / chdtri(edges.residuals.shape[1], 0.5))
+    for name, families in kinds.items():
+        linear = [f.linearize(result.state, result.state) for f in families if f is not None and f.count]
+        if linear:
+            ratios = [edges.mahalanobis / chdtri(edges.residuals.shape[1], 0.5) for edges in linear]
+            found[name] = float(np.median(np.concatenate(ratios)))
     return found

@@ -11,8 +11,20 @@ import pytest
 from typer.testing import Result
 
 import comparisons
-from graphslam import Drive, Graph, LandmarkMap, Log, MotionModel, SensorModel, load, save, simulate, solve
-from graphslam.se2 import between, wrap
+from graphslam import (
+    AbsolutePositions,
+    Drive,
+    Graph,
+    LandmarkMap,
+    Log,
+    MotionModel,
+    SensorModel,
+    load,
+    save,
+    simulate,
+    solve,
+)
+from graphslam.se2 import between, transform, wrap
 from graphslam.solvers.uncertainty import Uncertainty
 
 Invoke = Callable[..., Result]
@@ -96,6 +108,24 @@ def test_sightings_of_landmarks_that_localisation_does_not_know_are_left_out(log
 
 
 @pytest.mark.slow
+def test_positions_in_another_frame_than_the_map_are_said() -> None:
+    log = log_of(2, (-2.0, 0.0, 1.0))
+    known = LandmarkMap({j: place[:2] for j, place in log.true_landmarks.items()})
+    steps, rng = np.arange(3, 31, 3), np.random.default_rng(0)
+
+    def warned(motion: tuple[float, float, float], **options: object) -> list[str]:
+        """The warnings of a run with positions that are moved by a motion."""
+        places = transform(motion, log.true_poses[steps, :2]) + rng.normal(scale=0.1, size=(len(steps), 2))
+        positions = AbsolutePositions(steps=steps, places=places, covariances=0.01 * np.eye(2))
+        found = comparisons.run(log.replace(positions=positions), estimators=["graph"], **options)
+        return [each.message for each in found.findings]
+
+    (said,) = warned((0.0, 0.0, 1.5), landmark_map=known)
+    assert said.startswith("half of the positions contradict the map: in the median, their squared errors are")
+    # without a map positions are the frame
+    assert warned((0.0, 0.0, 0.0), landmark_map=known) == [] == warned((3.0, 1.0, 1.5))
+
+
 def test_nees_in_a_map_is_that_of_errors_against_the_first_pose() -> None:
     """The first pose is not held in a map: the covariances against it come from the joint one of both poses."""
     values = []
