@@ -108,6 +108,8 @@ def test_edges_of_other_sensors_are_lines(log: Log) -> None:
     assert np.sum(distances**2) == pytest.approx(graph.cost(graph.initial), rel=1e-9)
     ends = {tuple(line[1].round(9)) for line in lines}
     assert {tuple(place.round(9)) for place in positions.places[:, :2]} <= ends
+    film = animate(log.replace(relations=relations), estimator="fastslam1", **FEW, max_frames=2)
+    assert film.notes == ("a particle filter does not use the relations of the log",)
     known = solve(Graph.from_log(log, edges="landmark+motion")).map
     in_map = Graph.from_log(log, map=known)
     assert Residuals(in_map).drawn == Residuals(in_map).count

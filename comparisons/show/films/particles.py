@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.lines import Line2D
 
-from fastslam import GibbsResult, ParticleFilter, ParticleGibbs, Samples
-from fastslam.filters.particle_filter import VanishedWeightsWarning
+from fastslam import GibbsResult, ParticleFilter, ParticleGibbs, Samples, VanishedWeightsWarning
 from fastslam.particles import ParticleState
 from graphslam import Log
 from graphslam.se2 import Array
@@ -21,6 +20,8 @@ from ...options import AnimationOptions, RunOptions
 from ..canvas import FLASH, PARTICLE
 from .scene import Film, Frame, Scene, kept
 
+#: warnings of a filter that become notes
+SAID = (UserWarning, VanishedWeightsWarning)
 #: of more particles some are drawn, evenly spread: more points would only cover each other
 MOST_PARTICLES = 2000
 #: opacity of the particles with up to 10 %, up to 50 %, and more of the greatest weight
@@ -37,12 +38,13 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
         LogError, OptionError: the filter cannot run on this log.
     """
     name = animation.estimator
-    filter = particle_filter(name, log, options)
     wanted = set(kept(log.num_poses, animation.max_frames).tolist())
     frames: list[Frame] = []
     resamplings = 0
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", VanishedWeightsWarning)
+        for category in SAID:
+            warnings.simplefilter("always", category)
+        filter = particle_filter(name, log, options)
         for state in filter:
             resamplings += state.resampled
             if state.step in wanted:
@@ -50,7 +52,7 @@ def particle_film(log: Log, options: RunOptions, animation: AnimationOptions, pr
                 resamplings = 0
             progress()
     result = filter.result()
-    notes = [str(w.message) for w in caught if issubclass(w.category, VanishedWeightsWarning)]
+    notes = list(dict.fromkeys(str(each.message) for each in caught if issubclass(each.category, SAID)))
     if options.filter.particles > MOST_PARTICLES:
         notes.append(f"{len(frames[0].dots)} of {options.filter.particles} particles are drawn")
 
