@@ -7,6 +7,8 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
+#include "vmslam/edges/inverses.hpp"
+#include "vmslam/edges/linearized.hpp"
 #include "vmslam/edges/marginal.hpp"
 #include "vmslam/edges/polar.hpp"
 #include "vmslam/edges/relative.hpp"
@@ -118,6 +120,28 @@ void bind_families(nb::module_& m) {
         });
 }
 
+void bind_linearized(nb::module_& m) {
+    // the inverses (E, d, d), and the first matrix that has none, or -1
+    m.def("inverses", [](In<double> matrices, double least) {
+        require(matrices.ndim() == 3 && matrices.shape(1) == matrices.shape(2) && matrices.shape(1) - 1 < 3,
+                "matrices have one to three rows, and as many columns");
+        std::vector<double> out(matrices.size());
+        const Place wrong = inverses(span(matrices), matrices.shape(1), least, out);
+        return std::pair(array(std::move(out), {matrices.shape(0), matrices.shape(1), matrices.shape(1)}), wrong);
+    });
+    m.def(
+        "add_linearized",
+        [](In<Place> first, In<Place> second, In<Place> pairs, In<double> e, In<double> A, In<double> B, In<double> J,
+           In<double> W, In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace,
+           InOut<double> mixed, InOut<double> own, InOut<double> gradient) {
+            System system = system_of(start, rows, values, xi, workspace);
+            add({span(first), span(second), span(pairs), e.shape(1), J.shape(2), e.data(), A.data(), B.data(), J.data(),
+                 W.data()},
+                system, {mixed.data(), own.data(), gradient.data()});
+        },
+        release());
+}
+
 void bind_kernels(nb::module_& m) {
     const auto each = [](const In<double>& squares, auto function) {
         std::vector<double> out(squares.size());
@@ -173,6 +197,7 @@ void bind_starts(nb::module_& m) {
 
 void bind(nb::module_& m) {
     bind_families(m);
+    bind_linearized(m);
     bind_kernels(m);
     bind_starts(m);
 }

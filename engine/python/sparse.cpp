@@ -118,7 +118,14 @@ void bind(nb::module_& m) {
     bind_patterns(m);
     bind_orders(m);
     bind_symbolic(m);
-    bind_factor<Real3>(m, "RealFactor").def("log_determinant", &Factor<Real3>::log_determinant);
+    bind_factor<Real3>(m, "RealFactor")
+        .def("log_determinant", &Factor<Real3>::log_determinant)
+        .def(
+            "solve_columns",
+            [](const Factor<Real3>& f, In<double> b, InOut<double> x) {
+                return solve_columns(f, span(b), static_cast<Place>(b.shape(2)), span(x));
+            },
+            release());
     bind_factor<Hermitian2>(m, "HermitianFactor");
     bind_inverse(m);
 }

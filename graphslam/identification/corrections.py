@@ -9,6 +9,7 @@ residual (at 14 % of noise in the range, a scale of 0.95 comes out as 1.07; docs
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -65,7 +66,9 @@ def motion_slopes(
     slopes = control_slopes(parameters, smoothed_controls(parameters) if smooth else controls)
     if "wheel_scale" in parameters.names and displacement is not None:
         slopes[:, 0, parameters.names.index("wheel_scale")] = 0.0
-    by_parameter = np.add.reduceat(by_control @ slopes, log.control_starts[:-1], axis=0)
+    by_parameter = np.zeros((len(motions), 3, len(parameters)))
+    of_motion = [k for k, name in enumerate(parameters.names) if PARAMETERS[name].of_motion]
+    by_parameter[:, :, of_motion] = np.add.reduceat(by_control @ slopes[:, :, of_motion], log.control_starts[:-1])
     if "wheel_scale" in parameters.names and displacement is not None:
         k = parameters.names.index("wheel_scale")
         # a displacement is linear in the speed
@@ -148,11 +151,11 @@ def _averaged(parameters: Parameters, ends: Array, times: Array) -> Array:
     """The corrected controls (n, 2) around times (n,), averaged as `_smoothing` says."""
     log = parameters.recorded
     assert log.controls is not None and log.dt is not None
-    columns = zip(corrected_controls(parameters).T, _smoothing(log.controls, ends, parameters))
+    columns = zip(corrected_controls(parameters).T, _smoothing(parameters))
     return np.column_stack([_means(_summed(each * log.dt), ends, times, window) for each, window in columns])
 
 
-def _smoothing(controls: Array, ends: Array, parameters: Parameters) -> list[float]:
+def _smoothing(parameters: Parameters) -> list[float]:
     """For how long before and after a pose each of the two numbers of a control is averaged [s].
 
     The one of the times w = D, 2 D, 4 D, ... up to `LONGEST` with the least estimated risk, where D is the usual duration of
@@ -163,23 +166,28 @@ def _smoothing(controls: Array, ends: Array, parameters: Parameters) -> list[flo
     Source: Stein, *Estimation of the mean of a multivariate normal distribution* (1981).
     """
     log = parameters.recorded
-    assert log.dt is not None
-    usual = float(np.median(log.dt if log.recorded_dt is None else log.recorded_dt))
-    times = [usual]
+    assert log.controls is not None and log.dt is not None
+    times, changes = _changes(log)
+    usual, ends = times[0], _ends(log)
+    variances = np.diagonal(parameters.motion.M(log.controls, log.dt, log.recorded_dt), axis1=1, axis2=2)
+    chosen = []
+    for variance, change in zip((variances * log.dt[:, None] ** 2).T, changes.T):
+        q = float(np.mean(_means(_summed(variance), ends, ends[log.control_starts], usual))) * 2 * usual
+        chosen.append(float(times[np.argmin(change + q / (2 * times * usual) - q / (4 * usual**2))]))
+    return chosen
+
+
+@lru_cache(maxsize=2)
+def _changes(log: Log) -> tuple[Array, Array]:
+    """The times w (n,) of `_smoothing`, and E |m_w - m_D|² (n, 2) of the two numbers of a control, whatever its noise is."""
+    assert log.controls is not None and log.dt is not None
+    times = [float(np.median(log.dt if log.recorded_dt is None else log.recorded_dt))]
     while 2 * times[-1] <= LONGEST:
         times.append(2 * times[-1])
-    noise = np.diagonal(parameters.motion.M(controls, log.dt, log.recorded_dt), axis1=1, axis2=2) * log.dt[:, None] ** 2
-    chosen = []
-    for each, variance in zip(controls.T, noise.T):
-        total, at = _summed(each * log.dt), ends[log.control_starts]
-        shortest = _means(total, ends, at, usual)
-        q = float(np.mean(_means(_summed(variance), ends, at, usual))) * 2 * usual
-        risks = [
-            np.mean((_means(total, ends, at, w) - shortest) ** 2) + q / (2 * w * usual) - q / (4 * usual**2)
-            for w in times
-        ]
-        chosen.append(times[int(np.argmin(risks))])
-    return chosen
+    ends = _ends(log)
+    totals, at = [_summed(each * log.dt) for each in log.controls.T], ends[log.control_starts]
+    means = np.array([[_means(total, ends, at, w) for total in totals] for w in times])
+    return np.array(times), np.mean((means - means[0]) ** 2, axis=2)
 
 
 def _summed(values: Array) -> Array:

@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ..linear.precision import inverses
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, chained, rotation
@@ -50,14 +51,18 @@ _EXACT = SensorModel(**_TINY)
 def motion_parts(log: Log, names: Iterable[str] = (*OF_MOTION, "epsilon")) -> dict[str, Array]:
     """C_p (T, 3, 3) of fields of the motion model, for all motions of a log, in the frame each starts from."""
     assert log.controls is not None and log.dt is not None
+    _, A = _STILL.accumulated_slopes(log.controls, log.dt, log.control_starts)
     identity, parts = np.eye(3), {}
     for name in names:
+        alone = replace(_STILL, **{name: 1.0})
         if name == "epsilon":
             parts[name] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
-            continue
-        alone = replace(_STILL, **{name: 1.0})
-        covariances = alone.accumulate(log.controls, log.dt, log.control_starts, recorded_dt=log.recorded_dt)[1]
-        parts[name] = covariances - LEAST_EPSILON * identity
+        elif name == "slip":
+            covariances = alone.accumulate(log.controls, log.dt, log.control_starts)[1]
+            parts[name] = covariances - LEAST_EPSILON * identity
+        else:
+            noise = A @ alone.M(log.controls, log.dt, log.recorded_dt) @ np.swapaxes(A, 1, 2)
+            parts[name] = np.add.reduceat(noise, log.control_starts[:-1])
     return parts
 
 
@@ -215,7 +220,7 @@ class Edges:
 
     def weigh(self, covariances: Array, degrees: float, hidden: Array | float) -> None:
         """Set the information and the weights; ``hidden`` (E,) is tr(W F) without the weights."""
-        inverse, d = np.linalg.inv(covariances), self.residuals.shape[1]
+        d, inverse = self.residuals.shape[1], inverses(covariances, "edge", "its noise is too small")
         self.squares = np.einsum("ei,ei->e", self.residuals, (inverse @ self.residuals[:, :, None])[:, :, 0])
         self.weights = (degrees + d) / (degrees + self.squares + hidden)
         self.information = self.weights[:, None, None] * inverse

@@ -32,32 +32,27 @@ def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
     """
     linear = unknowns.linearized()
     names = [*unknowns.motion_parts, *unknowns.sensor_parts]
-    # of each variance: its edges, C_p / u, r_p and W r_p
-    terms: list[tuple[Edges, Array, Array, Array]] = []
+    # of each kind of edges: the places of its variances among all, C_p / u (E, d, d, k), W e, r_p and W r_p (E, d, k)
+    terms: list[tuple[Edges, slice, Array, Array, Array, Array]] = []
     right, right_values = np.zeros((*linear.xi.shape, len(names))), np.zeros((len(linear.prior), len(names)))
     for edges in linear.edges:
-        pulled = edges.information @ edges.residuals[:, :, None]
-        for name, C in edges.parts.items():
-            part = C * (np.exp(unknowns.logarithms[name]) / edges.weights)[:, None, None]
-            r = part @ pulled
-            weighted, k = edges.information @ r, len(terms)
-            column = right[:, :, k : k + 1]
-            right_values[:, k : k + 1] = edges.pull(weighted, column)
-            terms.append((edges, part, r, weighted))
+        first = sum(len(term[0].parts) for term in terms)
+        own = slice(first, first + len(edges.parts))
+        variances = np.exp([unknowns.logarithms[name] for name in edges.parts])
+        parts = np.stack(list(edges.parts.values()), axis=-1) * variances / edges.weights[:, None, None, None]
+        pulled = (edges.information @ edges.residuals[:, :, None])[:, :, 0]
+        r = np.einsum("eijk,ej->eik", parts, pulled)
+        weighted = edges.information @ r
+        right_values[:, own] = edges.pull(weighted, right[:, :, own])
+        terms.append((edges, own, parts, pulled, r, weighted))
     solved, solved_values = linear.solve(right, right_values)
     gradient, information = np.zeros(len(names)), np.zeros((len(names), len(names)))
-    for edges, fitted in zip(linear.edges, unknowns.hide(linear)):
-        rows = [k for k, term in enumerate(terms) if term[0] is edges]
-        pulled = edges.information @ edges.residuals[:, :, None]
+    for (edges, own, parts, pulled, r, weighted), fitted in zip(terms, unknowns.hide(linear)):
         excess = edges.information - edges.information @ fitted @ edges.information
-        follows = edges.moved(solved, solved_values)
-        for k in rows:
-            _, part, r, weighted = terms[k]
-            # both matrices are symmetric, so that the trace of their product is the sum over that of their elements
-            gradient[k] = 0.5 * (np.sum(pulled * r) - np.sum(excess * part))
-            information[k] -= 0.5 * np.einsum("ei,eik->k", weighted[:, :, 0], follows)
-            for other in rows:
-                information[k, other] += 0.5 * np.sum(weighted * terms[other][2])
+        # both matrices are symmetric, so that the trace of their product is the sum over that of their elements
+        gradient[own] = 0.5 * (np.einsum("ei,eik->k", pulled, r) - np.einsum("eij,eijk->k", excess, parts))
+        information[own] -= 0.5 * np.einsum("eik,eil->kl", weighted, edges.moved(solved, solved_values))
+        information[own, own] += 0.5 * np.einsum("eik,eil->kl", weighted, r)
     prior = SPREAD**-2
     now = np.array([unknowns.logarithms[name] for name in names])
     gradient -= prior * (now - np.array([unknowns.centres[name] for name in names]))

@@ -26,6 +26,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..engine import engine
 from ..errors import GraphError
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
@@ -46,7 +47,7 @@ from ..se2 import (
 )
 from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
-from .odometry import Edges, Odometry, add_at, near, sensor_parts, with_variances
+from .odometry import Edges, Odometry, near, sensor_parts, with_variances
 
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
 #: only its quotient with the scale of the wheels is identifiable.
@@ -397,24 +398,20 @@ class Linear:
         own = np.diag(self.prior).astype(float)
         system.clear()
         self.mixed = np.zeros((system.num_nodes, 3, K))
-        xi = np.zeros((system.num_nodes, 3, 1))
         for each in self.edges:
-            W, (at_first, at_second, at_pair) = each.information, system.slots_of(each.first, each.second)
-            WA, WB, WJ = W @ each.by_first, W @ each.by_second, W @ each.by_parameters
-            add_at(system.values, at_first, np.swapaxes(each.by_first, 1, 2) @ WA)
-            add_at(system.values, at_second, np.swapaxes(each.by_second, 1, 2) @ WB)
-            add_at(system.values, at_pair, np.swapaxes(each.by_first, 1, 2) @ WB)
-            own += each.pull(WJ, self.mixed)
-            self.gradient -= each.pull(W @ each.residuals[:, :, None], xi)[:, 0]
+            jacobians = each.by_first, each.by_second, each.by_parameters, each.information
+            engine.add_linearized(
+                each.first, each.second, system.slots_of(each.first, each.second)[2], each.residuals,
+                *(np.ascontiguousarray(each) for each in jacobians), *system.arrays, self.mixed, own, self.gradient,
+            )  # fmt: skip
         if self.flat:
             system.rest(np.arange(self.poses, system.num_nodes), 2)
-        system.xi[:] = -xi[:, :, 0]
         system.hold(np.zeros(1, dtype=np.int64))
         self.xi = system.xi.copy()
         self._free(self.mixed)
         self.factor = _factorized(system, unknowns.log.name)
         self.reach = self.factor.solve(self.mixed)
-        self.schur = own - np.einsum("nik,nil->kl", self.mixed, self.reach)
+        self.schur = own - self._through(self.reach)
 
     def _free(self, nodes: Array) -> None:
         """Set to zero what belongs to no free coordinate, in right-hand sides (n, 3, k)."""
@@ -422,11 +419,15 @@ class Linear:
         if self.flat:
             nodes[self.poses :, 2] = 0.0
 
+    def _through(self, nodes: Array) -> Array:
+        """What nodes (n, 3, k) add to the equations (K, k) of the parameters."""
+        return np.einsum("nik,nij->kj", self.mixed, nodes)
+
     def solve(self, nodes: Array, parameters: Array) -> tuple[Array, Array]:
         """The solution (n, 3, k), (K, k) for right-hand sides of these shapes; ``nodes`` is changed."""
         self._free(nodes)
         found = self.factor.solve(nodes)
-        values = np.linalg.solve(self.schur, parameters - np.einsum("nik,nij->kj", self.mixed, found))
+        values = np.linalg.solve(self.schur, parameters - self._through(found))
         return found - self.reach @ values, values
 
     def step(self) -> tuple[Array, Array]:

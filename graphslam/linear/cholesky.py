@@ -172,10 +172,9 @@ class Factor:
         rhs = np.asarray(rhs, dtype=np.float64)
         if rhs.shape[:2] != (n, 3) or rhs.ndim not in (2, 3):
             raise ValueError(f"rhs must have shape ({n}, 3) or ({n}, 3, k), not {rhs.shape}")
-        if rhs.ndim == 3:
-            return np.stack([self.solve(rhs[:, :, k]) for k in range(rhs.shape[2])], axis=2)
-        out = np.empty((n, 3))
-        if not self._factor.solve(np.ascontiguousarray(rhs), out):
+        out = np.empty(rhs.shape)
+        several = rhs.ndim == 3 and rhs.shape[2] != 1
+        if not (self._factor.solve_columns if several else self._factor.solve)(np.ascontiguousarray(rhs), out):
             raise ValueError("rhs holds NaN or infinity")
         return out
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
-from math import inf, sqrt
 from typing import TYPE_CHECKING
 from weakref import WeakSet
 
 import numpy as np
 
+from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import first
 from ..models import MotionModel, SensorModel
@@ -99,52 +99,16 @@ def inverses(covariances: Array, noun: str, remedy: str) -> Array:
     Raises:
         GraphError: one of them is not finite, or singular to double precision.
     """
-    with np.errstate(all="ignore"):
-        size = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-        unit = covariances / (size[:, :, None] * size[:, None, :])
-    wrong = ~np.isfinite(unit).all(axis=(1, 2))
-    if not wrong.any():
-        wrong = ~(_smallest_pivots(unit) > PART)
-    if (k := first(wrong)) is not None:
-        raise GraphError(f"the uncertainty of {noun} {k} is singular to double precision; {remedy}")
-    inverse = np.linalg.inv(unit) / (size[:, :, None] * size[:, None, :])
-    return (inverse + np.swapaxes(inverse, 1, 2)) / 2
+    inverse, wrong = engine.inverses(np.ascontiguousarray(covariances, dtype=float), PART)
+    if wrong >= 0:
+        raise GraphError(f"the uncertainty of {noun} {wrong} is singular to double precision; {remedy}")
+    return inverse
 
 
-def small_inverse(matrix: Sequence[Sequence[float]], least: float = PART) -> Array | None:
-    """The inverse (d, d) of one symmetric matrix of few rows, or None where it is not positive definite.
+def small_inverse(matrix: Sequence[Sequence[float]] | Array, least: float = PART) -> Array | None:
+    """The inverse (d, d) of one symmetric matrix (d, d), d at most 3, or None where it is not positive definite.
 
-    Gauss-Jordan elimination in Python, scaled as in `inverses`: for 3 x 3 the functions of NumPy take ten times as long.
-
-    Args:
-        matrix: (d, d), as lists.
-        least: elimination must leave more than this part of each diagonal entry.
+    Elimination must leave more than the part ``least`` of each diagonal entry.
     """
-    span = range(len(matrix))
-    diagonal = [matrix[k][k] for k in span]
-    if not (min(diagonal) > 0 and sum(diagonal) < inf):
-        return None
-    size = [sqrt(entry) for entry in diagonal]
-    unit = [[matrix[i][j] / (size[i] * size[j]) for j in span] for i in span]
-    for k in span:
-        pivot, row = unit[k][k], unit[k]
-        if not pivot > least:
-            return None
-        row[k] = 1.0
-        for j in span:
-            row[j] /= pivot
-        for i in span:
-            if i != k:
-                other = unit[i]
-                factor, other[k] = other[k], 0.0
-                for j in span:
-                    other[j] -= factor * row[j]
-    return np.array([[(unit[i][j] + unit[j][i]) / (2 * size[i] * size[j]) for j in span] for i in span])
-
-
-def _smallest_pivots(unit: Array) -> Array:
-    """The smallest pivot (E,) of elimination for matrices (E, d, d) with ones on the diagonal."""
-    try:
-        return np.diagonal(np.linalg.cholesky(unit), axis1=1, axis2=2).min(axis=1) ** 2
-    except np.linalg.LinAlgError:
-        return np.linalg.eigvalsh(unit)[:, 0]
+    inverse, wrong = engine.inverses(np.array([matrix], dtype=float), least)
+    return None if wrong >= 0 else inverse[0]

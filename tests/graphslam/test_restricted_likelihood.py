@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from graphslam import Drive, SensorModel
 from graphslam.identification import restricted_likelihood
 from graphslam.identification import unknowns as unknowns_module
 from graphslam.identification.restricted_likelihood import improve_variances, log_likelihood
-from graphslam.identification.unknowns import Unknowns
+from graphslam.identification.unknowns import Linear, Unknowns
 
 
 def test_the_jacobians_are_those_of_finite_differences() -> None:
@@ -40,6 +42,41 @@ def test_the_jacobians_are_those_of_finite_differences() -> None:
                 for ends, jacobian in ((edges.first, edges.by_first), (edges.second, edges.by_second)):
                     rows = ends == node
                     assert jacobian[rows, :, c] == pytest.approx(numeric[rows], abs=1e-6)
+
+
+@pytest.mark.parametrize("orientation", [False, True])
+def test_the_normal_equations_are_those_of_dense_matrices(orientation) -> None:
+    """(B, J)' W (B, J) with the first pose held, and the step that solves them together with the priors."""
+    log, _ = Drive(seed=8, duration=12.0, orientation=orientation, landmarks=8, misread=0.0).simulate()
+    unknowns = Unknowns(log, log.landmarks, SensorModel())
+    linear, K = unknowns.linearized(), len(unknowns.parameters)
+    n = len(unknowns.state)
+    total, right = np.zeros((3 * n + K, 3 * n + K)), np.zeros(3 * n + K)
+    for edges in linear.edges:
+        for e in range(len(edges.residuals)):
+            jacobian = np.zeros((edges.residuals.shape[1], 3 * n + K))
+            for node, by in ((edges.first[e], edges.by_first[e]), (edges.second[e], edges.by_second[e])):
+                jacobian[:, 3 * node : 3 * node + 3] = by
+            jacobian[:, 3 * n :] = edges.by_parameters[e]
+            total += jacobian.T @ edges.information[e] @ jacobian
+            right -= jacobian.T @ edges.information[e] @ edges.residuals[e]
+    parameters = unknowns.parameters
+    total[3 * n :, 3 * n :] += np.diag(parameters.weights)
+    right[3 * n :] -= parameters.weights * (parameters.values - parameters.means)
+    free = np.ones(3 * n + K, dtype=bool)
+    free[:3] = False
+    if not orientation:
+        free[3 * unknowns.poses + 2 : 3 * n : 3] = False
+    expected = np.zeros(3 * n + K)
+    expected[free] = np.linalg.solve(total[np.ix_(free, free)], right[free])
+    nodes, values = linear.step()
+    assert values == pytest.approx(expected[3 * n :], rel=1e-6, abs=1e-9)
+    assert nodes.ravel() == pytest.approx(expected[: 3 * n], rel=1e-6, abs=1e-7)
+    turned = [
+        replace(edges, first=edges.second, second=edges.first, by_first=edges.by_second, by_second=edges.by_first)
+        for edges in linear.edges
+    ]
+    assert Linear(unknowns, turned).schur == pytest.approx(linear.schur, rel=1e-9)
 
 
 def test_variances_that_are_ten_times_too_large_come_down_to_the_truth() -> None:

@@ -1,0 +1,13 @@
+// Inverses of covariances.
+#pragma once
+
+#include "vmslam/edges/system.hpp"
+
+namespace vmslam::edges {
+
+/// Write the inverses of symmetric positive definite matrices (n, d, d), d at most 3. They are scaled to a diagonal of ones
+/// first, so that metres and radians of different size lose no digits. Returns the first matrix that is not finite, or of
+/// which elimination leaves no more than `least` of a diagonal entry; -1 where there is none.
+Place inverses(std::span<const double> matrices, std::size_t d, double least, std::span<double> out);
+
+}  // namespace vmslam::edges
