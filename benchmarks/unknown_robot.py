@@ -3,6 +3,7 @@
     python benchmarks/unknown_robot.py [--seeds tuning|reporting|1000-1009] [--drives 20] [--jobs 2] [--misread 0.05]
                                        [--option noise=auto] [--plain] [--also fastslam2] [--json FILE]
                                        [--oracles FOLDER] [--drive odometry|sightings]
+    python benchmarks/unknown_robot.py --sizes     # time of `estimate_robot` and `solve` by the length of a drive
 
 Each seed is a `Drive.random`, or with ``--drive`` two minutes with almost perfect odometry or sightings. Its log goes through
 three ways:
@@ -40,7 +41,7 @@ import numpy as np
 import comparisons
 from comparisons.estimators import warm_up
 from comparisons.results import EstimatorResult
-from graphslam import Graph, GraphError, Log, SensorModel, SlamError, Solution, solve
+from graphslam import Graph, GraphError, Log, SensorModel, SlamError, Solution, estimate_robot, solve
 from graphslam.metrics import ate
 from graphslam.models import MotionModel
 from graphslam.se2 import Array
@@ -355,6 +356,17 @@ def value_of(word: str) -> tuple[str, Any]:
         return name, value
 
 
+def sizes() -> None:
+    """Processor times for drives of 5, 20, 90 and 180 minutes."""
+    for seed, minutes in enumerate((5, 20, 90, 180), 3100):
+        log, _ = Drive(seed=seed, duration=60.0 * minutes).simulate()
+        begin = time.process_time()
+        found = estimate_robot(log)
+        estimated = time.process_time()
+        solve(Graph.from_log(found.log))
+        print(f"{len(log.sightings):6} sightings: {estimated - begin:.1f} s, {time.process_time() - estimated:.1f} s")
+
+
 def main() -> None:
     """Run the drives, print a line for each and a summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -372,7 +384,11 @@ def main() -> None:
     parser.add_argument("--plain", action="store_true", help="time the graph with the noise of the book, too")
     parser.add_argument("--oracles", type=Path, help="a folder that keeps the figures of the oracle")
     parser.add_argument("--json", type=Path, help="write the rows there")
+    parser.add_argument("--sizes", action="store_true", help="the time by the length of a drive, and nothing else")
     arguments = parser.parse_args()
+    if arguments.sizes:
+        sizes()
+        return
     options = dict(value_of(word) for word in arguments.option)
     options["also"] = tuple(filter(None, arguments.also.split(",")))
     task = partial(

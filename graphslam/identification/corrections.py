@@ -8,6 +8,7 @@ residual (at 14 % of noise in the range, a scale of 0.95 comes out as 1.07; docs
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 
@@ -33,18 +34,15 @@ def corrected_controls(parameters: Parameters) -> Array:
     return np.column_stack([nu, turned / p["turn_scale"]])
 
 
-def control_slopes(parameters: Parameters, controls: Array) -> Array:
-    """The derivative (S, 2, K) of corrected controls by the parameters."""
-    p, slopes = parameters.by_name(), np.zeros((*controls.shape, len(parameters)))
-    nu, omega = controls.T
+def control_slopes(parameters: Parameters, controls: Array) -> Iterator[tuple[int, Array | None, Array]]:
+    """The derivatives (S,) of corrected controls by the parameters of the motion: column, of the speed, of the turn rate."""
+    p, (nu, omega) = parameters.by_name(), controls.T
     for k, name in enumerate(parameters.names):
         if name == "wheel_scale":
-            slopes[:, 0, k] = -nu / p["wheel_scale"]
-            slopes[:, 1, k] = p["curvature_bias"] * nu / (p["wheel_scale"] * p["turn_scale"])
+            yield k, -nu / p["wheel_scale"], p["curvature_bias"] * nu / (p["wheel_scale"] * p["turn_scale"])
         elif PARAMETERS[name].of_motion:
-            by = {"turn_scale": omega, "turn_rate_bias": 1.0, "curvature_bias": nu}[name]
-            slopes[:, 1, k] = -by / p["turn_scale"]
-    return slopes
+            by = {"turn_scale": omega, "turn_rate_bias": np.ones(1), "curvature_bias": nu}[name]
+            yield k, None, -by / p["turn_scale"]
 
 
 def motion_slopes(
@@ -63,16 +61,15 @@ def motion_slopes(
     log, motion = parameters.recorded, parameters.motion
     assert log.dt is not None
     motions, by_control = motion.accumulated_slopes(controls, log.dt, log.control_starts)
-    slopes = control_slopes(parameters, smoothed_controls(parameters) if smooth else controls)
-    if "wheel_scale" in parameters.names and displacement is not None:
-        slopes[:, 0, parameters.names.index("wheel_scale")] = 0.0
     by_parameter = np.zeros((len(motions), 3, len(parameters)))
-    of_motion = [k for k, name in enumerate(parameters.names) if PARAMETERS[name].of_motion]
-    by_parameter[:, :, of_motion] = np.add.reduceat(by_control @ slopes[:, :, of_motion], log.control_starts[:-1])
-    if "wheel_scale" in parameters.names and displacement is not None:
-        k = parameters.names.index("wheel_scale")
-        # a displacement is linear in the speed
-        by_parameter[:, :2, k] -= displacement / parameters.values[k]
+    for k, speed, turn in control_slopes(parameters, smoothed_controls(parameters) if smooth else controls):
+        each = by_control[:, :, 1] * turn[:, None]
+        if speed is not None and displacement is None:
+            each += by_control[:, :, 0] * speed[:, None]
+        by_parameter[:, :, k] = np.add.reduceat(each, log.control_starts[:-1])
+        if speed is not None and displacement is not None:
+            # a displacement is linear in the speed
+            by_parameter[:, :2, k] -= displacement / parameters.values[k]
     return motions, by_parameter
 
 
