@@ -23,6 +23,7 @@ from .declared import CORRECTIONS, PARAMETERS, Parameters, of_sensor_alone
 
 #: the control at a pose is the mean over at most this time before and after it [s]
 LONGEST = 0.5
+_WITHOUT_NOISE = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0)
 
 
 def corrected_controls(parameters: Parameters) -> Array:
@@ -162,29 +163,38 @@ def _smoothing(parameters: Parameters) -> list[float]:
 
     Source: Stein, *Estimation of the mean of a multivariate normal distribution* (1981).
     """
-    log = parameters.recorded
-    assert log.controls is not None and log.dt is not None
-    times, changes = _changes(log)
-    usual, ends = times[0], _ends(log)
-    variances = np.diagonal(parameters.motion.M(log.controls, log.dt, log.recorded_dt), axis1=1, axis2=2)
-    chosen = []
-    for variance, change in zip((variances * log.dt[:, None] ** 2).T, changes.T):
-        q = float(np.mean(_means(_summed(variance), ends, ends[log.control_starts], usual))) * 2 * usual
-        chosen.append(float(times[np.argmin(change + q / (2 * times * usual) - q / (4 * usual**2))]))
-    return chosen
+    times, changes, noises = _averages(parameters.recorded)
+    usual = times[0]
+    # the variance of the noise is linear in the squares of the standard deviations
+    q = 2 * usual * sum(getattr(parameters.motion, name) ** 2 * noise for name, noise in noises.items())
+    risks = changes + np.outer(1 / (2 * times * usual) - 1 / (4 * usual**2), q)
+    return times[np.argmin(risks, axis=0)].tolist()
 
 
 @lru_cache(maxsize=2)
-def _changes(log: Log) -> tuple[Array, Array]:
-    """The times w (n,) of `_smoothing`, and E |m_w - m_D|² (n, 2) of the two numbers of a control, whatever its noise is."""
+def _averages(log: Log) -> tuple[Array, Array, dict[str, Array]]:
+    """What `_smoothing` takes from a log, whatever the noise is.
+
+    Returns:
+        The times w (n,); E |m_w - m_D|² (n, 2) of the two numbers of a control; and by the name of each standard deviation of
+        the noise the mean variance (2,) around poses where it is 1 and the others are 0.
+    """
     assert log.controls is not None and log.dt is not None
     times = [float(np.median(log.dt if log.recorded_dt is None else log.recorded_dt))]
     while 2 * times[-1] <= LONGEST:
         times.append(2 * times[-1])
     ends = _ends(log)
-    totals, at = [_summed(each * log.dt) for each in log.controls.T], ends[log.control_starts]
-    means = np.array([[_means(total, ends, at, w) for total in totals] for w in times])
-    return np.array(times), np.mean((means - means[0]) ** 2, axis=2)
+
+    def around(values: Array, window: float) -> Array:
+        return np.array([_means(_summed(each), ends, ends[log.control_starts], window) for each in values.T])
+
+    means = np.array([around(log.controls * log.dt[:, None], w) for w in times])
+    noises = {}
+    for name in ("nn", "no", "on", "oo", "sigma_v", "sigma_omega"):
+        M = replace(_WITHOUT_NOISE, **{name: 1.0}).M(log.controls, log.dt, log.recorded_dt)
+        variances = np.diagonal(M, axis1=1, axis2=2) * log.dt[:, None] ** 2
+        noises[name] = around(variances, times[0]).mean(axis=1)
+    return np.array(times), np.mean((means - means[0]) ** 2, axis=2), noises
 
 
 def _summed(values: Array) -> Array:
