@@ -22,11 +22,16 @@ using AnyNumbers = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
 template <class T>
 struct WholeNumbers : AnyNumbers<T> {};
 
+/// An array that is written into. One of another type, or with gaps between its numbers, is an error: nanobind would fill a
+/// copy, which is lost.
+template <class T>
+struct WrittenNumbers : nb::ndarray<T, nb::c_contig, nb::device::cpu> {};
+
 /// An array of any shape whose numbers lie one after another.
 template <class T>
 using In = std::conditional_t<std::is_integral_v<T>, WholeNumbers<T>, AnyNumbers<T>>;
 template <class T>
-using InOut = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+using InOut = WrittenNumbers<T>;
 template <class T>
 using Out = nb::ndarray<nb::numpy, T>;
 
@@ -43,6 +48,16 @@ auto copy_of(const Array& array) {
 
 inline void require(bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
+}
+
+/// Whether an array has this shape.
+template <class Array>
+bool has_shape(const Array& array, std::initializer_list<std::size_t> shape) {
+    if (array.ndim() != shape.size()) return false;
+    std::size_t axis = 0;
+    for (const std::size_t size : shape)
+        if (array.shape(axis++) != size) return false;
+    return true;
 }
 
 /// A record whose numbers are those of a row.
@@ -120,6 +135,21 @@ struct type_caster<vmslam::python::WholeNumbers<T>> {
         Numbers numbers;
         if (!numbers.from_python(source, flags, cleanup)) return false;
         static_cast<vmslam::python::AnyNumbers<T>&>(value) = std::move(numbers.value);
+        return true;
+    }
+};
+
+template <class T>
+struct type_caster<vmslam::python::WrittenNumbers<T>> {
+    using Numbers = make_caster<ndarray<T, c_contig, device::cpu>>;
+    NB_TYPE_CASTER(vmslam::python::WrittenNumbers<T>, Numbers::Name)
+
+    template <class Flags>
+    bool from_python(handle source, Flags, cleanup_list* cleanup) noexcept {
+        Numbers numbers;
+        // without the flag that allows conversion
+        if (!numbers.from_python(source, Flags{}, cleanup)) return false;
+        static_cast<ndarray<T, c_contig, device::cpu>&>(value) = std::move(numbers.value);
         return true;
     }
 };

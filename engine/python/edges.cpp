@@ -22,7 +22,7 @@ namespace vmslam::python::edges_bindings {
 using namespace edges;
 using release = nb::call_guard<nb::gil_scoped_release>;
 
-/// The symmetric part of matrices (d, d), which is all that J knows.
+/// The symmetric part of matrices (d, d), on which alone the cost depends.
 Symmetric symmetric(const double* W, int d) {
     const auto both = [&](int r, int c) { return (W[r * d + c] + W[c * d + r]) / 2; };
     if (d == 2) return {W[0], both(0, 1), W[3], 0.0, 0.0, 0.0};
@@ -131,13 +131,24 @@ void bind_linearized(nb::module_& m) {
     });
     m.def(
         "add_linearized",
-        [](In<Place> first, In<Place> second, In<Place> pairs, In<double> e, In<double> A, In<double> B, In<double> J,
+        [](In<Place> first, In<Place> second, In<Place> pairs, In<double> e, In<double> A, In<double> B, In<double> P,
            In<double> W, In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace,
            InOut<double> mixed, InOut<double> own, InOut<double> gradient) {
+            const std::size_t E = first.size(), n = start.size() - 1, K = gradient.size(), d = e.ndim() == 2 ? e.shape(1) : 0;
+            require((d == 2 || d == 3) && second.size() == E && pairs.size() == E && has_shape(e, {E, d}) &&
+                        has_shape(A, {E, d, 3}) && has_shape(B, {E, d, 3}) && has_shape(P, {E, d, K}) &&
+                        has_shape(W, {E, d, d}) && has_shape(mixed, {n, 3, K}) && has_shape(own, {K, K}) &&
+                        has_shape(values, {rows.size(), 3, 3}) && has_shape(xi, {n, 3}),
+                    "the arrays of edges, system and border do not fit together");
+            for (std::size_t k = 0; k < E; ++k) {
+                const Place i = first.data()[k], j = second.data()[k], pair = pairs.data()[k];
+                require(std::min({i, j, pair}) >= 0 && static_cast<std::size_t>(std::max(i, j)) < n && i != j &&
+                            static_cast<std::size_t>(pair) < rows.size(),
+                        "an edge is between two different nodes of the system");
+            }
             System system = system_of(start, rows, values, xi, workspace);
-            add({span(first), span(second), span(pairs), e.shape(1), J.shape(2), e.data(), A.data(), B.data(), J.data(),
-                 W.data()},
-                system, {mixed.data(), own.data(), gradient.data()});
+            add({span(first), span(second), span(pairs), d, K, e.data(), A.data(), B.data(), P.data(), W.data()}, system,
+                {mixed.data(), own.data(), gradient.data()});
         },
         release());
 }

@@ -90,7 +90,13 @@ auto bind_factor(nb::module_& m, const char* name) {
         .def(
             "factorize", [](F& f, In<Value> values, double damping) { return f.factorize(span(values), damping); }, release())
         .def(
-            "solve", [](F& f, In<Value> b, InOut<Value> x) { return f.solve(span(b), span(x)); }, release())
+            "solve",
+            [](F& f, In<Value> b, InOut<Value> x) {
+                const std::size_t numbers = f.symbolic().order.size() * Block::rows;
+                require(b.size() == numbers && x.size() == numbers, "right-hand side and solution have a row for each node");
+                return f.solve(span(b), span(x));
+            },
+            release())
         .def("forward_square", [](F& f, In<Value> b) { return f.forward_square(span(b)); })
         .def("null_vector",
              [](const F& f, Place pivot) {
@@ -123,7 +129,10 @@ void bind(nb::module_& m) {
         .def(
             "solve_columns",
             [](const Factor<Real3>& f, In<double> b, InOut<double> x) {
-                return solve_columns(f, span(b), static_cast<Place>(b.shape(2)), span(x));
+                const std::size_t nodes = f.symbolic().order.size(), columns = b.ndim() == 3 ? b.shape(2) : 0;
+                require(has_shape(b, {nodes, 3, columns}) && has_shape(x, {nodes, 3, columns}),
+                        "right-hand sides and solutions have the shape (nodes, 3, columns)");
+                return solve_columns(f, span(b), static_cast<Place>(columns), span(x));
             },
             release());
     bind_factor<Hermitian2>(m, "HermitianFactor");

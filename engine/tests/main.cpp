@@ -3,7 +3,9 @@
 #include <cmath>
 #include <complex>
 #include <cstdio>
+#include <limits>
 #include <random>
+#include <type_traits>
 
 #include "expect.hpp"
 #include "vmslam/sparse/factor.hpp"
@@ -61,6 +63,24 @@ struct Matrix {
     }
 };
 
+/// Several right-hand sides at once, each as alone.
+void test_columns(Factor<Real3>& factor, std::mt19937& random, unsigned seed) {
+    const std::size_t rows = 3 * factor.symbolic().order.size(), columns = random() % 20;
+    std::vector<double> b(rows * columns), x(b.size()), one(rows), alone(rows);
+    for (double& value : b) value = draw(random, 0.0);
+    expect(solve_columns(factor, b, static_cast<Place>(columns), x), "the right-hand sides are finite", seed);
+    double worst = 0.0;
+    for (std::size_t k = 0; k < columns; ++k) {
+        for (std::size_t i = 0; i < rows; ++i) one[i] = b[i * columns + k];
+        factor.solve(one, alone);
+        for (std::size_t i = 0; i < rows; ++i) worst = std::max(worst, std::abs(x[i * columns + k] - alone[i]));
+    }
+    expect(worst < 1e-13, "right-hand sides together as alone", seed);
+    if (columns == 0) return;
+    b[random() % b.size()] = std::numeric_limits<double>::infinity();
+    expect(!solve_columns(factor, b, static_cast<Place>(columns), x), "an infinite right-hand side is refused", seed);
+}
+
 template <class Block>
 void test_solution(unsigned seed) {
     using Value = typename Block::Value;
@@ -85,6 +105,7 @@ void test_solution(unsigned seed) {
             worst = std::max(worst, std::abs(rest));
         }
         expect(worst < 1e-10, "A x = b", seed);
+        if constexpr (std::is_same_v<Block, Real3>) test_columns(factor, random, seed);
         if (first.empty()) first = x;
         expect(first == x, "the same bits on several threads", seed);
     }
@@ -126,6 +147,7 @@ int main() {
     }
     test_association();
     test_gibbs();
+    test_linearized();
     test_numbers();
     test_online();
     test_particles();

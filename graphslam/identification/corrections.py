@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
+from typing import TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -25,6 +26,10 @@ from .declared import CORRECTIONS, PARAMETERS, Parameters, of_sensor_alone
 LONGEST = 0.5
 _WITHOUT_NOISE = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0)
 
+_Averages: TypeAlias = tuple[Array, Array, dict[str, Array]]
+#: those of logs that are in use: an estimate asks for them some fifty times, and they take as long as a Gauss-Newton step
+_averages_of: WeakKeyDictionary[Log, _Averages] = WeakKeyDictionary()
+
 
 def corrected_controls(parameters: Parameters) -> Array:
     """The controls (S, 2) corrected by the parameters."""
@@ -36,7 +41,10 @@ def corrected_controls(parameters: Parameters) -> Array:
 
 
 def control_slopes(parameters: Parameters, controls: Array) -> Iterator[tuple[int, Array | None, Array]]:
-    """The derivatives (S,) of corrected controls by the parameters of the motion: column, of the speed, of the turn rate."""
+    """For each parameter of the motion its column, and the derivatives (S,) of speed and turn rate by it.
+
+    None is a speed that does not depend on it, and (1,) a derivative that is the same for all controls.
+    """
     p, (nu, omega) = parameters.by_name(), controls.T
     for k, name in enumerate(parameters.names):
         if name == "wheel_scale":
@@ -163,7 +171,10 @@ def _smoothing(parameters: Parameters) -> list[float]:
 
     Source: Stein, *Estimation of the mean of a multivariate normal distribution* (1981).
     """
-    times, changes, noises = _averages(parameters.recorded)
+    log = parameters.recorded
+    if log not in _averages_of:
+        _averages_of[log] = _averages(log)
+    times, changes, noises = _averages_of[log]
     usual = times[0]
     # the variance of the noise is linear in the squares of the standard deviations
     q = 2 * usual * sum(getattr(parameters.motion, name) ** 2 * noise for name, noise in noises.items())
@@ -171,8 +182,7 @@ def _smoothing(parameters: Parameters) -> list[float]:
     return times[np.argmin(risks, axis=0)].tolist()
 
 
-@lru_cache(maxsize=2)
-def _averages(log: Log) -> tuple[Array, Array, dict[str, Array]]:
+def _averages(log: Log) -> _Averages:
     """What `_smoothing` takes from a log, whatever the noise is.
 
     Returns:

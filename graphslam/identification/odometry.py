@@ -220,7 +220,8 @@ class Edges:
 
     def weigh(self, covariances: Array, degrees: float, hidden: Array | float) -> None:
         """Set the information and the weights; ``hidden`` (E,) is tr(W F) without the weights."""
-        d, inverse = self.residuals.shape[1], inverses(covariances, "edge", "its noise is too small")
+        d, remedy = self.residuals.shape[1], "give the noise of the robot as a file: --noise FILE"
+        inverse = inverses(covariances, "motion or sighting", remedy, least=0.0)
         self.squares = np.einsum("ei,ei->e", self.residuals, (inverse @ self.residuals[:, :, None])[:, :, 0])
         self.weights = (degrees + d) / (degrees + self.squares + hidden)
         self.information = self.weights[:, None, None] * inverse

@@ -464,11 +464,8 @@ def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:
     assert times is not None
     # the numbers of the landmarks: large ids do not fit floating point
     landmarks = np.unique(log.landmarks, return_inverse=True)[1].ravel()
-    slots = np.floor(times[log.steps] / max(interval, 1e-9)).astype(np.int64)
-    slots -= slots.min(initial=0)
-    _, groups, count = np.unique(
-        landmarks * (slots.max(initial=0) + 1) + slots, return_inverse=True, return_counts=True
-    )
+    slots = np.unique(np.floor(times[log.steps] / max(interval, 1e-9)), return_inverse=True)[1].ravel()
+    _, groups, count = np.unique(landmarks * (len(slots) + 1) + slots, return_inverse=True, return_counts=True)
     order = np.argsort(groups, kind="stable")
     starts = np.concatenate([[0], np.cumsum(count)[:-1]])
     used = np.zeros(len(log.steps), dtype=bool)

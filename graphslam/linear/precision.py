@@ -86,7 +86,7 @@ def check_size(what: str, numbers: object, *, least: float = 0.0, most: float = 
         )
 
 
-def inverses(covariances: Array, noun: str, remedy: str) -> Array:
+def inverses(covariances: Array, noun: str, remedy: str, least: float = PART) -> Array:
     """The inverses (E, d, d) of covariances, symmetric and positive definite.
 
     Rows and columns are scaled to a diagonal of ones first, so that metres and radians of different size lose no digits.
@@ -95,11 +95,12 @@ def inverses(covariances: Array, noun: str, remedy: str) -> Array:
         covariances: (E, d, d).
         noun: what has these covariances, for the message, such as "motion".
         remedy: what to do, for the message.
+        least: elimination must leave more than this part of each diagonal entry.
 
     Raises:
         GraphError: one of them is not finite, or singular to double precision.
     """
-    inverse, wrong = engine.inverses(np.ascontiguousarray(covariances, dtype=float), PART)
+    inverse, wrong = engine.inverses(np.ascontiguousarray(covariances, dtype=float), least)
     if wrong >= 0:
         raise GraphError(f"the uncertainty of {noun} {wrong} is singular to double precision; {remedy}")
     return inverse

@@ -6,7 +6,11 @@ import sys
 from pathlib import Path
 from zipfile import ZipFile
 
+import numpy as np
 import pytest
+
+from graphslam.engine import engine
+from graphslam.linear.information import BlockSystem
 
 ROOT = Path(__file__).parents[2]
 
@@ -70,3 +74,56 @@ def test_an_editable_wheel_names_the_source_tree(backend, monkeypatch, tmp_path)
         assert archive.read("virtual_motion_slam.pth").decode().strip() == str(tmp_path)
     assert sorted(names) == ["some.dist-info/METADATA", "some.dist-info/RECORD", "virtual_motion_slam.pth"]
     assert sorted(line.split(",")[0] for line in record) == sorted(names)
+
+
+def _edges(number=2, nodes=3, rows=2, parameters=4):
+    """Edges along a chain, as the engine's `add_linearized` takes them, and the system that they are added to."""
+    first = np.arange(number)
+    chain = np.arange(0, 2 * number + 1, 2), np.column_stack([first, first + 1]).ravel()
+    system = BlockSystem.from_cliques(nodes, [chain])
+    sizes = [(rows,), (rows, 3), (rows, 3), (rows, parameters), (rows, rows)]
+    border = [(nodes, 3, parameters), (parameters, parameters), (parameters,)]
+    pairs = system.slots_of(first, first + 1)[2]
+    given = [first, first + 1, pairs, *(np.ones((number, *size)) for size in sizes)]
+    return [*given, *system.arrays, *(np.zeros(shape) for shape in border)]
+
+
+def test_edges_given_by_their_jacobians_are_added():
+    given = _edges()
+    engine.add_linearized(*given)
+    # each edge adds P' W P, in which all numbers are one, and -P' W e
+    assert np.array_equal(given[-2], np.full((4, 4), 8.0)) and np.array_equal(given[-1], np.full(4, -8.0))
+
+
+@pytest.mark.parametrize("k", [1, 2, 3, 4, 5, 6, 7, -6, -5, -3, -2, -1])
+def test_arrays_of_other_shapes_are_refused(k):
+    given = _edges()
+    given[k] = given[k][:-1]
+    with pytest.raises(ValueError, match="do not fit together"):
+        engine.add_linearized(*given)
+
+
+@pytest.mark.parametrize(("k", "value"), [(0, -1), (1, 3), (1, 0), (2, -1), (2, 99)])
+def test_edges_to_no_node_are_refused(k, value):
+    given = _edges()
+    given[k] = np.array([value, 1])
+    with pytest.raises(ValueError, match="between two different nodes"):
+        engine.add_linearized(*given)
+
+
+@pytest.mark.parametrize("shape", [(2, 3, 4), (3, 2, 4), (3, 3), (36,)])
+def test_right_hand_sides_of_other_shapes_are_refused(shape):
+    start, rows = _edges()[8:10]
+    factor = engine.RealFactor(engine.analyze(start, rows, None, hermitian=False, threads=1))
+    with pytest.raises(ValueError, match="right-hand side"):
+        factor.solve_columns(np.ones(shape), np.ones((3, 3, 4)))
+    with pytest.raises(ValueError, match="right-hand side"):
+        factor.solve(np.ones(shape), np.ones((3, 3, 4)))
+
+
+@pytest.mark.parametrize("xi", [np.ones((3, 3), dtype=np.float32), np.ones((3, 6))[:, ::2]])
+def test_an_array_that_would_be_written_into_as_a_copy_is_refused(xi):
+    given = _edges()
+    given[11] = xi
+    with pytest.raises(TypeError):
+        engine.add_linearized(*given)

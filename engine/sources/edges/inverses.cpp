@@ -12,7 +12,7 @@ bool invert(const double* matrix, std::size_t d, double least, double* out) {
     std::array<std::array<double, 3>, 3> unit;
     for (std::size_t k = 0; k < d; ++k) size[k] = std::sqrt(matrix[k * d + k]);
     for (std::size_t i = 0; i < d; ++i)
-        for (std::size_t j = 0; j < d; ++j) unit[i][j] = matrix[i * d + j] / (size[i] * size[j]);
+        for (std::size_t j = 0; j < d; ++j) unit[i][j] = matrix[i * d + j] / size[i] / size[j];
     for (std::size_t k = 0; k < d; ++k) {
         const double pivot = unit[k][k];
         if (!(pivot > least)) return false;
@@ -28,7 +28,7 @@ bool invert(const double* matrix, std::size_t d, double least, double* out) {
     bool finite = true;
     for (std::size_t i = 0; i < d; ++i)
         for (std::size_t j = 0; j < d; ++j) {
-            out[i * d + j] = (unit[i][j] + unit[j][i]) / (2 * size[i] * size[j]);
+            out[i * d + j] = (unit[i][j] + unit[j][i]) / 2 / size[i] / size[j];
             finite &= std::isfinite(out[i * d + j]);
         }
     return finite;

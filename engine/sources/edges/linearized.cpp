@@ -17,7 +17,7 @@ inline void add_product(double* C, double sign, const double* A, std::size_t acr
 }
 
 /// W B for W (rows, rows), which is symmetric, and B (rows, columns).
-inline void weigh(double* out, const double* W, const double* B, std::size_t columns, std::size_t rows) {
+inline void times(double* out, const double* W, const double* B, std::size_t columns, std::size_t rows) {
     std::fill_n(out, rows * columns, 0.0);
     add_product(out, 1.0, W, rows, B, columns, rows);
 }
@@ -28,15 +28,15 @@ void add_rows(const Linearized& edges, System& system, const Border& border) {
     const std::size_t K = edges.parameters;
     std::array<double, 3 * d> WA, WB;
     std::array<double, d> We;
-    std::vector<double> WJ(d * K);
+    std::vector<double> WP(d * K);
     for (std::size_t k = 0; k < edges.first.size(); ++k) {
         const Place i = edges.first[k], j = edges.second[k];
         const double *const W = edges.W + d * d * k, *const A = edges.A + 3 * d * k, *const B = edges.B + 3 * d * k;
-        const double* const J = edges.J + d * K * k;
-        weigh(WA.data(), W, A, 3, d);
-        weigh(WB.data(), W, B, 3, d);
-        weigh(We.data(), W, edges.e + d * k, 1, d);
-        weigh(WJ.data(), W, J, K, d);
+        const double* const P = edges.P + d * K * k;
+        times(WA.data(), W, A, 3, d);
+        times(WB.data(), W, B, 3, d);
+        times(We.data(), W, edges.e + d * k, 1, d);
+        times(WP.data(), W, P, K, d);
         add_product(system.diagonal(i), 1.0, A, 3, WA.data(), 3, d);
         add_product(system.diagonal(j), 1.0, B, 3, WB.data(), 3, d);
         // only the upper triangle is stored, in which the first node of a block is the lower one
@@ -46,10 +46,10 @@ void add_rows(const Linearized& edges, System& system, const Border& border) {
             add_product(system.block(edges.pairs[k]), 1.0, B, 3, WA.data(), 3, d);
         add_product(system.xi + 3 * i, -1.0, A, 3, We.data(), 1, d);
         add_product(system.xi + 3 * j, -1.0, B, 3, We.data(), 1, d);
-        add_product(border.mixed + 3 * K * i, 1.0, A, 3, WJ.data(), K, d);
-        add_product(border.mixed + 3 * K * j, 1.0, B, 3, WJ.data(), K, d);
-        add_product(border.own, 1.0, J, K, WJ.data(), K, d);
-        add_product(border.gradient, -1.0, J, K, We.data(), 1, d);
+        add_product(border.mixed + 3 * K * i, 1.0, A, 3, WP.data(), K, d);
+        add_product(border.mixed + 3 * K * j, 1.0, B, 3, WP.data(), K, d);
+        add_product(border.own, 1.0, P, K, WP.data(), K, d);
+        add_product(border.gradient, -1.0, P, K, We.data(), 1, d);
     }
 }
 

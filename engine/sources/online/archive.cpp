@@ -127,7 +127,7 @@ std::string OnlineSystem::save() const {
     for (const edges::Kernel& kernel : graph_.kernels) write(kernel.kind), write(kernel.c);
     write(tree_.groups), write(std::vector<Number>(tree_.released().begin(), tree_.released().end()));
     write(tree_.step), write(tree_.pivot_tolerance);
-    write(priors_), write(memory_), write(ordered_), write(known_), write(lost_);
+    write(priors_), write(memory_), write(ordered_), write(covariances_ready_), write(lost_);
     return std::move(write.bytes);
 }
 
@@ -143,7 +143,7 @@ bool OnlineSystem::restore(std::string_view bytes) {
     for (edges::Kernel& kernel : graph_.kernels) read(kernel.kind), read(kernel.c);
     read(tree_.groups), read(released);
     read(tree_.step), read(tree_.pivot_tolerance);
-    read(priors_), read(memory_), read(ordered_), read(known_), read(lost_);
+    read(priors_), read(memory_), read(ordered_), read(covariances_ready_), read(lost_);
     tree_.set_released(std::move(released));
     return read.finished();
 }

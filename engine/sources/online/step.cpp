@@ -18,10 +18,10 @@ constexpr double rounding = 1e-15;
 /// Where a pass predicts more than `slow` times the decrease of the pass before, the limit beyond which an edge is linearised
 /// again is multiplied by `stricter`, and by `easier` after every step whose last pass does not.
 constexpr double slow = 0.2, stricter = 0.1, easier = 1.5;
-/// The same where edges were linearised again, more than `diverging` times. Where the predicted decrease grows `grows` times
-/// then, although it is below `near` times J, the limit below `strict` and what is left out below `fine` times the usual, all
-/// edges get their second derivatives. These make passes slow along directions that are hardly determined, so that they are not
-/// in the factor otherwise.
+/// After edges were linearised again, `diverging` takes the place of `slow`. All edges get their second derivatives where the
+/// predicted decrease then grows by the factor `grows` although the end is near: it is below `near` times J, the limit of
+/// edges is below `strict`, and what is left out is below `fine` times the usual. Second derivatives make passes slow along
+/// directions that are hardly determined, so that they are not in the factor otherwise.
 constexpr double diverging = 0.5, grows = 1.5, near = 1e-6, strict = 1e-4, fine = 0.03;
 /// For so many passes second derivatives are convex once exact ones have made Omega indefinite.
 constexpr int held = 3;
@@ -123,7 +123,7 @@ std::vector<Number> OnlineSystem::renew_priors(std::span<Prior* const> priors) {
 }
 
 bool OnlineSystem::iterate(std::span<const Number> newest) {
-    known_ = false;
+    covariances_ready_ = false;
     for (int done = 0;;) {
         const int earlier = done;
         const Outcome outcome = advance(done);
@@ -138,7 +138,7 @@ bool OnlineSystem::iterate(std::span<const Number> newest) {
 }
 
 bool OnlineSystem::eliminate(const Changes& changes) {
-    known_ = false;
+    covariances_ready_ = false;
     for (Prior& prior : priors_) {
         prior.evaluate(graph_, false);
         write_prior(prior, false);

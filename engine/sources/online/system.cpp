@@ -84,7 +84,7 @@ bool OnlineSystem::add(Number known, std::span<const NewEdge> added, std::span<c
         return true;
     }
     const auto first = static_cast<Number>(graph_.edges.size());
-    const auto before = std::tuple(memory_, ordered_, passes, converged, known_);
+    const auto before = std::tuple(memory_, ordered_, passes, converged, covariances_ready_);
     // older nodes of the step and those above them are all that changes before an elimination has succeeded
     std::vector<Number> homes;
     for (const NewEdge& edge : added)
@@ -107,7 +107,7 @@ bool OnlineSystem::add(Number known, std::span<const NewEdge> added, std::span<c
         write_prior(priors_[k], false);
     }
     graph_.nodes.resize(known);
-    std::tie(memory_, ordered_, passes, converged, known_) = before;
+    std::tie(memory_, ordered_, passes, converged, covariances_ready_) = before;
     return false;
 }
 
@@ -216,8 +216,8 @@ bool OnlineSystem::factorize_again(std::span<const Number> newest) {
 // enter the factor as Gauss-Newton has them, where covariances would be wrong otherwise.
 bool OnlineSystem::linearize_late(std::span<const Number> newest) {
     if ((lost_ || memory_.bent.convex == 0.0) && !factorize_again(newest)) return false;
-    if (known_) return true;
-    known_ = true;
+    if (covariances_ready_) return true;
+    covariances_ready_ = true;
     complete();
     std::vector<Number> late;
     for (const Number e : graph_.live_edges())
@@ -225,9 +225,9 @@ bool OnlineSystem::linearize_late(std::span<const Number> newest) {
     if (late.empty()) return true;
     pass(-1.0);
     Evaluation found{memory_.limit, {infinity, memory_.bent.exact}};
-    known_ = refactor(graph_, tree_, late, {}, found) || factorize_again(newest);
+    covariances_ready_ = refactor(graph_, tree_, late, {}, found) || factorize_again(newest);
     memory_.cost += found.change;
-    return known_;
+    return covariances_ready_;
 }
 
 std::optional<std::vector<double>> OnlineSystem::covariance(std::span<const Number> nodes, std::span<const Number> newest) {

@@ -10,7 +10,7 @@
 namespace vmslam::sparse {
 namespace {
 
-/// The graph during elimination: an eliminated node becomes an element, whose list are the nodes that it ties together.
+/// The graph during elimination: an eliminated node becomes an element; its list has the nodes that it ties together.
 /// The list of a variable has elements first, then variables. Indistinguishable variables are one supervariable, whose
 /// members are chained, so that the order is written out as the pivots are chosen.
 class QuotientGraph {

@@ -117,7 +117,7 @@ class OnlineSystem {
     std::vector<Prior> priors_;
     Memory memory_;
     Number ordered_ = 0;  ///< the number of nodes when all were ordered last
-    bool known_ = false;  ///< whether nothing has changed since a covariance was asked for
+    bool covariances_ready_ = false;  ///< whether nothing has changed since a covariance was asked for
     bool lost_ = false;   ///< whether the tree is empty, because not all nodes could be eliminated where they are
 };
 

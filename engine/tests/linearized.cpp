@@ -1,0 +1,140 @@
+// Inverses of covariances, and edges that also depend on parameters: against dense matrices.
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <random>
+#include <vector>
+
+#include "expect.hpp"
+#include "vmslam/edges/inverses.hpp"
+#include "vmslam/edges/linearized.hpp"
+#include "vmslam/sparse/pattern.hpp"
+
+namespace {
+
+using namespace vmslam;
+using edges::Place;
+using Numbers = std::vector<double>;
+
+Numbers drawn(std::mt19937& random, std::size_t count) {
+    Numbers numbers(count);
+    for (double& number : numbers) number = std::normal_distribution<>()(random);
+    return numbers;
+}
+
+/// F F' + I for a random F, scaled by 10 to the power of -6 to 6 in each row and column.
+Numbers covariance(std::mt19937& random, std::size_t d) {
+    const Numbers F = drawn(random, d * d);
+    Numbers scale(d), C(d * d);
+    for (double& s : scale) s = std::pow(10.0, std::uniform_real_distribution<>(-6, 6)(random));
+    for (std::size_t i = 0; i < d; ++i)
+        for (std::size_t j = 0; j < d; ++j) {
+            C[i * d + j] = i == j;
+            for (std::size_t k = 0; k < d; ++k) C[i * d + j] += F[i * d + k] * F[j * d + k];
+            C[i * d + j] *= scale[i] * scale[j];
+        }
+    return C;
+}
+
+void test_inverses(std::mt19937& random, unsigned seed) {
+    const std::size_t d = 1 + random() % 3;
+    const Numbers C = covariance(random, d);
+    Numbers W(d * d);
+    expect(edges::inverses(C, d, 1e-13, W) == -1, "a covariance has an inverse", seed);
+    for (std::size_t i = 0; i < d; ++i)
+        for (std::size_t j = 0; j < d; ++j) {
+            double product = 0.0;
+            for (std::size_t k = 0; k < d; ++k) product += C[i * d + k] * W[k * d + j];
+            const double size = std::sqrt(C[i * d + i] / C[j * d + j]);
+            expect(std::abs(product - (i == j)) < 1e-11 * size, "C W = I", seed);
+        }
+}
+
+void test_limits() {
+    constexpr double infinite = std::numeric_limits<double>::infinity(), unknown = std::numeric_limits<double>::quiet_NaN();
+    Numbers W(1);
+    for (const double good : {1e-300, 1.0, 1.7e308})
+        expect(edges::inverses(Numbers{good}, 1, 1e-13, W) == -1 && std::abs(W[0] * good - 1) < 1e-12, "limits", 0);
+    for (const double bad : {-1.0, 0.0, 1e-320, infinite, -infinite, unknown})
+        expect(edges::inverses(Numbers{bad}, 1, 1e-13, W) == 0, "no inverse", 0);
+    Numbers several(2);
+    expect(edges::inverses(Numbers{1.0, 0.0}, 1, 1e-13, several) == 1, "the number of the wrong one", 0);
+    expect(edges::inverses({}, 3, 1e-13, {}) == -1, "no matrices", 0);
+}
+
+/// Edges between random pairs of nodes, the lower or the upper one first, against the product of dense Jacobians.
+void test_sums(std::mt19937& random, unsigned seed) {
+    const std::size_t d = 2 + random() % 2, E = random() % 20, K = random() % 12, n = 2 + random() % 6, N = 3 * n + K;
+    std::vector<Place> first(E), second(E), members;
+    for (std::size_t k = 0; k < E; ++k) {
+        first[k] = static_cast<Place>(random() % n);
+        second[k] = static_cast<Place>((first[k] + 1 + random() % (n - 1)) % n);
+        members.insert(members.end(), {std::min(first[k], second[k]), std::max(first[k], second[k])});
+    }
+    const auto pattern = sparse::pattern_of_groups(static_cast<Place>(n), std::vector<Place>(E, 2), members);
+    std::vector<Place> pairs(E), workspace(n);
+    for (std::size_t k = 0; k < E; ++k)
+        pairs[k] = sparse::block_between(pattern.start, pattern.rows, first[k], second[k]);
+    const Numbers e = drawn(random, E * d), A = drawn(random, 3 * E * d), B = drawn(random, 3 * E * d);
+    const Numbers P = drawn(random, E * d * K);
+    Numbers W;
+    for (std::size_t k = 0; k < E; ++k) {
+        const Numbers one = covariance(random, d);
+        W.insert(W.end(), one.begin(), one.end());
+    }
+    Numbers values(9 * pattern.rows.size()), xi(3 * n), mixed(3 * n * K), own(K * K), gradient(K);
+    edges::System system{pattern.start, pattern.rows, values.data(), xi.data(), workspace.data()};
+    edges::add({first, second, pairs, d, K, e.data(), A.data(), B.data(), P.data(), W.data()}, system,
+               {mixed.data(), own.data(), gradient.data()});
+
+    Numbers whole(N * N), right(N), size(N * N), right_size(N);
+    for (std::size_t k = 0; k < E; ++k) {
+        Numbers jacobian(d * N);
+        for (std::size_t r = 0; r < d; ++r) {
+            for (std::size_t c = 0; c < 3; ++c) {
+                jacobian[r * N + 3 * first[k] + c] = A[3 * (k * d + r) + c];
+                jacobian[r * N + 3 * second[k] + c] = B[3 * (k * d + r) + c];
+            }
+            for (std::size_t c = 0; c < K; ++c) jacobian[r * N + 3 * n + c] = P[(k * d + r) * K + c];
+        }
+        for (std::size_t i = 0; i < N; ++i)
+            for (std::size_t r = 0; r < d; ++r)
+                for (std::size_t q = 0; q < d; ++q) {
+                    const double pull = jacobian[r * N + i] * W[(k * d + r) * d + q];
+                    right[i] -= pull * e[k * d + q];
+                    right_size[i] += std::abs(pull * e[k * d + q]);
+                    for (std::size_t j = 0; j < N; ++j) {
+                        whole[i * N + j] += pull * jacobian[q * N + j];
+                        size[i * N + j] += std::abs(pull * jacobian[q * N + j]);
+                    }
+                }
+    }
+    const auto same = [&](double found, std::size_t i, std::size_t j, const char* what) {
+        expect(std::abs(found - whole[i * N + j]) <= 1e-12 * size[i * N + j], what, seed);
+    };
+    for (std::size_t j = 0; j < n; ++j)
+        for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
+            for (std::size_t c = 0; c < 9; ++c)
+                same(values[9 * p + c], 3 * pattern.rows[p] + c / 3, 3 * j + c % 3, "Omega");
+    for (std::size_t i = 0; i < 3 * n; ++i)
+        for (std::size_t c = 0; c < K; ++c) same(mixed[i * K + c], i, 3 * n + c, "mixed");
+    for (std::size_t i = 0; i < K; ++i)
+        for (std::size_t c = 0; c < K; ++c) same(own[i * K + c], 3 * n + i, 3 * n + c, "own");
+    for (std::size_t i = 0; i < N; ++i) {
+        const double found = i < 3 * n ? xi[i] : gradient[i - 3 * n];
+        expect(std::abs(found - right[i]) <= 1e-12 * right_size[i], "the right-hand side", seed);
+    }
+}
+
+}  // namespace
+
+void test_linearized() {
+    std::mt19937 random(1);
+    for (unsigned seed = 0; seed < 300; ++seed) {
+        random.seed(seed);
+        test_inverses(random, seed);
+        test_sums(random, seed);
+    }
+    test_limits();
+}
