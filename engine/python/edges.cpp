@@ -175,19 +175,25 @@ void bind_starts(nb::module_& m) {
         return solve::follow_headings({span(first), span(second), {}, span(turn), span(information)}, span(headings),
                                       span(known));
     });
-    m.def("add_headings", [](In<Place> first, In<Place> second, In<Place> pairs, In<double> turn, In<double> information,
-                             In<double> unit, In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi,
-                             InOut<Place> workspace) {
-        System system = system_of(start, rows, values, xi, workspace);
-        solve::add_headings({span(first), span(second), span(pairs), span(turn), span(information)}, span(unit), system);
-    });
-    m.def("add_positions", [](In<Place> first, In<Place> second, In<Place> pairs, In<double> offset, In<double> information,
-                              In<double> position, In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi,
-                              InOut<Place> workspace) {
-        System system = system_of(start, rows, values, xi, workspace);
-        solve::add_positions({span(first), span(second), span(pairs), span(offset), span(information)}, span(position),
-                             system);
-    });
+    // the arrays of the pattern must live as long as the system
+    nb::class_<solve::StartSystem>(m, "StartSystem")
+        .def("__init__",
+             [](solve::StartSystem* at, In<Place> start, In<Place> rows, std::shared_ptr<sparse::Symbolic> symbolic) {
+                 new (at) solve::StartSystem(span(start), span(rows), std::move(symbolic));
+             })
+        .def("add_headings",
+             [](solve::StartSystem& s, In<Place> first, In<Place> second, In<Place> pairs, In<double> turn,
+                In<double> information, In<double> unit) {
+                 s.add_headings({span(first), span(second), span(pairs), span(turn), span(information)}, span(unit));
+             })
+        .def("add_positions",
+             [](solve::StartSystem& s, In<Place> first, In<Place> second, In<Place> pairs, In<double> offset,
+                In<double> information, In<double> position) {
+                 s.add_positions({span(first), span(second), span(pairs), span(offset), span(information)}, span(position));
+             })
+        .def("hold", [](solve::StartSystem& s, In<Place> blocks, In<Place> nodes,
+                        In<Place> untied) { s.hold(span(blocks), span(nodes), span(untied)); })
+        .def("solve", [](solve::StartSystem& s, InOut<double> correction) { return s.solve(span(correction)); });
     // the rows and columns of nodes become those of the identity
     m.def("hold", [](In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace,
                      In<Place> blocks, In<Place> nodes) {

@@ -68,8 +68,7 @@ void bind_symbolic(nb::module_& m) {
         .def_prop_ro("supernodes", &Symbolic::supernodes)
         .def_prop_ro("numbers", [](const Symbolic& s) { return s.panel_start.back(); })
         .def_ro("parts", &Symbolic::parts)
-        .def_ro("blocks", &Symbolic::blocks)
-        .def_ro("flops", &Symbolic::flops);
+        .def_ro("blocks", &Symbolic::blocks);
     m.def(
         "analyze",
         [](In<Place> start, In<Node> rows, std::optional<In<Node>> order, bool hermitian, int threads) {
@@ -79,6 +78,9 @@ void bind_symbolic(nb::module_& m) {
             return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of(hermitian), threads));
         },
         nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("hermitian"), nb::arg("threads"));
+    m.def("reshaped", [](const Symbolic& s, int rows, int columns) {
+        return std::make_shared<Symbolic>(reshaped(s, BlockShape{rows, columns}));
+    });
 }
 
 template <class Block>

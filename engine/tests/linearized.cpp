@@ -74,8 +74,7 @@ void test_sums(std::mt19937& random, unsigned seed) {
     }
     const auto pattern = sparse::pattern_of_groups(static_cast<Place>(n), std::vector<Place>(E, 2), members);
     std::vector<Place> pairs(E), workspace(n);
-    for (std::size_t k = 0; k < E; ++k)
-        pairs[k] = sparse::block_between(pattern.start, pattern.rows, first[k], second[k]);
+    for (std::size_t k = 0; k < E; ++k) pairs[k] = sparse::block_between(pattern.start, pattern.rows, first[k], second[k]);
     const Numbers e = drawn(random, E * d), A = drawn(random, 3 * E * d), B = drawn(random, 3 * E * d);
     const Numbers P = drawn(random, E * d * K);
     Numbers W;
@@ -115,8 +114,7 @@ void test_sums(std::mt19937& random, unsigned seed) {
     };
     for (std::size_t j = 0; j < n; ++j)
         for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
-            for (std::size_t c = 0; c < 9; ++c)
-                same(values[9 * p + c], 3 * pattern.rows[p] + c / 3, 3 * j + c % 3, "Omega");
+            for (std::size_t c = 0; c < 9; ++c) same(values[9 * p + c], 3 * pattern.rows[p] + c / 3, 3 * j + c % 3, "Omega");
     for (std::size_t i = 0; i < 3 * n; ++i)
         for (std::size_t c = 0; c < K; ++c) same(mixed[i * K + c], i, 3 * n + c, "mixed");
     for (std::size_t i = 0; i < K; ++i)

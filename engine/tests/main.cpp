@@ -93,8 +93,10 @@ void test_solution(unsigned seed) {
     std::vector<Value> b(matrix.size), first;
     for (Value& value : b) value = draw(random, Value{});
     for (const int threads : {1, 3}) {
-        const auto symbolic = std::make_shared<const Symbolic>(analyze(pattern, fill_reducing(pattern), shape, threads));
-        Factor<Block> factor(symbolic);
+        // made for blocks of this shape, or of another one
+        const BlockShape made = seed % 2 == 0 ? shape : BlockShape{3, 3};
+        Factor<Block> factor(
+            std::make_shared<const Symbolic>(reshaped(analyze(pattern, fill_reducing(pattern), made, threads), shape)));
         expect(factor.factorize(matrix.values) < 0, "the matrix is positive definite", seed);
         std::vector<Value> x(matrix.size);
         expect(factor.solve(b, x), "the right-hand side is finite", seed);
@@ -141,6 +143,7 @@ void expect(bool holds, const char* what, unsigned seed) {
 
 int main() {
     for (unsigned seed = 0; seed < 200; ++seed) {
+        test_solution<Real2>(seed);
         test_solution<Real3>(seed);
         test_solution<Hermitian2>(seed);
         test_null_vector(seed);

@@ -38,11 +38,21 @@ class Structure:
 
     @cached_property
     def _hermitian(self) -> Any:
-        """The structure of the factor of a Hermitian matrix of this pattern, in the order of `symbolic` if that is known."""
-        order = self.symbolic.order if "symbolic" in vars(self) else None
+        """The structure of the factor of a Hermitian matrix of this pattern, that of `symbolic` if it is known."""
+        if "symbolic" in vars(self):
+            return engine.reshaped(self.symbolic.structure, 2, 4)
         return engine.analyze(
-            self.indptr, self.indices.astype(np.int32), order, hermitian=True, threads=available_threads()
+            self.indptr, self.indices.astype(np.int32), None, hermitian=True, threads=available_threads()
         )
+
+    @cached_property
+    def _of_start(self) -> Any:
+        """The structure of the factor of a matrix of 2 x 2 blocks on this pattern."""
+        return engine.reshaped(self.symbolic.structure, 2, 2)
+
+    def start(self) -> Any:
+        """Omega and xi of two coordinates of each node, in the engine, for initial values."""
+        return engine.StartSystem(self.indptr, self.indices, self._of_start)
 
     def proof(self) -> Any:
         """A proof in the engine without edges: the ``spare`` one, where its user gives it back, or a new one."""

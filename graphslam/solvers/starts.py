@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -38,8 +39,6 @@ from ..engine import engine
 from ..errors import GraphError, quoted
 from ..graph import Graph
 from ..graph.transform import first_poses
-from ..linear.cholesky import FactorizationError
-from ..linear.information import BlockSystem
 from ..se2 import Array, chained, compose, rotation, wrap
 from .iteration import Run, end_of, gauss_newton
 
@@ -50,22 +49,21 @@ def rotation_first(graph: Graph) -> Array:
     Raises:
         GraphError: the edges do not connect all headings (no psi and no motion edges, for instance).
     """
-    state, system = graph.initial.copy(), graph.system
+    state, system = graph.initial.copy(), graph.system.structure.start()
     held = _held(graph, state)
     headings = _followed(graph, state, held)
     if headings is None:
-        _solve_headings(graph, state, held)
+        _solve_headings(graph, system, state, held)
     else:
         state[:, 2] = headings
 
-    system.clear()
     position = np.zeros((graph.num_nodes, 2))
     position[held] = state[held, :2]
     for family in graph.families:
         offset = family.positions(state)
         if offset is not None:
-            engine.add_positions(*_relations(system, offset), position, *system.arrays)
-    state[:, :2] = position + _solved(graph, system, held)[:, :2]
+            system.add_positions(*_relations(graph, offset), position)
+    state[:, :2] = position + _solved(graph, system, held, np.zeros(0, dtype=np.int64))
     return state
 
 
@@ -82,10 +80,8 @@ def _followed(graph: Graph, state: Array, held: np.ndarray) -> Array | None:
     return headings if known[: len(graph.steps)].all() else None
 
 
-def _solve_headings(graph: Graph, state: Array, held: np.ndarray) -> None:
+def _solve_headings(graph: Graph, system: Any, state: Array, held: np.ndarray) -> None:
     """Write the headings by linear least squares on unit vectors into a state (n, 3)."""
-    system = graph.system
-    system.clear()
     tied = np.zeros(graph.num_nodes, dtype=bool)
     # linear, so it does not matter where the others start
     unit = np.zeros((graph.num_nodes, 2))
@@ -93,18 +89,17 @@ def _solve_headings(graph: Graph, state: Array, held: np.ndarray) -> None:
     for family in graph.families:
         relative = family.headings()
         if relative is not None:
-            engine.add_headings(*_relations(system, relative), unit, *system.arrays)
+            system.add_headings(*_relations(graph, relative), unit)
             tied[relative.first] = tied[relative.second] = True
     if not tied[: len(graph.steps)].all():
         loose = np.flatnonzero(~tied[: len(graph.steps)])
         raise GraphError(
             f"initialize='rotation-first' needs edges that measure relative headings; {graph.names(loose)} have none"
         )
-    system.rest(np.flatnonzero(~tied), 0)
-    correction = _solved(graph, system, held)
+    correction = _solved(graph, system, held, np.flatnonzero(~tied))
     # a held heading keeps its own value, with its full turns
     tied[held] = False
-    direction = unit + correction[:, :2]
+    direction = unit + correction
     tied &= np.any(direction != 0, axis=1)
     state[tied, 2] = np.arctan2(direction[tied, 1], direction[tied, 0])
 
@@ -187,22 +182,22 @@ def _held(graph: Graph, state: Array) -> np.ndarray:
     return nodes if len(nodes) else np.zeros(1, dtype=np.int64)
 
 
-def _relations(system: BlockSystem, relations: Relations) -> tuple[Array, ...]:
+def _relations(graph: Graph, relations: Relations) -> tuple[Array, ...]:
     """The nodes of relations, the blocks between them, values and information, as the engine takes them."""
-    pairs = system.slots_of(relations.first, relations.second)[2]
+    pairs = graph.system.slots_of(relations.first, relations.second)[2]
     return relations.first, relations.second, pairs, relations.value, relations.information
 
 
-def _solved(graph: Graph, system: BlockSystem, held: np.ndarray) -> Array:
-    """The correction (n, 3), in which the third coordinate and held nodes are at rest."""
-    system.rest(np.arange(graph.num_nodes), 2)
-    system.hold(held)
-    try:
-        return system.factorize().solve(system.xi)
-    except FactorizationError as error:
+def _solved(graph: Graph, system: Any, held: np.ndarray, untied: np.ndarray) -> Array:
+    """The correction (n, 2), in which held nodes, and those that no edge ties, are at rest."""
+    correction = np.empty((graph.num_nodes, 2))
+    system.hold(graph.system.blocks_of(held), held, untied)
+    loose = system.solve(correction)
+    if loose >= 0:
         raise GraphError(
-            f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([error.node]))}"
-        ) from None
+            f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([loose]))}"
+        )
+    return correction
 
 
 #: beyond this number of poses, more are added at a time in proportion, so that the time grows little faster than them

@@ -317,7 +317,7 @@ def test_headings_without_loops_are_followed_along_the_edges(tmp_path):
     graph = chain(tmp_path)
     state, held = graph.initial.copy(), _held(graph, graph.initial.copy())
     headings = _followed(graph, state, held)
-    _solve_headings(graph, state, held)
+    _solve_headings(graph, graph.system.structure.start(), state, held)
     assert headings is not None
     assert headings[4] == 9.0
     np.testing.assert_allclose(wrap(headings - state[:, 2]), 0, atol=1e-12)

@@ -1,5 +1,10 @@
 #include "vmslam/solve/start.hpp"
 
+#include <algorithm>
+#include <cmath>
+
+#include "vmslam/edges/arithmetic.hpp"
+
 namespace vmslam::solve {
 
 using namespace edges;
@@ -17,38 +22,66 @@ bool follow_headings(const Relations& edges, std::span<double> headings, std::sp
     return true;
 }
 
-void add_headings(const Relations& edges, std::span<const double> unit, System& system) {
+StartSystem::StartSystem(std::span<const Place> start, std::span<const Place> rows,
+                         std::shared_ptr<const sparse::Symbolic> symbolic)
+    : start_(start), values_(4 * rows.size()), xi_(2 * (start.size() - 1)), factor_(std::move(symbolic)) {}
+
+void StartSystem::add_headings(const Relations& edges, std::span<const double> unit) {
     for (std::size_t k = 0; k < edges.first.size(); ++k) {
         const Place i = edges.first[k], j = edges.second[k];
         const double w = edges.information[k], c = w * std::cos(edges.value[k]), s = w * std::sin(edges.value[k]);
         for (const Place node : {i, j}) {
-            system.diagonal(node)[0] += w;
-            system.diagonal(node)[4] += w;
+            diagonal(node)[0] += w;
+            diagonal(node)[3] += w;
         }
         // the block of first and second is -w R', transposed where second < first
-        double* const V = system.block(edges.pairs[k]);
+        double* const V = block(edges.pairs[k]);
         const double q = i < j ? s : -s;
         V[0] -= c;
         V[1] -= q;
-        V[3] += q;
-        V[4] -= c;
+        V[2] += q;
+        V[3] -= c;
         const double *const a = unit.data() + 2 * i, *const b = unit.data() + 2 * j;
-        system.xi[3 * i] += c * b[0] + s * b[1] - w * a[0];
-        system.xi[3 * i + 1] += c * b[1] - s * b[0] - w * a[1];
-        system.xi[3 * j] += c * a[0] - s * a[1] - w * b[0];
-        system.xi[3 * j + 1] += s * a[0] + c * a[1] - w * b[1];
+        xi_[2 * i] += c * b[0] + s * b[1] - w * a[0];
+        xi_[2 * i + 1] += c * b[1] - s * b[0] - w * a[1];
+        xi_[2 * j] += c * a[0] - s * a[1] - w * b[0];
+        xi_[2 * j + 1] += s * a[0] + c * a[1] - w * b[1];
     }
 }
 
-void add_positions(const Relations& edges, std::span<const double> position, System& system) {
+void StartSystem::add_positions(const Relations& edges, std::span<const double> position) {
     for (std::size_t k = 0; k < edges.first.size(); ++k) {
         const Place i = edges.first[k], j = edges.second[k];
-        const double* const omega = edges.information.data() + 4 * k;
-        const Symmetric W{omega[0], omega[1], omega[3], 0.0, 0.0, 0.0};
+        const double* const W = edges.information.data() + 4 * k;
         const double *const a = position.data() + 2 * i, *const b = position.data() + 2 * j;
-        const Vector e{b[0] - a[0] - edges.value[2 * k], b[1] - a[1] - edges.value[2 * k + 1], 0.0};
-        add_point(system, i, j, edges.pairs[k], W, W * e, {0.0, 0.0});
+        const double ex = b[0] - a[0] - edges.value[2 * k], ey = b[1] - a[1] - edges.value[2 * k + 1];
+        const double fx = W[0] * ex + W[1] * ey, fy = W[1] * ex + W[3] * ey;
+        for (int r = 0; r < 4; ++r) {
+            diagonal(i)[r] += W[r];
+            diagonal(j)[r] += W[r];
+            block(edges.pairs[k])[r] -= W[r];
+        }
+        xi_[2 * i] += fx;
+        xi_[2 * i + 1] += fy;
+        xi_[2 * j] -= fx;
+        xi_[2 * j + 1] -= fy;
     }
+}
+
+void StartSystem::hold(std::span<const Place> blocks, std::span<const Place> nodes, std::span<const Place> untied) {
+    for (const Place k : blocks) std::fill_n(block(k), 4, 0.0);
+    for (const Place node : nodes) xi_[2 * node] = xi_[2 * node + 1] = 0.0;
+    for (const auto rest : {nodes, untied})
+        for (const Place node : rest) diagonal(node)[0] = diagonal(node)[3] = 1.0;
+}
+
+Place StartSystem::solve(std::span<double> correction) {
+    const Place bad = factor_.factorize(values_);
+    if (bad >= 0) return factor_.symbolic().order[bad / 2];
+    const bool finite = factor_.solve(xi_, correction);
+    std::fill(values_.begin(), values_.end(), 0.0);
+    std::fill(xi_.begin(), xi_.end(), 0.0);
+    return finite ? -1 : 0;
 }
 
 void turn_to_world(std::span<const double> state, std::span<const Place> first, std::span<const double> measured,

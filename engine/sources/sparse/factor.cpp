@@ -29,7 +29,8 @@ Place Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
     std::memset(panel.x, 0, Block::columns * panel.front.w * h * sizeof(double));
     for (Place q = t.entry_start[s]; q < t.entry_start[s + 1]; ++q) {
         const Entry& entry = t.entries[q];
-        Block::put(panels_.data() + entry.target, h, values.data() + Block::size * entry.block(), entry.turned());
+        Block::put(panel.node(entry.column) + panel.row(entry.row), h, values.data() + Block::size * entry.block(),
+                   entry.turned());
     }
     double* const limits = limits_.data() + Block::rows * t.first[s];
     for (Step j = 0; j < panel.front.w; ++j)
@@ -80,6 +81,7 @@ Place Factor<Block>::factorize(std::span<const Value> values, double damping) {
     return first >= 0 ? first : factorize_part(last, values, damping);
 }
 
+template class Factor<Real2>;
 template class Factor<Real3>;
 template class Factor<Hermitian2>;
 

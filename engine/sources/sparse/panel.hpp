@@ -37,21 +37,20 @@ inline Right pack(Right b, Step depth, int few, double* packed) {
         }
         return {packed, 4, 1};
     } else {
+        constexpr int both = 2 * Block::columns;
         for (Step k = 0; k < depth; ++k)
-            for (int c = 0; c < 3 * few; ++c) packed[6 * k + c] = b.at[k * b.down + c * b.across];
-        return {packed, 6, 1};
+            for (int c = 0; c < Block::columns * few; ++c) packed[both * k + c] = b.at[k * b.down + c * b.across];
+        return {packed, both, 1};
     }
 }
 
 /// C = [C] - A B^H for `few` node columns.
 template <class Block, bool add>
 inline void product_nodes(Columns c, ConstColumns a, Right b, Step rows, int few, Step depth) {
-    if constexpr (Block::planes == 2)
-        product_columns<4, add>(c, a, b, rows, depth);
-    else if (few == 2)
-        product_columns<6, add>(c, a, b, rows, depth);
+    if (Block::planes == 1 && few == 2)
+        product_columns<2 * Block::columns, add>(c, a, b, rows, depth);
     else
-        product_columns<3, add>(c, a, b, rows, depth);
+        product_columns<Block::columns, add>(c, a, b, rows, depth);
 }
 
 /// C = [C] - A B^H for `nodes` node columns. The rows of B begin at `b`; for complex blocks they are those of a panel. With

@@ -214,6 +214,7 @@ std::vector<double> Factor<Block>::magnitude_square(std::span<const double> v) c
     return result;
 }
 
+template class Factor<Real2>;
 template class Factor<Real3>;
 template class Factor<Hermitian2>;
 

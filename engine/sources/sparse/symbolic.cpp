@@ -65,6 +65,7 @@ void relate_to_parents(Symbolic& s) {
 
 void place_panels(Symbolic& s) {
     s.panel_start.assign(s.supernodes() + 1, 0);
+    s.tallest = s.widest = 0;
     for (Node t = 0; t < s.supernodes(); ++t) {
         const Front front = s.front(t);
         s.tallest = std::max(s.tallest, front.height);
@@ -73,7 +74,7 @@ void place_panels(Symbolic& s) {
     }
 }
 
-/// Where every block of the matrix goes, sorted by supernode.
+/// Where every block of the matrix stands, sorted by supernode.
 void place_entries(Symbolic& s, const Pattern& pattern, const std::vector<Node>& owner) {
     s.entry_start.assign(s.supernodes() + 1, 0);
     for (Node j = 0; j < s.nodes(); ++j)
@@ -87,15 +88,13 @@ void place_entries(Symbolic& s, const Pattern& pattern, const std::vector<Node>&
             const Node a = s.position[pattern.rows[p]], b = s.position[j];
             const auto [column, row] = std::minmax(a, b);
             const Node t = owner[column];
-            const Front front = s.front(t);
-            Place local = row - s.first[t];
+            Node local = row - s.first[t];
             if (row >= s.first[t + 1]) {
                 const auto low = s.rows.begin() + s.row_start[t], high = s.rows.begin() + s.row_start[t + 1];
-                local = front.w + (std::lower_bound(low, high, row) - low);
+                local = s.first[t + 1] - s.first[t] + static_cast<Node>(std::lower_bound(low, high, row) - low);
             }
-            const Place target = front.pad + s.shape.rows * local + s.shape.columns * (column - s.first[t]) * front.height;
             // the block has the row node above the column node, and L needs the one whose row is eliminated later
-            s.entries[fill[t]++] = {2 * p + (a < b || a == b), s.panel_start[t] + target};
+            s.entries[fill[t]++] = {2 * p + (a <= b), local, column - s.first[t]};
         }
 }
 
@@ -143,7 +142,6 @@ Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape
     Symbolic s;
     s.shape = shape;
     s.blocks = tree.blocks();
-    s.flops = tree.flops(shape.rows);
     // amalgamation moves the columns of a supernode next to each other
     const Node n = pattern.size();
     s.order.resize(n);
@@ -158,10 +156,17 @@ Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape
     for (Node t = 0; t < s.supernodes(); ++t) std::fill(owner.begin() + s.first[t], owner.begin() + s.first[t + 1], t);
     find_rows(s, groups.below, permuted(pattern, s.position), owner);
     relate_to_parents(s);
-    place_panels(s);
     place_entries(s, pattern, owner);
+    place_panels(s);
     divide(s, threads);
     return s;
+}
+
+Symbolic reshaped(Symbolic symbolic, BlockShape shape) {
+    symbolic.shape = shape;
+    place_panels(symbolic);
+    divide(symbolic, symbolic.threads);
+    return symbolic;
 }
 
 namespace {

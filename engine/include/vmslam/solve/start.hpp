@@ -3,14 +3,15 @@
 // Source: Carlone, Tron, Daniilidis and Dellaert, Initialization techniques for 3D SLAM, ICRA 2015.
 #pragma once
 
+#include <memory>
 #include <span>
+#include <vector>
 
-#include "vmslam/edges/arithmetic.hpp"
+#include "vmslam/sparse/factor.hpp"
 
 namespace vmslam::solve {
 
-using edges::Place;
-using edges::System;
+using sparse::Place;
 
 /// Linear relations between two nodes each, u_second - u_first = value, and the block that each pair shares.
 struct Relations {
@@ -21,11 +22,29 @@ struct Relations {
 /// Write the headings along edges between a known node and another one, which is known then; false at any other edge.
 bool follow_headings(const Relations& edges, std::span<double> headings, std::span<bool> known);
 
-/// Add edges with the residual R(value) r_first - r_second, r = (cos theta, sin theta) in the first two coordinates of nodes.
-void add_headings(const Relations& edges, std::span<const double> unit, System& system);
+/// Omega and xi of two coordinates of each node, on the pattern of a graph.
+class StartSystem {
+   public:
+    StartSystem(std::span<const Place> start, std::span<const Place> rows, std::shared_ptr<const sparse::Symbolic> symbolic);
 
-/// Add edges with the residual p_second - p_first - value in the first two coordinates; the information is 2 x 2.
-void add_positions(const Relations& edges, std::span<const double> position, System& system);
+    /// Add edges with the residual R(value) r_first - r_second, where r = (cos theta, sin theta) is `unit` (2) of nodes.
+    void add_headings(const Relations& edges, std::span<const double> unit);
+    /// Add edges with the residual p_second - p_first - value, where p is `position` (2) of nodes; the information is 2 x 2.
+    void add_positions(const Relations& edges, std::span<const double> position);
+    /// The nodes that are moved by `solve`, all but `nodes`, in whose rows and columns are `blocks`. Those of `untied`, which
+    /// no edge ties, stay where they are, too.
+    void hold(std::span<const Place> blocks, std::span<const Place> nodes, std::span<const Place> untied);
+    /// Omega^-1 xi; then Omega and xi are zero again. Returns a node that the edges do not determine, or -1.
+    Place solve(std::span<double> correction);
+
+   private:
+    double* block(Place k) { return values_.data() + 4 * k; }
+    double* diagonal(Place node) { return block(start_[node + 1] - 1); }
+
+    std::span<const Place> start_;
+    std::vector<double> values_, xi_;
+    sparse::Factor<sparse::Real2> factor_;
+};
 
 /// Measured positions (2) and their information (2 x 2), turned from the frame of the first node to the world's.
 /// `rows` are those of the measurements.

@@ -1,4 +1,4 @@
-// The blocks that the factorisation is made for: real 3 x 3, and complex 2 x 2 of a Hermitian matrix.
+// The blocks that the factorisation is made for: real 3 x 3 and 2 x 2, and complex 2 x 2 of a Hermitian matrix.
 //
 // A complex column is stored as two real ones, its real part first. With a = a' + i a'' and b = b' + i b'' a product with the
 // adjoint, a conj(b) = (a' b' + a'' b'') + i (a'' b' - a' b''), is a real product of those columns with a right factor that
@@ -108,6 +108,76 @@ struct Real3 {
             s2 += v * load<lanes>(x + 2 * h + i);
         }
         return {b.v[0] - sum<lanes>(s0), b.v[1] - sum<lanes>(s1), b.v[2] - sum<lanes>(s2)};
+    }
+};
+
+/// Blocks of initial values: directions or positions of nodes.
+struct Real2 {
+    using Value = double;
+    static constexpr int rows = 2, columns = 2, planes = 1;
+    static constexpr int size = 4;
+    static constexpr double tolerance = Real3::tolerance;
+
+    struct Pivot {
+        double i0, l10, i1;
+
+        static Pivot load(const double* d, Step h) { return {d[0], d[1], d[h + 1]}; }
+        void store(double* d, Step h) const {
+            d[0] = i0, d[1] = l10;
+            d[h] = 0.0, d[h + 1] = i1;
+        }
+    };
+
+    static void put(double* t, Step h, const double* v, bool turned) {
+        const int down = turned ? 1 : 2, across = 3 - down;
+        t[0] = v[0], t[1] = v[down];
+        t[h] = v[across], t[h + 1] = v[3];
+    }
+
+    static double& diagonal(double* d, Step h, int c) { return d[c * (h + 1)]; }
+
+    static int factorize(const double* d, Step h, const double* limits, Pivot& p) {
+        p.i0 = 1.0 / std::sqrt(d[0]);
+        p.l10 = d[1] * p.i0;
+        const double rest = d[h + 1] - p.l10 * p.l10;
+        p.i1 = 1.0 / std::sqrt(rest);
+        return !(d[0] > limits[0]) ? 0 : !(rest > limits[1]) ? 1 : -1;
+    }
+
+    /// X L' = B
+    static void solve_rows(double* x, Step h, Step count, const Pivot& p) {
+        for (Step i = 0; i < count; i += lanes, x += lanes) {
+            const Vector<lanes> a = load<lanes>(x) * p.i0;
+            store<lanes>(x, a);
+            store<lanes>(x + h, (load<lanes>(x + h) - a * p.l10) * p.i1);
+        }
+    }
+
+    struct Part {
+        double v[2];
+    };
+    static Part forward(const double* b, Step, const Pivot& p) {
+        const double y0 = b[0] * p.i0;
+        return {y0, (b[1] - p.l10 * y0) * p.i1};
+    }
+    static Part backward(const Part& b, const Pivot& p) {
+        const double y1 = b.v[1] * p.i1;
+        return {(b.v[0] - p.l10 * y1) * p.i0, y1};
+    }
+    /// y -= X a
+    static void subtract(double* y, Step, const double* x, Step h, Step count, const Part& a) {
+        for (Step i = 0; i < count; i += lanes)
+            store<lanes>(y + i, load<lanes>(y + i) - load<lanes>(x + i) * a.v[0] - load<lanes>(x + h + i) * a.v[1]);
+    }
+    /// b - X' y
+    static Part minus_dot(Part b, const double* y, Step, const double* x, Step h, Step count) {
+        Vector<lanes> s0{}, s1{};
+        for (Step i = 0; i < count; i += lanes) {
+            const Vector<lanes> v = load<lanes>(y + i);
+            s0 += v * load<lanes>(x + i);
+            s1 += v * load<lanes>(x + h + i);
+        }
+        return {b.v[0] - sum<lanes>(s0), b.v[1] - sum<lanes>(s1)};
     }
 };
 

@@ -85,6 +85,7 @@ class SelectedInverse {
     std::vector<double> diagonal_;
 };
 
+extern template class Factor<Real2>;
 extern template class Factor<Real3>;
 extern template class Factor<Hermitian2>;
 

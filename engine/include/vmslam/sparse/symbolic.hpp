@@ -31,10 +31,10 @@ struct Front {
     }
 };
 
-/// A block of the matrix: its number, whether it enters transposed, and the place in the panels.
+/// A block of the matrix: its number, whether it enters transposed, and its row and column in the front, in nodes.
 struct Entry {
     Place block_and_turned;
-    Place target;
+    Node row, column;
     Place block() const { return block_and_turned >> 1; }
     bool turned() const { return block_and_turned & 1; }
 };
@@ -62,7 +62,6 @@ struct Symbolic {
     Place tallest = 0;   ///< the rows of the tallest front
     Place widest = 0;    ///< the most nodes of a supernode
     Place blocks = 0;    ///< of L, without the zeros that amalgamation adds
-    double flops = 0.0;  ///< likewise, multiply and add counted apart
 
     Node nodes() const { return static_cast<Node>(order.size()); }
     Node supernodes() const { return static_cast<Node>(first.size() - 1); }
@@ -73,6 +72,9 @@ struct Symbolic {
 
 /// The structure of L for an order of elimination, which amalgamation may change to an equivalent one.
 Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads);
+
+/// The same structure for blocks of another shape.
+Symbolic reshaped(Symbolic symbolic, BlockShape shape);
 
 /// The same structure with its supernodes given to another number of threads.
 void divide(Symbolic& symbolic, int threads);
