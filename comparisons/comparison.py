@@ -18,7 +18,7 @@ from graphslam.calibration import Calibration
 from graphslam.log import UNIDENTIFIED
 from graphslam.log_checks import Finding, check_log
 from graphslam.metrics import Metrics, evaluate, position_errors
-from graphslam.se2 import Array, wrap
+from graphslam.se2 import Array, difference
 
 from .display import Displayed
 from .estimators import ESTIMATORS, check_estimators, default_estimators
@@ -201,9 +201,7 @@ class Comparison(Displayed):
         both = a.estimated & b.estimated
         if not both.any():
             return None
-        off = a.poses[both] - b.poses[both]
-        off[:, 2] = wrap(off[:, 2])
-        return float(np.max(np.abs(off)))
+        return float(np.max(np.abs(difference(a.poses[both], b.poses[both]))))
 
     def notes_of(self, result: EstimatorResult) -> tuple[str, ...]:
         """The notes of a result, with the reason where its NEES is not known because its covariances are not."""

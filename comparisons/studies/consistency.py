@@ -24,7 +24,7 @@ from fastslam import ParticleGibbs
 from fastslam.options import GibbsOptions
 from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, World, simulate, solve
 from graphslam.metrics import pose_nees
-from graphslam.se2 import Array, wrap
+from graphslam.se2 import Array, difference
 
 from ..display import Displayed
 from ..estimators.filters import FILTERS, particle_filter
@@ -195,21 +195,21 @@ def _one_log(seed: int, options: ConsistencyOptions) -> tuple[float, dict[str, t
     noise = {"motion": motion, "sensor": sensor}
     world = World(steps=options.steps, clean=True, orientation=options.dimensions == 3)
     log = simulate(world, seed=seed, motion=motion, sensor=sensor)
+    truth = log.robot_truth
+    assert truth is not None
     row = {}
     for name in options.estimators:
         if name == "particle-gibbs":
-            row[name] = (_smoother_nees(log, seed, options.gibbs, noise), np.nan)
+            row[name] = (_smoother_nees(log, truth, seed, options.gibbs, noise), np.nan)
         elif name in FILTERS:
-            row[name] = (_filter_nees(name, log, seed, noise), np.nan)
+            row[name] = (_filter_nees(name, log, truth, seed, noise), np.nan)
         else:
-            row[name] = _graph_nees(log, GRAPHS[name] | noise) or (np.full(options.steps, np.nan), np.nan)
+            row[name] = _graph_nees(log, truth, GRAPHS[name] | noise) or (np.full(options.steps, np.nan), np.nan)
     return len(log.steps) / max(len(log.landmark_ids), 1), row
 
 
-def _graph_nees(log: Log, keywords: dict[str, Any]) -> tuple[Array, float] | None:
+def _graph_nees(log: Log, truth: Array, keywords: dict[str, Any]) -> tuple[Array, float] | None:
     """NEES / 3 of each step, (T,), and NEES / (3 T) of the trajectory; None where the solver failed."""
-    truth = log.robot_truth
-    assert truth is not None
     try:
         graph = Graph.from_log(log, **keywords)
         solution = solve(graph, initialize="auto", max_iterations=500)
@@ -218,12 +218,11 @@ def _graph_nees(log: Log, keywords: dict[str, Any]) -> tuple[Array, float] | Non
         return None
     if not solution.converged:
         return None
-    error = solution.poses - truth
-    error[:, 2] = wrap(error[:, 2])
+    error = difference(solution.poses, truth)
     return pose_nees(error[1:], covariances[1:]), solution.joint_nees(truth)
 
 
-def _smoother_nees(log: Log, seed: int, options: GibbsOptions, noise: dict[str, Any]) -> Array:
+def _smoother_nees(log: Log, truth: Array, seed: int, options: GibbsOptions, noise: dict[str, Any]) -> Array:
     """NEES / 3 of the mean and covariance of the samples of particle Gibbs at each step, given the whole log; (T,).
 
     NaN where its chains have not mixed, as their covariances are then those of the start.
@@ -231,23 +230,19 @@ def _smoother_nees(log: Log, seed: int, options: GibbsOptions, noise: dict[str, 
     result = ParticleGibbs(log, seed=seed, threads=1, options=options, **noise).run()
     if not result.mixing.mixed:
         return np.full(log.num_poses - 1, np.nan)
-    error = result.poses - log.robot_truth
-    error[:, 2] = wrap(error[:, 2])
+    error = difference(result.poses, truth)
     return pose_nees(error[1:], result.covariance()[1:])
 
 
-def _filter_nees(name: str, log: Log, seed: int, noise: dict[str, Any]) -> Array:
+def _filter_nees(name: str, log: Log, truth: Array, seed: int, noise: dict[str, Any]) -> Array:
     """NEES / 3 of the particles' mean and covariance at each step, as it stood then; (T,)."""
-    truth = log.robot_truth
-    assert truth is not None
     errors: list[Array] = []
     covariances: list[Array] = []
     options = RunOptions.of(particles=PARTICLES, seed=seed, **noise)
     for state in particle_filter(name, log, options):
         weights = np.exp(state.log_weights - np.max(state.log_weights))
         weights /= weights.sum()
-        off = state.poses - truth[len(errors)]
-        off[:, 2] = wrap(off[:, 2])
+        off = difference(state.poses, truth[len(errors)])
         mean = weights @ off
         spread = off - mean
         errors.append(mean)

@@ -14,7 +14,7 @@ import numpy as np
 
 from graphslam import Certificate, Graph, GraphError, Log, LogError, Solution, simulate, solve, solve_with_gtsam
 from graphslam.graph import FRAMES, WEIGHTS
-from graphslam.se2 import wrap
+from graphslam.se2 import difference
 from graphslam.solvers.initialize import starting_state
 
 from ..display import Displayed
@@ -280,8 +280,7 @@ def _attempt(
 
 def compare_solutions(name: str, ours: Solution, theirs: Solution) -> VariantResult:
     """Two solutions of one graph side by side."""
-    off = (ours.poses - theirs.poses)[ours.estimated & theirs.estimated]
-    off[:, 2] = wrap(off[:, 2])
+    off = difference(ours.poses, theirs.poses)[ours.estimated & theirs.estimated]
     # a cost of (numerically) zero, as noise-free logs have, has no relative error
     scale = max(abs(ours.cost), abs(theirs.cost), 1e-6)
     return VariantResult(

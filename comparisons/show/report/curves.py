@@ -16,7 +16,7 @@ import numpy as np
 
 from graphslam import Graph, GraphError, Log, SlamError, solve
 from graphslam.edges import ANCHOR_INFORMATION
-from graphslam.se2 import Array, wrap
+from graphslam.se2 import Array, difference
 
 from ...comparison import Comparison
 from ...estimators import pair_count
@@ -104,8 +104,7 @@ def plain_steps(name: str, graph: Graph, *, anchored: bool) -> Iterations:
         system, cost = graph.linearize(state)
         xi = system.xi.copy()
         if not anchored:
-            off = state[0] - anchor
-            off[2] = wrap(off[2])
+            off = difference(state[0], anchor)
             xi[0] += ANCHOR_INFORMATION @ off
             cost -= float(off @ ANCHOR_INFORMATION @ off)
         if not np.isfinite(cost):
