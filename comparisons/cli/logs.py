@@ -242,17 +242,11 @@ def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawin
         slam-compare show folder --json -
     """
     from ..importing import inspect_log
-    from ..options import ReadingOptions
-    from ..options.option import options_of
-    from .output import hint_of_import
 
     found = inspect_log(log, **reading.keywords())
     output.show(found)
     output.draw(found, drawing.figure)
-    if advice := hint_of_import(
-        " ".join([*found.log.notes, *(finding.message for finding in found.findings)]), options_of(ReadingOptions)
-    ):
-        output.hint(f"{advice}.")
+    output.hint_at_import(found, reading)
     output.hint(f"Next: {command('run', log, options=reading)}")
     output.json(found.to_json())
 

@@ -171,13 +171,8 @@ class Output:
     def say(self, *lines: str) -> None:
         """Write sentences without markup; a terminal gets them broken between words, anything else one a line."""
         for line in lines:
-            text = self._translated(printable(line))
+            text = in_language(printable(line), self.language)
             self._line(_wrapped(text) if self.console.is_terminal else text)
-
-    def _translated(self, text: str) -> str:
-        from ..show.language import translated
-
-        return translated(text, self.language)
 
     def _line(self, text: str) -> None:
         self.console.print(text, markup=False, soft_wrap=True)
@@ -207,9 +202,18 @@ class Output:
             for line in lines:
                 # commands are not broken, so that they can be copied
                 if "slam-compare " in line:
-                    self._line(self._translated(printable(line)).replace("slam-compare ", f"{program()} "))
+                    text = in_language(printable(line), self.language)
+                    self._line(text.replace("slam-compare ", f"{program()} "))
                 else:
                     self.say(line)
+
+    def hint_at_import(self, found: Any, options: Any) -> None:
+        """Hint at ``import`` where notes or findings of a log name options that the options of the verb do not have."""
+        from ..options.option import options_of
+
+        texts = [*found.log.notes, *(finding.message for finding in found.findings)]
+        if advice := hint_of_import(" ".join(texts), options_of(type(options))):
+            self.hint(f"{advice}.")
 
     def detail(self, line: str) -> None:
         """A line on standard error about a step of the work, with --verbose."""
@@ -219,7 +223,7 @@ class Output:
     def progress(self, line: str) -> None:
         """A line on standard error about work that takes a while; not with --quiet."""
         if not self.quiet:
-            self._errors.print(self._translated(printable(line)), markup=False, soft_wrap=True)
+            self._errors.print(in_language(printable(line), self.language), markup=False, soft_wrap=True)
 
     @contextmanager
     def picture(self) -> Iterator[tuple[Callable[[list[str]], None], tuple[int, int]]]:
@@ -257,8 +261,8 @@ class Output:
             TimeElapsedColumn(),
         )
         hidden = self.quiet or not self._errors.is_terminal
-        what = self._translated(what)
-        left = (TextColumn(self._translated("remaining")), Remaining())
+        what = in_language(what, self.language)
+        left = (TextColumn(in_language("remaining", self.language)), Remaining())
         bar = Progress(*columns, *left, console=self._errors, transient=True, disable=hidden)
         with bar as progress:
             task = progress.add_task(what, total=total)
@@ -272,7 +276,7 @@ class Output:
 
 
 def in_language(text: str, language: str) -> str:
-    """A text of the help in a language; the catalogue is loaded only where it is needed."""
+    """A text in a language; the catalogue is loaded only where it is needed."""
     if language == "en":
         return text
     from ..show.language import translated

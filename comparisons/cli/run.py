@@ -83,22 +83,12 @@ def run(
     named += ["trajectories (*.tum)", "maps (*-map.csv, *-map.npz)"]
     named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
     named += ["graph.g2o"] * ("graph.g2o" in files)
-    from ..options import RunOptions
-    from ..options.option import options_of
-    from .output import hint_of_import
-
-    if advice := hint_of_import(
-        " ".join([*outcome.log.notes, *(finding.message for finding in outcome.findings)]), options_of(RunOptions)
-    ):
-        output.hint(f"{advice}.")
+    output.hint_at_import(outcome, options)
     output.hint(f"Wrote {', '.join(named)} into {folder}{os.sep}")
     if "config" in files:
         output.hint(f"Repeat this run:     {command('run', '--config', files['config'])}")
-    plotly = (
-        "" if find_spec("plotly") else "The interactive report needs plotly: pip install -e '.[report]' in the clone."
-    )
-    if plotly:
-        output.hint(plotly)
+    if find_spec("plotly") is None:
+        output.hint("The interactive report needs plotly: pip install -e '.[report]' in the clone.")
     if not others:
         output.hint(f"Interactive report:  {command('report', log, 'report.html', options=(chosen, options))}")
     if not outcome.log.sessions and (advice := _noise_advice(outcome, log, options)) is not None:
@@ -120,9 +110,8 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
     # wrong ids raise J, so that it may fit with noise models that are too wide
     fits &= outcome.log.identified
     auto = command("run", log, "--noise", "auto", options=options)
-    if fits or options.noise is not None or outcome.findings or set(outcome.noise_source.values()) != {"book"}:
-        return None
-    if outcome.log.controls is None:
+    of_book = set(outcome.noise_source.values()) == {"book"}
+    if fits or options.noise is not None or outcome.findings or not of_book or outcome.log.controls is None:
         return None
     if not outcome.log.identified:
         return f"Ids depend on the noise models. With noise estimated from this log: {auto}"
