@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -168,13 +168,10 @@ class StudyDatabase:
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        self._connection.execute("BEGIN IMMEDIATE")
-        try:
+        # which commits at the end of the block, or rolls back
+        with self._connection:
+            self._connection.execute("BEGIN IMMEDIATE")
             yield
-        except BaseException:
-            self._connection.execute("ROLLBACK")
-            raise
-        self._connection.execute("COMMIT")
 
 
 def _row(values: Iterable[Any]) -> dict[str, Any]:
@@ -213,15 +210,11 @@ def _alone(path: Path) -> Iterator[None]:
 @contextmanager
 def _connected(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
     """A connection whose errors with the file become `FormatError`."""
-    connection = None
+    uri = f"{path.absolute().as_uri()}?mode={mode}"
     try:
-        uri = f"{path.absolute().as_uri()}?mode={mode}"
-        connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30)
-        yield connection
+        with closing(sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30)) as connection:
+            yield connection
     except sqlite3.IntegrityError:
         raise
     except sqlite3.DatabaseError as error:
         raise FormatError(path, None, f"SQLite cannot use this file as the database of a study: {error}") from None
-    finally:
-        if connection is not None:
-            connection.close()
