@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from os import PathLike
@@ -23,7 +23,6 @@ from ..options import ParticleStudyOptions, RunOptions
 from ..options.reading import prepare
 from ..results.documents import Count, Numbers
 from .execute import rows_of
-from .summary import quartiles
 
 #: the figures of a run: field of `ParticleRun` -> label of its axis
 FIGURES = {
@@ -113,14 +112,15 @@ class ParticleStudy(Displayed):
             groups.setdefault((run.name, run.particles), []).append(run)
         rows = []
         for (name, particles), runs in groups.items():
-            figures = {figure: _quartiles([getattr(run, figure) for run in runs]) for figure in FIGURES}
+            figures = {figure: quartiles([getattr(run, figure) for run in runs]) for figure in FIGURES}
             rows.append(Quartiles(name, particles, **figures))
         return rows
 
 
-def _quartiles(values: list[float | None]) -> Array | None:
+def quartiles(values: Sequence[float | None]) -> Array | None:
+    """The first quartile, the median and the third quartile, (3,); None where no value is known."""
     known = [value for value in values if value is not None]
-    return quartiles(known) if known else None
+    return np.percentile(known, (25, 50, 75)) if known else None
 
 
 def study_particles(

@@ -5,7 +5,7 @@ each seed makes another log.
 
 The rows of a study for other programs, CSV and JSON lines, and its summary as CSV.
 
-The median with its bootstrap interval: how far it would move if other logs had been drawn; and quartiles.
+The median with its bootstrap interval: how far it would move if other logs had been drawn.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from graphslam.errors import printable, quoted
 from graphslam.errors.checks import suggestion
 from graphslam.files import write_whole
 from graphslam.metrics import METRICS as ERRORS
-from graphslam.se2 import Array
 
 from ..display import Displayed
 from ..results.documents import Count
@@ -56,11 +55,6 @@ class Median:
     low: float | None
     high: float | None
     count: int
-
-
-def quartiles(values: Sequence[float]) -> Array:
-    """The first quartile, the median and the third quartile, (3,)."""
-    return np.percentile(np.asarray(values, dtype=float), (25, 50, 75))
 
 
 def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int = 0) -> Median | None:

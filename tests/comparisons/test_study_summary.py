@@ -14,10 +14,10 @@ import pytest
 from comparisons.show.study_figures import study_figure
 from comparisons.show.tables import write_latex
 from comparisons.studies.database import COLUMNS
+from comparisons.studies.particles import quartiles
 from comparisons.studies.summary import (
     ALL,
     median_of,
-    quartiles,
     summarise,
     write_csv,
     write_json_lines,
@@ -48,7 +48,8 @@ def test_the_median_and_an_interval_that_covers_it() -> None:
 
 
 def test_quartiles_of_five_values() -> None:
-    assert quartiles([5, 1, 3, 2, 4]).tolist() == [2.0, 3.0, 4.0]
+    assert np.array_equal(quartiles([5, 1, 3, None, 2, 4]), [2.0, 3.0, 4.0])
+    assert quartiles([None]) is None
 
 
 def test_the_interval_covers_the_true_median_as_often_as_it_says() -> None:
