@@ -142,7 +142,7 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
     """
     if options.landmark_map is not None:
         known = np.isin(log.landmarks, list(options.landmark_map))
-        result = _particle_filter("mcl", log.with_sightings(known), options)
+        result = of_several_seeds("mcl", log.with_sightings(known), options)
         if known.all():
             return result
         left_out = f"{np.sum(~known)} of {len(known)} sightings are of landmarks that are not on the map, and left out"
@@ -152,17 +152,17 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
             f"mcl localises on the true map of the landmarks, which {log.name} does not have; name a map with "
             "--map FILE (landmark_map), or take fastslam1 and fastslam2, which estimate one"
         )
-    return replace(_particle_filter("mcl", log, options), knows="true map")
+    return replace(of_several_seeds("mcl", log, options), knows="true map")
 
 
 def fastslam1(log: Log, options: RunOptions) -> EstimatorResult:
     """FastSLAM 1.0; trajectory and map of the best particle, with ``smoothing`` the means of those drawn backwards."""
-    return _particle_filter("fastslam1", log, options)
+    return of_several_seeds("fastslam1", log, options)
 
 
 def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
     """FastSLAM 2.0, whose proposal is corrected by the sightings; trajectory and map as for `fastslam1`."""
-    return _particle_filter("fastslam2", log, options)
+    return of_several_seeds("fastslam2", log, options)
 
 
 #: the particle filters by the name of their estimator, as names in `fastslam`, which is imported when one is used
@@ -193,10 +193,6 @@ def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.Partic
         log = log.without_orientation()
     start = first_fix(log, known, **models)
     return filter_class(log, options=options.filter, landmarks=known, start=start, **models)
-
-
-def _particle_filter(name: str, log: Log, options: RunOptions) -> EstimatorResult:
-    return of_several_seeds(lambda given: _one_run(name, log, given), log, options)
 
 
 def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
@@ -239,15 +235,15 @@ SEEDS = 5
 LARGEST = 1_000_000
 
 
-def of_several_seeds(run: Callable[[RunOptions], EstimatorResult], log: Log, options: RunOptions) -> EstimatorResult:
-    """The run with the median ATE of `SEEDS` runs, with the others' errors as ``seed_errors`` and their range as a note.
+def of_several_seeds(name: str, log: Log, options: RunOptions) -> EstimatorResult:
+    """The run of a filter with the median ATE of `SEEDS`, the errors of all as ``seed_errors``, and their range as a note.
 
     It is one run where the options name a seed, the log has no true poses to measure an error with, or it is too large.
     """
     small = options.filter.particles * (log.num_poses + len(log.steps)) <= LARGEST
     if options.numbers.get("seed") is not None or log.true_poses is None or not small:
-        return run(options)
-    results = {seed: run(options.with_numbers(seed=seed)) for seed in range(SEEDS)}
+        return _one_run(name, log, options)
+    results = {seed: _one_run(name, log, options.with_numbers(seed=seed)) for seed in range(SEEDS)}
     errors = {}
     for seed, result in results.items():
         metrics = evaluate(log.true_poses, log.true_landmarks, log.at_truth(result.poses), result.landmarks,
