@@ -162,8 +162,6 @@ class EstimatorResult:
             return covariances
         if self.log is not None and self.log.controls is not None:
             return dead_reckoning_covariances(self.log, self.motion)
-        if self.graph is None or self.state is None:
-            return None
         return None if isinstance(self._of_graph, str) else self._of_graph
 
     @cached_property
@@ -194,14 +192,13 @@ class EstimatorResult:
     @property
     def covariance_failure(self) -> str | None:
         """The reason why the covariances of the graph's poses cannot be computed; None where they can."""
-        if self.graph is None or self.state is None:
-            return None
         return self._of_graph if isinstance(self._of_graph, str) else None
 
     @cached_property
-    def _of_graph(self) -> Array | str:
-        """The covariances (T+1, 3, 3) of the poses of the graph, or why they cannot be computed."""
-        assert self.graph is not None and self.state is not None
+    def _of_graph(self) -> Array | str | None:
+        """The covariances (T+1, 3, 3) of the poses of the graph, or why they cannot be computed; None without a graph."""
+        if self.graph is None or self.state is None:
+            return None
         covariances = np.full((len(self.poses), 3, 3), np.nan)
         try:
             if isinstance(self.origin, Solution):
