@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from os import PathLike
 from pathlib import Path
@@ -185,6 +185,7 @@ def _files(file: TomlFile, patterns: tuple[str, ...]) -> Iterator[tuple[str, dic
 def _worlds(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:
     """Names and sources of the simulated logs, one for each combination of settings."""
     tables = file.value(file.table, "simulate", dict, list)
+    check = partial(file.options, known=_SETTINGS)
     names: set[str] = set()
     for number, table in enumerate([tables] if isinstance(tables, dict) else tables or [], start=1):
         where = "simulate" if isinstance(tables, dict) else f"simulate[{number - 1}]"
@@ -192,20 +193,15 @@ def _worlds(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:
             raise file.error(
                 "simulate", f"simulate should be a table [simulate], or several [[simulate]], not {quoted(table)}"
             )
-        fixed = _settings(file, {key: value for key, value in table.items() if key not in ("name", "vary")}, where)
+        fixed = check({key: value for key, value in table.items() if key not in ("name", "vary")}, where=where)
         name = file.value(table, "name", str, where=where) or fixed.get("world", "book")
         if name in names:
             name = f"{name}-{number}"
         names.add(name)
-        for k, varied in enumerate(_combinations(file, table, where, _settings)):
+        for k, varied in enumerate(_combinations(file, table, where, check)):
             if k < _TRIED:
                 _check_world(file, fixed | varied, where)
             yield _label(name, varied), {"simulate": fixed | varied}
-
-
-def _settings(file: TomlFile, table: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """The settings of a world in a table, flat and checked."""
-    return file.options(table, _SETTINGS, where)
 
 
 def _check_world(file: TomlFile, settings: Mapping[str, Any], where: str) -> None:
@@ -223,18 +219,17 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
     table = file.value(file.table, "options", dict) or {}
     if "seed" in table:
         raise file.error("options.seed", "a study has seeds: set seeds at the top of the file instead of options.seed")
-
     if "map" in table or "map" in (table.get("vary") or {}):
         raise file.error(
             "options.map", "studies do not localise in maps; use slam-compare run LOG --map FILE for each log"
         )
 
-    def check(file: TomlFile, part: Mapping[str, Any], where: str) -> dict[str, Any]:
+    def check(part: Mapping[str, Any], where: str) -> dict[str, Any]:
         values = file.options(part, _OPTIONS, where)
         file.attempt(lambda: RunOptions.of(**values), where)
         return values
 
-    fixed = check(file, {key: value for key, value in table.items() if key != "vary"}, "options")
+    fixed = check({key: value for key, value in table.items() if key != "vary"}, "options")
     combinations = list(_combinations(file, table, "options", check))
     for name in names:
         methods: set[str] = set()
@@ -254,10 +249,7 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
 
 
 def _combinations(
-    file: TomlFile,
-    table: Mapping[str, Any],
-    where: str,
-    check: Callable[[TomlFile, Mapping[str, Any], str], dict[str, Any]],
+    file: TomlFile, table: Mapping[str, Any], where: str, check: Callable[..., dict[str, Any]]
 ) -> Iterator[dict[str, Any]]:
     """All combinations of the lists in ``table["vary"]``, each checked as if it stood in the table itself."""
     vary = file.value(table, "vary", dict, where=where) or {}
@@ -270,7 +262,7 @@ def _combinations(
             name = key if inner is None else f"{key}.{inner}"
             if not isinstance(listed, list) or not listed:
                 raise file.error(f"{where}.{name}", f"{where}.{name} should be a list of values, not {quoted(listed)}")
-            axes.append([check(file, {key: v if inner is None else {inner: v}}, where) for v in listed])
+            axes.append([check({key: v if inner is None else {inner: v}}, where=where) for v in listed])
     if (count := math.prod(map(len, axes))) > MOST_COMBINATIONS:
         raise file.error(where, f"{where} has {count:,} combinations of values; there may be {MOST_COMBINATIONS:,}")
     for chosen in product(*axes):
