@@ -167,9 +167,8 @@ def _kind(path: Path) -> str | None:
 
 def _read(name: str, path: Path, robot: int | None) -> Found:
     try:
-        with warnings.catch_warnings():
-            # the warnings of a reader are also notes of the log
-            warnings.simplefilter("ignore", UserWarning)
+        # the warnings of a reader are also notes of the log
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
             return _graph(path) if name == "pose-graphs" else _log(path, robot)
     except SlamError as error:
         return Found(path=path, robot=robot, error=str(error))

@@ -171,9 +171,8 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
 
 
 def _made(found: Import, drive: Drive, reading: ReadOptions, name: str) -> Import:
-    with warnings.catch_warnings():
-        # they are also notes of the log, which are shown
-        warnings.simplefilter("ignore", UserWarning)
+    # the warnings are also notes of the log, which are shown
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
         log = drive.log(reading, name)
     streams = tuple(_stream(kind, stream) for kind, stream in drive.streams.items())
     return replace(found, streams=streams, log=log, landmarks=None if drive.landmarks is None else len(drive.landmarks))

@@ -99,8 +99,7 @@ def attempt(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipp
     """The result of an estimator with its warnings as notes, or the sentence of its error."""
     warm_up(name)
     try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as caught:
             result = _checked(name, ESTIMATORS[name].run(log, options), log)
     except Exception as error:
         return Skipped(name, sentence(error), error)

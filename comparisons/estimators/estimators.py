@@ -453,6 +453,5 @@ def warm_up(estimator: str) -> None:
     """
     for orientation in (True, False):
         log = simulate(steps=6, orientation=orientation)
-        with suppress(Exception), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with suppress(Exception), warnings.catch_warnings(action="ignore"):
             ESTIMATORS[estimator].run(log, RunOptions.of(particles=2, motion=MotionModel(), sensor=SensorModel()))

@@ -175,8 +175,7 @@ def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[i
         return {}
     if len(robots_in(log, format=options.format)) < 2:
         return {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
         return load_robots(log, **_of_load(options))
 
 
@@ -294,9 +293,8 @@ def read_log(log: LogOrPath | Sequence[LogOrPath], options: ReadingOptions) -> t
         raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {quoted(log)}")
     else:
         path = sample_log_path() if log is None else Path(log)
-        with warnings.catch_warnings():
-            # the warnings of a reader are also notes of the log, which are shown
-            warnings.simplefilter("ignore", UserWarning)
+        # the warnings of a reader are also notes of the log, which are shown
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
             data = load(path, **_of_load(options))
         # absolute, so that a repeated run from another folder writes the same
         source = path.absolute()
