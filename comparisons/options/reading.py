@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeGuard, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -91,7 +91,7 @@ def prepare(
     """
     found: Calibration | None = None
     source: Path | tuple[Path | None, ...] | None
-    if several(log):
+    if isinstance(log, (list, tuple)):
         data, source, values, estimated = _joined(log, options)
     elif together and (robots := _robots(log, options)):
         assert isinstance(log, (str, PathLike))
@@ -140,11 +140,6 @@ def prepare(
         "check_ids": check_ids or None,
     }
     return data, source, replace(options, **filled, **corrected, **in_map)
-
-
-def several(log: LogOrPath | Sequence[LogOrPath]) -> TypeGuard[Sequence[LogOrPath]]:
-    """Whether this is a list of logs."""
-    return isinstance(log, (list, tuple))
 
 
 def _joined(
