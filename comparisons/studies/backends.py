@@ -313,9 +313,9 @@ class BackendComparison(Displayed):
         """The lowest chi2 that any backend reached on a file."""
         return min((r.chi2 for r in self.rows if r.file == file and not math.isnan(r.chi2)), default=math.nan)
 
-    def reached(self, row: BackendRow, relative: float = 1e-3) -> bool:
+    def reached(self, row: BackendRow) -> bool:
         """Whether a row ended at the lowest chi2 of its file, to a thousandth (the residuals of GTSAM differ a little)."""
-        return row.converged and row.chi2 <= self.best(row.file) * (1 + relative) + 1e-12
+        return row.converged and row.chi2 <= self.best(row.file) * (1 + 1e-3) + 1e-12
 
     def ratio(self, row: BackendRow) -> float | None:
         """Seconds of graphslam over those of a row on the same file; None where either did not reach the best chi2."""
