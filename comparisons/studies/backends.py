@@ -135,15 +135,13 @@ def gtsam_peer(damped: bool) -> Peer:
 def _gtsam_costs(optimizer: Any, graph: Graph, cost_tolerance: float, max_iterations: int) -> tuple[float, ...]:
     """The chi2 before and after each iteration, from a run of its own, for the figure."""
     costs, before = [graph.cost(graph.initial)], optimizer.error()
-    try:
+    with suppress(RuntimeError):
         while len(costs) <= max_iterations:
             optimizer.iterate()
             costs.append(graph.cost(from_values(graph, optimizer.values())))
             if abs(before - optimizer.error()) <= cost_tolerance * before:
                 break
             before = optimizer.error()
-    except RuntimeError:
-        return tuple(costs)
     return tuple(costs)
 
 
