@@ -403,34 +403,32 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             notes.append(
                 "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
             )
-    weighed_down = None
     if solution.graph is not None and (kernel := solution.graph.verdict[0]) is not None and len(log.steps):
         weights = solution.graph.sighting_weights(solution.state)
-        weighed_down = int(np.count_nonzero(weights < WEIGHED_DOWN))
+        values["weighed_down"] = weighed_down = int(np.count_nonzero(weights < WEIGHED_DOWN))
         usual = kernel.share_below(WEIGHED_DOWN, log.sightings.shape[1])
         notes.append(
             f"the kernel {kernel.name} gives {weighed_down} of {len(weights)} sightings less than half of their weight "
             f"({weighed_down / len(weights):.1%}; {usual:.1%} would be usual if none were wrong)"
         )
-    values |= {"name": name, "origin": solution, "notes": tuple(notes), "weighed_down": weighed_down}
-    values |= {"parameters": parameters, "options": {name: getattr(options, name) for name in _GRAPH}}
+    values |= {"name": name, "origin": solution, "parameters": parameters}
+    values["options"] = {name: getattr(options, name) for name in _GRAPH}
     if options.landmark_map is not None:
         values["options"]["bound"] = options.bound
         with noted(notes, "the probability of being off is not known"):
             values["integrity_risk"] = solution.integrity_risk(*bounds_of(options))
-        values["notes"] = tuple(notes)
     if found is not None:
         # the notes of the association came with its log
+        notes = [*found.notes, *notes]
         values |= {
             "named": False,
             "association": found.ids,
             "found": found,
             "seconds": solution.seconds + found.seconds,
         }
-        values["notes"] = (*found.notes, *notes)
         values["options"] |= {name: getattr(options, name) for name in options_of(FrontEndOptions)}
         values["options"]["class_confusion"] = options.filter.class_confusion
-    return EstimatorResult(**values)
+    return EstimatorResult(**values | {"notes": tuple(notes)})
 
 
 def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:
