@@ -202,8 +202,7 @@ def _after_step(log: Log, solver: OnlineSolver, before: Array) -> Frame:
     step, poses = solver.step, solver.poses
     corrections = np.zeros(len(poses))
     corrections[: len(before)] = np.hypot(*(poses[: len(before), :2] - before[:, :2]).T)
-    so_far = log.steps <= step
-    past = log.replace(steps=log.steps[so_far], landmarks=log.landmarks[so_far], sightings=log.sightings[so_far])
+    past = log.with_sightings(log.steps <= step)
     # the steps to come have no pose yet, and nothing was seen from them
     trajectory = np.concatenate([poses, np.zeros((log.num_poses - len(poses), 3))])
     estimated = estimate_map(past, trajectory, sensor=solver.sensor, kernel=solver.kernel)
