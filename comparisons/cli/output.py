@@ -53,10 +53,7 @@ def sentences(
     """
     try:
         yield
-    except KeyboardInterrupt:
-        typer.echo("interrupted", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    except Exception as error:
+    except (KeyboardInterrupt, Exception) as error:
         if _by_interrupt(error):
             typer.echo("interrupted", err=True)
             raise typer.Exit(INTERRUPTED) from None
