@@ -191,12 +191,11 @@ def evaluate(
         true_map = LandmarkMap.load(options.true_map)
     if options.maps and true_map is None:
         raise OptionError("maps are compared with the true map: name it with --true-map FILE")
-    names = _names([Path(path) for path in estimates])
+    paths = [Path(path) for path in estimates]
     found = []
-    for k, (name, path) in enumerate(zip(names, estimates)):
-        of_map = options.maps[k] if options.maps else NO_MAP
+    for path, name, of_map in zip(paths, _names(paths), options.maps or [NO_MAP] * len(paths)):
         try:
-            trajectory = read_trajectory(Path(path), name, tables)
+            trajectory = read_trajectory(path, name, tables)
         except LogError as error:
             # the reader's advice names the table "truth"
             advice = re.sub(r"(?<= )truth(?=[=.])", ESTIMATES, str(error))
