@@ -352,8 +352,6 @@ def _intervals(figures: Mapping[str, Median | None], sign: str = "") -> list[str
 
 def survey_tables(survey: Survey) -> Tables:
     """A row for each log or pose graph found on this computer; below, what the known data sets are."""
-    from ..datasets import DATA_SETS
-
     headings = ["robot", "poses", "sightings,\nedges", "landmarks", "controls", "time\n[s]", "truth\ncovers", "reads"]
     table = LeanTable("Found on this computer", ["data set", "file or folder"], headings)
     for name, entries in survey.found.items():
@@ -367,15 +365,15 @@ def survey_tables(survey: Survey) -> Tables:
             place = Text(os.path.relpath(entry.path, survey.folder))
             table.add_row(name, place, *cells, number(entry.seconds, 1), share, yes_no(entry.error is None))
     remarks = []
-    for known in DATA_SETS:
+    for known in survey.sets:
         remarks += [
             f"{known.name}: {known.title}",
             f"  published: {known.source}",
             f"  terms:     {known.terms}",
             f"  layout:    {known.layout}",
-            f"  at hand:   {len(survey.found[known.name]) or 'no'}",
+            f"  at hand:   {len(known.found) or 'no'}",
         ]
-    missing = "" if survey.folder.is_dir() else " There is no such folder: name another with SLAM_DATA or --folder."
+    missing = "" if survey.exists else " There is no such folder: name another with SLAM_DATA or --folder."
     return [table], [*remarks, f"Searched below {survey.folder}.{missing}", ""]
 
 
