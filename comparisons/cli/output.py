@@ -248,26 +248,24 @@ class Output:
             what: the work.
             total: the number of steps; None where it is unknown.
         """
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-        from rich.progress import TimeRemainingColumn as Remaining
+        from rich import progress as bars
 
+        what = in_language(what, self.language)
         columns = (
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
+            bars.TextColumn("{task.description}", markup=False),
+            bars.BarColumn(),
+            bars.MofNCompleteColumn(),
+            bars.TimeElapsedColumn(),
+            bars.TextColumn(in_language("remaining", self.language)),
+            bars.TimeRemainingColumn(),
         )
         hidden = self.quiet or not self._errors.is_terminal
-        what = in_language(what, self.language)
-        left = (TextColumn(in_language("remaining", self.language)), Remaining())
-        bar = Progress(*columns, *left, console=self._errors, transient=True, disable=hidden)
-        with bar as progress:
+        with bars.Progress(*columns, console=self._errors, transient=True, disable=hidden) as progress:
             task = progress.add_task(what, total=total)
 
             def advance(steps: int, doing: str = "", total: int | None = None) -> None:
-                progress.update(task, advance=steps, description=printable(f"{what}: {doing}") if doing else what)
-                if total is not None:
-                    progress.update(task, total=total)
+                description = printable(f"{what}: {doing}") if doing else what
+                progress.update(task, advance=steps, total=total, description=description)
 
             yield advance
 
