@@ -164,10 +164,7 @@ class Comparison(Displayed):
         Raises:
             KeyError: it is not among the results.
         """
-        for result in self.results:
-            if result.name == name:
-                return result
-        raise KeyError(name)
+        return {result.name: result for result in self.results}[name]
 
     def __contains__(self, name: object) -> bool:
         return any(result.name == name for result in self.results)
@@ -179,9 +176,7 @@ class Comparison(Displayed):
         rows += [Row(name=entry.name, skipped=entry.reason, reason=entry.reason) for entry in self.skipped]
         order = list(ESTIMATORS)
         rows.sort(key=lambda row: order.index(row.name) if row.name in order else len(order))
-        log = self.log
-        title = f"{log.name}: {log.sizes}"
-        return ResultTable(title, tuple(rows))
+        return ResultTable(f"{self.log.name}: {self.log.sizes}", tuple(rows))
 
     def _row(self, result: EstimatorResult) -> Row:
         metrics, name, parameters = self.metrics[result.name], result.name, result.parameters
