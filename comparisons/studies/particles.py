@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import product
 from os import PathLike
 from typing import Any, ClassVar
 
@@ -147,12 +148,7 @@ def study_particles(
     """
     data, _, given = prepare(log, ParticleStudyOptions.of(**options))
     of_run = RunOptions.of(motion=given.motion, sensor=given.sensor, **given.of_component("filter"))
-    tasks = [
-        (name, particles, seed)
-        for name in given.filters
-        for particles in sorted(set(given.particles))
-        for seed in range(given.seeds)
-    ]
+    tasks = list(product(given.filters, sorted(set(given.particles)), range(given.seeds)))
     jobs = default_jobs() if given.jobs is None else max(given.jobs, 1)
     of_tasks = ((name, data, of_run.with_numbers(particles=particles)) for name, particles, _ in tasks)
     announce_memory(of_tasks, announce, jobs=jobs)
