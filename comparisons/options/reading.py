@@ -194,8 +194,7 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
     A log from which noise was estimated has no biases left.
     """
     values = dict(CORRECTIONS)
-    if options.noise not in (None, AUTO, BOOK):
-        assert options.noise is not None
+    if options.noise is not None and options.noise not in (AUTO, BOOK):
         numbers, of_file = read_noise(options.noise)
         motion, sensor = NoiseOptions.of(**numbers).models(log.motion, log.sensor)
         if log.controls is None:
