@@ -123,9 +123,8 @@ def prepare(
     if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
         landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)
         data, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
-        data = data.replace(notes=(*data.notes, *notes))
         in_map = {"landmark_map": landmark_map}
-        remarks: list[str] = []
+        remarks = list(notes)
         with noted(remarks, "whether landmarks of the map have moved is not known"):
             states = map_states(data, landmark_map, motion=motion, sensor=sensor)
             remarks.append(states.sentence)
