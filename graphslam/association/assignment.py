@@ -174,6 +174,17 @@ def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.n
     return found
 
 
+def disjoint(found: list[Merge]) -> list[Merge]:
+    """The merges of which no two have a landmark in common: of those that do, the one with the greatest margin."""
+    taken: set[int] = set()
+    kept = []
+    for m in sorted(found, key=lambda m: -m.margin):
+        if m.item not in taken and m.into not in taken:
+            kept.append(m)
+            taken |= {m.item, m.into}
+    return kept
+
+
 def _near(
     solved: MapSolution, items: np.ndarray, seen: list[np.ndarray], gate: float, most: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ import numpy as np
 from ..errors import GraphError
 from ..se2 import Array, difference
 from .ambiguity import Alternative, all_alternatives
-from .assignment import assign, merges
+from .assignment import assign, disjoint, merges
 from .evidence import Visibility, evidence, gates, log_density, log_volume
 from .map_solution import MapSolution, Places, Problem
 from .problem import Densities, held, id_of_each, may_be_one
@@ -39,7 +39,6 @@ class Refined:
     """The label (M,) of each sighting, -1 for clutter; the solved graph; how many rounds it took; and what is doubtful.
 
     ``margins`` (M,): the logarithm of the evidence for the label over that for the best other one, infinite for none.
-    ``close``: how many pairs of landmarks may as well be one, by the factor of the options.
     """
 
     labels: np.ndarray
@@ -112,13 +111,10 @@ def _merged(problem: Problem, solved: MapSolution) -> MapSolution:
         found = merges(problem, solved, root, Visibility.of(problem, solved).views)
         ids = id_of_each(solved.which, problem.backbone.known[solved.rows], len(root))
         found = [m for m in found if may_be_one(ids[m.item], ids[m.into])]
-        taken: set[int] = set()
-        for m in sorted(found, key=lambda m: -m.margin):
-            if m.item not in taken and m.into not in taken:
-                root[m.item] = m.into
-                taken |= {m.item, m.into}
-        if not taken:
+        if not found:
             break
+        for m in disjoint(found):
+            root[m.item] = m.into
         labels = np.full(len(problem.log.steps), -1)
         labels[solved.rows] = root[solved.which]
         solved = MapSolution.of(problem.backbone, labels, solved.poses)
