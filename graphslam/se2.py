@@ -85,6 +85,20 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
     return np.stack([c * d[..., 0] + s * d[..., 1], -s * d[..., 0] + c * d[..., 1], wrap(d[..., 2])], axis=-1)
 
 
+def in_frame(frame: ArrayLike, poses: Array) -> Array:
+    """Poses (n, 3) given in a frame (3,), in the frame's parent, as `compose`; headings keep their full turns."""
+    moved, frame = compose(frame, poses), np.asarray(frame)
+    moved[:, 2] = poses[:, 2] + frame[2]
+    return moved
+
+
+def begun_at(first: Array, poses: Array) -> Array:
+    """Poses (n, 3) moved as a whole so that the first one is ``first`` (3,); headings keep their full turns."""
+    moved = compose(first, between(poses[0], poses))
+    moved[:, 2] = first[2] + poses[:, 2] - poses[0, 2]
+    return moved
+
+
 def chained(start: ArrayLike, motions: Array) -> Array:
     """The poses (T+1, 3) that motions (T, 3) lead to, one after the other, each in the axes of the pose before it.
 

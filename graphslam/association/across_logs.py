@@ -23,7 +23,7 @@ from ..graph.tracking import follow
 from ..log import UNIDENTIFIED, Log
 from ..log.end_to_end import end_to_end
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose
+from ..se2 import Array, between, compose, in_frame
 from ..solvers.solve import solve
 from .associate import associate
 from .evidence import evidence
@@ -114,7 +114,9 @@ def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
 def _placed(log: Log, ids: np.ndarray, frame: Array, how: str) -> Log:
     """The log with ids, and initial poses in another frame."""
     return log.replace(
-        landmarks=ids, initial_poses=_moved(log.initial_poses, frame), notes=(*log.notes, f"joined without ids: {how}")
+        landmarks=ids,
+        initial_poses=in_frame(frame, log.initial_poses),
+        notes=(*log.notes, f"joined without ids: {how}"),
     )
 
 
@@ -126,13 +128,6 @@ def _merged(own: LandmarkMap, log: Log) -> Merged:
         places[k, :d], covariances[k, :d, :d] = place, own.covariances[j]
     counts = np.array([np.count_nonzero(log.landmarks == j) for j in own])
     return Merged(places, covariances, counts, np.zeros(0, dtype=int))
-
-
-def _moved(poses: Array, frame: Array) -> Array:
-    """Poses (n, 3) in another frame, without jumps of a full turn."""
-    moved = compose(frame, poses)
-    moved[:, 2] = poses[:, 2] + frame[2]
-    return moved
 
 
 def _names(log: Log) -> str:

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..graph import Graph
+from ..graph.registration import evenly
 from ..identification.corrections import corrected_log, corrected_sensor
 from ..identification.declared import ParameterEstimate, parsed
 from ..log import Log
@@ -217,8 +218,7 @@ def spread(solved: MapSolution) -> float:
     With C the joint covariance of the positions of some poses, and P the projection that takes rigid motions out, it is the
     root of tr(P C P) per pose.
     """
-    graph, count = solved.graph, min(EXAMINED, len(solved.graph.steps))
-    chosen = np.unique(np.linspace(0, len(graph.steps) - 1, count).round().astype(int))
+    graph, chosen = solved.graph, evenly(len(solved.graph.steps), EXAMINED)
     K = len(chosen)
     right = np.zeros((*solved.state.shape, 2 * K))
     for axis in (0, 1):

@@ -18,38 +18,20 @@ import numpy as np
 from ..graph.build import pieces
 from ..log import UNIDENTIFIED, Log
 from ..models import SensorModel
-from ..se2 import Array, difference, transform, turn_matrix, wrap
+from ..se2 import Array, difference
 from .evidence import Candidates, gates, log_density, log_volume
 from .map_solution import INDEPENDENT, MapSolution, Places, Problem
 from .problem import LEAST, AssociationOptions, Classes, Densities, Field
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedSightings:
-    """Sightings from given poses: the position (M, d) of the landmark in world axes, with its covariance (M, d, d)."""
-
-    means: Array
-    covariances: Array
-
-    @classmethod
-    def of(cls, places: Places, at: Array) -> PlacedSightings:
-        """Sightings placed from the pose (M, 3) of each."""
-        y = places.means
-        d = y.shape[1]
-        means = transform(at, y[:, :2])
-        if d == 3:
-            means = np.column_stack([means, wrap(at[:, 2] + y[:, 2])])
-        turn = turn_matrix(at[:, 2])[:, :d, :d]
-        return cls(means, turn @ places.covariances @ np.swapaxes(turn, 1, 2))
-
-
 def assign(
-    world: PlacedSightings, steps: np.ndarray, landmarks: Array, own: Array, gate: float,
+    world: Places, steps: np.ndarray, landmarks: Array, own: Array, gate: float,
     weights: Callable[[np.ndarray, np.ndarray], Array],
 ) -> tuple[np.ndarray, Array]:  # fmt: skip
     """The landmark (M,) of each sighting, -1 for none, and its margin: the assignment of every scan with most evidence.
 
     Args:
+        world: the places of the sightings in world axes.
         steps: (M,) of the sightings.
         landmarks: (L, d), with covariances ``own`` (L, d, d).
         gate: share of correct sightings that are within the gate.
@@ -112,7 +94,7 @@ def ids_by_map(
         return np.full(len(log.steps), UNIDENTIFIED)
     options, names = AssociationOptions(), np.array(list(means))
     densities = Densities.of(log, Field.of(log, sensor), options.clutter)
-    world = PlacedSightings.of(Places.of(log, sensor), np.asarray(poses)[log.steps])
+    world = Places.of(log, sensor).seen_at(np.asarray(poses)[log.steps])
     own = np.array([covariances[j] for j in means])
 
     def weights(item: np.ndarray, landmark: np.ndarray) -> Array:
@@ -190,6 +172,17 @@ def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.n
         found += _decided(solved, item[group], other[group], a[group], b[group], nu[group], weights[group],
                           P, probability)  # fmt: skip
     return found
+
+
+def disjoint(found: list[Merge]) -> list[Merge]:
+    """The merges of which no two have a landmark in common: of those that do, the one with the greatest margin."""
+    taken: set[int] = set()
+    kept = []
+    for m in sorted(found, key=lambda m: -m.margin):
+        if m.item not in taken and m.into not in taken:
+            kept.append(m)
+            taken |= {m.item, m.into}
+    return kept
 
 
 def _near(

@@ -248,8 +248,7 @@ def associate(
     problem = Problem.of(log, motion, sensor, options)
 
     def driven() -> Start:
-        found = run_front_end(problem, motion, sensor)
-        return found.labels, found.poses
+        return run_front_end(problem, motion, sensor)
 
     competition = compete(robot, _starts(log, start, driven), names, problem)
     if competition is None:

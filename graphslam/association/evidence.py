@@ -165,15 +165,11 @@ class Candidates:
 
 
 @cache
-def _gates(probability: float, dimension: int, items: int) -> Array:
+def gates(probability: float, dimension: int, items: int) -> Array:
+    """The quantile (I+1,) of chi-square for 0 to I residuals of a dimension."""
     from scipy.special import gammaincinv
 
     return np.array([2 * gammaincinv(dimension * n / 2, probability) if n else 0.0 for n in range(items + 1)])
-
-
-def gates(probability: float, dimension: int, items: int) -> Array:
-    """The quantile (I+1,) of chi-square for 0 to I residuals of a dimension."""
-    return _gates(probability, dimension, items)
 
 
 def log_density(residuals: Array, covariances: Array) -> tuple[Array, Array]:

@@ -8,8 +8,6 @@ was seen before is decided by the graph, not here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..errors import GraphError
@@ -17,7 +15,7 @@ from ..graph import Graph
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose, difference, rotation, wrap
 from ..solvers.solve import solve
-from .assignment import merges
+from .assignment import disjoint, merges
 from .evidence import Candidates, gates, log_density
 from .map_solution import MapSolution, Problem, seen_from
 from .problem import id_of_each, may_be_one
@@ -210,17 +208,8 @@ MOST_WINDOWS = 150
 OPEN = 4
 
 
-@dataclass(frozen=True, eq=False)
-class FrontEndResult:
-    """The label (M,) of each sighting after the drive, -1 where it was left out, and the poses (T+1, 3)."""
-
-    labels: np.ndarray
-    poses: Array
-    deferred: int
-
-
-def run_front_end(problem: Problem, motion: MotionModel, sensor: SensorModel) -> FrontEndResult:
-    """Drive along the log once.
+def run_front_end(problem: Problem, motion: MotionModel, sensor: SensorModel) -> tuple[np.ndarray, Array]:
+    """Drive along the log once: the label (M,) of each sighting, -1 where it was left out, and the poses (T+1, 3).
 
     Where some sightings have ids, the robot moves as the graph of these alone says: after a long way, where it is decides
     which landmarks the others are of.
@@ -239,7 +228,7 @@ def run_front_end(problem: Problem, motion: MotionModel, sensor: SensorModel) ->
     filtered = np.empty((log.num_poses, 3))
     tracks, fresh = np.full(len(log.steps), -1), 0
     root = np.arange(len(log.steps))
-    poses, done, deferred = filtered[:0], 0, 0
+    poses, done = filtered[:0], 0
     for t in range(log.num_poses):
         if t:
             local.move(motions[t - 1], noises[t - 1])
@@ -269,7 +258,7 @@ def run_front_end(problem: Problem, motion: MotionModel, sensor: SensorModel) ->
                 # the labels contradict the motions so much that solving diverges; `refine` finds it, too
                 break
             poses = solved.poses
-            joined, deferred = _join(problem, solved, t - OPEN * window)
+            joined = _join(problem, solved, t - OPEN * window)
             if not joined:
                 break
             for new, old in joined.items():
@@ -278,7 +267,7 @@ def run_front_end(problem: Problem, motion: MotionModel, sensor: SensorModel) ->
             doubled = [k for k in range(len(active)) if active[k] in active[k + 1 :]]
             local.remove(local.tracks[doubled])
     labels = np.where(tracks >= 0, root[tracks], -1) if len(tracks) else tracks
-    return FrontEndResult(labels, poses if done == log.num_poses else filtered, deferred)
+    return labels, poses if done == log.num_poses else filtered
 
 
 def _alone(labels: np.ndarray, steps: np.ndarray, since: int) -> np.ndarray:
@@ -295,8 +284,8 @@ def _join_by_ids(root: np.ndarray, tracks: np.ndarray, known: np.ndarray) -> Non
         root[np.isin(root, roots[1:])] = roots[0]
 
 
-def _join(problem: Problem, solved: MapSolution, since: int) -> tuple[dict[int, int], int]:
-    """{new: old} labels of landmarks that are one, and how many decisions are left for later because they are ambiguous."""
+def _join(problem: Problem, solved: MapSolution, since: int) -> dict[int, int]:
+    """{new: old} labels of landmarks that are one; ambiguous decisions are left for later."""
     seen = solved.seen(problem.log.steps)
     found = merges(problem, solved, np.flatnonzero([steps[0] >= since for steps in seen]))
     # one landmark may be near an old one by chance; a place that is seen again has several
@@ -304,10 +293,4 @@ def _join(problem: Problem, solved: MapSolution, since: int) -> tuple[dict[int, 
     ids = id_of_each(solved.which, problem.backbone.known[solved.rows], len(seen))
     sure = [m for m in found if m.margin >= least and m.evidence >= 2 * least and may_be_one(ids[m.item], ids[m.into])]
     # chains, of which each member was seen with another one, are joined in several rounds
-    taken: set[int] = set()
-    joined = {}
-    for m in sorted(sure, key=lambda m: -m.margin):
-        if m.item not in taken and m.into not in taken:
-            joined[int(solved.labels[m.item])] = int(solved.labels[m.into])
-            taken |= {m.item, m.into}
-    return joined, len(found) - len(sure)
+    return {int(solved.labels[m.item]): int(solved.labels[m.into]) for m in disjoint(sure)}

@@ -17,7 +17,7 @@ from ..graph import Graph
 from ..linear.cholesky import analyze
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, transform, wrap
+from ..se2 import Array, transform, turn_matrix, wrap
 from ..solvers.iteration import Run, gauss_newton
 from ..solvers.uncertainty import Uncertainty
 from .problem import AssociationOptions, Classes, Densities, Field, numbered
@@ -25,15 +25,24 @@ from .problem import AssociationOptions, Classes, Densities, Field, numbered
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """The place (M, d) of each sighting in the robot's axes, (x, y) or (x, y, heading), and its covariance (M, d, d)."""
+    """The place (M, d) that each sighting gives its landmark, (x, y) or (x, y, heading), and its covariance (M, d, d)."""
 
     means: Array
     covariances: Array
 
     @classmethod
     def of(cls, log: Log, sensor: SensorModel) -> Places:
-        """The places of the sightings of a log."""
+        """The places of the sightings of a log, in the robot's axes."""
         return cls(*sensor.places(log.sightings))
+
+    def seen_at(self, poses: Array) -> Places:
+        """The places in world axes, from places in the axes of the pose (M, 3) of each."""
+        d = self.means.shape[1]
+        means = transform(poses, self.means[:, :2])
+        if d == 3:
+            means = np.column_stack([means, wrap(poses[:, 2] + self.means[:, 2])])
+        turn = turn_matrix(poses[:, 2])[:, :d, :d]
+        return Places(means, turn @ self.covariances @ np.swapaxes(turn, 1, 2))
 
 
 def seen_from(pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:

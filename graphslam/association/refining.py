@@ -21,9 +21,9 @@ import numpy as np
 from ..errors import GraphError
 from ..se2 import Array, difference
 from .ambiguity import Alternative, all_alternatives
-from .assignment import PlacedSightings, assign, merges
+from .assignment import assign, disjoint, merges
 from .evidence import Visibility, evidence, gates, log_density, log_volume
-from .map_solution import MapSolution, Problem
+from .map_solution import MapSolution, Places, Problem
 from .problem import Densities, held, id_of_each, may_be_one
 
 #: chains of landmarks that are one are merged link by link, at most so often in a round
@@ -39,7 +39,6 @@ class Refined:
     """The label (M,) of each sighting, -1 for clutter; the solved graph; how many rounds it took; and what is doubtful.
 
     ``margins`` (M,): the logarithm of the evidence for the label over that for the best other one, infinite for none.
-    ``close``: how many pairs of landmarks may as well be one, by the factor of the options.
     """
 
     labels: np.ndarray
@@ -71,7 +70,7 @@ def _in_turn(problem: Problem, labels: np.ndarray, poses: Array) -> Refined | No
         if not np.any(labels >= 0):
             return None
         solved = _merged(problem, MapSolution.of(backbone, labels, poses))
-        world = PlacedSightings.of(backbone.places, solved.poses[steps])
+        world = backbone.places.seen_at(solved.poses[steps])
         labels, margins = _assigned(problem, world, solved)
         labels, margins = held(labels, known, steps), np.where(known < 0, margins, np.inf)
         labels = _born(problem, world, labels)
@@ -89,7 +88,7 @@ def unrefined(problem: Problem, labels: np.ndarray, poses: Array) -> Refined:
     backbone, steps = problem.backbone, problem.log.steps
     labels = _compact(held(labels, backbone.known, steps))
     solved = MapSolution.of(backbone, labels, poses)
-    better, margins = _assigned(problem, PlacedSightings.of(backbone.places, solved.poses[steps]), solved)
+    better, margins = _assigned(problem, backbone.places.seen_at(solved.poses[steps]), solved)
     margins = np.where(labels < 0, np.inf, np.where(better == labels, margins, 0.0))
     margins[backbone.known >= 0] = np.inf
     return Refined(labels, solved, 1, True, margins, problem.densities)
@@ -112,20 +111,17 @@ def _merged(problem: Problem, solved: MapSolution) -> MapSolution:
         found = merges(problem, solved, root, Visibility.of(problem, solved).views)
         ids = id_of_each(solved.which, problem.backbone.known[solved.rows], len(root))
         found = [m for m in found if may_be_one(ids[m.item], ids[m.into])]
-        taken: set[int] = set()
-        for m in sorted(found, key=lambda m: -m.margin):
-            if m.item not in taken and m.into not in taken:
-                root[m.item] = m.into
-                taken |= {m.item, m.into}
-        if not taken:
+        if not found:
             break
+        for m in disjoint(found):
+            root[m.item] = m.into
         labels = np.full(len(problem.log.steps), -1)
         labels[solved.rows] = root[solved.which]
         solved = MapSolution.of(problem.backbone, labels, solved.poses)
     return solved
 
 
-def _assigned(problem: Problem, world: PlacedSightings, solved: MapSolution) -> tuple[np.ndarray, Array]:
+def _assigned(problem: Problem, world: Places, solved: MapSolution) -> tuple[np.ndarray, Array]:
     """The label and the margin (M,) of each sighting: the best assignment of every scan."""
     densities, classes = problem.densities, problem.classes
     shown = classes.sums(solved.which, solved.rows, len(solved.labels))
@@ -138,7 +134,7 @@ def _assigned(problem: Problem, world: PlacedSightings, solved: MapSolution) -> 
     return np.where(chosen < 0, -1, solved.labels[chosen]), margins
 
 
-def _born(problem: Problem, world: PlacedSightings, labels: np.ndarray) -> np.ndarray:
+def _born(problem: Problem, world: Places, labels: np.ndarray) -> np.ndarray:
     """The labels with new ones for sightings that none has, but that agree with each other."""
     d, steps = world.means.shape[1], problem.log.steps
     gate = float(gates(problem.options.gate, d, 1)[1])
@@ -176,7 +172,7 @@ def _kept(problem: Problem, solved: MapSolution, labels: np.ndarray) -> tuple[np
     seen = Visibility.of(problem, solved)
     share = float(np.mean(labels < 0))
     densities = problem.densities.counted(int(seen.within.sum()), int(seen.views.sum()), share)
-    world = PlacedSightings.of(problem.backbone.places, solved.poses[problem.log.steps])
+    world = problem.backbone.places.seen_at(solved.poses[problem.log.steps])
     nu = difference(world.means[solved.rows], solved.landmarks[solved.which])
     each = densities.seen - densities.clutter + log_density(nu, world.covariances[solved.rows])[0]
     total = densities.new + 0.5 * log_volume(solved.own_covariances) + seen.misses(densities)

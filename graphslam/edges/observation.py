@@ -111,8 +111,7 @@ class CartesianObservationEdges(ObservationEdges, EngineEdges):
     def constant(self, state: Array) -> ConstantEdges:
         self._check_constant(self.frame)
         edges = self.relative.constant(state)
-        weights = self.kernel_weights(state)[:, None, None]
-        return edges if self.kernel is None else replace(edges, information=edges.information * weights)
+        return replace(edges, information=edges.information * self.kernel_weights(state)[:, None, None])
 
     def _to_engine(self) -> Any:
         return self.relative.in_engine

@@ -278,9 +278,7 @@ class PositionEdges(SingleEdges, EngineEdges):
 
     def constant(self, state: Array) -> ConstantEdges:
         # a relative pose measured from the origin of the world
-        information = self.weighed
-        if self.kernel is not None:
-            information = information * self.kernel_weights(state)[:, None, None]
+        information = self.weighed * self.kernel_weights(state)[:, None, None]
         turn = self.measured[:, 2] if self.dimension == 3 else None
         origin = np.full(self.count, -1)
         return ConstantEdges(origin, self.nodes, self.measured[:, :2], self.levers, turn, information)

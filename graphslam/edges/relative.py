@@ -48,6 +48,11 @@ class _RelativeEdges(PairEdges, EngineEdges):
     def numbers(self) -> tuple[int, float]:
         return self.measured.size, self.measured.size
 
+    @cached_property
+    def weighed(self) -> Array:
+        """The information (E, d, d) that the edges work with."""
+        return self.information
+
     @property
     def state_dependent_information(self) -> bool:
         return self.frame == "world"
@@ -63,36 +68,31 @@ class _RelativeEdges(PairEdges, EngineEdges):
             residuals[:, 2] = wrap(b[:, 2] - a[:, 2] - self.measured[:, 2])
         ends, still = (self.first, self.second), np.zeros((self.count, 2))
         if self.frame == "body":
-            return linearization(ends, residuals, self.information, (perpendicular(offset), still), a[:, 2])
+            return linearization(ends, residuals, self.weighed, (perpendicular(offset), still), a[:, 2])
         turn = turn_matrix(reference[self.first, 2])[:, :d, :d]
-        information = turn @ self.information @ np.swapaxes(turn, 1, 2)
+        information = turn @ self.weighed @ np.swapaxes(turn, 1, 2)
         return linearization(ends, residuals, information, (perpendicular(reached), still))
 
     def constant(self, state: Array) -> ConstantEdges:
         if self.frame == "world":
             raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
         d_a, turn = self.measured[:, :2], self.measured[:, 2] if self.measured.shape[1] == 3 else None
-        return ConstantEdges(self.first, self.second, d_a, np.zeros_like(d_a), turn, self.information)
+        return ConstantEdges(self.first, self.second, d_a, np.zeros_like(d_a), turn, self.weighed)
 
     def positions(self, state: Array) -> Relations | None:
-        turned = engine.turned_to_world(state, self.first, self.measured, self.information)
+        turned = engine.turned_to_world(state, self.first, self.measured, self.weighed)
         return Relations(self.first, self.second, *turned)
 
-    @property
-    def _robust(self) -> tuple[int, float]:
-        """The code and width of a robust kernel on every edge."""
-        return code_and_width(None)
-
     def _to_engine(self) -> Any:
-        edges = self.first, self.second, self.measured, self.information
-        return engine.RelativeEdges(*edges, self.frame == "world", *self._robust)
+        edges = self.first, self.second, self.measured, self.weighed
+        return engine.RelativeEdges(*edges, self.frame == "world", *code_and_width(getattr(self, "kernel", None)))
 
 
 class RelativePoseEdges(_RelativeEdges):
     """Edges from nodes ``first`` (E,) to ``second`` (E,): measured (E, 3), information (E, 3, 3) in first's frame."""
 
     def headings(self) -> Relations | None:
-        return Relations(self.first, self.second, self.measured[:, 2], self.information[:, 2, 2])
+        return Relations(self.first, self.second, self.measured[:, 2], self.weighed[:, 2, 2])
 
 
 class RelativePointEdges(_RelativeEdges):
@@ -107,10 +107,6 @@ class RobustRelativeEdges(_RelativeEdges):
     """Relative edges with a robust kernel on each: ``kernel`` is a `Kernel` with a width, or None."""
 
     kernel: Kernel | None = field(default=None, kw_only=True)
-
-    @property
-    def _robust(self) -> tuple[int, float]:
-        return code_and_width(self.kernel)
 
 
 class RobustPoseEdges(RobustRelativeEdges, RelativePoseEdges):
@@ -128,27 +124,9 @@ class RelationEdges(SingleEdges, RelativePoseEdges):
     ``kernel`` and ``trust`` are those of `DoubtedEdges`.
     """
 
-    @cached_property
-    def relative(self) -> RobustPoseEdges:
-        """The same edges, the trust in their information."""
-        return RobustPoseEdges(self.first, self.second, self.measured, self.weighed, kernel=self.kernel)
-
-    def linearize(self, state: Array, reference: Array) -> Linearization:
-        return self.relative.linearize(state, reference)
-
     def constant(self, state: Array) -> ConstantEdges:
-        edges = self.relative.constant(state)
-        weights = self.kernel_weights(state)[:, None, None]
-        return edges if self.kernel is None else replace(edges, information=edges.information * weights)
-
-    def headings(self) -> Relations | None:
-        return self.relative.headings()
-
-    def positions(self, state: Array) -> Relations | None:
-        return self.relative.positions(state)
-
-    def _to_engine(self) -> Any:
-        return self.relative.in_engine
+        edges = super().constant(state)
+        return replace(edges, information=edges.information * self.kernel_weights(state)[:, None, None])
 
 
 def motion_edges(

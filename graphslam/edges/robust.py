@@ -28,7 +28,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -67,7 +67,7 @@ class Kernel:
 
     def of_dimension(self, dimension: int) -> Self:
         """This kernel with a width, for residuals of a dimension."""
-        return self if self.width is not None else _of_dimension(type(self), dimension)  # type: ignore[arg-type]
+        return self if self.width is not None else replace(self, width=efficient_width(self.code, dimension))
 
     def scaled(self, factor: float) -> Self:
         """The kernel whose rho of ``factor`` r² is ``factor`` times this kernel's rho of r²."""
@@ -175,11 +175,6 @@ def _gaussian_squares(dimension: int) -> Array:
 
     quantiles = (np.arange(10_000) + 0.5) / 10_000
     return np.asarray(2 * gammaincinv(dimension / 2, quantiles))
-
-
-@cache
-def _of_dimension(kind: type[Kernel], dimension: int) -> Any:
-    return kind(efficient_width(kind.code, dimension))
 
 
 @cache

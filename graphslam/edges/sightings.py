@@ -177,7 +177,10 @@ class MarginalEdges(LandmarkSightings):
         e, W, factor, lever, _, _ = self._around_means(state, reference)
         d = self.sightings.shape[1]
         information = (W * factor[:, None])[:, _SYMMETRIC][:, :d, :d]
-        return linearization((self.nodes,), e, information, (self._effective(lever, e),))
+        if self.frame == "body":
+            # the derivative of the rotation of W
+            lever = lever + perpendicular(e[:, :2])
+        return linearization((self.nodes,), e, information, (lever,))
 
     def constant(self, state: Array) -> ConstantEdges:
         """The sightings one by one, as edges to landmark nodes: the marginal cost is the minimum over these nodes."""
@@ -226,7 +229,3 @@ class MarginalEdges(LandmarkSightings):
     def _around_means(self, state: Array, reference: Array) -> tuple[Array, Array, Array, Array, Array, float]:
         """e (M, 3), W (M, 6), its factor of trust and kernel (M,), the lever (M, 2), m̂ (G, 3) and the cost."""
         return self.in_engine.around_means(state, reference)
-
-    def _effective(self, lever: Array, e: Array) -> Array:
-        """The lever (M, 2), including the derivative of the rotation of W."""
-        return lever if self.frame == "world" else lever + perpendicular(e[:, :2])

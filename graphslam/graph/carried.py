@@ -24,7 +24,7 @@ from ..models import SensorModel
 from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
 from .landmark_map import LandmarkMap
 from .map_evidence import Weighed, weighed
-from .registration import Match, Points, linear, padded, those_that_differ
+from .registration import Match, Points, evenly, linear, padded, those_that_differ
 from .stretch import Drift, Stretch
 
 #: the most sightings by which a pose is smoothed, the most steps, and the shortest part of one
@@ -137,7 +137,7 @@ def smoothed(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np
 def _smoothed(
     log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, pose: Array
 ) -> tuple[Array, Array]:
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), ENOUGH)).round().astype(int))]
+    rows = rows[evenly(len(rows), ENOUGH)]
     at, ids = log.steps[rows], np.unique(log.landmarks[rows])
     which = np.searchsorted(ids, log.landmarks[rows])
     S = of_landmarks(landmarks, ids)[which[:, None], which]

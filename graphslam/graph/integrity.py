@@ -94,9 +94,7 @@ def presence(drive: Stretch, poses: Array, landmarks: LandmarkMap, sensor: Senso
     from scipy.special import expit
 
     tracker = unlocated(landmarks, sensor, poses[0])
-    rows_of = np.split(
-        np.argsort(drive.steps, kind="stable"), np.cumsum(np.bincount(drive.steps, minlength=len(poses)))
-    )
+    rows_at = drive.rows_at
     before, gains, still, last = np.zeros(len(poses)), np.zeros(len(poses)), np.ones(len(poses)), 0
     for step, pose in enumerate(poses):
         if step:
@@ -104,7 +102,7 @@ def presence(drive: Stretch, poses: Array, landmarks: LandmarkMap, sensor: Senso
             tracker.move(drive.motions[step - 1], noise)
             if noise[0, 0] + noise[1, 1] > NOTHING:
                 still[last + 1 : step] = np.arange(step - last - 1, 0, -1) / (step - last)
-        tracker.pose, rows = np.array(pose), rows_of[step]
+        tracker.pose, rows = np.array(pose), rows_at[step]
         before[step] = tracker.log_odds
         if len(rows):
             gains[step], last = tracker.see(step, rows, drive.landmarks[rows], drive.sightings[rows]).gain, step

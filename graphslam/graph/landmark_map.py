@@ -14,7 +14,7 @@ from ..errors.checks import array_of, check_choice
 from ..files import path_of
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..se2 import Array, wrap
-from .map_files import read_map, write_map
+from .map_files import Content, read_map, write_map
 
 #: how a map is used: as its covariances say, without their correlations between landmarks, or as exact
 USES = ("joint", "own", "fixed")
@@ -104,7 +104,7 @@ class LandmarkMap(dict[int, Array]):
             OptionError: there is no format with this ending.
             FormatError: the file cannot be written.
         """
-        write_map(path_of(path), self, self.covariances, self.classes, self.joint)
+        write_map(path_of(path), Content(self, self.covariances, self.classes, self.joint))
 
     def __repr__(self) -> str:
         """One line: sizes, and what is known of the errors."""

@@ -20,12 +20,12 @@ from ..errors import GraphError
 from ..errors.checks import check_type, listed
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, perpendicular, turn_matrix
+from ..se2 import Array, between, compose, in_frame, perpendicular, turn_matrix
 from .carried import by_pose, paired, points_of, seen_from, smoothed, together
 from .constellation import Constellations, Merged, match, merged, with_alike
 from .landmark_map import LandmarkMap, as_map
 from .map_evidence import Weighed, log_sum
-from .registration import Match, Points, register
+from .registration import Match, Points, evenly, register
 from .stretch import Drift, Stretch
 from .tracker import Tracker
 
@@ -216,12 +216,10 @@ def _followed_back(fix: Fix, log: Stretch, step: int, landmarks: LandmarkMap, se
     B = -turn_matrix(-log.motions[:step, 2])
     B[:, :2, 2] = -perpendicular(back[:, :2])
     noise = B @ log.noise[:step] @ np.swapaxes(B, 1, 2)
-    rows_of = np.split(
-        np.argsort(log.steps, kind="stable"), np.searchsorted(np.sort(log.steps), np.arange(1, step + 1))
-    )
+    rows_at = log.rows_at
     for before in range(step - 1, -1, -1):
         tracker.move(back[before], noise[before])
-        rows = rows_of[before]
+        rows = rows_at[before]
         if len(rows):
             seen = tracker.see(before, rows, np.full(len(rows), UNIDENTIFIED), log.sightings[rows])
             agree.append(rows[seen.agree])
@@ -336,14 +334,10 @@ def registered(
 ) -> Array:
     """Poses (P, 3), moved as a whole to where the sightings (M, 2 or 3) from them fit a map best; unmoved where none fits."""
     known = np.flatnonzero(np.isin(ids, list(landmarks)))
-    known = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), ENOUGH)).round().astype(int))]
+    known = known[evenly(len(known), ENOUGH)]
     y = seen_from(poses[nodes[known]], sightings[known], sensor)
     matches = register(paired(y, np.zeros((len(y[0]), 3, 3)), ids[known], landmarks))
-    if not matches:
-        return poses
-    moved = compose(matches[0].pose, poses)
-    moved[:, 2] = poses[:, 2] + matches[0].pose[2]
-    return moved
+    return in_frame(matches[0].pose, poses) if matches else poses
 
 
 def _stretch(log: Log | Stretch, motion: MotionModel | None, sensor: SensorModel | None) -> tuple[Stretch, SensorModel]:

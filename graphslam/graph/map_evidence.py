@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from ..se2 import Array, perpendicular, turn_matrix, wrap
-from .registration import ALONE, RIGHT, STEPS, Match, Points, linear, padded
+from .registration import ALONE, RIGHT, STEPS, Match, Points, evenly, linear, padded
 
 #: log(sum of exp) along an axis; whether it has a type differs between versions of NumPy
 log_sum: Any = np.logaddexp.reduce
@@ -84,7 +84,7 @@ def weighed(points: Points, match: Match, noise: Callable[[np.ndarray], Array], 
     ids, which = np.unique(points.ids, return_inverse=True)
     count, agree = np.bincount(which), np.bincount(which, match.agree)
     rows = np.flatnonzero(match.agree & (2 * agree > count)[which])
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), ENOUGH)).round().astype(int))]
+    rows = rows[evenly(len(rows), ENOUGH)]
     if not len(rows):
         return None
     rows, y, Y = _merged(points, rows, which, noise)

@@ -74,19 +74,13 @@ def read_map(path: Path) -> Parts:
     return parts
 
 
-def write_map(
-    path: Path,
-    means: Mapping[int, Array],
-    covariances: Mapping[int, Array],
-    classes: Mapping[int, Any],
-    joint: Array | None,
-) -> None:
+def write_map(path: Path, content: Content) -> None:
     """Write a map, see `LandmarkMap.save`."""
     _, writer = _format(path)
     if writer is None:
         raise OptionError(f"{path}: maps are not written as {path.suffix}; use .csv, .npz, .yaml or .geojson")
     with write_whole(path) as temporary:
-        temporary.write_bytes(writer(Content(means, covariances, classes, joint)))
+        temporary.write_bytes(writer(content))
 
 
 def map_text(

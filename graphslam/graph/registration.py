@@ -87,15 +87,18 @@ M = TypeVar("M", bound=Match)
 
 def register(points: Points) -> list[Match]:
     """The hypotheses that differ, by decreasing evidence; none where no two landmarks agree with any."""
-    count = len(points.ids)
-    rows = np.unique(np.linspace(0, count - 1, min(count, MOST)).round().astype(int))
-    chosen = points.among(rows)
+    chosen = points.among(evenly(len(points.ids), MOST))
     poses = _hypotheses(chosen)
     if not len(poses):
         return []
     squares = _squares(chosen, poses, _variances(chosen))
     first = distinct(squares, squares <= GATE, REFINED)
     return [match for _, match in those_that_differ(refined(points, poses[first]))]
+
+
+def evenly(count: int, most: int) -> np.ndarray:
+    """At most so many of the numbers from 0 to count - 1, evenly spread, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
 def distinct(squares: Array, near: np.ndarray, most: int) -> np.ndarray:

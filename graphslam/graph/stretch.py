@@ -48,6 +48,13 @@ class Stretch:
         """Whether every sighting has an id."""
         return not np.any(self.landmarks == UNIDENTIFIED)
 
+    @property
+    def rows_at(self) -> list[np.ndarray]:
+        """The rows of the sightings from each pose."""
+        return np.split(
+            np.argsort(self.steps, kind="stable"), np.cumsum(np.bincount(self.steps, minlength=self.num_poses))
+        )
+
     def after(self, step: int) -> Stretch:
         """What comes from a pose on, which is then pose 0."""
         later = self.steps >= step

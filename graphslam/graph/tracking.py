@@ -18,7 +18,7 @@ from ..errors import GraphError
 from ..errors.checks import listed
 from ..log import UNIDENTIFIED, Log
 from ..models import ANYWHERE, MotionModel, SensorModel, additional_variances
-from ..se2 import Array, between, compose, wrap
+from ..se2 import Array, begun_at, wrap
 from .landmark_map import LandmarkMap
 from .localization import SURE, Fix, carried_back, first_fix, possible_fixes
 from .stretch import Stretch, drifted
@@ -61,10 +61,10 @@ def in_frame_of(
     notes = []
     found = follow(log, landmarks, motion=motion, sensor=sensor)
     fix = found.fixes[0]
-    placed = _placed(log.initial_poses, fix.pose)
+    placed = begun_at(fix.pose, log.initial_poses)
     notes.append(f"the first pose was found in the map: {fix.sentence}")
     for step, (before, way) in found.lifted.items():
-        placed[step:] = _placed(placed[step:], found.fixes[step].pose)
+        placed[step:] = begun_at(found.fixes[step].pose, placed[step:])
         notes.append(
             f"the robot was lifted between steps {before} and {step}, and put down {way:.2f} m from where it was expected: "
             f"{found.fixes[step].sentence}"
@@ -105,10 +105,9 @@ def follow(
             raise GraphError(f"{log.name} has no controls, and sightings without ids need them in a map")
         return result
     tracker = Tracker(landmarks, sensor, fix.pose, fix.covariance)
-    rows_of = np.split(np.argsort(log.steps, kind="stable"), np.cumsum(np.bincount(log.steps, minlength=log.num_poses)))
-    step, last, tried = 0, 0, DOUBT
+    rows_at, step, last, tried = drive.rows_at, 0, 0, DOUBT
     while True:
-        rows = rows_of[step]
+        rows = rows_at[step]
         if len(rows):
             seen = tracker.see(step, rows, drive.landmarks[rows], drive.sightings[rows])
             named[rows], result.agree[rows] = seen.landmarks, seen.agree
@@ -192,13 +191,6 @@ def sure_fix(drive: Stretch, landmarks: LandmarkMap, sensor: SensorModel) -> Fix
     except GraphError:
         return None
     return fix if fix is not None and fix.odds > SURE and len(fix.agree) > 2 else None
-
-
-def _placed(poses: Array, first: Array) -> Array:
-    """Poses moved as a whole so that the first one is ``first``; headings keep their full turns."""
-    placed = compose(first, between(poses[0], poses))
-    placed[:, 2] = first[2] + poses[:, 2] - poses[0, 2]
-    return placed
 
 
 def _freed(log: Log, lifted: dict[int, tuple[int, float]]) -> dict[str, Array]:

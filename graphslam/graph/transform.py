@@ -263,12 +263,10 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
         assert isinstance(seen, CartesianObservationEdges)
         return _weighted(replace(seen.relative, frame="body", kernel=None), family, state)
-    if isinstance(family, PartialEdges):
-        weights = family.kernel_weights(state)[:, None, None]
-        return replace(family, information=family.weighed * weights, kernel=None, trust=None)
     if isinstance(family, RelationEdges):
-        return _weighted(replace(family.relative, kernel=None), family, state)
-    if isinstance(family, PositionEdges):
+        edges = RelativePoseEdges(family.first, family.second, family.measured, family.weighed)
+        return _weighted(edges, family, state)
+    if isinstance(family, PartialEdges | PositionEdges):
         weights = family.kernel_weights(state)[:, None, None]
         return replace(family, information=family.weighed * weights, kernel=None, trust=None)
     if isinstance(family, RelativePoseEdges):

@@ -7,7 +7,7 @@ Each minimum is a place that they leave: two mirror images for ranges from a str
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -182,7 +182,11 @@ def places_of(seen: list[tuple[PartialEdges, np.ndarray]], state: Array) -> Plac
     seen = [(family, rows) for family, rows in seen if len(rows)]
     if not seen:
         return Places(np.zeros((0, 2)), np.zeros(0))
-    parts = [_rows(family, rows) for family, rows in seen]
+    parts = [
+        replace(f, first=f.first[rows], second=f.second[rows], measured=f.measured[rows], information=f.weighed[rows],
+                trust=None)
+        for f, rows in seen
+    ]  # fmt: skip
     sensors = [mounted(state[part.first], tuple(part.offset)) for part in parts]
     where = np.concatenate([each[:, :2] for each in sensors])
     extent = float(np.hypot(*(where.max(axis=0) - where.min(axis=0))))
@@ -236,17 +240,6 @@ def other_places(found: Iterable[tuple[int, Places, Array]]) -> Iterator[dict[in
                 yield {landmark: each.places[k]}
     if len(together) > 1:
         yield together
-
-
-def _rows(family: PartialEdges, rows: np.ndarray) -> PartialEdges:
-    return type(family)(
-        family.first[rows],
-        family.second[rows],
-        family.measured[rows],
-        family.weighed[rows],
-        family.offset,
-        kernel=family.kernel,
-    )
 
 
 def _normal(parts: list[PartialEdges], sensors: list[Array], m: Array) -> tuple[Array, Array, Array]:

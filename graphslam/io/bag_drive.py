@@ -247,11 +247,8 @@ def _base(odometry: Collector, recipe: Recipe, frames: Frames) -> str:
     named = recipe.place("odometry", "child")
     if named or odometry.child:
         return clean(named or odometry.child)
-    return next((name for name in _BASES if name in frames.parents or _is_parent(name, frames)), "base_link")
-
-
-def _is_parent(name: str, frames: Frames) -> bool:
-    return any(parent == name for parent, _, _ in frames.parents.values())
+    known = frames.parents.keys() | {parent for parent, _, _ in frames.parents.values()}
+    return next((name for name in _BASES if name in known), "base_link")
 
 
 def _stated(options: TableOptions) -> bool:

@@ -192,7 +192,6 @@ class Plan:
         places: the positions P, best first.
         id, look: paths of the id and of the class; empty where there is none.
         stamp: whether the "row" or the "message" has the time; empty where neither has.
-        frame: path of the name of the frame in the row or message that has the time.
         child: path of the name of the frame that moves; empty where there is none.
         action: whether rows can be deletions (visualization_msgs/Marker).
     """

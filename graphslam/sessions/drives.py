@@ -23,7 +23,7 @@ from ..identification.robot import known_robot
 from ..log import Log
 from ..log.end_to_end import end_to_end
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose
+from ..se2 import Array, begun_at
 from ..solvers.solve import solve
 
 
@@ -150,8 +150,5 @@ def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -
         others = named([each.name for each in before.sessions] or [before.name])
         raise GraphError(f"{log.name} and {others} share no landmark: do the ids mean the same ones in all of them?")
     fix = first_fix(log, known, **models)
-    start = log.initial_poses[0]
-    initial = compose(fix.pose, between(start, log.initial_poses))
-    # without jumps of a full turn
-    initial[:, 2] = fix.pose[2] + log.initial_poses[:, 2] - start[2]
-    return log.replace(initial_poses=initial, notes=(*log.notes, f"joined where {fix.sentence}"))
+    notes = (*log.notes, f"joined where {fix.sentence}")
+    return log.replace(initial_poses=begun_at(fix.pose, log.initial_poses), notes=notes)
