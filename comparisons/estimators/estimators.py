@@ -124,8 +124,7 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     begin = time.perf_counter()
     result = graphslam.textbook.solve(log, edges=edges, **models)
     seconds = time.perf_counter() - begin
-    # J by the graph's own evaluator
-    # those of its own cost
+    # J and the map by the graph's own code, which gets what the book's cost has
     log = log.replace(**dict.fromkeys(MEASURED))
     graph = Graph.from_log(log, edges=edges, frame="world", kernel="none", **models)
     state = np.asarray(result.poses, dtype=float)[graph.steps]
@@ -216,7 +215,6 @@ def _online_graph(log: Log, options: RunOptions) -> Graph:
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     """ISAM2 on our factor types, step by step through the log, as a robot that drives could."""
-    _no_map("isam2", options)
     options = isam2_options(log, options)
     keywords = online_keywords(options)
     result = _of_solution("isam2", log, options, graphslam.solve_online(log, backend="isam2", **keywords))
@@ -224,7 +222,12 @@ def isam2(log: Log, options: RunOptions) -> EstimatorResult:
 
 
 def isam2_options(log: Log, options: RunOptions) -> RunOptions:
-    """The options with the edges and the kernel that `graphslam.solve_online` takes for ISAM2 where they name none."""
+    """The options with the edges and the kernel that `graphslam.solve_online` takes for ISAM2 where they name none.
+
+    Raises:
+        OptionError: the options have a map.
+    """
+    _no_map("isam2", options)
     edges, kernel = suitable_for_isam2(log, options.edges, options.kernel)
     assert isinstance(kernel, str)
     return replace(options, edges=edges, kernel=kernel)
@@ -251,14 +254,23 @@ def _no_gnc(options: RunOptions) -> None:
         )
 
 
-def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
-    """Particle Gibbs: the means of sampled trajectories and maps, with the covariances of the samples."""
+def gibbs_sampler(log: Log, options: RunOptions) -> fastslam.ParticleGibbs:
+    """Particle Gibbs as the options ask for it.
+
+    Raises:
+        LogError, OptionError: it cannot run on this log.
+    """
     _no_map("particle-gibbs", options)
     check_one_drive("particle-gibbs", log)
-    sampler = fastslam.ParticleGibbs(
+    return fastslam.ParticleGibbs(
         log, seed=options.filter.seed, threads=options.filter.threads, options=options.gibbs, motion=options.motion,
         sensor=options.sensor,
     )  # fmt: skip
+
+
+def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
+    """Particle Gibbs: the means of sampled trajectories and maps, with the covariances of the samples."""
+    sampler = gibbs_sampler(log, options)
     begin = time.perf_counter()
     result = sampler.run()
     seconds = time.perf_counter() - begin

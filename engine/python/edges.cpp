@@ -175,11 +175,10 @@ void bind_starts(nb::module_& m) {
         return solve::follow_headings({span(first), span(second), {}, span(turn), span(information)}, span(headings),
                                       span(known));
     });
-    // the arrays of the pattern must live as long as the system
     nb::class_<solve::StartSystem>(m, "StartSystem")
         .def("__init__",
-             [](solve::StartSystem* at, In<Place> start, In<Place> rows, std::shared_ptr<sparse::Symbolic> symbolic) {
-                 new (at) solve::StartSystem(span(start), span(rows), std::move(symbolic));
+             [](solve::StartSystem* at, In<Place> start, std::shared_ptr<sparse::Symbolic> symbolic) {
+                 new (at) solve::StartSystem(span(start), std::move(symbolic));
              })
         .def("add_headings",
              [](solve::StartSystem& s, In<Place> first, In<Place> second, In<Place> pairs, In<double> turn,

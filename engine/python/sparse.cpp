@@ -20,10 +20,6 @@ using release = nb::call_guard<nb::gil_scoped_release>;
 
 Pattern pattern_of(const In<Place>& start, const In<Node>& rows) { return {span(start), span(rows)}; }
 
-BlockShape shape_of(bool hermitian) {
-    return hermitian ? BlockShape{Hermitian2::rows, Hermitian2::columns} : BlockShape{Real3::rows, Real3::columns};
-}
-
 void bind_patterns(nb::module_& m) {
     m.def("pattern", [](Place nodes, In<Place> sizes, In<Place> members) {
         WidePattern pattern = pattern_of_groups(nodes, span(sizes), span(members));
@@ -71,16 +67,15 @@ void bind_symbolic(nb::module_& m) {
         .def_ro("blocks", &Symbolic::blocks);
     m.def(
         "analyze",
-        [](In<Place> start, In<Node> rows, std::optional<In<Node>> order, bool hermitian, int threads) {
+        [](In<Place> start, In<Node> rows, std::optional<In<Node>> order, int threads) {
             const Pattern pattern = pattern_of(start, rows);
             const nb::gil_scoped_release other_threads;
-            if (order) return std::make_shared<Symbolic>(analyze(pattern, span(*order), shape_of(hermitian), threads));
-            return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of(hermitian), threads));
+            if (order) return std::make_shared<Symbolic>(analyze(pattern, span(*order), shape_of<Real3>, threads));
+            return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of<Real3>, threads));
         },
-        nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("hermitian"), nb::arg("threads"));
-    m.def("reshaped", [](const Symbolic& s, int rows, int columns) {
-        return std::make_shared<Symbolic>(reshaped(s, BlockShape{rows, columns}));
-    });
+        nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("threads"));
+    m.def("for_start", [](const Symbolic& s) { return std::make_shared<Symbolic>(reshaped(s, shape_of<Real2>)); });
+    m.def("for_proof", [](const Symbolic& s) { return std::make_shared<Symbolic>(reshaped(s, shape_of<Hermitian2>)); });
 }
 
 template <class Block>

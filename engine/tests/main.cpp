@@ -89,14 +89,13 @@ void test_solution(unsigned seed) {
     const Matrix<Block> matrix(random, nodes, random() % (3 * nodes));
     const Pattern pattern{matrix.pattern.start, matrix.rows};
     expect(pattern.fault() < 0, "rows ascend", seed);
-    const BlockShape shape{Block::rows, Block::columns};
     std::vector<Value> b(matrix.size), first;
     for (Value& value : b) value = draw(random, Value{});
     for (const int threads : {1, 3}) {
         // made for blocks of this shape, or of another one
-        const BlockShape made = seed % 2 == 0 ? shape : BlockShape{3, 3};
-        Factor<Block> factor(
-            std::make_shared<const Symbolic>(reshaped(analyze(pattern, fill_reducing(pattern), made, threads), shape)));
+        const BlockShape made = seed % 2 == 0 ? shape_of<Block> : shape_of<Real3>;
+        Factor<Block> factor(std::make_shared<const Symbolic>(
+            reshaped(analyze(pattern, fill_reducing(pattern), made, threads), shape_of<Block>)));
         expect(factor.factorize(matrix.values) < 0, "the matrix is positive definite", seed);
         std::vector<Value> x(matrix.size);
         expect(factor.solve(b, x), "the right-hand side is finite", seed);
@@ -122,7 +121,8 @@ void test_null_vector(unsigned seed) {
     const Place block = matrix.pattern.start[bad + 1] - 1;
     matrix.values[4 * block + 3 * (at % 2)] = matrix.whole[at * matrix.size + at] = -1.0;
     const Pattern pattern{matrix.pattern.start, matrix.rows};
-    Factor<Hermitian2> factor(std::make_shared<const Symbolic>(analyze(pattern, fill_reducing(pattern), {2, 4}, 1)));
+    Factor<Hermitian2> factor(
+        std::make_shared<const Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of<Hermitian2>, 1)));
     const Place pivot = factor.factorize(matrix.values);
     expect(pivot >= 0, "a negative pivot is found", seed);
     if (pivot < 0) return;

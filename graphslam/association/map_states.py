@@ -335,8 +335,6 @@ def _weighed_down(solution: Solution, known: set[int]) -> set[int]:
     graph = solution.graph
     assert graph is not None and graph.log is not None
     weights = graph.sighting_weights(solution.state)
-    if weights is None:
-        return set()
     ids = graph.log.landmarks[graph.sighting_rows]
     return {j for j in known if np.median(weights[ids == j]) < 0.5}
 

@@ -258,7 +258,7 @@ def analyze(indptr: NDArray[Any], indices: NDArray[Any], *, ordering: NDArray[An
         order = np.ascontiguousarray(ordering, dtype=np.int32)
         if not np.array_equal(np.sort(order), np.arange(n)):
             raise ValueError(f"ordering must be a permutation of {n} nodes")
-    structure = engine.analyze(indptr, indices, order, hermitian=False, threads=available_threads())
+    structure = engine.analyze(indptr, indices, order, threads=available_threads())
     return Symbolic(indptr, indices, structure)
 
 

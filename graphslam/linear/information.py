@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..engine import available_threads, engine
+from ..engine import engine
 from ..se2 import Array
 from .cholesky import Factor, Symbolic, analyze, symmetric
 
@@ -37,29 +37,23 @@ class Structure:
         return analyze(self.indptr, self.indices)
 
     @cached_property
-    def _hermitian(self) -> Any:
-        """The structure of the factor of a Hermitian matrix of this pattern, that of `symbolic` if it is known."""
-        if "symbolic" in vars(self):
-            return engine.reshaped(self.symbolic.structure, 2, 4)
-        return engine.analyze(
-            self.indptr, self.indices.astype(np.int32), None, hermitian=True, threads=available_threads()
-        )
+    def _for_start(self) -> Any:
+        return engine.for_start(self.symbolic.structure)
 
     @cached_property
-    def _of_start(self) -> Any:
-        """The structure of the factor of a matrix of 2 x 2 blocks on this pattern."""
-        return engine.reshaped(self.symbolic.structure, 2, 2)
+    def _for_proof(self) -> Any:
+        return engine.for_proof(self.symbolic.structure)
 
     def start(self) -> Any:
         """Omega and xi of two coordinates of each node, in the engine, for initial values."""
-        return engine.StartSystem(self.indptr, self.indices, self._of_start)
+        return engine.StartSystem(self.indptr, self._for_start)
 
     def proof(self) -> Any:
         """A proof in the engine without edges: the ``spare`` one, where its user gives it back, or a new one."""
         try:
             proof = self.spare.pop()
         except IndexError:
-            proof = engine.Proof(self.indptr, self.indices, self._hermitian)
+            proof = engine.Proof(self.indptr, self.indices, self._for_proof)
         proof.clear()
         return proof
 

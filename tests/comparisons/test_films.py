@@ -311,6 +311,12 @@ def test_refused(log: Log, name: str, options: dict[str, str], error: type[SlamE
         animate(log, estimator=name, **options)
 
 
+@pytest.mark.parametrize("name", ["isam2", "particle-gibbs"])
+def test_a_map_that_would_not_be_used_is_refused(log: Log, name: str) -> None:
+    with pytest.raises(OptionError, match=f"{name} does not use a map"):
+        animate(log, estimator=name, landmark_map=solve(Graph.from_log(log)).map)
+
+
 def test_refused_logs(log: Log) -> None:
     with pytest.raises(OptionError, match="needs a map"):
         animate(log.replace(true_landmarks=None), estimator="mcl", **FEW)

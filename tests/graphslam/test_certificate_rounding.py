@@ -37,7 +37,7 @@ def test_hermitian_factorisation(seed):
             i = system.indices[p]
             values[p] = A[2 * i : 2 * i + 2, 2 * j : 2 * j + 2]
     pattern, order = (system.indptr, system.indices.astype(np.int32)), rng.permutation(n).astype(np.int32)
-    symbolic = engine.analyze(*pattern, order, hermitian=True, threads=1)
+    symbolic = engine.for_proof(engine.analyze(*pattern, order, threads=1))
     factor = engine.HermitianFactor(symbolic)
     bad = factor.factorize(values, 0.0)
     if np.linalg.eigvalsh(A)[0] < 0:

@@ -111,14 +111,30 @@ def test_edges_to_no_node_are_refused(k, value):
         engine.add_linearized(*given)
 
 
-@pytest.mark.parametrize("shape", [(2, 3, 4), (3, 2, 4), (3, 3), (36,)])
+@pytest.mark.parametrize("shape", [(2, 3, 4), (3, 2, 4), (3, 3, 5), (3, 3), (36,)])
 def test_right_hand_sides_of_other_shapes_are_refused(shape):
-    start, rows = _edges()[8:10]
-    factor = engine.RealFactor(engine.analyze(start, rows, None, hermitian=False, threads=1))
-    with pytest.raises(ValueError, match="right-hand side"):
-        factor.solve_columns(np.ones(shape), np.ones((3, 3, 4)))
-    with pytest.raises(ValueError, match="right-hand side"):
-        factor.solve(np.ones(shape), np.ones((3, 3, 4)))
+    start, rows, values = _edges()[8:11]
+    values[start[1:] - 1] = np.eye(3)
+    factor = engine.RealFactor(engine.analyze(start, rows, None, threads=1))
+    assert factor.factorize(values, 0.0) < 0
+    right, other = np.ones((3, 3, 4)), np.ones(shape)
+    assert factor.solve_columns(right, np.empty_like(right))
+    for b, x in ((right, other), (other, right)):
+        with pytest.raises(ValueError, match="right-hand sides and solutions"):
+            factor.solve_columns(b, x)
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (4, 3), (3, 3, 2)])
+def test_a_right_hand_side_of_another_size_is_refused(shape):
+    start, rows, values = _edges()[8:11]
+    values[start[1:] - 1] = np.eye(3)
+    factor = engine.RealFactor(engine.analyze(start, rows, None, threads=1))
+    assert factor.factorize(values, 0.0) < 0
+    right, other = np.ones((3, 3)), np.ones(shape)
+    assert factor.solve(right, np.empty_like(right))
+    for b, x in ((right, other), (other, right)):
+        with pytest.raises(ValueError, match="right-hand side and solution"):
+            factor.solve(b, x)
 
 
 @pytest.mark.parametrize("xi", [np.ones((3, 3), dtype=np.float32), np.ones((3, 6))[:, ::2]])

@@ -10,11 +10,12 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.lines import Line2D
 
-from fastslam import GibbsResult, ParticleFilter, ParticleGibbs, Samples, VanishedWeightsWarning
+from fastslam import GibbsResult, ParticleFilter, Samples, VanishedWeightsWarning
 from fastslam.particles import ParticleState
 from graphslam import Log
 from graphslam.se2 import Array
 
+from ...estimators.estimators import gibbs_sampler
 from ...estimators.filters import particle_filter
 from ...options import AnimationOptions, RunOptions
 from ..canvas import FLASH, PARTICLE
@@ -136,11 +137,7 @@ def sample_film(log: Log, options: RunOptions, animation: AnimationOptions, prog
     Raises:
         LogError, OptionError: it cannot run on this log.
     """
-    sampler = ParticleGibbs(
-        log, seed=options.filter.seed, threads=options.filter.threads, options=options.gibbs, motion=options.motion,
-        sensor=options.sensor,
-    )  # fmt: skip
-    result = sampler.run()
+    result = gibbs_sampler(log, options).run()
     chains, sweeps = result.trajectories.shape[:2]
     frames: list[SampleFrame] = []
     for number in kept(sweeps, animation.max_frames).tolist():

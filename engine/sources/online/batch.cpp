@@ -53,8 +53,8 @@ class BatchProblem {
         pattern_ = sparse::pattern_of_groups(static_cast<Place>(nodes_.size()), sizes, members);
         rows_.assign(pattern_.rows.begin(), pattern_.rows.end());
         const sparse::Pattern pattern{pattern_.start, rows_};
-        factor_ = std::make_unique<sparse::Factor<sparse::Real3>>(
-            std::make_shared<sparse::Symbolic>(sparse::analyze(pattern, sparse::fill_reducing(pattern), {3, 3}, 1)));
+        factor_ = std::make_unique<sparse::Factor<sparse::Real3>>(std::make_shared<sparse::Symbolic>(
+            sparse::analyze(pattern, sparse::fill_reducing(pattern), sparse::shape_of<sparse::Real3>, 1)));
         values_.resize(9 * rows_.size());
         xi_.resize(state.size());
         slots_.resize(nodes_.size());

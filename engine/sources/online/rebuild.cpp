@@ -87,7 +87,7 @@ Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::
     for (const Number node : newest)
         if (const Number k = graph.nodes[node].local; k >= 0) last[k] = 3;
     std::ranges::stable_sort(order, {}, [&](Number k) { return last[k]; });
-    return sparse::analyze(pattern, order, {3, 3}, 1);
+    return sparse::analyze(pattern, order, sparse::shape_of<sparse::Real3>, 1);
 }
 
 /// What an elimination changes in the graph and below the top, to put it back.

@@ -38,7 +38,7 @@ void Graph::assemble(int threads, const std::function<void(GraphObjective&, Fact
     const std::vector<sparse::Node> rows(pattern.rows.begin(), pattern.rows.end());
     const sparse::Pattern narrow{pattern.start, rows};
     Factor factor(std::make_shared<const sparse::Symbolic>(
-        analyze(narrow, fill_reducing(narrow), {sparse::Real3::rows, sparse::Real3::columns}, threads)));
+        analyze(narrow, fill_reducing(narrow), sparse::shape_of<sparse::Real3>, threads)));
 
     std::vector<std::vector<Place>> pairs;
     for (const Member& m : members_) {

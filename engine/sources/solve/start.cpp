@@ -22,9 +22,11 @@ bool follow_headings(const Relations& edges, std::span<double> headings, std::sp
     return true;
 }
 
-StartSystem::StartSystem(std::span<const Place> start, std::span<const Place> rows,
-                         std::shared_ptr<const sparse::Symbolic> symbolic)
-    : start_(start), values_(4 * rows.size()), xi_(2 * (start.size() - 1)), factor_(std::move(symbolic)) {}
+StartSystem::StartSystem(std::span<const Place> start, std::shared_ptr<const sparse::Symbolic> symbolic)
+    : start_(start.begin(), start.end()),
+      values_(4 * start.back()),
+      xi_(2 * (start.size() - 1)),
+      factor_(std::move(symbolic)) {}
 
 void StartSystem::add_headings(const Relations& edges, std::span<const double> unit) {
     for (std::size_t k = 0; k < edges.first.size(); ++k) {

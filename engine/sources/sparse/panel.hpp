@@ -47,10 +47,9 @@ inline Right pack(Right b, Step depth, int few, double* packed) {
 /// C = [C] - A B^H for `few` node columns.
 template <class Block, bool add>
 inline void product_nodes(Columns c, ConstColumns a, Right b, Step rows, int few, Step depth) {
-    if (Block::planes == 1 && few == 2)
-        product_columns<2 * Block::columns, add>(c, a, b, rows, depth);
-    else
-        product_columns<Block::columns, add>(c, a, b, rows, depth);
+    if constexpr (Block::planes == 1)
+        if (few == 2) return product_columns<2 * Block::columns, add>(c, a, b, rows, depth);
+    product_columns<Block::columns, add>(c, a, b, rows, depth);
 }
 
 /// C = [C] - A B^H for `nodes` node columns. The rows of B begin at `b`; for complex blocks they are those of a panel. With

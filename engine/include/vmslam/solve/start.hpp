@@ -25,14 +25,15 @@ bool follow_headings(const Relations& edges, std::span<double> headings, std::sp
 /// Omega and xi of two coordinates of each node, on the pattern of a graph.
 class StartSystem {
    public:
-    StartSystem(std::span<const Place> start, std::span<const Place> rows, std::shared_ptr<const sparse::Symbolic> symbolic);
+    /// `start` are the first blocks (n + 1) of the columns, and `symbolic` is for blocks of 2 x 2.
+    StartSystem(std::span<const Place> start, std::shared_ptr<const sparse::Symbolic> symbolic);
 
     /// Add edges with the residual R(value) r_first - r_second, where r = (cos theta, sin theta) is `unit` (2) of nodes.
     void add_headings(const Relations& edges, std::span<const double> unit);
     /// Add edges with the residual p_second - p_first - value, where p is `position` (2) of nodes; the information is 2 x 2.
     void add_positions(const Relations& edges, std::span<const double> position);
-    /// The nodes that are moved by `solve`, all but `nodes`, in whose rows and columns are `blocks`. Those of `untied`, which
-    /// no edge ties, stay where they are, too.
+    /// Let `solve` leave some nodes where they are: `nodes`, whose rows and columns have the given blocks, and `untied`, which no
+    /// edge ties.
     void hold(std::span<const Place> blocks, std::span<const Place> nodes, std::span<const Place> untied);
     /// Omega^-1 xi; then Omega and xi are zero again. Returns a node that the edges do not determine, or -1.
     Place solve(std::span<double> correction);
@@ -41,7 +42,7 @@ class StartSystem {
     double* block(Place k) { return values_.data() + 4 * k; }
     double* diagonal(Place node) { return block(start_[node + 1] - 1); }
 
-    std::span<const Place> start_;
+    std::vector<Place> start_;
     std::vector<double> values_, xi_;
     sparse::Factor<sparse::Real2> factor_;
 };

@@ -276,4 +276,7 @@ struct Hermitian2 {
     }
 };
 
+template <class Block>
+inline constexpr BlockShape shape_of{Block::rows, Block::columns};
+
 }  // namespace vmslam::sparse
