@@ -33,7 +33,6 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from scipy.special import betainc, ndtr
 
 from ..edges import PriorEdges, Way
 from ..errors import GraphError, OptionError, quoted
@@ -341,6 +340,8 @@ def _weighed_down(solution: Solution, known: set[int]) -> set[int]:
 
 def _views(solution: Solution, known: LandmarkMap, places: Mapping[int, Array], log: Log) -> dict[int, _Views]:
     """{id: the scans in which it is well within the field of view, and in which it was seen}."""
+    from scipy.special import ndtr  # late: 0.1 s that most runs do not need
+
     graph = solution.graph
     assert graph is not None and graph.sensor is not None
     field = Field.of(log, graph.sensor)
@@ -379,6 +380,8 @@ def _gone(there: list[_Views], prior: float) -> Callable[[np.ndarray], float]:
 
     The beta distributions of `_MEANS` and `_SIZES` are averaged with their likelihoods by the landmarks that are ``there``.
     """
+    from scipy.special import betainc
+
     a, b = (_MEANS[:, None] * _SIZES).ravel(), ((1 - _MEANS[:, None]) * _SIZES).ravel()
     shares = np.diff(betainc(a[:, None], b[:, None], _DETECTION), axis=1)
     d = (_DETECTION[1:] + _DETECTION[:-1]) / 2

@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
 from ..association import associate
 from ..errors import GraphError, LogError
@@ -352,6 +351,8 @@ def _noise(every: Sequence[RobotEstimate]) -> _Noise:
     Values of one number from R logs, weighted by their information, scatter by chi-square with R - 1 degrees of freedom.
     Errors of sightings that last make their noise differ from log to log, and so only biases are doubtful.
     """
+    from scipy.special import chdtri
+
     names = list(every[0].errors)
     biased = list(dict.fromkeys(name for one in every for name in one.parameters.names))
     widths = 0.5 * np.log([one.inflation for one in every])[:, None] * np.isin(names, OF_SENSOR)

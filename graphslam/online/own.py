@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
 from ..edges import ANCHOR_INFORMATION, RangeEdges, freest_turn
 from ..edges.robust import Kernel, code_and_width
@@ -381,6 +380,8 @@ def _priors_of(known: LandmarkMap, columns: int) -> tuple[list[int], Array, Arra
     if known.joint is not None:
         information = known.joint_information(ids, columns)
     else:
+        from scipy.linalg import block_diag
+
         information = block_diag(
             *(known.own_information(j, columns) if j in known.covariances else np.zeros((3, 3)) for j in ids)
         )

@@ -11,7 +11,6 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import expit
 
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
@@ -340,6 +339,8 @@ class OnlineSolver:
             in_map = isinstance(self._backend, Localizer)
             off = beyond(np.eye(3) if in_map else self.covariance(), metres, radians)
             return 1.0 if in_map else float(off)
+        from scipy.special import expit  # late: 0.1 s that few programs need
+
         off = beyond(inflation(tracker.squares) * self.covariance(), metres, radians)
         return float(1 - expit(tracker.log_odds) * (1 - off))
 

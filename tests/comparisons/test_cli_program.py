@@ -31,6 +31,13 @@ def test_the_command_line_imports_nothing_heavy() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 
+@pytest.mark.slow
+def test_a_run_of_the_graph_imports_no_special_functions(tmp_path: Path) -> None:
+    work = "from comparisons import run; run(estimators='graph').save('.')"
+    code = f"import sys; {work}; sys.exit('scipy.special' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)})
+
+
 def program(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     return subprocess.Popen(

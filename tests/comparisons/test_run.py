@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 from comparisons.comparison import Comparison, run
 from comparisons.estimators import Estimator, estimators
@@ -13,6 +14,7 @@ from comparisons.estimators.attempt import Skipped
 from comparisons.estimators.config import read_config
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
+from comparisons.results.results import CHI_SQUARE_MEDIANS
 from comparisons.show.report.page import page_of
 from comparisons.show.tables import as_text
 from graphslam import FormatError, GraphError, Log, OptionError, SensorModel, SlamError, simulate
@@ -80,6 +82,10 @@ def test_the_table_says_whether_the_noise_fits(log: Log) -> None:
     assert payload["noise"]["motion"]["source"] == "book"
     assert payload["noise"]["sensor"]["model"]["range_rate"] == 0.014
     assert payload["estimators"][1]["cost_per_dof"] == ratio
+
+
+def test_medians_of_chi_square() -> None:
+    assert {d: chdtri(d, 0.5) for d in CHI_SQUARE_MEDIANS} == pytest.approx(CHI_SQUARE_MEDIANS, rel=1e-14)
 
 
 def test_json_is_what_the_design_says(comparison: Comparison, log: Log) -> None:
