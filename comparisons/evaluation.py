@@ -23,8 +23,8 @@ from graphslam import FormatError, LandmarkMap, LogError, OptionError, load
 from graphslam.errors import named
 from graphslam.files import check_file, read_archive
 from graphslam.graph.map_files import COVARIANCE, UPPER
-from graphslam.io.bag import SUFFIXES, is_bag, open_bag
 from graphslam.io.bag_poses import POSES, Poses
+from graphslam.io.bag_topics import SUFFIXES, is_bag, open_bag
 from graphslam.log.drive import truth_of
 from graphslam.log.measurements import finite_floats, not_positive
 from graphslam.log.streams import poses_at

@@ -16,8 +16,8 @@ import numpy as np
 
 from graphslam import FormatError, Log, LogError, OptionError, SensorModel
 from graphslam.files import check_file, check_path, check_unpacked
-from graphslam.io.bag import is_bag
 from graphslam.io.bag_drive import drive_of_bag, recipe_beside, topics_of
+from graphslam.io.bag_topics import is_bag
 from graphslam.io.tables import Recipe, drive_of, merged, read_recipe, recipe_of
 from graphslam.log.drive import Timed
 from graphslam.log.join import Drive, read_drive

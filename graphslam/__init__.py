@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from .calibration import calibrate
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
-    from .graph.landmark_map import LandmarkMap
+    from .graph.landmark_map import LandmarkMap, estimate_map
     from .graph.localization import first_fix
-    from .graph.mapping import estimate_map
     from .identification.robot import estimate_robot
     from .io.formats import load, save
     from .log import Log

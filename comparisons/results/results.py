@@ -16,7 +16,8 @@ import numpy as np
 from fastslam.gibbs.chains import GibbsResult
 from fastslam.particles import FilterResult, Samples
 from graphslam import Certificate, FormatError, Graph, Log, MotionModel, SlamError, Solution
-from graphslam.association import Association
+from graphslam.association import Ambiguity, Association
+from graphslam.association.associate import Verdict
 from graphslam.edges import EdgeFamily, PositionEdges, RelationEdges
 from graphslam.errors import printable
 from graphslam.graph.stretch import drifted
@@ -28,7 +29,6 @@ from graphslam.solvers.uncertainty import Uncertainty
 from graphslam.textbook import TextbookSolution
 
 from .documents import Count, Covariance, Flags, Numbers, Poses, Position
-from .sightings import FoundIds
 
 #: the median of chi-square by its degrees of freedom; as numbers, because importing SciPy's functions takes 0.1 s of each run
 CHI_SQUARE_MEDIANS = {1: 0.4549364231195727, 2: 1.3862943611198906, 3: 2.3659738843753377}
@@ -309,6 +309,37 @@ def typical_costs(result: EstimatorResult) -> dict[str, float]:
             ratios = [edges.mahalanobis / CHI_SQUARE_MEDIANS[edges.residuals.shape[1]] for edges in linear]
             found[name] = float(np.median(np.concatenate(ratios)))
     return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundIds:
+    """The ids that an estimator gave sightings itself; what needs true ids is None where there are none.
+
+    Attributes:
+        landmarks: landmarks that some sighting was given to.
+        clutter: sightings that are of no landmark.
+        precision, recall, found, missed, doubled, invented, matches: see `graphslam.association.AssociationScore`.
+        classes: the class that most sightings of a landmark show, by id; None where none is known.
+        unconfirmed: sightings for which another landmark, or clutter, is nearly as likely, or a filter's is not confirmed.
+        evidence: logarithm of the evidence for the ids; compares associations of one log; None for filters.
+        doubts: places that may be others; None for filters.
+        verdict: whether the map can be relied on; None for filters.
+    """
+
+    landmarks: Count
+    clutter: Count
+    precision: float | None = None
+    recall: float | None = None
+    found: Count | None = None
+    missed: Count | None = None
+    doubled: Count | None = None
+    invented: Count | None = None
+    matches: Mapping[int, int] | None = None
+    classes: Mapping[int, int | str | None] | None = None
+    unconfirmed: Count | None = None
+    evidence: float | None = None
+    doubts: tuple[Ambiguity, ...] | None = None
+    verdict: Verdict | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,15 +16,13 @@ import numpy as np
 
 from graphslam import Log
 from graphslam.association import AssociationScore
-from graphslam.association.ambiguity import Ambiguity
-from graphslam.association.associate import Verdict
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import Session
 from graphslam.metrics import METRICS, Errors, Metrics, evaluate
 from graphslam.se2 import Array
 
 from .documents import Count
-from .results import EstimatorResult
+from .results import EstimatorResult, FoundIds
 
 if TYPE_CHECKING:
     from ..comparison import Comparison
@@ -82,37 +80,6 @@ def sightings_text(log: Log, result: EstimatorResult) -> str:
         shown = classes[k] if known[k] else ""
         table.writerow([int(log.steps[k]), *z, *[""] * (3 - len(z)), shown, ids[0], status[k], ids[1]])
     return text.getvalue()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FoundIds:
-    """The ids that an estimator gave sightings itself; what needs true ids is None where there are none.
-
-    Attributes:
-        landmarks: landmarks that some sighting was given to.
-        clutter: sightings that are of no landmark.
-        precision, recall, found, missed, doubled, invented, matches: see `graphslam.association.AssociationScore`.
-        classes: the class that most sightings of a landmark show, by id; None where none is known.
-        unconfirmed: sightings for which another landmark, or clutter, is nearly as likely, or a filter's is not confirmed.
-        evidence: logarithm of the evidence for the ids; compares associations of one log; None for filters.
-        doubts: places that may be others; None for filters.
-        verdict: whether the map can be relied on; None for filters.
-    """
-
-    landmarks: Count
-    clutter: Count
-    precision: float | None = None
-    recall: float | None = None
-    found: Count | None = None
-    missed: Count | None = None
-    doubled: Count | None = None
-    invented: Count | None = None
-    matches: Mapping[int, int] | None = None
-    classes: Mapping[int, int | str | None] | None = None
-    unconfirmed: Count | None = None
-    evidence: float | None = None
-    doubts: tuple[Ambiguity, ...] | None = None
-    verdict: Verdict | None = None
 
 
 def found_ids(log: Log, result: EstimatorResult, scores: AssociationScore | None) -> FoundIds | None:

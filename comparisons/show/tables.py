@@ -30,7 +30,7 @@ from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 
 if TYPE_CHECKING:
     from ..comparison import Comparison, ResultTable
-    from ..results.sightings import FoundIds
+    from ..results.results import FoundIds
     from ..studies.backends import BackendComparison
     from ..studies.solvers import SolverComparison
 

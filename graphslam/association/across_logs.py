@@ -21,7 +21,7 @@ from ..graph.landmark_map import LandmarkMap
 from ..graph.localization import SURE, odds_of
 from ..graph.tracking import follow
 from ..log import UNIDENTIFIED, Log
-from ..log.end_to_end import end_to_end
+from ..log.join import end_to_end
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose, in_frame
 from ..solvers.solve import solve

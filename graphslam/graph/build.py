@@ -32,8 +32,7 @@ from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .defaults import anchors, position_edges
-from .landmark_map import LandmarkMap
-from .mapping import estimate_map
+from .landmark_map import LandmarkMap, estimate_map
 from .trilateration import edges_of_single_numbers, placed_single_numbers
 
 if TYPE_CHECKING:

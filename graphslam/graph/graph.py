@@ -32,8 +32,7 @@ from ..models import RESIDUALS, MotionModel, SensorModel
 from ..se2 import Array
 from .build import graph_of_log, node_names, with_closures, with_dimensions
 from .defaults import edges_for_map, in_frame_of_positions, pairs_overweight, suitable_edges, suitable_kernel
-from .landmark_map import LandmarkMap, as_map
-from .mapping import estimate_map
+from .landmark_map import LandmarkMap, as_map, estimate_map
 from .tracking import in_frame_of
 
 EDGES = ("virtual", "virtual+motion", "landmark+motion")

@@ -1,6 +1,6 @@
 """The streams of a drive in a bag: topics are chosen, streamed once, and brought into the axes of the robot.
 
-Bags of ROS 1 (.bag) and ROS 2 (.mcap, .db3, or their folder); `io.bag` reads them.
+Bags of ROS 1 (.bag) and ROS 2 (.mcap, .db3, or their folder); `io.bag_topics` reads them.
 
 A recipe beside the bag, ``drive.toml`` for ``drive.mcap``, names topics, fields, units and clocks (`io.tables`).
 """
@@ -24,10 +24,9 @@ from ..log.table import Columns
 from ..log.table_options import TableOptions
 from ..log.text_table import table_of
 from ..se2 import Array, wrap
-from .bag import Bag, Topic, is_bag, open_bag
 from .bag_messages import Collector, Frames, clean, rotation_of
 from .bag_poses import Poses, positions_table, relations_table
-from .bag_topics import TF, Candidate, candidates, plan_of
+from .bag_topics import TF, Bag, Candidate, Topic, candidates, is_bag, open_bag, plan_of
 from .base import Format
 from .tables import Recipe, read_recipe
 

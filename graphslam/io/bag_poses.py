@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError
+from ..log.join import datum_note, local_plane
 from ..log.measurements import not_positive
-from ..log.plane import datum_note, local_plane
 from ..log.table import COVARIANCES, Columns
 from ..se2 import Array, between, compose, turn_matrix
 from .bag_messages import Frames, clean, rotation_of

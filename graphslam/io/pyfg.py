@@ -33,7 +33,7 @@ from ..errors import FormatError, OptionError, quoted
 from ..errors.checks import singular
 from ..files import number, read_text
 from ..log import Log
-from ..log.end_to_end import end_to_end
+from ..log.join import end_to_end
 from ..log.measurements import (
     NOT_POSITIVE,
     AbsolutePositions,

@@ -1,12 +1,13 @@
-"""`Log.from_tables`: the streams of a drive, each with its own clock, as one log.
+"""`Log.from_tables`: the streams of a drive, each with its own clock, as one log; and two drives as one log.
 
-The tables of other sensors: relations between two poses, and absolute positions, each with its noise.
+The tables of other sensors: relations between two poses, and absolute positions, each with its noise; latitude and longitude
+become places in the plane that touches the earth at the first of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,47 @@ import numpy as np
 
 from ..errors import LogError, OptionError
 from ..errors.checks import check_known, check_type, checked_offset, first
-from ..models import SensorModel
+from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
 from .cells import Doubt, seconds
 from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
 from .log import Log
-from .measurements import NOT_POSITIVE, not_positive
-from .plane import datum_note, local_plane
+from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
 from .rows import ReadOptions
 from .streams import Stream
 from .synchronize import synchronize
 from .table import COVARIANCES, Table
 from .table_options import TableOptions
 from .text_table import table_of
+
+#: the major half-axis [m] and the squared eccentricity of the ellipsoid
+_AXIS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
+
+
+def local_plane(fixes: Array, datum: Array, height: float = 0.0) -> Array:
+    """East and north (N, 2) [m] of fixes (N, 2), latitude and longitude [degrees], in the plane that touches at the datum."""
+
+    def earth(latitude: Array, longitude: Array) -> Array:
+        N = _AXIS / np.sqrt(1 - _ECCENTRICITY * np.sin(latitude) ** 2)
+        along = (N + height) * np.cos(latitude)
+        up = (N * (1 - _ECCENTRICITY) + height) * np.sin(latitude)
+        return np.stack([along * np.cos(longitude), along * np.sin(longitude), up], axis=-1)
+
+    phi, lam = np.radians(datum)
+    axes = np.array([
+        [-np.sin(lam), np.cos(lam), 0.0],
+        [-np.sin(phi) * np.cos(lam), -np.sin(phi) * np.sin(lam), np.cos(phi)],
+    ])  # fmt: skip
+    return np.asarray((earth(*np.radians(fixes).T) - earth(phi, lam)) @ axes.T)
+
+
+def datum_note(datum: Array, source: str) -> str:
+    """The sentence about the origin of the plane."""
+    return (
+        f"positions are metres east and north of latitude {datum[0]:.8f}, longitude {datum[1]:.8f} degrees (WGS 84), the "
+        f"first fix of {source}"
+    )
+
 
 #: relations by which the robot turns more are refused unless the unit is stated [rad]
 MOST_TURN = 2 * np.pi + 1e-6
@@ -347,3 +376,81 @@ def _unit_ratio(one: int, other: int) -> int | None:
 
 def _interval(begin: int, end: int) -> str:
     return f"{begin / 1e9:.3f} to {end / 1e9:.3f} s"
+
+
+def end_to_end(first: Log, second: Log) -> Log:
+    """The log of both, with controls; the second is in the frame of the first.
+
+    From the last pose of the first to the first pose of the second leads a control of a second with the variances
+    `ANYWHERE`. The noise models are those of the first.
+    """
+    a, b = first, second
+    assert a.controls is not None and b.controls is not None and a.dt is not None and b.dt is not None
+    poses, pieces = a.num_poses, len(a.controls) + 1
+    of_first, of_second = (additional_variances(each.control_variances, len(each.controls)) for each in (a, b))  # type: ignore[arg-type]
+
+    def both(name: str) -> Array | None:
+        one, other = getattr(a, name), getattr(b, name)
+        return None if one is None or other is None else np.concatenate([one, other])
+
+    def with_unknown(name: str, sizes: Sequence[int]) -> Array | None:
+        """Rows of both, NaN for the one that has none."""
+        rows = [getattr(each, name) for each in (a, b)]
+        if all(each is None for each in rows):
+            return None
+        return np.concatenate([np.full((n, 3), np.nan) if each is None else each for each, n in zip(rows, sizes)])
+
+    recorded = [each.dt if each.recorded_dt is None else each.recorded_dt for each in (a, b)]
+    truth = with_unknown("true_poses", (poses, b.num_poses))
+    known = [each for each in (a, b) if each.true_poses is not None]
+    path = (
+        with_unknown("true_path", (pieces, len(b.controls) + 1))
+        if all(e.true_path is not None for e in known)
+        else None
+    )
+    return a.replace(
+        dt=np.concatenate([a.dt, [1.0], b.dt]),
+        controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
+        control_starts=np.concatenate([a.control_starts, pieces + b.control_starts]),
+        control_variances=np.concatenate([of_first, [ANYWHERE], of_second]),
+        recorded_dt=np.concatenate([recorded[0], [1.0], recorded[1]]),
+        steps=np.concatenate([a.steps, poses + b.steps]),
+        landmarks=both("landmarks"),
+        sightings=both("sightings"),
+        classes=both("classes"),
+        initial_poses=both("initial_poses"),
+        true_poses=truth,
+        true_path=path,
+        true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
+        **{name: _shifted(getattr(a, name), getattr(b, name), poses) for name in MEASURED},
+        notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
+        doubts=(*a.doubts, *b.doubts),
+        sessions=(
+            *(a.sessions or (Session(a.name, 0, a.start_time),)),
+            *(
+                replace(each, start=poses + each.start)
+                for each in b.sessions or (Session(b.name, 0, b.start_time),)
+            ),
+        ),
+        name=f"{a.sessions[0].name} and {len(a.sessions)} more" if a.sessions else f"{a.name} and {b.name}",
+    )  # fmt: skip
+
+
+def joined_rows(first: Measured | None, second: Measured | None) -> Measured | None:
+    """The rows of two kinds of the same measurements; None where neither has any."""
+    if first is None or second is None:
+        return second if first is None else first
+    rows = {f.name: np.concatenate([getattr(first, f.name), getattr(second, f.name)]) for f in fields(second)}
+    return replace(second, **rows)  # type: ignore[arg-type]
+
+
+def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
+    """Remarks about a log, with its name; those about logs that were joined have it already."""
+    yield from remarks if log.sessions else (f"{log.name}: {remark}" for remark in remarks)
+
+
+def _shifted(first: Measured | None, second: Measured | None, poses: int) -> Measured | None:
+    """The measurements of two logs, the steps of the second counted from ``poses`` on."""
+    if second is not None:
+        second = second.moved({end: getattr(second, end) + poses for end in second.ENDS})
+    return joined_rows(first, second)

@@ -21,7 +21,7 @@ from ..graph.landmark_map import LandmarkMap
 from ..graph.localization import first_fix
 from ..identification.robot import known_robot
 from ..log import Log
-from ..log.end_to_end import end_to_end
+from ..log.join import end_to_end
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, begun_at
 from ..solvers.solve import solve

@@ -22,7 +22,7 @@ import numpy as np
 from ..errors import LogError, OptionError, named
 from ..log import Log
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
-from ..log.end_to_end import joined_rows
+from ..log.join import joined_rows
 from ..log.measurements import PoseRelations
 from ..log.rows import robot_class
 from ..models import SensorModel

@@ -14,7 +14,7 @@ from comparisons.show.canvas import colour_of, placement_of_result
 from comparisons.show.figures import comparison_figure
 from comparisons.show.films import animate
 from comparisons.show.log_tables import plan
-from comparisons.show.report import paths
+from comparisons.show.report import charts
 from comparisons.show.report.view import view_of
 from graphslam import Log, MotionModel, control_path, save, simulate
 from graphslam.se2 import compose
@@ -76,7 +76,7 @@ def test_the_report(comparison: Comparison, expected: np.ndarray) -> None:
     view = view_of(comparison)
     np.testing.assert_allclose(view.estimates[1].line[:, :2], expected, atol=1e-12)
     assert view.times is not None and view.times[0] == 0
-    traces = [t for t in paths.paths_figure(view)["data"] if t["meta"].get("layer") == "path"]
+    traces = [t for t in charts.paths_figure(view)["data"] if t["meta"].get("layer") == "path"]
     of_graph = [t for t in traces if t["meta"]["estimator"] == "graph"]
     assert [len(t["x"]) for t in of_graph] == [61, 13]
     assert [t["mode"] for t in of_graph] == ["lines", "markers"]

@@ -34,7 +34,7 @@ from comparisons.estimators import filters
 from comparisons.results import exchange
 from comparisons.show import canvas, log_tables, tables
 from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
-from comparisons.show.report import curves, matches, page
+from comparisons.show.report import charts, matches, page
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults, tracking
 from graphslam.identification.result import RobotEstimate
@@ -49,7 +49,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     tables._exchanged, tables._noise_remarks, verbs.run, verbs.report, verbs._noise_advice,
     comparison.Comparison._noise_findings, exchange.reason_without_graph, filters._one_run, filters.of_several_seeds,
     build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._convergence, page._matrix,
-    curves.remarks, matches.description, matches.association_table, defaults.pairs_overweight,
+    charts.remarks, matches.description, matches.association_table, defaults.pairs_overweight,
     RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, tables.solver_tables, tables.backend_tables,
     log_tables.import_tables, log_tables.overview_tables, log_tables.evaluation_tables, log_tables.particle_tables,
     log_tables.consistency_tables, log_tables.summary_tables, log_tables.survey_tables, log_tables.calibration_tables,

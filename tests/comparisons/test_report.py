@@ -17,9 +17,9 @@ from comparisons.cli import app
 from comparisons.comparison import Comparison
 from comparisons.estimators import make_graph
 from comparisons.results import EstimatorResult, dead_reckoning_covariances
+from comparisons.show.report import charts, page
 from comparisons.show.report import matches as matrix
-from comparisons.show.report import page, paths
-from comparisons.show.report.curves import convergence_figure, costs_figure, errors_figure, iterations, plain_steps
+from comparisons.show.report.charts import convergence_figure, costs_figure, errors_figure, iterations, plain_steps
 from comparisons.show.report.page import page_of, write_report
 from comparisons.show.report.view import dash_of, view_of
 from comparisons.show.tables import comparison_tables
@@ -135,7 +135,7 @@ def test_all_figures_are_what_plotly_knows(html: str) -> None:
 def test_a_path_has_step_time_error_and_covariance(comparison: Comparison, log: Log) -> None:
     view = view_of(comparison)
     estimate = next(e for e in view.estimates if e.name == "graph")
-    rows = np.array(paths.pose_columns(view, estimate), dtype=float)
+    rows = np.array(charts.pose_columns(view, estimate), dtype=float)
     result = comparison["graph"]
     assert log.times is not None and log.true_poses is not None
     np.testing.assert_array_equal(rows[:, 0], np.arange(25))
@@ -200,13 +200,13 @@ def test_covariances_of_particle_filters_stay_unknown(comparison: Comparison) ->
     view = view_of(comparison)
     assert [e.name for e in view.estimates if e.covariances is None] == ["mcl", "fastslam1", "fastslam2"]
     mcl = next(e for e in view.estimates if e.name == "mcl")
-    assert all(row[4:] == [None] * 4 for row in paths.pose_columns(view, mcl))
+    assert all(row[4:] == [None] * 4 for row in charts.pose_columns(view, mcl))
 
 
 def test_ellipses_of_the_page_lie_at_three_standard_deviations(comparison: Comparison) -> None:
     view = view_of(comparison)
     estimate = next(e for e in view.estimates if e.name == "graph")
-    traces = [t for t in paths.paths_figure(view)["data"] if t["meta"].get("estimator") == "graph"]
+    traces = [t for t in charts.paths_figure(view)["data"] if t["meta"].get("estimator") == "graph"]
     (trace,) = (t for t in traces if t["meta"]["layer"] == "landmark-ellipses")
     points = np.array([trace["x"], trace["y"]], dtype=float).T.reshape(len(estimate.landmarks), -1, 2)
     assert np.isnan(points[:, -1]).all()
@@ -363,7 +363,7 @@ def test_long_logs_are_thinned_and_the_page_mentions_it() -> None:
 
 
 def test_too_many_pairs_are_left_out_with_a_reason(log: Log, comparison: Comparison, monkeypatch: Any) -> None:
-    monkeypatch.setattr("comparisons.show.report.curves.MOST_PAIRS", 3)
+    monkeypatch.setattr("comparisons.show.report.charts.MOST_PAIRS", 3)
     with pytest.raises(SlamError, match="pairs of sightings"):
         iterations(log, comparison.options)
     assert "pairs of sightings, more than" in Elements(page_of(comparison)).text

@@ -14,12 +14,12 @@ from bags import Maker, point, pose, quaternion, transform, twist
 import comparisons
 from comparisons.show.recordings import write_mcap
 from graphslam import AbsolutePositions, FormatError, Graph, Log, PoseRelations, simulate, solve
-from graphslam.io.bag import open_bag
 from graphslam.io.bag_drive import drive_of_bag
 from graphslam.io.bag_messages import Frames
 from graphslam.io.bag_poses import Poses, positions_table, relations_table
+from graphslam.io.bag_topics import open_bag
 from graphslam.io.tables import Recipe, read_recipe
-from graphslam.log.plane import local_plane
+from graphslam.log.join import local_plane
 from graphslam.log.rows import ReadOptions
 from graphslam.log.table import Columns
 from graphslam.se2 import between, compose

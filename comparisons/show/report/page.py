@@ -24,9 +24,8 @@ from ...results.saving import check_can_write, jsonable
 from ..canvas import MATRIX, colour_of, reference_of
 from ..language import catalogue, language_of, translated, translated_table
 from ..tables import landmark_table, table_as_html, tables_of
-from .curves import convergence_figure, costs_figure, errors_figure, iterations, remarks
+from .charts import COLUMNS, convergence_figure, costs_figure, errors_figure, iterations, paths_figure, remarks
 from .matches import ENTRY, FILL, association_table, description, matches_of, matrix_figure, pictures
-from .paths import COLUMNS, paths_figure
 from .view import Figure, View, line_of, view_of
 
 #: layers of the map: name, label, whether it is shown at first

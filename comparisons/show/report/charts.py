@@ -1,0 +1,389 @@
+"""The figures of the report: trajectories and maps; errors over the drive; costs over iterations, in world and body frame.
+
+The ``meta`` of every trace of the map names its estimator and its layer: path, landmarks, landmark-ellipses, pose-ellipses,
+truth, now (the robot at the step of the slider, which the page's script moves), matches (the sightings of a landmark that was
+clicked). ``customdata`` of a path holds all that is known of each pose, in the order of `COLUMNS`; the page's script turns that
+into text, since Plotly's templates show unknown values as 0.
+
+The same edges are iterated in four ways, to show what the choice of the frame and of the anchor does. The lectures reset the
+anchor x̂_0 at every step, so the whole graph keeps drifting; with a fixed anchor the world frame converges at a constant
+rate; in the body frame the information does not depend on the state, and a few steps suffice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from graphslam import Graph, GraphError, Log, SlamError, solve
+from graphslam.edges import ANCHOR_INFORMATION
+from graphslam.se2 import Array, difference
+
+from ...comparison import Comparison
+from ...estimators import pair_count
+from ...options import RunOptions
+from ..canvas import INK, ITERATIONS, MATCHED, colour_of, true_landmarks
+from ..figures import ellipses
+from .view import Estimate, Figure, View, axis, layout, line_of, logarithmic, place, short
+
+#: [-, s, rad, m, m, m, -, rad]; None where unknown
+COLUMNS = ("step", "time", "theta", "error", "sigma_x", "sigma_y", "rho_xy", "sigma_theta")
+#: pose ellipses of an estimate: more would cover each other
+MOST_ELLIPSES = 40
+#: those of dead reckoning, which grow until they cover the page
+MOST_DRIFTING = 8
+#: with more landmarks only their positions are drawn
+MOST_LANDMARKS = 400
+
+
+def paths_figure(view: View) -> Figure:
+    """The figure."""
+    traces: list[dict[str, Any]] = []
+    for estimate in view.estimates:
+        traces += [*_path(view, estimate), *_map(view, estimate)]
+    traces += _truth(view)
+    traces.append(_matches())
+    for estimate in view.estimates:
+        traces += _now(estimate)
+    return {
+        "data": traces,
+        "layout": layout(
+            xaxis=axis("x [m]", constrain="domain", range=_range(view, 0)),
+            yaxis=axis("y [m]", scaleanchor="x", range=_range(view, 1)),
+            dragmode="pan",
+            uirevision="kept",
+        ),
+    }
+
+
+def pose_columns(view: View, estimate: Estimate) -> list[list[float | int | None]]:
+    """All that is known of each pose, a row of `COLUMNS` each."""
+    S = np.full((len(view.steps), 3, 3), np.nan) if estimate.covariances is None else estimate.covariances
+    sigma = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2), 0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rho = S[:, 0, 1] / (sigma[:, 0] * sigma[:, 1])
+    times = np.full(len(view.steps), np.nan) if view.times is None else view.times
+    return [
+        [int(step), short(time, 8), *(short(value) for value in (theta, error, sx, sy, r, st))]
+        for step, time, theta, error, (sx, sy, st), r in zip(
+            view.steps, times, estimate.poses[:, 2], estimate.errors, sigma, rho
+        )
+    ]
+
+
+def _path(view: View, estimate: Estimate) -> list[dict[str, Any]]:
+    """The poses, with all that is known of them; their line is a trace of its own where it has other points."""
+    meta, look = {"estimator": estimate.name, "layer": "path"}, line_of(estimate.name)
+    poses = {
+        "type": "scatter", "meta": meta, **_xy(estimate.poses), "customdata": pose_columns(view, estimate),
+        "hovertemplate": "%{text}<extra></extra>", **look,
+    }  # fmt: skip
+    if len(estimate.line) == len(estimate.poses):
+        return [poses]
+    line = {
+        "type": "scatter", "mode": "lines", "meta": meta | {"part": "line"}, **_xy(estimate.line), "line": look["line"],
+        "hoverinfo": "skip",
+    }  # fmt: skip
+    # a pose without a marker still shows its values under the pointer
+    return [line, poses | {"mode": "markers", "marker": look.get("marker", {"size": 6, "opacity": 0})}]
+
+
+def _map(view: View, estimate: Estimate) -> list[dict[str, Any]]:
+    traces: list[dict[str, Any]] = []
+    if estimate.landmarks:
+        traces.append({
+            "type": "scatter", "mode": "markers", "meta": {"estimator": estimate.name, "layer": "landmarks"},
+            **_xy(np.array(list(estimate.landmarks.values()))),
+            "marker": {"color": colour_of(estimate.name), "size": 6},
+            "customdata": [[j, _known(estimate, j)] for j in estimate.landmarks],
+            "hovertemplate": f"<b>{estimate.name}</b>, landmark %{{customdata[0]}}<br>x %{{x:.3f}} m, y %{{y:.3f}} m"
+            "<br>%{customdata[1]}<extra></extra>",
+        })  # fmt: skip
+    if 0 < len(estimate.landmark_covariances) <= MOST_LANDMARKS:
+        maps = estimate.landmarks, estimate.landmark_covariances
+        traces.append(_ellipses(estimate.name, "landmark-ellipses", 1.2, *maps))
+    if (S := estimate.covariances) is not None:
+        most = MOST_DRIFTING if estimate.name == "dead-reckoning" else MOST_ELLIPSES
+        spread = np.unique(np.linspace(0, len(view.steps) - 1, most).astype(int))
+        known = {int(k): S[k] for k in spread if np.isfinite(S[k]).all() and np.isfinite(estimate.poses[k]).all()}
+        traces.append(_ellipses(estimate.name, "pose-ellipses", 0.8, dict(enumerate(estimate.poses)), known))
+    return traces
+
+
+def _ellipses(
+    name: str, layer: str, width: float, means: Mapping[int, Array], covariances: Mapping[int, Array]
+) -> dict[str, Any]:
+    """One trace that draws many ellipses, with gaps between."""
+    points = np.pad(ellipses(means, covariances), ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 2)
+    return {
+        "type": "scatter", "mode": "lines", "meta": {"estimator": name, "layer": layer}, **_xy(points),
+        "line": {"color": colour_of(name), "width": width}, "hoverinfo": "skip",
+    }  # fmt: skip
+
+
+def _now(estimate: Estimate) -> list[dict[str, Any]]:
+    """The parts that the slider moves: the sightings from the pose, its ellipse, and the pose."""
+    colour, common = colour_of(estimate.name), {"type": "scatter", "x": [None], "y": [None], "hoverinfo": "skip"}
+    of = {"estimator": estimate.name, "layer": "now"}
+    return [
+        {**common, "mode": "lines", "meta": of | {"part": "sightings"}, "line": {"color": colour, "width": 1.1}},
+        {**common, "mode": "markers", "meta": of | {"part": "pose"},
+         "marker": {"symbol": "arrow", "size": 15, "color": colour, "line": {"color": INK, "width": 0.6}}},
+    ]  # fmt: skip
+
+
+def _matches() -> dict[str, Any]:
+    """Lines to a landmark from the poses that saw it, shown at a click."""
+    return {
+        "type": "scatter", "mode": "lines", "x": [None], "y": [None], "hoverinfo": "skip",
+        "meta": {"layer": "matches"}, "visible": False,
+        "line": {"color": MATCHED, "width": 1.2},
+    }  # fmt: skip
+
+
+def _truth(view: View) -> list[dict[str, Any]]:
+    common: dict[str, Any] = {"type": "scatter", "mode": "markers", "meta": {"layer": "truth"}}
+    traces: list[dict[str, Any]] = []
+    if view.truth is not None:
+        times = [None] * len(view.steps) if view.times is None else [short(t, 8) for t in view.times]
+        time = "" if view.times is None else "<br>time %{customdata[1]:.2f} s"
+        look: dict[str, Any] = {"mode": "lines", "line": {"color": INK, "width": 1.2}}
+        if view.true_line is not None and len(view.true_line) != len(view.truth):
+            traces.append(common | look | _xy(view.true_line) | {"hoverinfo": "skip"})
+            look = {"mode": "markers", "marker": {"size": 6, "opacity": 0}}
+        traces.append(common | look | {
+            **_xy(view.truth),
+            "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
+            "hovertemplate": f"<b>ground truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
+        })  # fmt: skip
+    if view.aligned_to and (landmarks := true_landmarks(view.log)):
+        traces.append(common | {
+            **_xy(np.array(list(landmarks.values()))), "customdata": list(landmarks),
+            "marker": {"symbol": "cross-thin", "size": 11 if len(landmarks) < 100 else 6, "color": INK,
+                       "line": {"width": 1.4, "color": INK}},
+            "hovertemplate": "<b>true landmark</b> %{customdata}<extra></extra>",
+        })  # fmt: skip
+    start = (view.estimates[0].poses if view.truth is None else view.truth)[:1] if view.estimates else np.empty((0, 3))
+    traces.append(common | {
+        **_xy(start), "hovertemplate": "start<extra></extra>",
+        "marker": {"symbol": "square-open", "size": 11, "color": INK, "line": {"width": 1.6}},
+    })  # fmt: skip
+    return traces
+
+
+def _known(estimate: Estimate, landmark: int) -> str:
+    error = estimate.landmark_errors.get(landmark)
+    deviations = _deviations(estimate.landmark_covariances.get(landmark))
+    return deviations if error is None else f"error {error:.3f} m<br>{deviations}"
+
+
+def _deviations(S: Array | None) -> str:
+    if S is None:
+        return "covariance not known"
+    sx, sy = np.sqrt(S[0, 0]), np.sqrt(S[1, 1])
+    return f"covariance: σx {sx:.4f} m, σy {sy:.4f} m, ρxy {S[0, 1] / max(sx * sy, 1e-300):.2f}"
+
+
+def _xy(points: Array) -> dict[str, Any]:
+    return {"x": [place(v) for v in points[:, 0]], "y": [place(v) for v in points[:, 1]]}
+
+
+def _range(view: View, column: int) -> list[float]:
+    """All that is drawn, with a margin, but for dead reckoning: it may drift far away and make the rest small."""
+    drawn = [e for e in view.estimates if e.name != "dead-reckoning"] or list(view.estimates)
+    parts = [e.line[:, column] for e in drawn] + [m[None, column] for e in drawn for m in e.landmarks.values()]
+    if view.truth is not None:
+        parts.append((view.truth if view.true_line is None else view.true_line)[:, column])
+    values = np.concatenate([np.empty(0), *parts])
+    values = values[np.isfinite(values)]
+    if len(values) == 0:
+        return [-1.0, 1.0]
+    margin = 0.06 * max(float(np.ptp(values)), 1.0)
+    return [float(values.min()) - margin, float(values.max()) + margin]
+
+
+#: the most steps of each variant, and the norm of the correction below which it has ended
+MOST_STEPS, TOLERANCE = 40, 1e-11
+#: with more pairs of sightings this would take longer than the comparison
+MOST_PAIRS = 200_000
+
+
+@dataclass(frozen=True, eq=False)
+class Iterations:
+    """One variant: its name, J before every step and at the end, the norm of every correction."""
+
+    name: str
+    costs: Array
+    step_norms: Array
+
+    @property
+    def distances(self) -> Array:
+        """|J - J at the end| before every step; NaN below the rounding error of J."""
+        apart = np.abs(self.costs - self.costs[-1])[:-1]
+        return np.where(apart > 1e-14 * np.max(self.costs), apart, np.nan)
+
+
+def iterations(log: Log, options: RunOptions) -> list[Iterations]:
+    """The four variants on the virtual-motion edges of a log, all from its own initial poses.
+
+    Motion edges are added only where virtual-motion edges alone do not determine the poses: their residuals do not
+    vanish together, which slows every variant and hides what the frame does.
+
+    Raises:
+        SlamError: the log has no such edges, or too many of them.
+    """
+    if (pairs := pair_count(log)) > MOST_PAIRS:
+        raise SlamError(f"{log.name} has {pairs} pairs of sightings, more than the limit of {MOST_PAIRS}")
+    try:
+        world, body = _graphs(log, options, "virtual")
+    except GraphError:
+        world, body = _graphs(log, options, "virtual+motion")
+    variants = [
+        plain_steps("textbook: anchor reset at every step", world, anchored=False),
+        plain_steps("world frame, fixed anchor", world, anchored=True),
+    ]
+    for name, graph in (("world frame, Anderson acceleration", world), ("body frame", body)):
+        solution = solve(graph, initialize="given", tolerance=TOLERANCE, max_iterations=MOST_STEPS)
+        variants.append(Iterations(name, solution.costs, solution.step_norms))
+    return variants
+
+
+def _graphs(log: Log, options: RunOptions, edges: str) -> list[Graph]:
+    models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
+    return [Graph.from_log(log, edges=edges, frame=frame, kernel="none", **models) for frame in ("world", "body")]
+
+
+def remarks(variants: Sequence[Iterations]) -> list[str]:
+    """One sentence on how each variant ended."""
+    sentences = []
+    for variant in variants:
+        count, last = len(variant.step_norms), variant.step_norms[-1]
+        end = f"below {TOLERANCE:g}" if last < TOLERANCE else f"still {last:.1e}"
+        sentences.append(f"{variant.name}: after {count} steps the norm of the correction is {end}.")
+    return sentences
+
+
+def plain_steps(name: str, graph: Graph, *, anchored: bool) -> Iterations:
+    """Solve Omega Delta = xi and add Delta, the information re-evaluated at each step, without acceleration.
+
+    Args:
+        name: of the variant.
+        graph: its first family anchors node 0.
+        anchored: whether x̂_0 is fixed. In the lectures it is the current x_0 at every step: Omega_0 stays in Omega, and
+            the anchor's pull - Omega_0 (x_0 - x̂_0) never enters xi, nor its cost J.
+
+    Raises:
+        GraphError: the edges do not determine the poses.
+    """
+    state, anchor = graph.initial.copy(), graph.initial[0].copy()
+    costs: list[float] = []
+    norms: list[float] = []
+    while len(norms) < MOST_STEPS and not (norms and norms[-1] < TOLERANCE):
+        system, cost = graph.linearize(state)
+        xi = system.xi.copy()
+        if not anchored:
+            off = difference(state[0], anchor)
+            xi[0] += ANCHOR_INFORMATION @ off
+            cost -= float(off @ ANCHOR_INFORMATION @ off)
+        if not np.isfinite(cost):
+            break
+        delta = system.factorize().solve(xi)
+        state = state + delta
+        costs.append(cost)
+        norms.append(float(np.linalg.norm(delta)))
+    return Iterations(name, np.array(costs), np.array(norms))
+
+
+#: a figure whose medians differ by a larger factor has a logarithmic axis
+SPREAD = 10.0
+
+
+def errors_figure(view: View) -> Figure | None:
+    """The position errors after alignment, whose root mean square is the ATE; None where there is nothing to compare with.
+
+    The first shape is the line that the slider moves.
+    """
+    if view.measured_from is None:
+        return None
+    where, name = view.abscissa
+    drawn = [e for e in view.estimates if np.isfinite(e.errors).any() and e.name != view.measured_from]
+    traces = [
+        {
+            "type": "scatter", "meta": {"estimator": estimate.name, "layer": "error"},
+            "x": [place(v) for v in where], "y": [short(v) for v in estimate.errors],
+            "customdata": [int(t) for t in view.steps],
+            "hovertemplate": f"<b>{estimate.name}</b>, step %{{customdata}}<br>{name.split()[0]} %{{x}}<br>"
+            "%{y:.4f} m<extra></extra>",
+            **line_of(estimate.name),
+        }
+        for estimate in drawn
+    ]  # fmt: skip
+    positive = [m for m in (float(np.nanmedian(e.errors)) for e in drawn) if m > 0]
+    truth = view.measured_from == "truth"
+    vertical = axis("position error [m]" if truth else f"distance from {view.measured_from} [m]")
+    if positive and max(positive) > SPREAD * min(positive):
+        # single steps that happen to be exact would otherwise stretch the axis for nothing
+        low, high = min(positive) / 10, 1.3 * max(float(np.nanmax(e.errors)) for e in drawn)
+        vertical |= logarithmic([low, high]) | {"range": [float(np.log10(low)), float(np.log10(high))]}
+    else:
+        vertical |= {"rangemode": "tozero"}
+    cursor = {"type": "line", "xref": "x", "yref": "paper", "x0": place(where[0]), "x1": place(where[0]), "y0": 0, "y1": 1,
+              "line": {"color": INK, "width": 1, "dash": "dot"}}  # fmt: skip
+    return {"data": traces, "layout": layout(xaxis=axis(name), yaxis=vertical, shapes=[cursor], uirevision="kept")}
+
+
+def costs_figure(comparison: Comparison) -> Figure | None:
+    """J (left) and the norm of the correction (right) over the iterations of each estimator; None where none iterates."""
+    traces: list[dict[str, Any]] = []
+    for result in comparison.results:
+        meta = {"estimator": result.name, "layer": "cost"}
+        traces += _pair(result.name, result.costs, result.step_norms, meta, line_of(result.name))
+    return {"data": traces, "layout": _two_panels(traces, "cost J")} if traces else None
+
+
+def convergence_figure(variants: Sequence[Iterations]) -> Figure:
+    """The variants of `iterations`, drawn like `costs_figure`, with a legend."""
+    traces: list[dict[str, Any]] = []
+    for variant, (colour, symbol) in zip(variants, ITERATIONS):
+        look = {"mode": "lines+markers", "line": {"color": colour, "width": 1.6},
+                "marker": {"color": colour, "symbol": symbol, "size": 7}, "legendgroup": variant.name}  # fmt: skip
+        pair = _pair(variant.name, variant.distances, variant.step_norms, {"layer": "convergence"}, look)
+        pair[0] |= {"showlegend": True, "name": variant.name}
+        traces += pair
+    legend = {"orientation": "h", "x": 0, "y": 1.02, "xanchor": "left", "yanchor": "bottom"}
+    panels = _two_panels(traces, "difference of J from its end")
+    more = {"showlegend": True, "legend": legend, "margin": panels["margin"] | {"t": 64}}
+    return {"data": traces, "layout": panels | more}
+
+
+def _pair(
+    name: str, costs: np.ndarray, norms: np.ndarray, meta: dict[str, Any], look: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """The two curves of one iteration. J is known before the first step, so it begins at 0, unless only its end is known."""
+    begins = len(norms) if len(costs) == 1 else 0
+    pair: list[dict[str, Any]] = []
+    for values, first, axes, what in ((costs, begins, {}, "J"), (norms, 1, {"xaxis": "x2", "yaxis": "y2"}, "norm")):
+        if len(values):
+            pair.append({
+                "type": "scatter", "meta": meta, "x": list(range(first, first + len(values))),
+                "y": [short(v, 7) if v > 0 else None for v in values],
+                "hovertemplate": f"<b>{name}</b><br>iteration %{{x}}<br>{what} %{{y:.6g}}<extra></extra>",
+                "showlegend": False, "cliponaxis": False, **axes, **look,
+            })  # fmt: skip
+    return pair
+
+
+def _two_panels(traces: Sequence[dict[str, Any]], cost: str) -> dict[str, Any]:
+    whole = {"tick0": 0, "tickformat": "d", "rangemode": "tozero"}
+    left, right = (
+        [v for t in traces if ("xaxis" in t) == second for v in t["y"] if v is not None] for second in (False, True)
+    )
+    return layout(
+        xaxis=axis("iteration", domain=[0, 0.44], **whole),
+        xaxis2=axis("iteration", domain=[0.56, 1], anchor="y2", **whole),
+        yaxis=axis(cost, **logarithmic(left)),
+        yaxis2=axis("norm of the correction", anchor="x2", **logarithmic(right)),
+    )
