@@ -27,9 +27,9 @@ from graphslam.io.bag_poses import POSES, Poses
 from graphslam.io.bag_topics import SUFFIXES, is_bag, open_bag
 from graphslam.log.drive import truth_of
 from graphslam.log.measurements import finite_floats, not_positive
+from graphslam.log.rows import TableOptions
 from graphslam.log.streams import poses_at
 from graphslam.log.table import plain
-from graphslam.log.table_options import TableOptions
 from graphslam.log.text_table import PARQUET, TEXT, table_of
 from graphslam.metrics import (
     Errors,

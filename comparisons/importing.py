@@ -21,8 +21,7 @@ from graphslam.io.bag_topics import is_bag
 from graphslam.io.tables import Recipe, drive_of, merged, read_recipe, recipe_of
 from graphslam.log.drive import Timed
 from graphslam.log.join import Drive, read_drive
-from graphslam.log.rows import ReadOptions
-from graphslam.log.table_options import TABLES
+from graphslam.log.rows import TABLES, ReadOptions
 from graphslam.log_checks import Finding, check_log
 from graphslam.log_checks.readings import comparable
 from graphslam.se2 import Array

@@ -34,8 +34,7 @@ from numpy.typing import ArrayLike
 
 from graphslam.engine import engine
 from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import option, real_array
-from graphslam.errors.options import check_options
+from graphslam.errors.checks import check_options, option, real_array
 from graphslam.log import Log
 from graphslam.se2 import Array, wrap
 

@@ -22,9 +22,9 @@ import numpy as np
 from graphslam.engine import engine
 from graphslam.errors import OptionError
 from graphslam.graph.landmark_map import LandmarkMap
-from graphslam.marginals import ids_of, shaped, split
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
+from graphslam.solvers.uncertainty import ids_of, shaped, split
 
 from .options import FilterOptions, index
 

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from .log import Log
     from .log.continuous_time import control_path
     from .log.measurements import AbsolutePositions, PoseRelations
-    from .log.streams import Stream
-    from .log.synchronize import synchronize
+    from .log.streams import Stream, synchronize
     from .models import MotionModel, SensorModel
     from .online import OnlineSolver, solve_online
     from .sessions import Graph, join_logs

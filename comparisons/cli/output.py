@@ -324,7 +324,7 @@ def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
         known: names of the options of the verb.
     """
     # options are not imported until an error needs them, so that help is shown at once
-    from graphslam.log.table_options import TableOptions
+    from graphslam.log.rows import TableOptions
 
     from ..options.option import options_of
 

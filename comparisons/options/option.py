@@ -16,11 +16,9 @@ from typing import Any, ClassVar, Self
 
 from fastslam.options import GibbsOptions
 from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import option, suggestion
-from graphslam.errors.options import Option as Option
-from graphslam.errors.options import check_options, declared_in
-from graphslam.log.rows import ReadOptions
-from graphslam.log.table_options import TableOptions
+from graphslam.errors.checks import Option as Option
+from graphslam.errors.checks import check_options, declared_in, option, suggestion
+from graphslam.log.rows import ReadOptions, TableOptions
 
 #: fields of components that have another name among the options: (component, field) -> option
 _RENAMED = {("sensor", name): f"sensor_{name}" for name in ("offset", "min_range", "max_range", "field_of_view")}

@@ -21,8 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import LogError
-from ..errors.checks import option
-from ..errors.options import check_options
+from ..errors.checks import check_options, option
 from ..graph.map_evidence import log_sum
 from ..log import UNIDENTIFIED, Log
 from ..log.rows import MOST_CLASSES

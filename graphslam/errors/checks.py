@@ -1,14 +1,22 @@
-"""Options: their declaration as fields of a dataclass, the checks of their values, and the messages of these checks."""
+"""Options: their declaration as fields of a dataclass, the checks of their values, and the messages of these checks.
+
+A field made by `option` is an option. The command line, TOML files and Python functions read its name, type, default, unit,
+limits and help from `declared_in`; `check_options` checks the values of an object.
+"""
 
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import sys
 from collections.abc import Collection
-from dataclasses import field
+from dataclasses import MISSING, dataclass, field, fields
+from functools import cache
 from numbers import Integral, Real
-from typing import Any
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -188,3 +196,179 @@ def make_read_only(owner: object, *names: str) -> None:
             view = array.view()
             view.flags.writeable = False
             object.__setattr__(owner, name, view)
+
+
+class Points:
+    """The kind of options that are a list of points, or their number: 'x,y x,y ...' on the command line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Option:
+    """One option, as the command line, files and Python see it. The metadata of its field may have these attributes.
+
+    Attributes:
+        name: of the option; that of the field, except for some numbers of the noise models (``sensor_offset``).
+        kind: str, int, float, bool or Path; ``tuple`` for several values; `Points` for a list of points.
+        each: the kind of a single value.
+        default: where nothing is given; None where it depends on the log.
+        help, unit: one sentence, and the unit of a number.
+        choices: the values that a text may have.
+        minimum, maximum, positive, below: limits of a number; it has to be less than ``below``.
+        optional: whether it may be None.
+        other: types whose values are taken as they are.
+        default_text: how help names the default, where the value itself says too little.
+        metavar: how help names the value.
+        alias: a second name on the command line.
+        panel: the group in the help of a verb.
+        writes: the endings that the name of a file to write may have, () for any; None where nothing is written.
+        needs: what a format of logs must have for it.
+        only: "python" for a field that is no option of the command line.
+        model: the component that it belongs to ("motion" and "sensor" for the noise models), else "".
+        field: its name there.
+    """
+
+    name: str
+    kind: type
+    each: type
+    default: Any
+    help: str = ""
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    minimum: float | None = None
+    maximum: float | None = None
+    positive: bool = False
+    below: float | None = None
+    optional: bool = True
+    other: tuple[type, ...] = ()
+    default_text: str = ""
+    metavar: str = ""
+    alias: str = ""
+    panel: str = ""
+    writes: tuple[str, ...] | None = None
+    needs: str = ""
+    only: str = ""
+    model: str = ""
+    field: str = ""
+
+    @property
+    def flag(self) -> str:
+        """The option's name on the command line."""
+        return "--" + self.name.replace("_", "-")
+
+    def checked(self, value: Any) -> Any:
+        """The value in the option's type, from Python, TOML, or the text of the command line ("a,b" for several).
+
+        Raises:
+            OptionError: it has the wrong type, is none of the choices, or is out of range.
+        """
+        if (value is None and self.optional) or isinstance(value, self.other):
+            return value
+        if self.kind is Points:
+            return self._points(value)
+        if self.kind is not tuple:
+            return self._single(value)
+        parts = value
+        if isinstance(value, str):
+            words = [word.strip() for word in value.split(",")]
+            try:
+                parts = [self.each(word) for word in words if word or self.each is not str]
+            except ValueError:
+                raise OptionError(f"{self.name} must be {self._wanted}, not {quoted(value)}") from None
+        if not isinstance(parts, (list, tuple)) or not (parts or self.name == "figures"):
+            raise OptionError(f"{self.name} must be {self._wanted}, at least one, not {quoted(value)}")
+        return tuple(dict.fromkeys(map(self._single, parts)) if self.each is str else map(self._single, parts))
+
+    def _points(self, value: Any) -> Any:
+        if isinstance(value, str):
+            try:
+                rows = [tuple(float(number) for number in word.split(",")) for word in value.split()]
+                value = int(value) if "," not in value else rows
+            except ValueError:
+                raise OptionError(f"{self.name} must be points 'x,y x,y ...', not {quoted(value)}") from None
+        if not isinstance(value, (int, list, tuple)) or isinstance(value, bool):
+            raise OptionError(f"{self.name} must be a list of points, not {quoted(value)}")
+        if isinstance(value, int):
+            return value
+        points = tuple(tuple(row) if isinstance(row, (list, tuple)) else (row,) for row in value)
+        numbers = [number for point in points for number in point]
+        finite = all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers)
+        if len(set(map(len, points))) != 1 or not finite:
+            raise OptionError(f"{self.name} must be points of finite numbers, 'x,y x,y ...', not {quoted(value)}")
+        return points
+
+    def _single(self, value: Any) -> Any:
+        if self.each is float and isinstance(value, int) and not isinstance(value, bool):
+            try:
+                value = float(value)
+            except OverflowError:
+                raise OptionError(f"{self.name} must be a number below 1e308, not {quoted(value)}") from None
+        elif self.each is Path and isinstance(value, str):
+            value = Path(value)
+        elif self.each in (int, float) and getattr(value, "size", 0) == 1 and value.dtype != "timedelta64":
+            value = value.item()  # a NumPy number
+        checked: Any = value
+        if not isinstance(value, self.each) or (isinstance(value, bool) and self.each is not bool):
+            raise OptionError(f"{self.name} must be {self._wanted}, not {quoted(value)}")
+        if self.choices and value not in self.choices:
+            message = f"{self.name} must be one of {', '.join(self.choices)}, not {quoted(value)}"
+            raise OptionError(message + suggestion(value, self.choices))
+        if isinstance(value, float) and not math.isfinite(value) and value != self.default:
+            raise OptionError(f"{self.name} must be a finite number, not {quoted(value)}")
+        for limit, broken in (
+            (f"be at least {_number(self.minimum)}", self.minimum is not None and checked < self.minimum),
+            (f"be at most {_number(self.maximum)}", self.maximum is not None and checked > self.maximum),
+            (f"be below {_number(self.below)}", self.below is not None and checked >= self.below),
+            ("be a positive number", self.positive and checked <= 0),
+        ):
+            if broken:
+                share = 1 in (self.maximum, self.below)
+                raise OptionError(f"{self.name} must {'lie between 0 and 1' if share else limit}, not {quoted(value)}")
+        return value
+
+    @property
+    def _wanted(self) -> str:
+        names = {str: "text", int: "a whole number", float: "a number", bool: "true or false", Path: "a path"}
+        several = {str: "names", int: "whole numbers", float: "numbers"}
+        return several[self.each] if self.kind is tuple else names[self.each]
+
+    def text(self, value: Any) -> str:
+        """The value as one word of a command line."""
+        if self.kind is Points and isinstance(value, tuple):
+            return " ".join(",".join(f"{number:g}" for number in row) for row in value)
+        return ",".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
+
+
+def _number(limit: float | None) -> str:
+    return f"{limit:,}" if isinstance(limit, int) else f"{limit or 0:g}"
+
+
+@cache
+def declared_in(kind: Any) -> dict[str, Option]:
+    """The options that are fields of a dataclass, by name."""
+    hints = get_type_hints(kind)
+    return {f.name: _option(f, hints[f.name]) for f in fields(kind) if "help" in f.metadata}
+
+
+def _option(f: Any, hint: Any) -> Option:
+    parts = get_args(hint) if get_origin(hint) is UnionType else (hint,)
+    hint, *other = (part for part in parts if part is not NoneType)
+    kind, each = (tuple, get_args(hint)[0]) if get_origin(hint) is tuple else (hint, hint)
+    if get_origin(each) is tuple:
+        kind = each = Points
+    default = f.default if f.default_factory is MISSING else f.default_factory()
+    return Option(
+        name=f.name, field=f.name, kind=kind, each=each, default=default, optional=NoneType in parts, other=tuple(other),
+        **f.metadata,
+    )  # fmt: skip
+
+
+def check_options(owner: Any) -> None:
+    """Check the options of a frozen dataclass and put them into their types.
+
+    Raises:
+        OptionError: one has the wrong type, is none of the choices, or is out of range.
+    """
+    kind: Any = type(owner)
+    for option in declared_in(kind).values():
+        if option.only != "python":
+            object.__setattr__(owner, option.name, option.checked(getattr(owner, option.name)))

@@ -30,8 +30,8 @@ import numpy as np
 from ..errors import FormatError, OptionError, quoted, reason_of
 from ..files import check_file, read_archive, read_text, write_whole
 from ..log.drive import map_of
+from ..log.rows import TableOptions
 from ..log.table import Table, plain
-from ..log.table_options import TableOptions
 from ..log.text_table import PARQUET, TEXT, table_of
 from ..se2 import Array
 

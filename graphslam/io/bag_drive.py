@@ -19,9 +19,8 @@ from ..errors.checks import suggestion
 from ..log import Log
 from ..log.drive import Timed, map_of, odometry_of, sightings_of, truth_of
 from ..log.join import Drive, check_overlap, positions_of, relations_of
-from ..log.rows import ReadOptions
+from ..log.rows import ReadOptions, TableOptions
 from ..log.table import Columns
-from ..log.table_options import TableOptions
 from ..log.text_table import table_of
 from ..se2 import Array, wrap
 from .bag_messages import Collector, Frames, clean, rotation_of

@@ -32,8 +32,7 @@ from ..errors import FormatError, OptionError, quoted
 from ..errors.checks import first
 from ..log import Log
 from ..log.rows import NO_CLASS, UNIDENTIFIED, Fault, ReadOptions, range_faults, robot_class
-from ..log.streams import Stream
-from ..log.synchronize import synchronize
+from ..log.streams import Stream, synchronize
 from ..se2 import Array
 from .base import NO_SIGHTING, Format, errors_name, line_of, member, optional_member, read_columns
 

@@ -27,8 +27,7 @@ from ..files import check_unpacked
 from ..log import Log
 from ..log.drive import ROLES
 from ..log.join import Drive, read_drive
-from ..log.rows import ReadOptions
-from ..log.table_options import TABLES, TableOptions
+from ..log.rows import TABLES, ReadOptions, TableOptions
 from ..log.text_table import PARQUET, TEXT
 from .base import Format, errors_name
 from .toml_file import TomlFile

@@ -30,8 +30,7 @@ import numpy as np
 from ..errors import FormatError
 from ..log import UNIDENTIFIED, Log
 from ..log.rows import ReadOptions
-from ..log.streams import Stream
-from ..log.synchronize import synchronize
+from ..log.streams import Stream, synchronize
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, mounted
 from .base import NO_SIGHTING, Format, errors_name, member, optional_member

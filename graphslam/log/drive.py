@@ -29,9 +29,8 @@ from .cells import (
     repeated_times,
     time_faults,
 )
-from .rows import UNIDENTIFIED, Fault, finite_fault, range_faults, sound_rows
+from .rows import ANGLES, LENGTHS, UNIDENTIFIED, Fault, TableOptions, finite_fault, range_faults, sound_rows
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Kept, Table, find, unit_of
-from .table_options import ANGLES, LENGTHS, TableOptions
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {

@@ -21,11 +21,9 @@ from .cells import Doubt, seconds
 from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
-from .rows import ReadOptions
-from .streams import Stream
-from .synchronize import synchronize
+from .rows import ReadOptions, TableOptions
+from .streams import Stream, synchronize
 from .table import COVARIANCES, Table
-from .table_options import TableOptions
 from .text_table import table_of
 
 #: the major half-axis [m] and the squared eccentricity of the ellipsoid
@@ -300,7 +298,7 @@ def from_tables(
             and lever_x, lever_y, the point of the robot that is measured. docs/other_sensors.md has both tables.
         name: of the log.
         keep_every: the greatest time between poses [s]; default: poses only where something was seen.
-        options, changes: units, clocks and axes: a `graphslam.log.table_options.TableOptions`, or its fields, for example
+        options, changes: units, clocks and axes: a `graphslam.log.rows.TableOptions`, or its fields, for example
             ``angles="degrees"``, ``time={"odometry": "ms"}``, ``columns={"sightings": {"range": "dist"}}``.
 
     Raises:

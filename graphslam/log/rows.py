@@ -1,15 +1,20 @@
-"""The options of `graphslam.load` that depend on the kind of data set."""
+"""How the rows of a data set are read: the options of `graphslam.load`, and which rows are sound.
+
+`ReadOptions` depend on the kind of data set. `TableOptions` are what the numbers of tables and bags do not determine: units,
+clocks, columns and axes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from ..errors import LogError
-from ..errors.checks import option
-from ..errors.options import check_options
+from ..errors import LogError, OptionError, quoted
+from ..errors.checks import check_choice, check_number, check_options, checked_offset, option, suggestion
 
 #: the id of a landmark that the sensor could not identify
 UNIDENTIFIED = -(2**63)
@@ -133,3 +138,188 @@ def range_faults(ranges: np.ndarray) -> list[Fault]:
             lambda k: f"the range is {ranges[k]:g} m, but a range is above zero: remove rows in which nothing was seen",
         ),
     ]  # fmt: skip
+
+
+#: the tables of a drive, and what each holds
+TABLES = {
+    "odometry": "the motion of the robot",
+    "sightings": "the measured landmarks",
+    "truth": "the true poses",
+    "map": "the true landmarks",
+    "relations": "the measured relations between two poses",
+    "positions": "the measured absolute positions",
+}
+#: metres and radians of each unit
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+ANGLES = {"radians": 1.0, "degrees": 3.141592653589793 / 180}
+_CHOICES = {"time": ("s", "ms", "us", "ns"), "angles": tuple(ANGLES), "lengths": tuple(LENGTHS)}
+#: the most that a clock is set forward or back, 146 years: nanoseconds and their sums fit into 64 bits
+_MOST_SECONDS = 2**62 / 1e9
+_PER_TABLE = "; one for all tables, or for each: odometry=..,sightings=.."
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableOptions:
+    """The options of the reader of tables and bags. In Python options for single tables are mappings, too.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    time: str | None = option(
+        None, "Unit of the times, s, ms, us or ns" + _PER_TABLE, metavar="UNIT",
+        default_text="as the names of the columns say, else s; times since 1970 by their size",
+    )  # fmt: skip
+    angles: str | None = option(
+        None, "Unit of all angles and turn rates, radians or degrees" + _PER_TABLE, metavar="UNIT",
+        default_text="as the names of the columns say, else radians",
+    )  # fmt: skip
+    lengths: str | None = option(
+        None, "Unit of all lengths and speeds, m, cm or mm" + _PER_TABLE, metavar="UNIT",
+        default_text="as the names of the columns say, else m",
+    )  # fmt: skip
+    columns: str | None = option(
+        None, "Which column is what, by name or by number from 1, such as odometry.nu=speed or sightings.range=4",
+        metavar="TABLE.WHAT=COLUMN,...", default_text="by common names",
+    )  # fmt: skip
+    clocks: str | None = option(
+        None, "Seconds to add to the times of a table, where clocks differ: sightings=0.12,truth=-3",
+        metavar="TABLE=SECONDS,...",
+    )  # fmt: skip
+    axes: str = option(
+        "forward-left", "Directions of x and y of Cartesian sightings; optical is x right, z forward",
+        choices=("forward-left", "forward-right", "right-forward", "left-forward", "optical"),
+    )  # fmt: skip
+    centre: str = option(
+        "sensor", "Where range and bearing, or x and y, of sightings are measured from", choices=("sensor", "robot")
+    )
+    bearings: str = option(
+        "counterclockwise", "Direction in which bearings and orientations grow",
+        choices=("counterclockwise", "clockwise"),
+    )  # fmt: skip
+    sensor_offset: tuple[float, ...] | None = option(
+        None, "Position of the sensor on the robot: forward, left", "m", default_text="0,0, or as the bag says",
+        metavar="FORWARD,LEFT",
+    )  # fmt: skip
+    truth_offset: tuple[float, ...] | None = option(
+        None, "Point of the robot that the truth is of, such as a GPS antenna: forward, left", "m", default_text="0,0",
+        metavar="FORWARD,LEFT",
+    )  # fmt: skip
+    sensor_yaw: float | None = option(
+        None, "Direction in which the sensor looks, 0 is forward, positive to the left", "rad",
+        default_text="0, or as the bag says",
+    )  # fmt: skip
+    strict: bool = option(
+        False,
+        "Refuse a table at the first row that cannot be, such as a negative range, instead of leaving such rows out",
+    )
+
+    def __post_init__(self) -> None:
+        for name, choices in _CHOICES.items():
+            for unit in self.by_table(name).values():
+                check_choice(name, unit, choices)
+        for f in fields(self):
+            if "choices" in f.metadata:
+                check_choice(f.name, getattr(self, f.name), f.metadata["choices"])
+        for name in ("sensor_offset", "truth_offset"):
+            if (offset := getattr(self, name)) is not None:
+                checked_offset(name, offset)
+        if self.sensor_yaw is not None:
+            check_number(sensor_yaw=self.sensor_yaw)
+        for table in TABLES:
+            self.clock(table)
+        self._columns()
+
+    def unit(self, name: str, table: str) -> str | None:
+        """The unit that is stated for a table, "time", "angles" or "lengths"; None where none is."""
+        stated = self.by_table(name)
+        return stated.get(table) or stated.get("")
+
+    def clock(self, table: str) -> int:
+        """Nanoseconds to add to the times of a table."""
+        value = self.by_table("clocks").get(table, 0.0)
+        try:
+            seconds = float(value)
+        except OverflowError:
+            seconds = math.inf
+        except (TypeError, ValueError):
+            seconds = math.nan
+        if math.isnan(seconds):
+            raise OptionError(f"clocks: {table} should be a number of seconds, not {quoted(value)}")
+        if abs(seconds) > _MOST_SECONDS:
+            raise OptionError(
+                f"clocks: {table} should be at most {_MOST_SECONDS:.2g} seconds (146 years) forward or back, "
+                f"not {quoted(value)}"
+            )
+        return round(seconds * 1e9)
+
+    def columns_of(self, table: str) -> Mapping[str, str | int]:
+        """The stated columns of a table, {role: name or number}."""
+        return self._columns().get(table, {})
+
+    def by_table(self, name: str) -> dict[str, Any]:
+        """The option "time", "angles", "lengths" or "clocks" as {table: value}; "" stands for all tables."""
+        value: Any = getattr(self, name)
+        if value is None:
+            return {}
+        if isinstance(value, Mapping):
+            entries = dict(value)
+        elif not isinstance(value, str):
+            raise OptionError(f"{name} must be text or a mapping, not {quoted(value)}")
+        elif "=" not in value:
+            entries = {"": value}
+        else:
+            entries = _entries(name, value)
+        for table in entries:
+            check_table(name, table, ("", *TABLES) if name != "clocks" else TABLES)
+        return entries
+
+    def _columns(self) -> dict[str, dict[str, str | int]]:
+        value: Any = self.columns
+        if isinstance(value, Mapping):
+            entries = {}
+            for table, columns in value.items():
+                if not isinstance(columns, Mapping):
+                    raise OptionError(
+                        f"columns: {quoted(table)} should be a mapping {{what: column}}, not {quoted(columns)}"
+                    )
+                entries[table] = dict(columns)
+        elif not isinstance(value, str | None):
+            raise OptionError(f"columns must be text or a mapping, not {quoted(value)}")
+        else:
+            entries = {}
+            for key, column in _entries("columns", value or "").items():
+                table, dot, role = key.partition(".")
+                if not dot:
+                    raise OptionError(
+                        f"columns: {quoted(key)} should name a table, too, such as odometry.{key}={column}"
+                    )
+                entries.setdefault(table, {})[role] = column
+        for table, columns in entries.items():
+            check_table("columns", table, TABLES)
+            for role, column in columns.items():
+                if type(column) not in (str, int):
+                    raise OptionError(
+                        f"columns: {table}.{role} should be a name or a number from 1, not {quoted(column)}"
+                    )
+        return entries
+
+
+def check_table(option: str, table: str, known: Collection[str] = tuple(TABLES)) -> None:
+    """Raise `OptionError` unless a table has this name."""
+    if table not in known:
+        raise OptionError(
+            f"{option}: there is no table {quoted(table)}"
+            + (suggestion(table, TABLES) or f"; they are {', '.join(TABLES)}")
+        )
+
+
+def _entries(option: str, text: str) -> dict[str, str]:
+    """{"a": "1", "b": "2"} of "a=1,b=2"."""
+    entries = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        key, equals, value = part.partition("=")
+        if not equals or not value.strip():
+            raise OptionError(f"{option}: {quoted(part)} should be NAME=VALUE")
+        entries[key.strip()] = value.strip()
+    return entries

@@ -20,9 +20,9 @@ from ..graph.integrity import beyond, inflation
 from ..graph.landmark_map import as_map
 from ..linear.precision import check_model, inverses
 from ..log.rows import NO_ID, UNIDENTIFIED
-from ..marginals import ids_of, split
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, transform, wrap
+from ..solvers.uncertainty import ids_of, split
 from .backend import Backend, array_or_none, information_of, numbers
 from .localizer import Localizer
 from .own import OwnBackend

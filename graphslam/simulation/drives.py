@@ -15,13 +15,11 @@ from math import pi
 import numpy as np
 
 from ..errors import OptionError
-from ..errors.checks import option
-from ..errors.options import check_options
+from ..errors.checks import check_options, option
 from ..identification.declared import PARAMETERS
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
-from ..log.streams import Stream
-from ..log.synchronize import synchronize
+from ..log.streams import Stream, synchronize
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .places import PLACES, Path, Place, follow

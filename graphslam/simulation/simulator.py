@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError
-from ..errors.checks import check_count, check_known, check_not_negative, check_type, option
-from ..errors.options import check_options
+from ..errors.checks import check_count, check_known, check_not_negative, check_options, check_type, option
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, wrap

@@ -19,9 +19,9 @@ from ..errors.checks import (
     array_of,
     check_choice,
     check_count,
+    check_options,
     option,
 )
-from ..errors.options import check_options
 from ..log import Log
 from ..log.measurements import PartialSightings
 from ..models import MotionModel, SensorModel

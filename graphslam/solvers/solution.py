@@ -28,12 +28,11 @@ from ..graph.stretch import Stretch
 from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
 from ..log import Log
-from ..marginals import ids_of, shaped
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
 from .corrected import motion_edges
-from .uncertainty import Uncertainty, doubts
+from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
 MOST = 50_000_000

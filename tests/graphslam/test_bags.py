@@ -17,8 +17,7 @@ from graphslam.io.bag_drive import drive_of_bag, topics_of
 from graphslam.io.bag_messages import Frames, rotation_of
 from graphslam.io.bag_topics import getter, leaves
 from graphslam.io.tables import Recipe
-from graphslam.log.rows import ReadOptions
-from graphslam.log.table_options import TableOptions
+from graphslam.log.rows import ReadOptions, TableOptions
 
 _READING = ReadOptions()
 START = 1_716_000_000_123_456_789

@@ -34,7 +34,7 @@ from graphslam import (
 from graphslam.errors import named, quoted
 from graphslam.graph.transform import relative_graph
 from graphslam.io.toml_file import TomlFile
-from graphslam.log.table_options import TableOptions
+from graphslam.log.rows import TableOptions
 
 ODOMETRY = "t,v,w\n" + "".join(f"{k * 0.5},0.5,0.1\n" for k in range(20))
 

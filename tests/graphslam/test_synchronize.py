@@ -5,8 +5,7 @@ import pytest
 
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, load, save, simulate, solve
 from graphslam.io.formats import ReadOptions
-from graphslam.log.streams import Stream, divide, truth_at
-from graphslam.log.synchronize import synchronize
+from graphslam.log.streams import Stream, divide, synchronize, truth_at
 from graphslam.metrics import ate
 
 DRIVE = Stream(np.arange(0.0, 10.01, 0.5), np.column_stack([np.linspace(0.5, 1.5, 21), np.linspace(-1, 1, 21)]))

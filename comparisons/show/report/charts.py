@@ -1,9 +1,9 @@
 """The figures of the report: trajectories and maps; errors over the drive; costs over iterations, in world and body frame.
 
 The ``meta`` of every trace of the map names its estimator and its layer: path, landmarks, landmark-ellipses, pose-ellipses,
-truth, now (the robot at the step of the slider, which the page's script moves), matches (the sightings of a landmark that was
-clicked). ``customdata`` of a path holds all that is known of each pose, in the order of `COLUMNS`; the page's script turns that
-into text, since Plotly's templates show unknown values as 0.
+truth, now (the robot at the step of the slider, which the page's script moves), matches (the sightings of a landmark that
+was clicked). ``customdata`` of a path holds all that is known of each pose, in the order of `COLUMNS`; the page's script
+turns that into text, since Plotly's templates show unknown values as 0.
 
 The same edges are iterated in four ways, to show what the choice of the frame and of the anchor does. The lectures reset the
 anchor x̂_0 at every step, so the whole graph keeps drifting; with a fixed anchor the world frame converges at a constant
