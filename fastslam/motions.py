@@ -1,14 +1,14 @@
-"""The limits of a motion, and motions of a sensor that sits at an offset to the robot.
+"""A log as a particle filter takes it, and trajectories drawn from all that a run of the filter has computed.
 
-A log as arrays for the engine, its sightings linearised in the axes of the robot.
+Motions are checked, and turned into those of a sensor that sits at an offset to the robot; sightings are linearised in the
+axes of the robot.
 
-Backward simulation: trajectories drawn from all that one run of a particle filter has computed.
-
-The histories of the particles at the end of a run have few ancestors in common steps: resampling has removed the others.
-Backward simulation draws the steps one after the other, from the last to the first, among all particles that the filter
-ever had. The motions are relative to the pose before: what is drawn is where the rigid rest of the trajectory is attached,
-by the landmarks that both sides have seen. A density of the motion is never needed, and a precise motion does not tie the
-rest to its own ancestor. The engine draws; equations and sources are in ``engine/include/vmslam/gibbs/backward.hpp``.
+Backward simulation. The histories of the particles at the end of a run have few ancestors in common steps: resampling has
+removed the others. Backward simulation draws the steps one after the other, from the last to the first, among all particles
+that the filter ever had. The motions are relative to the pose before: what is drawn is where the rigid rest of the trajectory
+is attached, by the landmarks that both sides have seen. A density of the motion is never needed, and a precise motion does
+not tie the rest to its own ancestor. The engine draws; equations and sources are in
+``engine/include/vmslam/gibbs/backward.hpp``.
 
 Of more than `CANDIDATES` particles, that many are considered at each step: the ancestor in the filter, and draws by weight.
 This is a step of a conditional SMC, which leaves the distribution unchanged.

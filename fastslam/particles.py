@@ -1,11 +1,11 @@
-"""`ParticleState`, the particles after a step, and `FilterResult`, the estimate from a log.
+"""Particles after a step, the estimates made of them, and how they are resampled.
 
-Samples of whole trajectories and maps, and their moments: what smoothers return.
+`ParticleState` is what a filter has after a step, `FilterResult` its estimate from a log, and `Samples` are whole
+trajectories and maps, with their moments, as smoothers return them.
 
-Resampling schemes by name: how many copies each particle gets. All are unbiased: E[copies_i] = N w_i.
-
-Every scheme returns the ancestors in ascending order. This costs nothing, keeps the copies of one particle together in
-memory, and lets the genealogy find distinct ancestors by comparing neighbours.
+A resampling scheme says how many copies each particle gets. All are unbiased: E[copies_i] = N w_i. Every scheme returns the
+ancestors in ascending order. This costs nothing, keeps the copies of one particle together in memory, and lets the genealogy
+find distinct ancestors by comparing neighbours.
 
 Source: Douc, Cappe and Moulines, *Comparison of resampling schemes for particle filtering*, ISPA 2005.
 """

@@ -1,7 +1,4 @@
-"""The compiled engine, or one sentence where it is missing.
-
-The threads of this process.
-"""
+"""The compiled engine, or one sentence where it is missing; and how many threads it may use."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""The result of one estimator on one log. It keeps the object from which it was computed.
+"""`EstimatorResult`, what one estimator made of one log, and `Row`, all figures of it for tables, JSON and its schema.
 
-Errors of single parts of a result, as sentences; the other parts are still made.
+A result keeps the object from which it was computed. A part that cannot be computed becomes a sentence among its notes, and
+the other parts are still made.
 """
 
 from __future__ import annotations

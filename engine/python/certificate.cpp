@@ -31,11 +31,11 @@ bool take_upper(const double* W, int d, double tolerance, double* upper) {
 /// A proof with the pattern that it needs.
 class OwnedProof : public Proof {
    public:
-    OwnedProof(const In<Place>& start, const In<Place>& rows, std::shared_ptr<sparse::Symbolic> symbolic)
+    OwnedProof(const In<Index>& start, const In<Index>& rows, std::shared_ptr<sparse::Symbolic> symbolic)
         : Proof(span(start), span(rows), std::move(symbolic)), start_(start), rows_(rows) {}
 
     /// Add the edges of a family; false where the information of one is not symmetric, but for rounding.
-    bool add(const In<Place>& first, const In<Place>& second, const In<double>& start, const In<double>& end,
+    bool add(const In<Index>& first, const In<Index>& second, const In<double>& start, const In<double>& end,
              const std::optional<In<double>>& turn, const In<double>& information, double tolerance) {
         const int d = static_cast<int>(information.shape(1));
         for (std::size_t e = 0; e < first.size(); ++e) {
@@ -52,19 +52,19 @@ class OwnedProof : public Proof {
         return true;
     }
 
-    void begin_at(const In<double>& state, const In<Place>& fixed) {
+    void begin_at(const In<double>& state, const In<Index>& fixed) {
         std::vector<char> free(state.size() / 3, 1);
-        for (const Place node : span(fixed)) free[node] = 0;
+        for (const Index node : span(fixed)) free[node] = 0;
         begin(span(state), std::move(free));
     }
 
    private:
-    In<Place> start_, rows_;
+    In<Index> start_, rows_;
 };
 
 void bind(nb::module_& m) {
     nb::class_<OwnedProof>(m, "Proof")
-        .def(nb::init<const In<Place>&, const In<Place>&, std::shared_ptr<sparse::Symbolic>>())
+        .def(nb::init<const In<Index>&, const In<Index>&, std::shared_ptr<sparse::Symbolic>>())
         .def("clear", [](OwnedProof& proof) { proof.edges.clear(); })
         .def("add", &OwnedProof::add, nb::arg("first"), nb::arg("second"), nb::arg("start"), nb::arg("end"),
              nb::arg("turn").none(), nb::arg("information"), nb::arg("tolerance"))
@@ -83,7 +83,7 @@ void bind(nb::module_& m) {
         // the ends (K, 2) and the information (K, 6) of the edges that have no split
         .def("without_split",
              [](const OwnedProof& proof) {
-                 std::vector<Place> ends;
+                 std::vector<Index> ends;
                  std::vector<edges::Symmetric> information;
                  for (std::size_t e = 0; e < proof.edges.size(); ++e) {
                      if (proof.curvatures()[e].beta >= 0) continue;
@@ -106,7 +106,7 @@ void bind(nb::module_& m) {
         return std::pair(s.beta, s.kappa);
     });
     // of a factor: c (N,), the errors (N, 2) for blocks of a matrix, and the bound on b^H A^-1 b
-    m.def("rounding_bounds", [](HermitianFactor& factor, In<Complexes> values, In<Place> start, In<Complexes> b) {
+    m.def("rounding_bounds", [](HermitianFactor& factor, In<Complexes> values, In<Index> start, In<Complexes> b) {
         const std::vector<double> c = rounding_of(factor.symbolic());
         const double square = square_bound(factor, span(b), c);
         return std::tuple(array(c), array(factor_errors(factor, span(values), span(start), c), {c.size(), 2}), square);

@@ -29,7 +29,7 @@ Symmetric symmetric(const double* W, int d) {
     return {W[0], both(0, 1), W[4], both(0, 2), both(1, 2), W[8]};
 }
 
-std::vector<RelativeEdge> relative_edges(const In<Place>& first, const In<Place>& second, const In<double>& measured,
+std::vector<RelativeEdge> relative_edges(const In<Index>& first, const In<Index>& second, const In<double>& measured,
                                          const In<double>& information) {
     const int d = static_cast<int>(measured.shape(1));
     const std::vector<Vector> z = filled<Vector>(measured);
@@ -47,8 +47,8 @@ Sightings seen(const In<double>& z, const In<double>& noisy, const In<double>& t
             std::bit_cast<Sensor>(sensor), kernel_of(code, width),  z.shape(1) == 3};
 }
 
-System system_of(const In<Place>& start, const In<Place>& rows, const InOut<double>& values, const InOut<double>& xi,
-                 const InOut<Place>& workspace) {
+System system_of(const In<Index>& start, const In<Index>& rows, const InOut<double>& values, const InOut<double>& xi,
+                 const InOut<Index>& workspace) {
     return {span(start), span(rows), values.data(), xi.data(), workspace.data()};
 }
 
@@ -62,20 +62,20 @@ void bind_families(nb::module_& m) {
             release())
         .def(
             "add",
-            [](const Family& f, In<double> state, In<double> reference, In<Place> start, In<Place> rows, InOut<double> values,
-               InOut<double> xi, InOut<Place> workspace, In<Place> pairs) {
+            [](const Family& f, In<double> state, In<double> reference, In<Index> start, In<Index> rows, InOut<double> values,
+               InOut<double> xi, InOut<Index> workspace, In<Index> pairs) {
                 System system = system_of(start, rows, values, xi, workspace);
                 return f.accumulate({state.data(), reference.data()}, &system, span(pairs));
             },
             release());
     nb::class_<RelativeEdges, Family>(m, "RelativeEdges")
-        .def("__init__", [](RelativeEdges* at, In<Place> first, In<Place> second, In<double> measured, In<double> information,
+        .def("__init__", [](RelativeEdges* at, In<Index> first, In<Index> second, In<double> measured, In<double> information,
                             bool world, int code, double width) {
             new (at) RelativeEdges(relative_edges(first, second, measured, information), measured.shape(1) == 3, world,
                                    kernel_of(code, width));
         });
     nb::class_<PositionEdges, Family>(m, "PositionEdges")
-        .def("__init__", [](PositionEdges* at, In<Place> nodes, In<double> places, In<double> information, In<double> levers,
+        .def("__init__", [](PositionEdges* at, In<Index> nodes, In<double> places, In<double> information, In<double> levers,
                             int code, double width) {
             std::vector<Position> positions;
             for (const RelativeEdge& each : relative_edges(nodes, nodes, places, information)) {
@@ -85,7 +85,7 @@ void bind_families(nb::module_& m) {
             new (at) PositionEdges(std::move(positions), kernel_of(code, width));
         });
     nb::class_<NumberEdges, Family>(m, "NumberEdges")
-        .def("__init__", [](NumberEdges* at, bool bearing, In<Place> first, In<Place> second, In<double> measured,
+        .def("__init__", [](NumberEdges* at, bool bearing, In<Index> first, In<Index> second, In<double> measured,
                             In<double> information, std::array<double, 2> offset, int code, double width) {
             std::vector<NumberEdge> edges(first.size());
             for (std::size_t k = 0; k < edges.size(); ++k)
@@ -94,20 +94,20 @@ void bind_families(nb::module_& m) {
             new (at) NumberEdges(bearing ? Number::bearing : Number::range, std::move(edges), kernel_of(code, width));
         });
     nb::class_<PolarEdges, Family>(m, "PolarEdges")
-        .def("__init__", [](PolarEdges* at, In<Place> first, In<Place> second, In<double> z, In<double> noisy,
+        .def("__init__", [](PolarEdges* at, In<Index> first, In<Index> second, In<double> z, In<double> noisy,
                             In<double> trust, std::array<double, 6> sensor, int code, double width) {
             new (at) PolarEdges(copy_of(first), copy_of(second), seen(z, noisy, trust, sensor, code, width));
         });
     nb::class_<VirtualMotionEdges, Family>(m, "VirtualMotionEdges")
         .def("__init__",
-             [](VirtualMotionEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy, In<double> trust,
+             [](VirtualMotionEdges* at, In<Index> starts, In<Index> nodes, In<double> z, In<double> noisy, In<double> trust,
                 std::array<double, 6> sensor, int code, double width, In<double> weights, bool body) {
                  new (at) VirtualMotionEdges(copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width),
                                              copy_of(weights), body);
              });
     nb::class_<MarginalEdges, Family>(m, "MarginalEdges")
         .def("__init__",
-             [](MarginalEdges* at, In<Place> starts, In<Place> nodes, In<double> z, In<double> noisy, In<double> trust,
+             [](MarginalEdges* at, In<Index> starts, In<Index> nodes, In<double> z, In<double> noisy, In<double> trust,
                 std::array<double, 6> sensor, int code, double width, bool body) {
                  new (at) MarginalEdges(copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width), body);
              })
@@ -126,13 +126,13 @@ void bind_linearized(nb::module_& m) {
         require(matrices.ndim() == 3 && matrices.shape(1) == matrices.shape(2) && matrices.shape(1) - 1 < 3,
                 "matrices have one to three rows, and as many columns");
         std::vector<double> out(matrices.size());
-        const Place wrong = inverses(span(matrices), matrices.shape(1), least, out);
+        const Index wrong = inverses(span(matrices), matrices.shape(1), least, out);
         return std::pair(array(std::move(out), {matrices.shape(0), matrices.shape(1), matrices.shape(1)}), wrong);
     });
     m.def(
         "add_linearized",
-        [](In<Place> first, In<Place> second, In<Place> pairs, In<double> e, In<double> A, In<double> B, In<double> P,
-           In<double> W, In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace,
+        [](In<Index> first, In<Index> second, In<Index> pairs, In<double> e, In<double> A, In<double> B, In<double> P,
+           In<double> W, In<Index> start, In<Index> rows, InOut<double> values, InOut<double> xi, InOut<Index> workspace,
            InOut<double> mixed, InOut<double> own, InOut<double> gradient) {
             const std::size_t E = first.size(), n = start.size() - 1, K = gradient.size(), d = e.ndim() == 2 ? e.shape(1) : 0;
             require((d == 2 || d == 3) && second.size() == E && pairs.size() == E && has_shape(e, {E, d}) &&
@@ -141,7 +141,7 @@ void bind_linearized(nb::module_& m) {
                         has_shape(values, {rows.size(), 3, 3}) && has_shape(xi, {n, 3}),
                     "the arrays of edges, system and border do not fit together");
             for (std::size_t k = 0; k < E; ++k) {
-                const Place i = first.data()[k], j = second.data()[k], pair = pairs.data()[k];
+                const Index i = first.data()[k], j = second.data()[k], pair = pairs.data()[k];
                 require(std::min({i, j, pair}) >= 0 && static_cast<std::size_t>(std::max(i, j)) < n && i != j &&
                             static_cast<std::size_t>(pair) < rows.size(),
                         "an edge is between two different nodes of the system");
@@ -170,39 +170,39 @@ void bind_kernels(nb::module_& m) {
 }
 
 void bind_starts(nb::module_& m) {
-    m.def("follow_headings", [](In<Place> first, In<Place> second, In<double> turn, In<double> information,
+    m.def("follow_headings", [](In<Index> first, In<Index> second, In<double> turn, In<double> information,
                                 InOut<double> headings, InOut<bool> known) {
         return solve::follow_headings({span(first), span(second), {}, span(turn), span(information)}, span(headings),
                                       span(known));
     });
     nb::class_<solve::StartSystem>(m, "StartSystem")
         .def("__init__",
-             [](solve::StartSystem* at, In<Place> start, std::shared_ptr<sparse::Symbolic> symbolic) {
+             [](solve::StartSystem* at, In<Index> start, std::shared_ptr<sparse::Symbolic> symbolic) {
                  new (at) solve::StartSystem(span(start), std::move(symbolic));
              })
         .def("add_headings",
-             [](solve::StartSystem& s, In<Place> first, In<Place> second, In<Place> pairs, In<double> turn,
+             [](solve::StartSystem& s, In<Index> first, In<Index> second, In<Index> pairs, In<double> turn,
                 In<double> information, In<double> unit) {
                  s.add_headings({span(first), span(second), span(pairs), span(turn), span(information)}, span(unit));
              })
         .def("add_positions",
-             [](solve::StartSystem& s, In<Place> first, In<Place> second, In<Place> pairs, In<double> offset,
+             [](solve::StartSystem& s, In<Index> first, In<Index> second, In<Index> pairs, In<double> offset,
                 In<double> information, In<double> position) {
                  s.add_positions({span(first), span(second), span(pairs), span(offset), span(information)}, span(position));
              })
-        .def("hold", [](solve::StartSystem& s, In<Place> blocks, In<Place> nodes,
-                        In<Place> untied) { s.hold(span(blocks), span(nodes), span(untied)); })
+        .def("hold", [](solve::StartSystem& s, In<Index> blocks, In<Index> nodes,
+                        In<Index> untied) { s.hold(span(blocks), span(nodes), span(untied)); })
         .def("solve", [](solve::StartSystem& s, InOut<double> correction) { return s.solve(span(correction)); });
     // the rows and columns of nodes become those of the identity
-    m.def("hold", [](In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace,
-                     In<Place> blocks, In<Place> nodes) {
+    m.def("hold", [](In<Index> start, In<Index> rows, InOut<double> values, InOut<double> xi, InOut<Index> workspace,
+                     In<Index> blocks, In<Index> nodes) {
         solve::hold(system_of(start, rows, values, xi, workspace), span(blocks), span(nodes));
     });
     // those of nodes from a coordinate on
     m.def("rest",
-          [](In<Place> start, In<Place> rows, InOut<double> values, InOut<double> xi, InOut<Place> workspace, In<Place> nodes,
+          [](In<Index> start, In<Index> rows, InOut<double> values, InOut<double> xi, InOut<Index> workspace, In<Index> nodes,
              int coordinate) { solve::rest(system_of(start, rows, values, xi, workspace), span(nodes), coordinate); });
-    m.def("turned_to_world", [](In<double> state, In<Place> first, In<double> measured, In<double> information) {
+    m.def("turned_to_world", [](In<double> state, In<Index> first, In<double> measured, In<double> information) {
         const std::size_t count = first.size();
         std::vector<double> offset(2 * count), omega(4 * count);
         solve::turn_to_world(span(state), span(first), span(measured), span(information), static_cast<int>(measured.shape(1)),

@@ -16,8 +16,8 @@ using namespace factors;
 void bind_whitened(nb::module_& m) {
     nb::class_<RelativeEdges>(m, "WhitenedEdges")
         .def("__init__",
-             [](RelativeEdges* at, In<Place> first, In<Place> second, In<Place> rows, In<double> z, In<double> root,
-                In<double> frozen, In<Place> codes, In<double> widths, Place poses, bool world) {
+             [](RelativeEdges* at, In<Index> first, In<Index> second, In<Index> rows, In<double> z, In<double> root,
+                In<double> frozen, In<Index> codes, In<double> widths, Index poses, bool world) {
                  const std::size_t count = first.size();
                  const auto measured = records<edges::Vector>(z, count);
                  const auto roots = records<std::array<double, 9>>(root, count);
@@ -43,8 +43,8 @@ void bind_whitened(nb::module_& m) {
 void bind_pairs(nb::module_& m) {
     nb::class_<LandmarkPairs>(m, "LandmarkPairs")
         .def("__init__",
-             [](LandmarkPairs* at, In<Place> nodes, In<double> z, In<double> ahead, std::array<double, 2> offset,
-                bool turning, In<Place> a, In<Place> b, In<double> information) {
+             [](LandmarkPairs* at, In<Index> nodes, In<double> z, In<double> ahead, std::array<double, 2> offset,
+                bool turning, In<Index> a, In<Index> b, In<double> information) {
                  std::vector<edges::Symmetric> omega(a.size());
                  for (std::size_t k = 0; k < omega.size(); ++k) {
                      const double* const W = information.data() + 9 * k;

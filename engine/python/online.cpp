@@ -13,11 +13,11 @@
 namespace vmslam::python::online_bindings {
 
 using namespace online;
-using Numbers32 = std::vector<Number>;
+using Numbers32 = std::vector<Id>;
 
 /// The arrays of the edges of a step: ends (E, 2), kinds (E,), rows (E,), measured (E, 3), information (E, 6) in the order
 /// of `edges::Symmetric`, levers (E, 2), and whether a kernel acts on an edge that is no sighting (E,).
-std::vector<NewEdge> new_edges(const In<Number>& ends, const In<signed char>& kinds, const In<signed char>& rows,
+std::vector<NewEdge> new_edges(const In<Id>& ends, const In<signed char>& kinds, const In<signed char>& rows,
                                const In<double>& measured, const In<double>& information, const In<double>& levers,
                                const In<signed char>& doubted) {
     const std::size_t count = kinds.size();
@@ -41,8 +41,8 @@ std::vector<NewEdge> new_edges(const In<Number>& ends, const In<signed char>& ki
 
 /// The nodes, which must be nodes of the solver.
 const Numbers32& checked(const OnlineSystem& s, const Numbers32& nodes) {
-    const auto count = static_cast<Number>(s.graph().nodes.size());
-    for (const Number node : nodes)
+    const auto count = static_cast<Id>(s.graph().nodes.size());
+    for (const Id node : nodes)
         if (node < 0 || node >= count) throw std::out_of_range("the online solver has no node " + std::to_string(node));
     return nodes;
 }
@@ -73,9 +73,8 @@ void bind(nb::module_& m) {
                              {pivot.data(), pivot.data() + pivot.size()});
              })
         .def("add",
-             [](OnlineSystem& s, Number known, In<Number> ends, In<signed char> kinds, In<signed char> rows,
-                In<double> measured, In<double> information, In<double> levers, In<signed char> doubted,
-                const Numbers32& newest) {
+             [](OnlineSystem& s, Id known, In<Id> ends, In<signed char> kinds, In<signed char> rows, In<double> measured,
+                In<double> information, In<double> levers, In<signed char> doubted, const Numbers32& newest) {
                  // other threads wait: they may read this solver while it grows
                  return s.add(known, new_edges(ends, kinds, rows, measured, information, levers, doubted), newest);
              })
@@ -90,7 +89,7 @@ void bind(nb::module_& m) {
                  s.loosen(triples_of(place).at(0), {information.data(), information.data() + information.size()});
              })
         .def("relinearize", [](OnlineSystem& s, const Numbers32& newest) { s.relinearize(newest); })
-        .def("marginalize", [](OnlineSystem& s, Number node, const Numbers32& newest) { return s.marginalize(node, newest); })
+        .def("marginalize", [](OnlineSystem& s, Id node, const Numbers32& newest) { return s.marginalize(node, newest); })
         .def("crowded", &OnlineSystem::crowded)
         .def("renumber", &OnlineSystem::renumber)
         .def("complete", &OnlineSystem::complete)
@@ -99,7 +98,7 @@ void bind(nb::module_& m) {
         .def("places",
              [](const OnlineSystem& s, const Numbers32& nodes) {
                  std::vector<Triple> rows;
-                 for (const Number node : checked(s, nodes)) rows.push_back(s.graph().nodes[node].x);
+                 for (const Id node : checked(s, nodes)) rows.push_back(s.graph().nodes[node].x);
                  return triples(rows);
              })
         .def("cost", &OnlineSystem::cost)

@@ -26,7 +26,7 @@ class PythonFamily : public edges::Family {
    public:
     PythonFamily(nb::callable accumulate, std::size_t size) : accumulate_(std::move(accumulate)), size_(size) {}
 
-    double accumulate(const edges::State& state, edges::System* system, std::span<const Place>) const override {
+    double accumulate(const edges::State& state, edges::System* system, std::span<const Index>) const override {
         const nb::gil_scoped_acquire python;
         return nb::cast<double>(
             accumulate_(state_array(state.at, size_), state_array(state.reference, size_), system != nullptr));
@@ -105,10 +105,10 @@ void bind_objectives(nb::module_& m) {
             std::vector<GraphObjective::Member> members;
             const nb::tuple families = owned[0], pairs = owned[1], system = owned[2], held = owned[3];
             for (std::size_t k = 0; k < families.size(); ++k)
-                members.push_back({nb::cast<const edges::Family*>(families[k]), span(nb::cast<In<Place>>(pairs[k]))});
+                members.push_back({nb::cast<const edges::Family*>(families[k]), span(nb::cast<In<Index>>(pairs[k]))});
             const auto values = nb::cast<InOut<double>>(system[2]), xi = nb::cast<InOut<double>>(system[3]);
-            const auto workspace = nb::cast<InOut<Place>>(system[4]);
-            const auto places = [](nb::handle h) { return span(nb::cast<In<Place>>(h)); };
+            const auto workspace = nb::cast<InOut<Index>>(system[4]);
+            const auto places = [](nb::handle h) { return span(nb::cast<In<Index>>(h)); };
             new (at) BoundGraph(
                 std::move(members), {places(system[0]), places(system[1]), values.data(), xi.data(), workspace.data()},
                 {places(held[0]), places(held[1]), places(held[2])}, constant, *nb::cast<Factor*>(owned[4]), owned);

@@ -18,19 +18,19 @@ namespace vmslam::python::sparse_bindings {
 using namespace sparse;
 using release = nb::call_guard<nb::gil_scoped_release>;
 
-Pattern pattern_of(const In<Place>& start, const In<Node>& rows) { return {span(start), span(rows)}; }
+Pattern pattern_of(const In<Index>& start, const In<Node>& rows) { return {span(start), span(rows)}; }
 
 void bind_patterns(nb::module_& m) {
-    m.def("pattern", [](Place nodes, In<Place> sizes, In<Place> members) {
+    m.def("pattern", [](Index nodes, In<Index> sizes, In<Index> members) {
         WidePattern pattern = pattern_of_groups(nodes, span(sizes), span(members));
         return std::pair(array(std::move(pattern.start)), array(std::move(pattern.rows)));
     });
-    m.def("pattern_fault", [](In<Place> start, In<Node> rows) { return pattern_of(start, rows).fault(); });
-    m.def("blocks_of_nodes", [](In<Place> start, In<Place> rows, In<Place> nodes) {
+    m.def("pattern_fault", [](In<Index> start, In<Node> rows) { return pattern_of(start, rows).fault(); });
+    m.def("blocks_of_nodes", [](In<Index> start, In<Index> rows, In<Index> nodes) {
         return array(blocks_of_nodes(span(start), span(rows), span(nodes)));
     });
-    m.def("pair_blocks", [](In<Place> start, In<Place> rows, In<Place> first, In<Place> second) {
-        std::vector<Place> blocks(first.size());
+    m.def("pair_blocks", [](In<Index> start, In<Index> rows, In<Index> first, In<Index> second) {
+        std::vector<Index> blocks(first.size());
         for (std::size_t e = 0; e < blocks.size(); ++e)
             blocks[e] = block_between(span(start), span(rows), first.data()[e], second.data()[e]);
         return array(std::move(blocks));
@@ -38,19 +38,19 @@ void bind_patterns(nb::module_& m) {
 }
 
 void bind_orders(nb::module_& m) {
-    m.def("minimum_degree", [](In<Place> start, In<Node> rows, double dense) {
+    m.def("minimum_degree", [](In<Index> start, In<Node> rows, double dense) {
         const Pattern pattern = pattern_of(start, rows);
         return array(minimum_degree(pattern, degree_limit(pattern.size(), dense)));
     });
-    m.def("fill_reducing", [](In<Place> start, In<Node> rows, Node smallest, double worth) {
+    m.def("fill_reducing", [](In<Index> start, In<Node> rows, Node smallest, double worth) {
         return array(fill_reducing(pattern_of(start, rows), {smallest, worth}));
     });
     m.def("flops_of",
-          [](In<Place> start, In<Node> rows, In<Node> order) { return flops_of(pattern_of(start, rows), span(order)); });
-    const auto graph = [](const In<Place>& start, const In<Node>& list) { return Neighbours{copy_of(start), copy_of(list)}; };
+          [](In<Index> start, In<Node> rows, In<Node> order) { return flops_of(pattern_of(start, rows), span(order)); });
+    const auto graph = [](const In<Index>& start, const In<Node>& list) { return Neighbours{copy_of(start), copy_of(list)}; };
     m.def("separator_depths",
-          [graph](In<Place> start, In<Node> list, Node limit) { return array(separator_depths(graph(start, list), limit)); });
-    m.def("separate", [graph](In<Place> start, In<Node> list, InOut<signed char> side) {
+          [graph](In<Index> start, In<Node> list, Node limit) { return array(separator_depths(graph(start, list), limit)); });
+    m.def("separate", [graph](In<Index> start, In<Node> list, InOut<signed char> side) {
         return separate(graph(start, list), span(side));
     });
 }
@@ -67,7 +67,7 @@ void bind_symbolic(nb::module_& m) {
         .def_ro("blocks", &Symbolic::blocks);
     m.def(
         "analyze",
-        [](In<Place> start, In<Node> rows, std::optional<In<Node>> order, int threads) {
+        [](In<Index> start, In<Node> rows, std::optional<In<Node>> order, int threads) {
             const Pattern pattern = pattern_of(start, rows);
             const nb::gil_scoped_release other_threads;
             if (order) return std::make_shared<Symbolic>(analyze(pattern, span(*order), shape_of<Real3>, threads));
@@ -96,7 +96,7 @@ auto bind_factor(nb::module_& m, const char* name) {
             release())
         .def("forward_square", [](F& f, In<Value> b) { return f.forward_square(span(b)); })
         .def("null_vector",
-             [](const F& f, Place pivot) {
+             [](const F& f, Index pivot) {
                  const std::size_t nodes = f.symbolic().order.size(), rows = Block::rows;
                  return array(f.null_vector(pivot), {nodes, rows});
              })
@@ -108,7 +108,7 @@ void bind_inverse(nb::module_& m) {
         .def(nb::init<const Factor<Real3>&>(), release())
         .def("diagonal", [](const SelectedInverse& z) { return array(z.diagonal(), {z.diagonal().size() / 9, 3, 3}); })
         // blocks (E, 3, 3) in the rows and columns of pairs of nodes, NaN where the pattern of L lacks one
-        .def("pairs", [](const SelectedInverse& z, In<Place> rows, In<Place> columns) {
+        .def("pairs", [](const SelectedInverse& z, In<Index> rows, In<Index> columns) {
             std::vector<double> out(9 * rows.size(), std::numeric_limits<double>::quiet_NaN());
             for (std::size_t e = 0; e < rows.size(); ++e)
                 if (const auto block = z.block(static_cast<Node>(rows.data()[e]), static_cast<Node>(columns.data()[e])))
@@ -129,7 +129,7 @@ void bind(nb::module_& m) {
                 const std::size_t nodes = f.symbolic().order.size(), columns = b.ndim() == 3 ? b.shape(2) : 0;
                 require(has_shape(b, {nodes, 3, columns}) && has_shape(x, {nodes, 3, columns}),
                         "right-hand sides and solutions have the shape (nodes, 3, columns)");
-                return solve_columns(f, span(b), static_cast<Place>(columns), span(x));
+                return solve_columns(f, span(b), static_cast<Index>(columns), span(x));
             },
             release());
     bind_factor<Hermitian2>(m, "HermitianFactor");

@@ -14,7 +14,7 @@
 namespace {
 
 using namespace vmslam;
-using edges::Place;
+using edges::Index;
 using Numbers = std::vector<double>;
 
 Numbers drawn(std::mt19937& random, std::size_t count) {
@@ -66,14 +66,14 @@ void test_limits() {
 /// Edges between random pairs of nodes, the lower or the upper one first, against the product of dense Jacobians.
 void test_sums(std::mt19937& random, unsigned seed) {
     const std::size_t d = 2 + random() % 2, E = random() % 20, K = random() % 12, n = 2 + random() % 6, N = 3 * n + K;
-    std::vector<Place> first(E), second(E), members;
+    std::vector<Index> first(E), second(E), members;
     for (std::size_t k = 0; k < E; ++k) {
-        first[k] = static_cast<Place>(random() % n);
-        second[k] = static_cast<Place>((first[k] + 1 + random() % (n - 1)) % n);
+        first[k] = static_cast<Index>(random() % n);
+        second[k] = static_cast<Index>((first[k] + 1 + random() % (n - 1)) % n);
         members.insert(members.end(), {std::min(first[k], second[k]), std::max(first[k], second[k])});
     }
-    const auto pattern = sparse::pattern_of_groups(static_cast<Place>(n), std::vector<Place>(E, 2), members);
-    std::vector<Place> pairs(E), workspace(n);
+    const auto pattern = sparse::pattern_of_groups(static_cast<Index>(n), std::vector<Index>(E, 2), members);
+    std::vector<Index> pairs(E), workspace(n);
     for (std::size_t k = 0; k < E; ++k) pairs[k] = sparse::block_between(pattern.start, pattern.rows, first[k], second[k]);
     const Numbers e = drawn(random, E * d), A = drawn(random, 3 * E * d), B = drawn(random, 3 * E * d);
     const Numbers P = drawn(random, E * d * K);
@@ -113,7 +113,7 @@ void test_sums(std::mt19937& random, unsigned seed) {
         expect(std::abs(found - whole[i * N + j]) <= 1e-12 * size[i * N + j], what, seed);
     };
     for (std::size_t j = 0; j < n; ++j)
-        for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
+        for (Index p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
             for (std::size_t c = 0; c < 9; ++c) same(values[9 * p + c], 3 * pattern.rows[p] + c / 3, 3 * j + c % 3, "Omega");
     for (std::size_t i = 0; i < 3 * n; ++i)
         for (std::size_t c = 0; c < K; ++c) same(mixed[i * K + c], i, 3 * n + c, "mixed");

@@ -32,20 +32,20 @@ struct Matrix {
     std::vector<Value> values, whole;
     std::size_t size;
 
-    Matrix(std::mt19937& random, Place nodes, Place edges) : size(nodes * Block::rows) {
-        std::vector<Place> members;
-        for (Place e = 0; e < edges; ++e) {
-            const Place a = random() % nodes, b = random() % nodes;
+    Matrix(std::mt19937& random, Index nodes, Index edges) : size(nodes * Block::rows) {
+        std::vector<Index> members;
+        for (Index e = 0; e < edges; ++e) {
+            const Index a = random() % nodes, b = random() % nodes;
             if (a == b) continue;
             members.push_back(std::min(a, b));
             members.push_back(std::max(a, b));
         }
-        pattern = pattern_of_groups(nodes, std::vector<Place>(members.size() / 2, 2), members);
+        pattern = pattern_of_groups(nodes, std::vector<Index>(members.size() / 2, 2), members);
         rows.assign(pattern.rows.begin(), pattern.rows.end());
         whole.assign(size * size, Value{});
         values.resize(rows.size() * Block::size);
-        for (Place j = 0; j < nodes; ++j)
-            for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
+        for (Index j = 0; j < nodes; ++j)
+            for (Index p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
                 for (int r = 0; r < Block::rows; ++r)
                     for (int c = 0; c < Block::rows; ++c) {
                         const std::size_t row = Block::rows * rows[p] + r, column = Block::rows * j + c;
@@ -54,8 +54,8 @@ struct Matrix {
                         value = row == column ? Value(40.0) : draw(random, Value{});
                         whole[column * size + row] = conjugate(value);
                     }
-        for (Place j = 0; j < nodes; ++j)
-            for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
+        for (Index j = 0; j < nodes; ++j)
+            for (Index p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
                 for (int r = 0; r < Block::rows; ++r)
                     for (int c = 0; c < Block::rows; ++c)
                         values[p * Block::size + r * Block::rows + c] =
@@ -68,7 +68,7 @@ void test_columns(Factor<Real3>& factor, std::mt19937& random, unsigned seed) {
     const std::size_t rows = 3 * factor.symbolic().order.size(), columns = random() % 20;
     std::vector<double> b(rows * columns), x(b.size()), one(rows), alone(rows);
     for (double& value : b) value = draw(random, 0.0);
-    expect(solve_columns(factor, b, static_cast<Place>(columns), x), "the right-hand sides are finite", seed);
+    expect(solve_columns(factor, b, static_cast<Index>(columns), x), "the right-hand sides are finite", seed);
     double worst = 0.0;
     for (std::size_t k = 0; k < columns; ++k) {
         for (std::size_t i = 0; i < rows; ++i) one[i] = b[i * columns + k];
@@ -78,14 +78,14 @@ void test_columns(Factor<Real3>& factor, std::mt19937& random, unsigned seed) {
     expect(worst < 1e-13, "right-hand sides together as alone", seed);
     if (columns == 0) return;
     b[random() % b.size()] = std::numeric_limits<double>::infinity();
-    expect(!solve_columns(factor, b, static_cast<Place>(columns), x), "an infinite right-hand side is refused", seed);
+    expect(!solve_columns(factor, b, static_cast<Index>(columns), x), "an infinite right-hand side is refused", seed);
 }
 
 template <class Block>
 void test_solution(unsigned seed) {
     using Value = typename Block::Value;
     std::mt19937 random(seed);
-    const Place nodes = 1 + random() % 60;
+    const Index nodes = 1 + random() % 60;
     const Matrix<Block> matrix(random, nodes, random() % (3 * nodes));
     const Pattern pattern{matrix.pattern.start, matrix.rows};
     expect(pattern.fault() < 0, "rows ascend", seed);
@@ -114,16 +114,16 @@ void test_solution(unsigned seed) {
 
 void test_null_vector(unsigned seed) {
     std::mt19937 random(seed);
-    const Place nodes = 2 + random() % 40;
+    const Index nodes = 2 + random() % 40;
     Matrix<Hermitian2> matrix(random, nodes, random() % (3 * nodes));
     const Node bad = static_cast<Node>(random() % nodes);
     const std::size_t at = 2 * bad + random() % 2;
-    const Place block = matrix.pattern.start[bad + 1] - 1;
+    const Index block = matrix.pattern.start[bad + 1] - 1;
     matrix.values[4 * block + 3 * (at % 2)] = matrix.whole[at * matrix.size + at] = -1.0;
     const Pattern pattern{matrix.pattern.start, matrix.rows};
     Factor<Hermitian2> factor(
         std::make_shared<const Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of<Hermitian2>, 1)));
-    const Place pivot = factor.factorize(matrix.values);
+    const Index pivot = factor.factorize(matrix.values);
     expect(pivot >= 0, "a negative pivot is found", seed);
     if (pivot < 0) return;
     const auto v = factor.null_vector(pivot);

@@ -21,7 +21,7 @@ Triple moved(const Triple& x, const Triple& d) {
 class Drive {
    public:
     OnlineSystem system{1e-7, 15};
-    std::vector<Number> poses;
+    std::vector<Id> poses;
     std::vector<Triple> truth{{0.0, 0.0, 0.0}};
 
     Drive(unsigned seed, double noise, vmslam::edges::Kernel kernel = {}) : random_(seed), noise_(noise) {
@@ -36,9 +36,9 @@ class Drive {
     }
     void step() {
         const Triple motion{0.5, 0.0, 0.12};
-        const auto known = static_cast<Number>(system.graph().nodes.size());
+        const auto known = static_cast<Id>(system.graph().nodes.size());
         truth.push_back(moved(truth.back(), motion));
-        const Number from = poses.back();
+        const Id from = poses.back();
         poses.push_back(system.add_node());
         std::vector<NewEdge> edges{{from,
                                     poses.back(),
@@ -66,9 +66,9 @@ class Drive {
         system.marginalize(poses[1], {&poses.back(), 1});
         poses.erase(poses.begin() + 1);
         if (!system.crowded()) return;
-        const std::vector<Number> number = system.renumber();
-        for (Number& pose : poses) pose = number[pose];
-        for (Number& mark : numbers_) mark = mark < 0 ? mark : number[mark];
+        const std::vector<Id> number = system.renumber();
+        for (Id& pose : poses) pose = number[pose];
+        for (Id& mark : numbers_) mark = mark < 0 ? mark : number[mark];
     }
     double normal() { return std::normal_distribution<>()(random_); }
     double noise() { return noise_ * normal(); }
@@ -77,7 +77,7 @@ class Drive {
     std::mt19937 random_;
     double noise_;
     std::vector<Triple> marks_;
-    std::vector<Number> numbers_;
+    std::vector<Id> numbers_;
 };
 
 double farthest(const std::vector<Triple>& a, const std::vector<Triple>& b) {
@@ -196,7 +196,7 @@ void edges_have_the_right_gradient(unsigned seed) {
         for (const Edge& edge : graph.edges) {
             const auto cost = [&] { return linearize(graph, edge).cost; };
             const Pulls found = pulls(linearize(graph, edge));
-            for (int side = 0; side < (edge.alone() ? 1 : 2); ++side)
+            for (int side = 0; side < (edge.one_ended() ? 1 : 2); ++side)
                 for (int k = 0; k < 3; ++k) {
                     Node& node = graph.nodes[edge.ends[side]];
                     if (node.point && k == 2) continue;
@@ -222,8 +222,8 @@ void a_refused_step_changes_nothing(unsigned seed) {
     for (int k = 0; k < 30; ++k) drive.step();
     OnlineSystem& system = drive.system;
     const std::string before = system.save();
-    const auto known = static_cast<Number>(system.graph().nodes.size());
-    const Number pose = system.add_node();
+    const auto known = static_cast<Id>(system.graph().nodes.size());
+    const Id pose = system.add_node();
     const NewEdge loose{drive.poses.back(), pose, Kind::motion, true, {1.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 0.0, 0.0, 0.0}};
     expect(!system.add(known, {&loose, 1}, {&pose, 1}), "a step without information is refused", seed);
     expect(system.save() == before, "and changes nothing", seed);
@@ -237,10 +237,10 @@ void the_batch_solver_takes_a_large_correction(unsigned seed) {
     OnlineSystem& system = drive.system;
     std::vector<Triple> truth{{0.0, 0.0, 0.0}};
     for (int k = 1; k <= 300; ++k) {
-        const auto known = static_cast<Number>(system.graph().nodes.size());
+        const auto known = static_cast<Id>(system.graph().nodes.size());
         const double turn = k % 75 == 0 ? std::numbers::pi / 2 : 0.0;
         truth.push_back(moved(truth.back(), {1.0, 0.0, turn}));
-        const Number from = drive.poses.back();
+        const Id from = drive.poses.back();
         drive.poses.push_back(system.add_node());
         const NewEdge edge{from,
                            drive.poses.back(),

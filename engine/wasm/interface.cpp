@@ -69,8 +69,8 @@ struct LogGraph {
         std::vector<certificate::Edge> list;
         std::vector<double> state(poses.begin(), poses.end());
         list.push_back({-1, 0, {log.start[0], log.start[1]}, {}, log.start[2], true, {1e6, 0.0, 1e6, 0.0, 0.0, 1e6}});
-        const auto size = static_cast<solve::Place>(log.poses());
-        for (solve::Place t = 0; options.motions && t + 1 < size; ++t) {
+        const auto size = static_cast<solve::Index>(log.poses());
+        for (solve::Index t = 0; options.motions && t + 1 < size; ++t) {
             const auto [z, omega] = measured(log.motion(t), robot.motion);
             list.push_back({t, t + 1, {z.x, z.y}, {}, z.t, true, omega});
         }
@@ -87,7 +87,7 @@ struct LogGraph {
                     const auto [z, omega] = measured(seen.sightings.z[k], robot.oriented, robot.sensor);
                     const edges::AroundMean& each = around.sightings[k];
                     list.push_back({seen.nodes[k],
-                                    size + static_cast<solve::Place>(g),
+                                    size + static_cast<solve::Index>(g),
                                     {z.x, z.y},
                                     {},
                                     z.t,
@@ -128,9 +128,9 @@ struct LogGraph {
 
     solve::Graph made(const edges::Kernel& kernel, int count) const {
         if (count < 0) return solve::graph_of(log, robot.motion, robot.sensor, kernel);
-        solve::Graph graph(static_cast<solve::Place>(log.poses()));
+        solve::Graph graph(static_cast<solve::Index>(log.poses()));
         graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
-        for (solve::Place t = 0; options.motions && t + 1 < static_cast<solve::Place>(log.poses()); ++t) {
+        for (solve::Index t = 0; options.motions && t + 1 < static_cast<solve::Index>(log.poses()); ++t) {
             const auto [z, omega] = measured(log.motion(t), robot.motion);
             graph.add_relative({{t, t + 1, z, omega}});
         }
@@ -138,7 +138,7 @@ struct LogGraph {
             const auto [starts, nodes, seen] = solve::by_landmark(log, robot.sensor, kernel);
             for (std::size_t g = 0; g + 1 < starts.size(); ++g) {
                 const auto begin = starts[g], end = starts[g + 1];
-                const std::vector<edges::Place> ends{0, end - begin}, of(nodes.begin() + begin, nodes.begin() + end);
+                const std::vector<edges::Index> ends{0, end - begin}, of(nodes.begin() + begin, nodes.begin() + end);
                 const std::vector<edges::Sighting> z(seen.z.begin() + begin, seen.z.begin() + end);
                 edges::Sightings own{z, z, std::vector(z.size(), 1.0), robot.sensor, kernel, robot.oriented};
                 graph.add_groups(std::make_unique<edges::MarginalEdges>(ends, of, std::move(own), options.body), ends, of);
@@ -146,7 +146,7 @@ struct LogGraph {
         }
         for (int k = 0; !options.marginal && k < count; ++k) {
             const LandmarkSighting &a = log.sightings[pairs[2 * k]], &b = log.sightings[pairs[2 * k + 1]];
-            const std::vector<edges::Place> starts{0, 2}, nodes = {place(a), place(b)};
+            const std::vector<edges::Index> starts{0, 2}, nodes = {place(a), place(b)};
             edges::Sightings seen{{a.z, b.z}, {a.z, b.z}, {1.0, 1.0}, robot.sensor, kernel, robot.oriented};
             graph.add_groups(
                 std::make_unique<edges::VirtualMotionEdges>(starts, nodes, std::move(seen), std::vector{1.0}, options.body),
@@ -156,7 +156,7 @@ struct LogGraph {
         graph.reweighted = static_cast<bool>(kernel);
         return graph;
     }
-    static edges::Place place(const LandmarkSighting& sighting) { return static_cast<edges::Place>(sighting.step); }
+    static edges::Index place(const LandmarkSighting& sighting) { return static_cast<edges::Index>(sighting.step); }
 
     edges::MarginalEdges landmarks(const edges::Kernel& kernel) const {
         auto [starts, nodes, sightings] = solve::by_landmark(log, robot.sensor, kernel);
@@ -291,7 +291,7 @@ void vm_place(const double* pose, const double* sighting, const double* noise, d
     const auto [z, omega] = measured(edges::Sighting{sighting[0], sighting[1], sighting[2]}, true, robot.sensor);
     const edges::Rotation axes(pose[2]), along(pose[2] + sighting[1]);
     edges::Sensor sensor = robot.sensor;
-    sensor.range_constant = sensor.range(noise_range);
+    sensor.range_constant = sensor.range_variance(noise_range);
     sensor.range_by_square = 0.0;
     const edges::Symmetric C = edges::landmark_covariance(sensor, sighting[0], along, true);
     const double numbers[] = {pose[0] + axes.c * z.x - axes.s * z.y,
@@ -353,7 +353,7 @@ VMSLAM_EXPORT(vm_fastslam_weigh) double vm_fastslam_weigh(FastSlam* slam, const 
         const edges::Sighting z = sighting_of(sightings + 4 * k);
         names.push_back(landmark_of(sightings + 4 * k));
         const double orientation = slam->robot.oriented ? sensor.orientation : 1.0;
-        seen.push_back({{z.range, z.bearing, z.orientation}, {sensor.range(z.range), sensor.bearing, orientation}});
+        seen.push_back({{z.range, z.bearing, z.orientation}, {sensor.range_variance(z.range), sensor.bearing, orientation}});
     }
     if (!slam->filter.weigh_identified(names, seen, static_cast<particles::Version>(version))) return -1.0;
     const auto [possible, log_evidence, ess] = slam->filter.reweigh();

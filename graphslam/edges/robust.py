@@ -75,8 +75,7 @@ class Kernel:
 
     def efficiency(self, dimension: int) -> float:
         """b²/a: the variance of least squares over that of the kernel's estimate, for Gaussian noise."""
-        _, slope, square = engine.robust_expectations(self.code, self.of_dimension(dimension).width, dimension)
-        return slope**2 / square
+        return _efficiency(self.code, self.of_dimension(dimension)._checked_width, dimension)
 
     def information_per_weight(self, dimension: int) -> float:
         """b²/a / E[w]: what turns w Omega of an edge into the information that its residual contributes to an estimate.
@@ -179,13 +178,26 @@ def _gaussian_squares(dimension: int) -> Array:
 
 @cache
 def efficient_width(code: int, dimension: int) -> float:
-    """The width with `EFFICIENCY`, by bisection: the efficiency grows with the width."""
+    """The width with `EFFICIENCY`, by bisection.
+
+    Up to 9 dimensions the efficiency is below it for small widths and above it for large ones. From 10 dimensions on, Huber's
+    kernel has it at any width, however small, and so no width follows from it.
+
+    Raises:
+        OptionError: the dimension does not determine a width.
+    """
     low, high = 0.01, 100.0 * dimension
+    if _efficiency(code, low, dimension) >= EFFICIENCY:
+        raise OptionError(f"the kernel has no default width for residuals of {dimension} numbers: give it a width")
     while high - low > 1e-12 * high:
         middle = (low + high) / 2
-        _, slope, square = engine.robust_expectations(code, middle, dimension)
-        low, high = (middle, high) if slope**2 / square < EFFICIENCY else (low, middle)
+        low, high = (middle, high) if _efficiency(code, middle, dimension) < EFFICIENCY else (low, middle)
     return (low + high) / 2
+
+
+def _efficiency(code: int, width: float, dimension: int) -> float:
+    _, slope, square = engine.robust_expectations(code, width, dimension)
+    return float(slope**2 / square)
 
 
 #: the least trust: a landmark all of whose sightings are wrong must still be somewhere

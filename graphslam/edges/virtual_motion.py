@@ -52,23 +52,28 @@ class VirtualMotionEdges(LandmarkSightings):
     Args:
         tempered: multiply every pair of a landmark by 2/K, K the number of its sightings (the sum of their trust).
 
-    The trust in an edge is the product of the trust in its two sightings. A kernel acts on the residual of a pair before
-    tempering: the pair costs 2/K times 2 rho(r), r² without the factor 2/K.
+    The trust in an edge is the product of the trust in its two sightings. A kernel acts on the residual r of a pair before
+    tempering: the pair costs (2/K) 2 rho(r).
     """
 
     tempered: bool = field(default=False, kw_only=True)
 
     @property
     def count(self) -> int:
-        _, alike = np.unique(np.column_stack([self.group, self.nodes]), axis=0, return_counts=True)
-        return (int(np.sum(np.diff(self.starts) ** 2)) - int(np.sum(alike**2))) // 2
+        return int(self._pairs_of_groups.sum())
+
+    @cached_property
+    def _pairs_of_groups(self) -> np.ndarray:
+        """The number (G,) of pairs of sightings of each landmark from different poses."""
+        seen, alike = np.unique(np.column_stack([self.group, self.nodes]), axis=0, return_counts=True)
+        from_one_pose = np.bincount(seen[:, 0], weights=alike**2, minlength=len(self.starts) - 1)
+        return (np.diff(self.starts) ** 2 - from_one_pose.astype(np.int64)) // 2
 
     @property
     def numbers(self) -> tuple[int, float]:
-        independent, once = super().numbers
-        seen = np.diff(self.starts)
-        # every one of the K (K-1) / 2 pairs of a landmark costs as much as it measures
-        return independent, once if self.tempered else self.sightings.shape[1] * float(np.sum(seen * (seen - 1))) / 2
+        # every pair of a landmark costs as much as it measures
+        factor = 2 / np.diff(self.starts) if self.tempered else 1.0
+        return super().numbers[0], self.sightings.shape[1] * float(np.sum(factor * self._pairs_of_groups))
 
     @property
     def state_dependent_information(self) -> bool:

@@ -1,11 +1,9 @@
-"""The base class of all factor types, and a callback that makes a residual safe for GTSAM.
+"""The base class of all factor types, which makes a residual safe for GTSAM; `ResidualFactor`, from a user's function.
 
 GTSAM reads the Jacobians of a Python factor without a check (one left unset, or too small, ends the process), never
 frees a factor whose callback refers back to it, and perturbs a pose on its right, in the pose's own axes. Here every
 Jacobian gets its full shape, callbacks close over numbers and never over a factor, derivatives by world coordinates are
 turned into the pose's axes, and every mistake becomes a `FactorError` that names the factor and its keys.
-
-A factor of one's own, from a residual function.
 """
 
 from __future__ import annotations
@@ -64,12 +62,12 @@ class Factor(gtsam.CustomFactor):
         keys: one for each argument of the residual.
         kinds: "pose" or "point" for each key.
         residual: called with one (x, y, theta) or (x, y) per key; returns e and one Jacobian (rows, 3 or 2) per key.
-        arguments: all other arguments of the factor type, by name. Among them may be ``scale``, a factor on the
-            information, and ``kernel``, a robust kernel around the noise model; see `graphslam.edges.robust`.
+        arguments: all other arguments of the factor type, by name. ``kernel`` must be among them, a robust kernel around the
+            noise model or None (see `graphslam.edges.robust`); ``scale`` may be, a factor on the information.
         covariance, information: (rows, rows), one of the two.
         named_keys: the keys as the factor type takes them; default: ``keys``.
         in_own_axes: the Jacobians are by GTSAM's perturbations already, those of poses in their own axes.
-        error: a faster way to an e of the same norm, for evaluations without Jacobians.
+        error: a faster way to an e whose squares sum to the cost, for evaluations without Jacobians.
 
     Raises:
         OptionError: a key is impossible, the scale is not positive, or there is no such kernel.

@@ -1,7 +1,4 @@
-"""All sightings of one landmark in one factor: one callback in place of K (K-1) / 2.
-
-A landmark that is a node of its own, seen from a pose.
-"""
+"""Factors of landmarks: all sightings of one in one factor (one callback in place of K (K-1) / 2), or a node of its own."""
 
 from __future__ import annotations
 
@@ -13,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
+from ..edges.robust import kernel_of
 from ..engine import engine
 from ..errors import FactorError, OptionError, quoted
 from ..errors.checks import check_choice
@@ -60,8 +58,9 @@ class LandmarkFactor(Factor):
         at: (K, 3), or K `gtsam.Pose2`: the poses at which state-dependent information is evaluated, for
             ``frame="world"`` and for pairs without psi.
         trust: (K,) a factor above 0 on the information of each sighting. A pair has the product of its two factors.
-        kernel: a robust kernel around the landmark as a whole. (For a kernel on every pair or every sighting use
-            `VirtualMotionFactor`, `InverseObservationFactor` or `ObservationFactor`.)
+        kernel: a robust kernel around the landmark as a whole, with its width in standard deviations, ``Huber(5.0)``: the
+            rows of the error are no independent measurements, from which a default width could follow. (For a kernel on
+            every pair or every sighting use `VirtualMotionFactor`, `InverseObservationFactor` or `ObservationFactor`.)
 
     Raises:
         OptionError: an argument has an impossible value, or ``at`` is missing where the information depends on the poses.
@@ -81,7 +80,9 @@ class LandmarkFactor(Factor):
         trust: ArrayLike | None = None,
         kernel: KernelLike = None,
     ) -> None:
-        world = in_world_frame(frame)
+        world, robust = in_world_frame(frame), kernel_of(kernel)
+        if robust is not None and robust.width is None:
+            raise OptionError(f"the kernel of a LandmarkFactor needs a width, such as {type(robust).__name__}(5.0)")
         check_choice("weight", weight, WEIGHTS)
         keys = listed_keys("LandmarkFactor", keys)
         sensor = sensor_of(sensor)

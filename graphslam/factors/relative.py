@@ -1,7 +1,4 @@
-"""One pose measured from another: relative poses, and the motions that controls lead to.
-
-Many relative poses and points in one factor: one callback for all of them.
-"""
+"""Factors of one pose measured from another: relative poses, motions by controls, and many of them in one factor."""
 
 from __future__ import annotations
 

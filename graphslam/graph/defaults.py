@@ -1,10 +1,8 @@
-"""Default options of the graph of a log, the same for Python and the command line.
-
-Absolute positions in a graph: what they determine, and where they put a trajectory that has its own frame.
+"""Default options of the graph of a log, the same for Python and the command line, and what absolute positions determine.
 
 Positions determine the frame of the world, so that an anchor of the first pose would contradict them. With two places far
 enough apart, or one heading, they determine all of it, and the graph has no anchor. Otherwise the direction stays free, and
-the anchor holds the heading of the first pose alone.
+the anchor holds the heading of the first pose alone. A trajectory that has a frame of its own is put where they say.
 """
 
 from __future__ import annotations

@@ -34,10 +34,10 @@ X, M = gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.M
 class Isam2Backend(Backend):
     """ISAM2, with one update for each call.
 
-    With ``edges="landmark+motion"`` every sighting is an `ObservationFactor`, and a range or a bearing alone is GTSAM's own
-    factor. With ``edges="virtual+motion"`` every landmark has one `LandmarkFactor` of all its sightings, which a larger one
-    replaces whenever the landmark is seen again. GTSAM cannot take back an update that fails: after a `GraphError` of an
-    update, start again.
+    With ``edges="landmark+motion"`` every sighting is one factor: GTSAM's own type where it has the same cost, and else an
+    `ObservationFactor`. With ``edges="virtual+motion"`` every landmark has one `LandmarkFactor` of all its sightings, which
+    a larger one replaces whenever the landmark is seen again. GTSAM cannot take back an update that fails: after a
+    `GraphError` of an update, start again.
 
     GTSAM's own parameters, a threshold of 0.1 at every tenth update, end up to 0.05 m from the batch solution on the sample
     log.
@@ -141,8 +141,18 @@ class Isam2Backend(Backend):
         self._anchor = AnchorFactor(X(0), np.array([first.x(), first.y(), first.theta()]), information)
         # it is the first factor of all
         factors.replace(0, self._anchor)
-        self._isam = gtsam.ISAM2(self._isam.params())
-        self._pass_on(factors, values, [])
+        self._begin_anew(self._isam.params(), factors, values)
+
+    def _begin_anew(self, params: gtsam.ISAM2Params, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        """Build the Bayes tree again, without the slots of factors that were removed."""
+        full = [slot for slot in range(factors.size()) if factors.at(slot) is not None]
+        slots = {before: now for now, before in enumerate(full)}
+        self._slots = {landmark: slots[slot] for landmark, slot in self._slots.items()}
+        left = gtsam.NonlinearFactorGraph()
+        for slot in full:
+            left.add(factors.at(slot))
+        self._isam = gtsam.ISAM2(params)
+        self._pass_on(left, values, [])
 
     def _pass_on(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, removed: list[int]) -> Any:
         try:
@@ -258,12 +268,11 @@ class Isam2Backend(Backend):
         """Relinearise everything until no pose moves by more than `TOLERANCE`.
 
         ISAM2's own ``force_relinearize`` skips variables that move by less than its threshold. So the Bayes tree is
-        built again from the present estimate, with a threshold of zero.
+        built again from the present estimate, with a threshold of zero, and at the end once more with the user's parameters.
         """
+        params = self._isam.params()
         factors, values = gtsam.NonlinearFactorGraph(self._isam.getFactorsUnsafe()), self._isam.calculateEstimate()
-        self._isam = gtsam.ISAM2(_parameters(0.0, 1, self._factorization))
-        # the empty slots of factors that were removed are passed on, so that every factor keeps its slot
-        self._isam.update(factors, values)
+        self._begin_anew(_parameters(0.0, 1, self._factorization), factors, values)
         now = self.poses
         for _ in range(MAX_UPDATES):
             self._isam.update()
@@ -271,6 +280,8 @@ class Isam2Backend(Backend):
             self._settled = bool(np.abs(between(before, now)).max() < TOLERANCE)
             if self._settled:
                 break
+        factors = gtsam.NonlinearFactorGraph(self._isam.getFactorsUnsafe())
+        self._begin_anew(params, factors, self._isam.calculateEstimate())
 
     # -- estimates ---------------------------------------------------------------------------------------------------
 

@@ -84,7 +84,8 @@ class OwnBackend(Backend):
         self._final = np.zeros((64, 3))
         self.num_final = 0
         self._landmarks: dict[int, int] = {}
-        #: the number of landmarks when a final pose was kept last
+        #: the final poses that stay nodes, and the number of landmarks when one was kept last
+        self._kept: list[int] = []
         self._mapped = 0
         self.columns: int | None = None
         self._others = OtherEnds(sensor, WaitingNumbers(sensor))
@@ -268,7 +269,8 @@ class OwnBackend(Backend):
 
     def release(self, motion: Array, position: Callable[[], None]) -> None:
         before = deepcopy(self.system)
-        nodes = [*self._poses, *self._landmarks.values()]
+        # the first pose stays a node also where it is final
+        nodes = [*self._kept, *self._poses, *self._landmarks.values()]
         moved = compose(motion, self.system.values(nodes))
         self._hold_first(moved[0], ANCHOR_INFORMATION, nodes, moved)
         try:
@@ -276,6 +278,7 @@ class OwnBackend(Backend):
         except GraphError:
             self.system = before
             raise
+        self._final[: self.num_final] = compose(motion, self._final[: self.num_final])
         self._hold_first(self.system.values(nodes[:1])[0], np.diag(1 / np.array(RELEASED)))
 
     def _hold_first(
@@ -305,12 +308,14 @@ class OwnBackend(Backend):
         due = self.num_final % max(self.lag or 0, STRETCH) == 0
         if due and (self.num_final == 0 or len(self._landmarks) > self._mapped):
             self._mapped = len(self._landmarks)
+            self._kept.append(oldest)
             self._final[self.num_final] = self.system.values([oldest])[0]
         else:
             self._final[self.num_final] = self.system.marginalize(oldest, self._poses[-1:])
         self.num_final += 1
         if self.system.crowded():
             number = self.system.renumber()
+            self._kept = [number[node] for node in self._kept]
             self._poses = [number[node] for node in self._poses]
             self._landmarks = {key: number[node] for key, node in self._landmarks.items()}
 

@@ -37,8 +37,9 @@ class OnlineSolver:
     """Poses, landmarks and edges in the order in which a robot measures them; each call updates the estimate.
 
     A step of the robot is `move`, then `observe` what the sensor measures there; `relate` adds loop closures, and `locate`
-    absolute positions. The particle filters of `fastslam` have all but `relate`, too. Landmarks are nodes with the
-    Cartesian residual, as in `Graph.from_log` with ``edges="landmark+motion"``, and the first pose is anchored.
+    absolute positions. The particle filters of `fastslam` have `move`, `observe` and `locate`, too, for the newest pose
+    only. Landmarks are nodes with the Cartesian residual, as in `Graph.from_log` with ``edges="landmark+motion"``, and the
+    first pose is anchored.
 
     A call is refused as a whole: with the backend "own", the solver then is as it was before.
 

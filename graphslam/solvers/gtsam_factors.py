@@ -1,9 +1,7 @@
-"""The factors of a graph in GTSAM: its own types where they are exactly equal, otherwise those of this package.
+"""Graphs as factors of GTSAM, its own types where they are exactly equal, else those of this package; states as its values.
 
 A factor of this package is a Python function that GTSAM calls, with a copy of all values of the graph at each call of an
 optimiser. Therefore edges that share nodes share factors where that leaves the cost and its derivatives as they are.
-
-States of graphs as values of GTSAM, and back.
 """
 
 from __future__ import annotations

@@ -3,12 +3,11 @@
 The two solvers share the noise models, the initial states, the choice among ends and Anderson acceleration; residuals,
 Jacobians and linear solvers are separate.
 
-Parameters of vehicle and sensor as one more node of a GTSAM graph, a vector of K numbers.
-
-Each factor of a motion or of a sighting gets the key of this node. With the residual e(x) of the factor at the parameters
-p_0 where the graph is frozen, and J = de/dp there, its residual is e(x) + J (p - p_0). An outer loop freezes the graph at the
-result, until nothing moves. The hand-written solver eliminates the parameters by a Schur complement instead; both have in
-common the corrections of measurements, and how a sighting moves (`graphslam.identification.corrections`).
+Parameters of vehicle and sensor are one more node, a vector of K numbers, whose key each factor of a motion or of a sighting
+gets. With the residual e(x) of the factor at the parameters p_0 where the graph is frozen, and E = de/dp there, its residual
+is e(x) + E (p - p_0). An outer loop freezes the graph at the result, until nothing moves. The hand-written solver eliminates
+the parameters by a Schur complement instead; both have in common the corrections of measurements, and how a sighting moves
+(`graphslam.identification.corrections`).
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ def solve_jointly_with_gtsam(joint: JointGraph, run: Run) -> None:
     while len(run.step_norms) < run.max_iterations:
         inner = max(run.tolerance / 10, FINER * run.step_norms[-1] if run.step_norms else FINER)
         move = _minimum(joint, run.state, inner) - run.state
-        nodes, _ = joint.parted(move)
+        nodes, _ = joint.parted(move)  # a view: the headings of the move itself are wrapped
         nodes[:, 2] = wrap(nodes[:, 2])
         run.step_norms.append(float(np.linalg.norm(move)))
         run.state = anderson.next(run.state, move)
@@ -309,9 +308,9 @@ def _optimize(
 ) -> tuple[Array, list[float], bool]:
     """Levenberg-Marquardt until it converges: the state, the norm of every step, and whether the end is a minimum.
 
-    A short step alone proves nothing: damping may have shortened it. The last step is one of Gauss-Newton, and where J is
-    steep it must promise to lower it by a negligible part only (`_promises_little`), which is ``tolerance``, or ``roughly``
-    where that is above 0. A damped step that promises as little is enough then.
+    A short step alone proves nothing: damping may have shortened it. So the last step is one of Gauss-Newton, and its
+    predicted decrease of J must be negligible (`_promises_little`): at most the part ``tolerance`` of J. With ``roughly``
+    above 0 that is the part, and a damped step whose predicted decrease is as small is enough.
     """
     part = roughly or tolerance
     values = to_values(graph, graph.initial)

@@ -1,10 +1,7 @@
-"""An iteration Omega Delta = xi, x <- x + Delta: its rules and its end. The engine iterates (``engine/**/solve``).
+"""The iterations Omega Delta = xi, x <- x + Delta of Gauss-Newton and Levenberg-Marquardt, and why they end.
 
-Graphs in the form in which the iterations of the engine take them.
-
-Gauss-Newton: solve Omega Delta = xi, move by Delta, repeat.
-
-Levenberg-Marquardt: damped Gauss-Newton steps, of which only those that lower J are taken.
+They run in the engine (``engine/**/solve``), and the rules by which they end are there, too (``run.cpp``). Here a graph takes
+the form in which the engine iterates it, and what the engine found becomes a sentence.
 """
 
 from __future__ import annotations

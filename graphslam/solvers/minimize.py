@@ -1,6 +1,6 @@
 """Least squares from the best start: choose a start, iterate by Gauss-Newton or Levenberg-Marquardt, return a `Solution`.
 
-Graphs with parameters of vehicle and sensor: first the nodes at the given parameters, then both together.
+A graph with parameters of vehicle and sensor is solved for its nodes first, at the given parameters, then for both together.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""`Solution`: what every solver of a graph returns.
+"""`Solution`: what every solver of a graph returns, and the map that it leaves for other logs.
 
-The map that a solved graph leaves for others, with the joint covariance of its landmarks.
-
-Its inverse is the Schur complement of all poses in Omega: all that the log says about the landmarks, at the linearisation
-of the solution. A graph of another log with this prior has the same solution as one of both logs together, as far as they are
-linear.
+The map has the joint covariance of its landmarks. The inverse of that covariance is the Schur complement of all poses in
+Omega: all that the log says about the landmarks, at the linearisation of the solution. A graph of another log with this prior
+has the same solution as one of both logs together, as far as they are linear.
 """
 
 from __future__ import annotations
@@ -126,7 +124,7 @@ class Solution:
         converged: whether a stop rule was met; never True for a run that diverged, could not lower J, or took all its
             iterations. The solution is then a stationary point, which may be a local minimum.
         reason: one sentence on why the iteration ended.
-        seconds: time of the optimisation alone [s], from initial values to the end.
+        seconds: time of the solution [s]: the choice of a start and the iteration, without the proof.
         solver: the name of the solver.
         state: (n, 3) the values of the graph's nodes.
         notes: remarks on the graph and the solver, one sentence each.

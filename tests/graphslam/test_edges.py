@@ -264,3 +264,6 @@ def test_count_leaves_out_pairs_within_one_node():
     edges = VirtualMotionEdges(starts, nodes, z, sensor)
     assert edges.count == 5
     assert len(edges.pairs()[0]) == 5
+    # each pair measures three numbers, so that this is the mean cost at the true state
+    assert edges.numbers[1] == pytest.approx(3 * 5)
+    assert replace(edges, tempered=True).numbers[1] == pytest.approx(3 * 5 * 2 / 4)

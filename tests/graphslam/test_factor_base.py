@@ -164,6 +164,7 @@ def test_a_residual_between_a_pose_and_a_point():
         (lambda: ResidualFactor([X1], len, np.eye(2), kinds=["pose", "pose"]), "one kind per key"),
         (lambda: LandmarkFactor([X1, X2], [[1, 0], [1, 0]]), r"without psi .* in frame='body', too: pass at=poses"),
         (lambda: LandmarkFactor([X1, X2], [[1, 0, 0], [0, 0, 0]]), "ranges above zero"),
+        (lambda: LandmarkFactor([X1, X2], [[1, 0, 0]] * 2, kernel="huber"), r"needs a width, such as Huber\(5\.0\)"),
         (lambda: LandmarkFactor([X1, X2], [[1, 0, 0], [1, 0, 0]], trust=[1, 0]), "trust must be above zero"),
         (lambda: LandmarkFactor([X1, X2], [[1, 0, 0]] * 3), "sightings must be 2 rows of 2 or 3 finite numbers"),
         (lambda: LandmarkFactor(X1, [[1, 0, 0]]), "takes a list of keys"),

@@ -85,9 +85,11 @@ def test_fed_step_by_step_it_knows_the_poses_so_far(clean_log):
 def test_given_parameters(book_log):
     params = gtsam.ISAM2Params()
     params.setOptimizationParams(gtsam.ISAM2DoglegParams())
-    params.relinearizeSkip = 1
+    params.relinearizeSkip = 7
     smoother = OnlineSolver(book_log.initial_poses[0], backend="isam2", params=params)
     smoother.observe([1], [[2.0, 0.1, 0.2]])
+    smoother.relinearize()
+    assert smoother._backend._isam.params().relinearizeSkip == 7
     assert set(smoother.landmarks) == {1}
 
 

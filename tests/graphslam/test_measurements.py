@@ -251,6 +251,40 @@ def test_positions_say_where_a_drive_from_nowhere_is(bare, backend, direction):
     assert np.einsum("ti,tij,tj->", errors, np.linalg.inv(P), errors) < 3 * 63 + 4 * 19
 
 
+@pytest.mark.parametrize(
+    ("backend", "options"),
+    [
+        ("own", {"lag": 5}),
+        ("own", {}),
+        ("isam2", {}),
+        ("isam2", {"edges": "virtual+motion", "weight": "marginal"}),
+    ],
+    ids=str,
+)
+def test_the_first_position_moves_final_poses_too(log, backend, options):
+    """A position in another frame in the middle of a drive; the steps after it work on the factors that are there."""
+    solver = OnlineSolver(backend=backend, motion=log.motion, sensor=log.sensor, **options)
+    away = np.array([100.0, 50.0])
+    for t in range(log.num_poses):
+        if t:
+            solver.move(log.controls[t - 1], log.dt[t - 1])
+        seen = log.steps == t
+        solver.observe(log.landmarks[seen], log.sightings[seen])
+        if t == 30:
+            before = solver.poses
+            solver.locate(log.true_poses[t, :2] + away, 0.01 * np.eye(2))
+            # without a heading it moves all poses alike
+            np.testing.assert_allclose(solver.poses[:, :2] - before[:, :2], np.tile(away, (31, 1)), atol=6)
+            assert np.ptp(solver.poses - before, axis=0).max() < 0.02
+        elif t > 30 and t % 5 == 0:
+            solver.locate(log.true_poses[t, :2] + away, 0.01 * np.eye(2))
+    solver.relinearize()
+    assert solver.converged
+    errors = np.hypot(*(solver.poses[:, :2] - log.true_poses[:, :2] - away).T)
+    # final poses cannot be corrected
+    assert errors[-20:].max() < 0.5 and errors.max() < 2.0
+
+
 def test_a_first_position_with_a_heading_is_met():
     for backend in ("own", "isam2"):
         solver = OnlineSolver(backend=backend)

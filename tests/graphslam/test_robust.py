@@ -120,6 +120,15 @@ def test_the_width_of_a_factor_follows_its_rows():
         assert factor.description.arguments["kernel"] == Huber().of_dimension(rows)
 
 
+def test_no_width_follows_from_many_dimensions():
+    """From 10 dimensions on the spatial median, the limit of Huber's kernel, has the efficiency of the default widths."""
+    widths = [Huber().of_dimension(d).width for d in range(1, 10)]
+    assert min(widths) > 1
+    with pytest.raises(OptionError, match="no default width for residuals of 10 numbers"):
+        Huber().of_dimension(10)
+    assert Huber(2.0).of_dimension(10) == Huber(2.0)
+
+
 def test_a_kernel_without_a_width_has_no_weights():
     with pytest.raises(OptionError, match="of_dimension"):
         Cauchy().weight([1.0])

@@ -25,17 +25,17 @@ constexpr int attempts = 9;
 constexpr double negligible = 1e-6;
 
 /// Hold one node of every piece that nothing ties to the world; the number of edges at each node.
-std::vector<Place> hold_roots(std::span<const Edge> edges, std::span<char> free) {
-    const auto n = static_cast<Place>(free.size());
-    std::vector<Place> ends(n, 0), parent(n + 1);
+std::vector<Index> hold_roots(std::span<const Edge> edges, std::span<char> free) {
+    const auto n = static_cast<Index>(free.size());
+    std::vector<Index> ends(n, 0), parent(n + 1);
     // node n is the world, which is also every node that is held
     std::iota(parent.begin(), parent.end(), 0);
-    const auto root = [&](Place a) {
+    const auto root = [&](Index a) {
         for (; parent[a] != a; a = parent[a]) parent[a] = parent[parent[a]];
         return a;
     };
     // the lower number becomes the root, so that the first pose of a piece is held
-    const auto join = [&](Place a, Place b) {
+    const auto join = [&](Index a, Index b) {
         a = root(a), b = root(b);
         if (a != b) parent[std::max(a, b)] = std::min(a, b);
     };
@@ -44,10 +44,10 @@ std::vector<Place> hold_roots(std::span<const Edge> edges, std::span<char> free)
         ++ends[edge.second];
         join(edge.first >= 0 ? edge.first : n, edge.second);
     }
-    for (Place k = 0; k < n; ++k)
+    for (Index k = 0; k < n; ++k)
         if (!free[k]) join(n, k);
-    const Place world = root(n);
-    for (Place k = 0; k < n; ++k)
+    const Index world = root(n);
+    for (Index k = 0; k < n; ++k)
         if (parent[k] == k && k != world) free[k] = false;
     return ends;
 }
@@ -62,7 +62,7 @@ std::vector<double> rounding_of(const sparse::Symbolic& symbolic) {
 }
 
 std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const std::complex<double>> values,
-                                  std::span<const Place> column_start, std::span<const double> rounding) {
+                                  std::span<const Index> column_start, std::span<const double> rounding) {
     const sparse::Order& order = factor.symbolic().order;
     std::vector<double> weight(2 * order.size()), error(2 * order.size());
     for (std::size_t k = 0; k < order.size(); ++k)
@@ -83,7 +83,7 @@ void Proof::begin(std::span<const double> state, std::vector<char> free) {
     state_.set(state);
     free_ = std::move(free);
     summation_.clear();
-    for (const Place ends : hold_roots(edges, free_))
+    for (const Index ends : hold_roots(edges, free_))
         summation_.push_back(roundoff * (128.0 + 4.0 * static_cast<double>(ends)));
     forces_.clear();
     for (const Edge& edge : edges) forces_.push_back(force(state_[edge.first], state_[edge.second], edge));
@@ -139,7 +139,7 @@ bool Proof::factorize(std::span<const double> shifts, std::vector<double>& margi
     margin.assign(scale.size(), 1.0);
     for (std::size_t k = 0; k < order.size(); ++k)
         for (int c = 0; c < 2; ++c) {
-            const Place i = order[k], at = 2 * i + c;
+            const Index i = order[k], at = 2 * i + c;
             const double size = scale[at] + (c == 0 ? shifts[i] : 0.0);
             assembled[at] = summation_[i] * size;
             if (scale[at] > 0) margin[at] = assembled[at] + 2 * std::sqrt(rounding_[k] * largest) * size;
@@ -152,7 +152,7 @@ bool Proof::factorize(std::span<const double> shifts, std::vector<double>& margi
             values_[4 * (column_start_[at / 2 + 1] - 1) + 3 * (at % 2)] += scale[at] > 0 ? change : 1.0;
         }
         negative_.clear();
-        if (const Place bad = factor_.factorize(values_); bad >= 0) {
+        if (const Index bad = factor_.factorize(values_); bad >= 0) {
             negative_ = factor_.null_vector(bad);
             return false;
         }
@@ -167,12 +167,12 @@ bool Proof::factorize(std::span<const double> shifts, std::vector<double>& margi
 /// definite, but its function touches J no longer at its own minimum.
 double Proof::shifted_bound(double shift) {
     std::vector<double> shifts(state_.size()), margin;
-    for (Place i = 0; i < state_.size(); ++i) shifts[i] = shift * function_.scale[2 * i] / 8;
+    for (Index i = 0; i < state_.size(); ++i) shifts[i] = shift * function_.scale[2 * i] / 8;
     if (!factorize(shifts, margin)) return -infinity;
     std::vector<std::complex<double>> gradient = function_.gradient;
     double lost = 0.0;
     for (std::size_t at = 0; at < margin.size(); ++at) {
-        const Place i = static_cast<Place>(at / 2);
+        const Index i = static_cast<Index>(at / 2);
         const double moved = at % 2 == 0 ? shifts[i] : 0.0;
         if (free_[i]) gradient[at] += moved * std::complex<double>(state_[i].z);
         const double error = summation_[i] * (function_.error[at] + moved);
@@ -222,7 +222,7 @@ std::vector<std::complex<double>> Proof::smallest() {
 /// and turns each edge: these multiply beta and A in x^H S x.
 void Proof::choose_splits(std::span<const std::vector<Curvature>> choices, double part) {
     const std::vector<std::complex<double>> x = smallest();
-    const auto change = [&](Place node, int c) { return node >= 0 ? Complex(x[2 * node + c]) : Complex{}; };
+    const auto change = [&](Index node, int c) { return node >= 0 ? Complex(x[2 * node + c]) : Complex{}; };
     for (std::size_t e = 0; e < edges.size(); ++e) {
         const auto [a, b] = std::pair(edges[e].first, edges[e].second);
         const Complex za = change(a, 0), zb = change(b, 0);
@@ -256,8 +256,8 @@ double Proof::raised_bound() {
 }
 
 double lower_bound(std::span<const double> state, std::vector<Edge> edges, double cost) {
-    const auto nodes = static_cast<Place>(state.size() / 3);
-    std::vector<Place> sizes, tied;
+    const auto nodes = static_cast<Index>(state.size() / 3);
+    std::vector<Index> sizes, tied;
     for (const Edge& edge : edges) {
         if (edge.first < 0) continue;
         sizes.push_back(2);

@@ -9,14 +9,14 @@ void add(std::complex<double>& to, Complex a) { to = {to.real() + a.re, to.imag(
 
 /// The function in work.
 struct Sum {
-    std::span<const Place> column_start, rows;
+    std::span<const Index> column_start, rows;
     QuadraticBound& out;
 
-    std::complex<double>* block(Place k) { return out.values.data() + 4 * k; }
-    std::complex<double>* diagonal(Place node) { return block(column_start[node + 1] - 1); }
+    std::complex<double>* block(Index k) { return out.values.data() + 4 * k; }
+    std::complex<double>* diagonal(Index node) { return block(column_start[node + 1] - 1); }
 
     /// Add [position, corner; conj(corner), beta] to a diagonal block.
-    void add_diagonal(Place node, double position, Complex corner, double beta) {
+    void add_diagonal(Index node, double position, Complex corner, double beta) {
         std::complex<double>* const d = diagonal(node);
         add(d[0], position);
         add(d[1], corner);
@@ -25,13 +25,13 @@ struct Sum {
     }
 
     /// Half the gradient at a node.
-    void pull(Place node, Complex by_heading, Complex by_position) {
+    void pull(Index node, Complex by_heading, Complex by_position) {
         add(out.gradient[2 * node], by_heading);
         add(out.gradient[2 * node + 1], by_position);
     }
 
     /// Add the block [q00, q01; q10, -beta] of the nodes a and b, which is stored above the diagonal.
-    void add_between(Place a, Place b, Complex q00, Complex q01, Complex q10, double beta) {
+    void add_between(Index a, Index b, Complex q00, Complex q01, Complex q10, double beta) {
         const auto [low, high] = std::minmax(a, b);
         const auto begin = rows.begin() + column_start[high], end = rows.begin() + column_start[high + 1];
         std::complex<double>* const V = block(std::lower_bound(begin, end, low) - rows.begin());
@@ -45,7 +45,7 @@ struct Sum {
 }  // namespace
 
 void write_quadratic_bound(const State& state, std::span<const Edge> edges, std::span<const char> free,
-                           std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
+                           std::span<const Index> column_start, std::span<const Index> rows, std::span<const Force> forces,
                            std::span<const Curvature> curvatures, QuadraticBound& out) {
     const std::size_t n = state.size();
     Sum sum{column_start, rows, out};

@@ -36,9 +36,9 @@ bool invert(const double* matrix, std::size_t d, double least, double* out) {
 
 }  // namespace
 
-Place inverses(std::span<const double> matrices, std::size_t d, double least, std::span<double> out) {
+Index inverses(std::span<const double> matrices, std::size_t d, double least, std::span<double> out) {
     for (std::size_t k = 0; k < matrices.size() / (d * d); ++k)
-        if (!invert(matrices.data() + d * d * k, d, least, out.data() + d * d * k)) return static_cast<Place>(k);
+        if (!invert(matrices.data() + d * d * k, d, least, out.data() + d * d * k)) return static_cast<Index>(k);
     return -1;
 }
 

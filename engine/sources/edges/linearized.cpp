@@ -30,7 +30,7 @@ void add_rows(const Linearized& edges, System& system, const Border& border) {
     std::array<double, d> We;
     std::vector<double> WP(d * K);
     for (std::size_t k = 0; k < edges.first.size(); ++k) {
-        const Place i = edges.first[k], j = edges.second[k];
+        const Index i = edges.first[k], j = edges.second[k];
         const double *const W = edges.W + d * d * k, *const A = edges.A + 3 * d * k, *const B = edges.B + 3 * d * k;
         const double* const P = edges.P + d * K * k;
         times(WA.data(), W, A, 3, d);

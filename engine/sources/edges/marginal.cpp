@@ -63,12 +63,12 @@ AroundMeans MarginalEdges::around_means(const State& state) const {
     for (std::size_t k = 0; k < places.size(); ++k)
         out.sightings[k] = {{}, inverse(places[k].C, seen_.oriented), seen_.trust[k], places[k].lever};
     std::vector<Vector> relative;
-    for (Place g = 0; g < landmarks(); ++g) {
-        const Place first = starts_[g], count = starts_[g + 1] - first;
+    for (Index g = 0; g < landmarks(); ++g) {
+        const Index first = starts_[g], count = starts_[g + 1] - first;
         // positions and headings as differences from the first sighting's: no cancellation
         const Vector origin = count ? places[first].y : Vector{};
         relative.clear();
-        for (Place k = first; k < first + count; ++k)
+        for (Index k = first; k < first + count; ++k)
             relative.push_back({places[k].y.x - origin.x, places[k].y.y - origin.y, places[k].y.t - origin.t});
         const Cluster cluster{relative, std::span(seen_.trust).subspan(first, count), seen_.kernel, seen_.oriented};
         const std::span<AroundMean> sightings = std::span(out.sightings).subspan(first, count);
@@ -81,34 +81,34 @@ AroundMeans MarginalEdges::around_means(const State& state) const {
     return out;
 }
 
-double MarginalEdges::accumulate(const State& state, System* system, std::span<const Place>) const {
+double MarginalEdges::accumulate(const State& state, System* system, std::span<const Index>) const {
     AroundMeans around = around_means(state);
     if (!system) return around.cost;
     struct Sized {
         Block V;
     };
     std::vector<Sized> roots(around.sightings.size());
-    for (Place g = 0; g < landmarks(); ++g) {
+    for (Index g = 0; g < landmarks(); ++g) {
         Symmetric S{0.0, 0.0, 0.0, 0.0, 0.0, seen_.oriented ? 0.0 : 1.0};
-        for (Place k = starts_[g]; k < starts_[g + 1]; ++k) {
+        for (Index k = starts_[g]; k < starts_[g + 1]; ++k) {
             AroundMean& s = around.sightings[k];
             s.W = s.factor * s.W;
             if (body_) s.lever = {s.lever.x - s.e.y, s.lever.y + s.e.x};
             S = S + s.W;
         }
         const LowerRoot L(S);
-        for (Place k = starts_[g]; k < starts_[g + 1]; ++k)
+        for (Index k = starts_[g]; k < starts_[g + 1]; ++k)
             divide(L, around.sightings[k].W, around.sightings[k].lever, roots[k].V);
     }
-    for (Place j = 0; j <= last_node(); ++j) {
+    for (Index j = 0; j <= last_node(); ++j) {
         if (from(j).empty()) continue;
         system->open(j);
         double* const diagonal = system->diagonal(j);
-        for (const Place b : from(j)) {
+        for (const Index b : from(j)) {
             const AroundMean& s = around.sightings[b];
             add_block(diagonal, s.W, s.lever);
             add_gradient(system->xi + 3 * j, 1.0, s.W * s.e, s.lever);
-            for (Place a = starts_[groups_[b]]; a <= b; ++a) {
+            for (Index a = starts_[groups_[b]]; a <= b; ++a) {
                 subtract_product(system->block(system->slot_of[nodes_[a]]), roots[a].V, roots[b].V);
                 // two sightings from one pose: the block below the diagonal, too
                 if (a < b && nodes_[a] == j) subtract_product(diagonal, roots[b].V, roots[a].V);

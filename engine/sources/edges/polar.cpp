@@ -5,11 +5,11 @@ namespace vmslam::edges {
 // With the unit vector (c, s) from the sensor to the landmark at distance r and (p, q) = (-s, c) / r, the Jacobian is M B
 // with the rows (c, s, 0), (p, q, 0) and (p, q, -1) of M for l, phi and psi. B is that of a pair edge: turning the pose is
 // turning the landmark about it the other way, -[I, u; 0, 1] with u = (-dy, dx), d from pose to landmark.
-double PolarEdges::accumulate(const State& state, System* system, std::span<const Place> pairs) const {
+double PolarEdges::accumulate(const State& state, System* system, std::span<const Index> pairs) const {
     const Sensor& sensor = seen_.sensor;
     double total = 0.0;
     for (std::size_t k = 0; k < first_.size(); ++k) {
-        const Place i = first_[k], j = second_[k];
+        const Index i = first_[k], j = second_[k];
         const double *const x = state.node(i), *const m = state.node(j);
         const Sighting& z = seen_.z[k];
         const Rotation robot(x[2]);
@@ -20,7 +20,7 @@ double PolarEdges::accumulate(const State& state, System* system, std::span<cons
         // e = h(x, m) - z
         const double range = r - z.range, bearing = wrap(direction - x[2] - z.bearing);
         const double orientation = seen_.oriented ? wrap(direction - m[2] - z.orientation) : 0.0;
-        double w_range = 1 / sensor.range(z.range), w_bearing = 1 / sensor.bearing;
+        double w_range = 1 / sensor.range_variance(z.range), w_bearing = 1 / sensor.bearing;
         double w_orientation = seen_.oriented ? 1 / sensor.orientation : 0.0;
         const double squares = seen_.trust[k] * (w_range * range * range + w_bearing * bearing * bearing +
                                                  w_orientation * orientation * orientation);

@@ -3,9 +3,9 @@
 namespace vmslam::edges {
 
 template <bool poses, bool world>
-double RelativeEdges::add(const State& state, System* system, std::span<const Place> pairs) const {
+double RelativeEdges::add(const State& state, System* system, std::span<const Index> pairs) const {
     double total = 0.0;
-    Place turning = -1;
+    Index turning = -1;
     Rotation axes;
     for (std::size_t k = 0; k < edges_.size(); ++k) {
         const auto& [i, j, z, omega] = edges_[k];
@@ -38,12 +38,12 @@ double RelativeEdges::add(const State& state, System* system, std::span<const Pl
     return total;
 }
 
-double RelativeEdges::accumulate(const State& state, System* system, std::span<const Place> pairs) const {
+double RelativeEdges::accumulate(const State& state, System* system, std::span<const Index> pairs) const {
     if (poses_) return world_ ? add<true, true>(state, system, pairs) : add<true, false>(state, system, pairs);
     return world_ ? add<false, true>(state, system, pairs) : add<false, false>(state, system, pairs);
 }
 
-double PositionEdges::accumulate(const State& state, System* system, std::span<const Place>) const {
+double PositionEdges::accumulate(const State& state, System* system, std::span<const Index>) const {
     double total = 0.0;
     for (const auto& [i, z, omega, lever] : positions_) {
         const double* const x = state.node(i);

@@ -2,7 +2,7 @@
 
 namespace vmslam::edges {
 
-double NumberEdges::accumulate(const State& state, System* system, std::span<const Place> pairs) const {
+double NumberEdges::accumulate(const State& state, System* system, std::span<const Index> pairs) const {
     double total = 0.0;
     for (std::size_t k = 0; k < edges_.size(); ++k) {
         const auto& [i, j, z, omega, offset] = edges_[k];

@@ -3,23 +3,23 @@
 namespace vmslam::edges {
 
 // Column by column of Omega: the system maps the rows of a column to blocks, so that no list of pairs is needed.
-double VirtualMotionEdges::accumulate(const State& state, System* system, std::span<const Place>) const {
+double VirtualMotionEdges::accumulate(const State& state, System* system, std::span<const Index>) const {
     const Covariance mode = !body_ ? Covariance::reference : seen_.oriented ? Covariance::landmark : Covariance::rotating;
     const std::vector<Placed> at = placed(state, mode);
     std::vector<Rotation> axes;
     axes.reserve(at.size());
     for (const Placed& p : at) axes.emplace_back(p.gamma);
     double total = 0.0;
-    for (Place j = 0; j <= last_node(); ++j) {
+    for (Index j = 0; j <= last_node(); ++j) {
         if (from(j).empty()) continue;
         if (system) system->open(j);
-        for (const Place b : from(j)) {
-            const Place g = groups_[b];
+        for (const Index b : from(j)) {
+            const Index g = groups_[b];
             const double weight = weights_[g] * seen_.trust[b];
             // rho of s r² with the width c sqrt(s) is s times rho of r² with the width c
             const Kernel kernel{seen_.kernel.kind, seen_.kernel.c * std::sqrt(weights_[g])};
-            for (Place a = starts_[g]; a < b; ++a) {
-                const Place i = nodes_[a];
+            for (Index a = starts_[g]; a < b; ++a) {
+                const Index i = nodes_[a];
                 if (i == j) continue;
                 const Vector e{at[b].y.x - at[a].y.x, at[b].y.y - at[a].y.y, wrap(at[b].y.t - at[a].y.t)};
                 Symmetric W = weight * seen_.trust[a] * inverse(turned(axes[a], at[a].C + at[b].C), seen_.oriented);

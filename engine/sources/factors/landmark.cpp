@@ -64,7 +64,7 @@ LandmarkPairs::Sums LandmarkPairs::sums(std::span<const double> x) const {
         if (turning) A.column[2].x += e.y, A.column[2].y -= e.x;
         out.total += dot(g, e);
         for (int u = 0; u < 3; ++u) {
-            const Place i = 3 * p.node, j = 3 * q.node;
+            const Index i = 3 * p.node, j = 3 * q.node;
             out.slope[i + u] += dot(A.column[u], g);
             out.slope[j + u] += dot(B.column[u], g);
             for (int v = 0; v < 3; ++v) {

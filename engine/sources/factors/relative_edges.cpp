@@ -43,7 +43,7 @@ double whiten(const WhitenedEdge& edge, const Vector& e, double* out) {
 
 }  // namespace
 
-RelativeEdges::RelativeEdges(std::vector<WhitenedEdge> edges, Place poses, bool world)
+RelativeEdges::RelativeEdges(std::vector<WhitenedEdge> edges, Index poses, bool world)
     : edges_(std::move(edges)), poses_(poses), world_(world) {
     for (const WhitenedEdge& edge : edges_) rows_ += edge.rows;
 }
@@ -65,7 +65,7 @@ std::vector<double> RelativeEdges::residuals(std::span<const double> x) const {
 
 RelativeEdges::Linearized RelativeEdges::linearized(std::span<const double> x) const {
     Linearized out{std::vector<double>(rows_), std::vector<double>(x.size() * rows_, 0.0)};
-    Place start = 0;
+    Index start = 0;
     for (const WhitenedEdge& edge : edges_) {
         const double *const a = x.data() + 3 * edge.i, *const b = x.data() + 3 * edge.j;
         const Seen seen(edge, a, b, world_);

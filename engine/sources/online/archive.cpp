@@ -8,15 +8,15 @@
 namespace vmslam::online {
 namespace {
 
-constexpr char title[] = "vmslam online 4";
+constexpr char title[] = "vmslam online 5";
 
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
 {
-    auto& [x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone, held] =
-        value;
+    auto& [x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone, held,
+           borrows] = value;
     return std::tie(x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone,
-                    held);
+                    held, borrows);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Edge>
@@ -123,9 +123,9 @@ std::string OnlineSystem::save() const {
     Writer write;
     write.raw(title, sizeof title);
     write(tolerance_), write(most_passes_), write(passes), write(converged), write(batch_solutions);
-    write(graph_.nodes), write(graph_.edges), write(graph_.gains), write(graph_.numbers);
+    write(graph_.nodes), write(graph_.edges), write(graph_.gains), write(graph_.has_single_numbers);
     for (const edges::Kernel& kernel : graph_.kernels) write(kernel.kind), write(kernel.c);
-    write(tree_.groups), write(std::vector<Number>(tree_.released().begin(), tree_.released().end()));
+    write(tree_.groups), write(std::vector<Id>(tree_.released().begin(), tree_.released().end()));
     write(tree_.step), write(tree_.pivot_tolerance);
     write(priors_), write(memory_), write(ordered_), write(covariances_ready_), write(lost_);
     return std::move(write.bytes);
@@ -136,10 +136,10 @@ bool OnlineSystem::restore(std::string_view bytes) {
     char found[sizeof title] = {};
     read.raw(found, sizeof found);
     if (!read.good || std::memcmp(found, title, sizeof title) != 0) return false;
-    std::vector<Number> released;
+    std::vector<Id> released;
     tree_ = Tree();
     read(tolerance_), read(most_passes_), read(passes), read(converged), read(batch_solutions);
-    read(graph_.nodes), read(graph_.edges), read(graph_.gains), read(graph_.numbers);
+    read(graph_.nodes), read(graph_.edges), read(graph_.gains), read(graph_.has_single_numbers);
     for (edges::Kernel& kernel : graph_.kernels) read(kernel.kind), read(kernel.c);
     read(tree_.groups), read(released);
     read(tree_.step), read(tree_.pivot_tolerance);

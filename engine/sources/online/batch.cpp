@@ -15,7 +15,7 @@ namespace vmslam::online {
 namespace {
 
 using edges::RelativeEdge;
-using sparse::Place;
+using sparse::Index;
 
 /// The nodes and edges of an online system as a graph of edge families.
 class BatchProblem {
@@ -24,9 +24,9 @@ class BatchProblem {
         number_.assign(graph.nodes.size(), -1);
         for (std::size_t k = 0; k < nodes_.size(); ++k) {
             const Node& node = graph.nodes[nodes_[k]];
-            number_[nodes_[k]] = static_cast<Number>(k);
+            number_[nodes_[k]] = static_cast<Id>(k);
             state.insert(state.end(), node.x.begin(), node.x.end());
-            if (node.point) points_.push_back(static_cast<Place>(k));
+            if (node.point) points_.push_back(static_cast<Index>(k));
         }
         analyze(graph, priors);
         add_families(graph, priors);
@@ -37,20 +37,20 @@ class BatchProblem {
 
     std::vector<double> state;
     std::unique_ptr<solve::GraphObjective> objective;
-    std::span<const Number> nodes() const { return nodes_; }
+    std::span<const Id> nodes() const { return nodes_; }
 
    private:
     void analyze(const Graph& graph, std::span<const Prior> priors) {
-        std::vector<Place> sizes, members;
-        const auto add = [&](std::span<const Number> group) {
-            sizes.push_back(static_cast<Place>(group.size()));
-            for (const Number node : group) members.push_back(number_[node]);
+        std::vector<Index> sizes, members;
+        const auto add = [&](std::span<const Id> group) {
+            sizes.push_back(static_cast<Index>(group.size()));
+            for (const Id node : group) members.push_back(number_[node]);
             std::sort(members.end() - sizes.back(), members.end());
         };
         for (const Edge& edge : graph.edges)
-            if (!edge.taken_out() && !edge.alone()) add(edge.ends);
+            if (!edge.taken_out() && !edge.one_ended()) add(edge.ends);
         for (const Prior& prior : priors) add(prior.members);
-        pattern_ = sparse::pattern_of_groups(static_cast<Place>(nodes_.size()), sizes, members);
+        pattern_ = sparse::pattern_of_groups(static_cast<Index>(nodes_.size()), sizes, members);
         rows_.assign(pattern_.rows.begin(), pattern_.rows.end());
         const sparse::Pattern pattern{pattern_.start, rows_};
         factor_ = std::make_unique<sparse::Factor<sparse::Real3>>(std::make_shared<sparse::Symbolic>(
@@ -64,13 +64,14 @@ class BatchProblem {
         for (const bool oriented : {true, false})
             for (const bool robust : {true, false}) {
                 std::vector<RelativeEdge> edges;
-                std::vector<Place>& pairs = pairs_.emplace_back();
+                std::vector<Index>& pairs = pairs_.emplace_back();
                 std::vector<edges::Position> positions;
                 const edges::Kernel kernel = robust ? graph.kernels[oriented ? 2 : 1] : edges::Kernel{};
                 for (const Edge& edge : graph.edges) {
-                    if (edge.taken_out() || edge.number() || edge.oriented != oriented || edge.robust != robust) continue;
-                    const Place i = number_[edge.ends[0]], j = number_[edge.ends[1]];
-                    if (edge.alone()) {
+                    if (edge.taken_out() || edge.single_number() || edge.oriented != oriented || edge.robust != robust)
+                        continue;
+                    const Index i = number_[edge.ends[0]], j = number_[edge.ends[1]];
+                    if (edge.one_ended()) {
                         positions.push_back({i, edge.z, edge.omega, edge.lever});
                         continue;
                     }
@@ -84,10 +85,10 @@ class BatchProblem {
         for (const auto& [form, kind] :
              {std::pair(Form::range, edges::Number::range), {Form::bearing, edges::Number::bearing}}) {
             std::vector<edges::NumberEdge> edges;
-            std::vector<Place>& pairs = pairs_.emplace_back();
+            std::vector<Index>& pairs = pairs_.emplace_back();
             for (const Edge& edge : graph.edges) {
                 if (edge.taken_out() || edge.form != form) continue;
-                const Place i = number_[edge.ends[0]], j = number_[edge.ends[1]];
+                const Index i = number_[edge.ends[0]], j = number_[edge.ends[1]];
                 edges.push_back({i, j, edge.z.x, edge.omega.xx, edge.lever});
                 pairs.push_back(sparse::block_between(pattern_.start, pattern_.rows, i, j));
             }
@@ -97,19 +98,19 @@ class BatchProblem {
         for (const Prior& prior : priors) add(std::make_unique<PriorFamily>(prior, graph, number_), {});
     }
 
-    void add(std::unique_ptr<edges::Family> family, std::span<const Place> pairs) {
+    void add(std::unique_ptr<edges::Family> family, std::span<const Index> pairs) {
         families_.push_back(std::move(family));
         members_.push_back({families_.back().get(), pairs});
     }
 
-    std::vector<Number> nodes_, number_;
-    std::vector<Place> points_;
+    std::vector<Id> nodes_, number_;
+    std::vector<Index> points_;
     sparse::WidePattern pattern_;
     std::vector<sparse::Node> rows_;
     std::unique_ptr<sparse::Factor<sparse::Real3>> factor_;
     std::vector<double> values_, xi_;
-    std::vector<Place> slots_;
-    std::deque<std::vector<Place>> pairs_;  ///< stay where they are while others are added
+    std::vector<Index> slots_;
+    std::deque<std::vector<Index>> pairs_;  ///< stay where they are while others are added
     std::vector<std::unique_ptr<edges::Family>> families_;
     std::vector<solve::GraphObjective::Member> members_;
     edges::System system_{};
@@ -119,19 +120,18 @@ class BatchProblem {
 std::vector<double> lower_state(BatchProblem& problem, bool damped_only) {
     solve::GraphObjective& objective = *problem.objective;
     const double cost = objective.cost(problem.state, problem.state);
-    // plain steps from far away may end in a much higher minimum, and damped ones do not
-    for (const bool damped : {false, true}) {
-        if (damped_only && !damped) continue;
-        solve::Run run;
-        run.rules = {1e-9, 100, 1e-9, false, damped ? 0.0 : 0.01};
+    solve::Run run;
+    const auto lowers = [&](const auto& iterate) {
+        run = {};
+        run.rules = {.tolerance = 1e-9, .cost_tolerance = 1e-9};
         run.state = problem.state;
-        if (damped)
-            solve::levenberg_marquardt(objective, run, run.rules.most_steps);
-        else
-            solve::gauss_newton(objective, run);
-        if (run.end == solve::End::not_determined || run.end == solve::End::diverged) continue;
-        if (objective.cost(run.state, run.state) <= cost) return run.state;
-    }
+        iterate();
+        return run.end != solve::End::not_determined && run.end != solve::End::diverged &&
+               objective.cost(run.state, run.state) <= cost;
+    };
+    // plain steps from far away may end in a much higher minimum, and damped ones do not
+    if (!damped_only && lowers([&] { solve::gauss_newton(objective, run); })) return run.state;
+    if (lowers([&] { solve::levenberg_marquardt(objective, run, run.rules.most_steps); })) return run.state;
     return {};
 }
 
@@ -139,12 +139,12 @@ std::vector<double> lower_state(BatchProblem& problem, bool damped_only) {
 
 // The correction is too large for undamped passes: the step is undone, the batch solver solves the graph, and the tree is built
 // anew where that has ended.
-bool OnlineSystem::solve_as_batch(std::span<const Number> newest) {
+bool OnlineSystem::solve_as_batch(std::span<const Id> newest) {
     ++batch_solutions;
     for (Node& node : graph_.nodes)
         if (node.changed == tree_.step) node.x = node.kept, node.axes = Rotation(node.kept[2]);
     BatchProblem problem(graph_, priors_);
-    const std::vector<double> found = lower_state(problem, graph_.numbers);
+    const std::vector<double> found = lower_state(problem, graph_.has_single_numbers);
     std::vector<Triple> start = places();
     for (std::size_t k = 0; k < found.size() / 3; ++k)
         std::copy_n(found.begin() + 3 * k, 3, start[problem.nodes()[k]].begin());

@@ -19,7 +19,7 @@ constexpr double least_bend = 0.1;
     const edges::Kernel& kernel = graph.kernel_of(edge);
     const double squares = now.squares, w = now.weight = kernel.weight(squares);
     now.g = {w * now.g.x, w * now.g.y, w * now.g.t};
-    // the trapezoidal rule is exact to 1e-10 then, and saves a logarithm
+    // saves a logarithm; the trapezoidal rule is exact to 1e-10 then, and to 2e-7 across the kink of Huber's weight
     const double change = squares - edge.squares;
     now.cost = std::abs(change) < 1e-3 * (1.0 + squares) ? edge.cost + change * (w + kernel.weight(edge.squares)) / 2
                                                          : kernel.loss(squares);
@@ -63,7 +63,7 @@ Present present_position(const Graph& graph, const Edge& edge) {
     Present now{};
     now.u = {-edge.lever.y, edge.lever.x};
     now.c = c, now.s = s;
-    now.alone = true;
+    now.one_ended = true;
     now.g = turned_back(a.axes, edge.omega) * e;
     return with_pull(graph, edge, now, dot(now.g, e));
 }
@@ -71,7 +71,7 @@ Present present_position(const Graph& graph, const Edge& edge) {
 // e = (R(theta_i)' (p_j - p_i) - (z_x, z_y), theta_j - theta_i - z_t), g = w W e
 [[gnu::always_inline]] inline Present present(const Graph& graph, const Edge& edge) {
     if (edge.form != Form::relative) [[unlikely]]
-        return edge.alone() ? present_position(graph, edge) : present_number(graph, edge);
+        return edge.one_ended() ? present_position(graph, edge) : present_number(graph, edge);
     const Node &a = graph.nodes[edge.ends[0]], &b = graph.nodes[edge.ends[1]];
     double c = a.axes.c, s = a.axes.s, turn = 0.0;
     const double dx = b.x[0] - a.x[0], dy = b.x[1] - a.x[1];
@@ -98,8 +98,8 @@ Present present_position(const Graph& graph, const Edge& edge) {
 
 /// W of an edge at the estimate, in the axes of its first end, without the robust weight.
 Symmetric information(const Graph& graph, const Edge& edge, const Present& now) {
-    if (edge.alone()) return turned_back(graph.nodes[edge.ends[0]].axes, edge.omega);
-    return edge.number() ? edges::along(edge.omega.xx, now.n) : edge.omega;
+    if (edge.one_ended()) return turned_back(graph.nodes[edge.ends[0]].axes, edge.omega);
+    return edge.single_number() ? edges::along(edge.omega.xx, now.n) : edge.omega;
 }
 
 /// W of a sighting with a kernel. Gauss-Newton has w W, times what turns weights into information. The second derivative of
@@ -124,8 +124,8 @@ struct Curvature {
     if (now.cost < bent.convex || edge.robust) return {};
     const Symmetric& W = edge.omega;
     const Vector& g = now.g;
-    const double gamma = (now.u.x * g.y - now.u.y * g.x) * (edge.alone() ? -1.0 : 1.0);
-    // alone, they are indefinite along the direction in which the residual does not change
+    const double gamma = (now.u.x * g.y - now.u.y * g.x) * (edge.one_ended() ? -1.0 : 1.0);
+    // a single edge is indefinite along the direction in which the residual does not change
     if (edge.form != Form::relative) return {std::max(gamma, 0.0), {}};
     double a = W.xx, b = W.xy, c = W.yy;
     if (edge.oriented) a -= W.xt * W.xt / W.tt, b -= W.xt * W.yt / W.tt, c -= W.yt * W.yt / W.tt;
@@ -147,7 +147,7 @@ bool outdated_other(const Graph& graph, const Edge& edge, const Present& now, do
     const Node &i = graph.nodes[edge.ends[0]], &j = graph.nodes[edge.ends[1]];
     const Linear& then = edge.linear;
     const double turn = j.far * (now.s * then.c - now.c * then.s);
-    if (edge.alone()) return (edge.omega.xx + edge.omega.yy) * turn * turn > limit;
+    if (edge.one_ended()) return (edge.omega.xx + edge.omega.yy) * turn * turn > limit;
     const double a = i.turned * (now.n.x * now.u.x + now.n.y * now.u.y - then.n.x * then.u.x - then.n.y * then.u.y);
     const double b = (i.far + j.far) * std::hypot(now.n.x - then.n.x, now.n.y - then.n.y);
     const double c = turn * std::hypot(now.n.x, now.n.y);
@@ -176,7 +176,7 @@ Present linearize(const Graph& graph, const Edge& edge) { return present(graph, 
 Pulls pulls(const Present& now) {
     const Vector& g = now.g;
     const Triple first{g.x, g.y, now.u.x * g.x + now.u.y * g.y + g.t};
-    if (now.alone) [[unlikely]]
+    if (now.one_ended) [[unlikely]]
         return {{first, {}}};
     return {{first, {-now.c * g.x - now.s * g.y, -now.c * g.y + now.s * g.x, -g.t}}};
 }
@@ -223,12 +223,12 @@ Blocks diagonal_blocks(const Edge& edge) {
     const Symmetric first{W.xx, W.xy, W.yy, a.x - h.x, a.y - h.y, u.x * a.x + u.y * a.y + a.t + gamma};
     Rotation alpha;
     alpha.c = c, alpha.s = s;
-    return {first, edge.alone() ? Symmetric{} : turned_back(alpha, W)};
+    return {first, edge.one_ended() ? Symmetric{} : turned_back(alpha, W)};
 }
 
 // B_i' W B_j
 std::array<double, 9> block_between(const Edge& edge) {
-    if (edge.alone()) return {};
+    if (edge.one_ended()) return {};
     const auto& [W, bent, u, n, c, s, gamma, h] = edge.linear;
     const Vector a = W * Vector{u.x, u.y, 1.0};
     const double x = a.x - h.x, y = a.y - h.y;

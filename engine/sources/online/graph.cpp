@@ -32,13 +32,13 @@ Form form_of(Kind kind) {
 }
 
 /// The standard deviations of the nodes of a new edge. A pose without sightings takes those of the pose before it.
-void rescale(const NewEdge& edge, bool first_sighting, Node& i, Node& j) {
+void rescale(const NewEdge& edge, Node& i, Node& j) {
     const bool number = edge.kind == Kind::range || edge.kind == Kind::bearing;
     double far = 1 / std::sqrt(number ? edge.omega.xx : std::min(edge.omega.xx, edge.omega.yy));
     double turned = edge.oriented ? 1 / std::sqrt(edge.omega.tt) : infinity;
     if (edge.kind == Kind::sighting) {
         turned = far / std::max(std::hypot(edge.z.x, edge.z.y), far);
-        if (first_sighting) i.far = i.turned = infinity;
+        if (i.borrows) i.far = i.turned = infinity;
     }
     if (number) {
         const double away = std::hypot(j.x[0] - i.x[0], j.x[1] - i.x[1]);
@@ -47,32 +47,32 @@ void rescale(const NewEdge& edge, bool first_sighting, Node& i, Node& j) {
     }
     if (edge.kind == Kind::motion) {
         if (i.far == infinity) i.far = far, i.turned = turned;
-        j.far = i.far, j.turned = i.turned;
+        j.far = i.far, j.turned = i.turned, j.borrows = true;
         return;
     }
     for (Node* const node : {&i, &j}) {
         node->far = std::min(node->far, far);
         node->turned = std::min(node->turned, turned);
+        node->borrows = false;
     }
 }
 
 }  // namespace
 
-std::vector<Number> Graph::append(std::span<const NewEdge> added, Number known) {
-    std::vector<Number> touched;
-    Number place = known;
-    const NewEdge* before = nullptr;
+std::vector<Id> Graph::append(std::span<const NewEdge> added, Id known) {
+    std::vector<Id> touched;
+    Id place = known;
     for (const NewEdge& from : added) {
-        const auto number = static_cast<Number>(edges.size());
+        const auto number = static_cast<Id>(edges.size());
         Edge& edge = edges.emplace_back();
         edge.z = from.z, edge.omega = from.omega, edge.lever = from.lever, edge.oriented = from.oriented;
         edge.form = form_of(from.kind);
-        edge.sighting = from.kind == Kind::sighting || edge.number();
-        numbers = numbers || edge.number();
+        edge.sighting = from.kind == Kind::sighting || edge.single_number();
+        has_single_numbers = has_single_numbers || edge.single_number();
         edge.robust = kernel_of(edge) && (edge.sighting || from.doubted);
         edge.ends[0] = from.first, edge.ends[1] = from.second;
-        for (int side = 0; side < (edge.alone() ? 1 : 2); ++side) {
-            const Number end = edge.ends[side];
+        for (int side = 0; side < (edge.one_ended() ? 1 : 2); ++side) {
+            const Id end = edge.ends[side];
             Node& node = nodes[end];
             edge.next[side] = node.edges;
             node.edges = number;
@@ -88,45 +88,44 @@ std::vector<Number> Graph::append(std::span<const NewEdge> added, Number known) 
             place_first(from, i, j);
             place = from.first + 1;
         }
-        rescale(from, !before || before->kind != Kind::sighting, i, j);
-        before = &from;
+        rescale(from, i, j);
     }
-    for (const Number node : touched) nodes[node].local = -1;
+    for (const Id node : touched) nodes[node].local = -1;
     return touched;
 }
 
-void Graph::detach(Number first) {
-    for (auto e = static_cast<Number>(edges.size()) - 1; e >= first; --e) {
+void Graph::detach(Id first) {
+    for (auto e = static_cast<Id>(edges.size()) - 1; e >= first; --e) {
         const Edge& edge = edges[e];
-        for (int side = edge.alone() ? 0 : 1; side >= 0; --side) nodes[edge.ends[side]].edges = edge.next[side];
+        for (int side = edge.one_ended() ? 0 : 1; side >= 0; --side) nodes[edge.ends[side]].edges = edge.next[side];
     }
     edges.resize(first);
 }
 
-void Graph::unlink(Number edge, Number node) {
-    const Number after = edges[edge].next[edges[edge].side(node)];
-    Number* at = &nodes[node].edges;
+void Graph::unlink(Id edge, Id node) {
+    const Id after = edges[edge].next[edges[edge].side(node)];
+    Id* at = &nodes[node].edges;
     while (*at != edge) at = &edges[*at].next[edges[*at].side(node)];
     *at = after;
 }
 
-std::vector<Number> Graph::edges_of(Number node) const {
-    std::vector<Number> found;
-    for (Number e = nodes[node].edges; e >= 0; e = edges[e].next[edges[e].side(node)]) found.push_back(e);
+std::vector<Id> Graph::edges_of(Id node) const {
+    std::vector<Id> found;
+    for (Id e = nodes[node].edges; e >= 0; e = edges[e].next[edges[e].side(node)]) found.push_back(e);
     return found;
 }
 
-std::vector<Number> Graph::live_nodes() const {
-    std::vector<Number> found;
-    for (Number k = 0; k < size(); ++k)
+std::vector<Id> Graph::live_nodes() const {
+    std::vector<Id> found;
+    for (Id k = 0; k < size(); ++k)
         if (!nodes[k].gone) found.push_back(k);
     return found;
 }
 
-std::vector<Number> Graph::live_edges() const {
-    std::vector<Number> found;
+std::vector<Id> Graph::live_edges() const {
+    std::vector<Id> found;
     for (std::size_t e = 0; e < edges.size(); ++e)
-        if (!edges[e].taken_out()) found.push_back(static_cast<Number>(e));
+        if (!edges[e].taken_out()) found.push_back(static_cast<Id>(e));
     return found;
 }
 

@@ -45,10 +45,10 @@ struct Dense {
 };
 
 /// Take an edge out of the graph.
-void take_out(Graph& graph, Number number) {
+void take_out(Graph& graph, Id number) {
     Edge& edge = graph.edges[number];
     const Blocks own = diagonal_blocks(edge);
-    for (int side = 0; side < (edge.alone() ? 1 : 2); ++side) {
+    for (int side = 0; side < (edge.one_ended() ? 1 : 2); ++side) {
         Node& node = graph.nodes[edge.ends[side]];
         const Symmetric& part = side == 0 ? own.first : own.second;
         node.diagonal = {node.diagonal[0] - part.xx, node.diagonal[1] - part.yy, node.diagonal[2] - part.tt};
@@ -59,10 +59,10 @@ void take_out(Graph& graph, Number number) {
 
 }  // namespace
 
-Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
-    const std::vector<Number> gone = graph_.edges_of(node);
-    std::vector<Number> around, removed{graph_.nodes[node].home};
-    for (const Number e : gone) around.insert(around.end(), graph_.edges[e].ends, graph_.edges[e].ends + 2);
+Triple OnlineSystem::marginalize(Id node, std::span<const Id> newest) {
+    const std::vector<Id> gone = graph_.edges_of(node);
+    std::vector<Id> around, removed{graph_.nodes[node].home};
+    for (const Id e : gone) around.insert(around.end(), graph_.edges[e].ends, graph_.edges[e].ends + 2);
     const auto mine = std::stable_partition(priors_.begin(), priors_.end(), [&](const Prior& prior) {
         return std::find(prior.members.begin(), prior.members.end(), node) == prior.members.end();
     });
@@ -72,20 +72,20 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
     }
     std::sort(around.begin(), around.end());
     around.erase(std::unique(around.begin(), around.end()), around.end());
-    std::vector<Number> members{node};
-    std::copy_if(around.begin(), around.end(), std::back_inserter(members), [&](Number other) { return other != node; });
+    std::vector<Id> members{node};
+    std::copy_if(around.begin(), around.end(), std::back_inserter(members), [&](Id other) { return other != node; });
     const bool absolute = std::any_of(mine, priors_.end(), [](const Prior& prior) { return !prior.relative; }) ||
-                          std::ranges::any_of(gone, [&](Number e) { return graph_.edges[e].alone(); });
+                          std::ranges::any_of(gone, [&](Id e) { return graph_.edges[e].one_ended(); });
     // the others are relative to the oldest one that has a heading
-    const auto first = std::find_if(members.begin() + 1, members.end(), [&](Number n) { return !graph_.nodes[n].point; });
+    const auto first = std::find_if(members.begin() + 1, members.end(), [&](Id n) { return !graph_.nodes[n].point; });
     const bool relative = !absolute && first != members.end();
     if (relative) std::rotate(members.begin() + 1, first, first + 1);
     const Triple value = values(members)[0];
 
-    Number local = 0;
-    for (const Number member : members) graph_.nodes[member].local = local++;
+    Id local = 0;
+    for (const Id member : members) graph_.nodes[member].local = local++;
     Dense dense(members.size());
-    for (const Number e : gone) {
+    for (const Id e : gone) {
         online::relinearize(graph_, graph_.edges[e], Bent::never());
         dense.add(graph_, graph_.edges[e]);
         memory_.cost -= graph_.edges[e].cost;
@@ -95,7 +95,7 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
         prior->evaluate(graph_, true);
         dense.add(graph_, *prior);
     }
-    for (const Number member : members) graph_.nodes[member].local = -1;
+    for (const Id member : members) graph_.nodes[member].local = -1;
 
     priors_.erase(mine, priors_.end());
     graph_.nodes[node].gone = true;
@@ -105,7 +105,7 @@ Triple OnlineSystem::marginalize(Number node, std::span<const Number> newest) {
     prior.information = std::move(rest.information);
     prior.rhs = std::move(rest.rhs);
     prior.relative = relative;
-    for (const Number member : prior.members) prior.centre.push_back(graph_.nodes[member].x);
+    for (const Id member : prior.members) prior.centre.push_back(graph_.nodes[member].x);
     prior.evaluate(graph_, true);
     hang_prior(prior);
     priors_.push_back(std::move(prior));
@@ -122,16 +122,16 @@ bool OnlineSystem::crowded() const {
     return graph_.size() > 64 && 2 * gone > graph_.size();
 }
 
-std::vector<Number> OnlineSystem::renumber() {
-    std::vector<Number> node(graph_.nodes.size(), -1), edge(graph_.edges.size(), -1);
-    const auto new_number = [](const std::vector<Number>& of, Number old) { return old < 0 ? old : of[old]; };
-    Graph kept{{}, {}, graph_.kernels, graph_.gains, graph_.numbers};
-    for (const Number k : graph_.live_nodes()) {
+std::vector<Id> OnlineSystem::renumber() {
+    std::vector<Id> node(graph_.nodes.size(), -1), edge(graph_.edges.size(), -1);
+    const auto new_number = [](const std::vector<Id>& of, Id old) { return old < 0 ? old : of[old]; };
+    Graph kept{{}, {}, graph_.kernels, graph_.gains, graph_.has_single_numbers};
+    for (const Id k : graph_.live_nodes()) {
         node[k] = kept.size();
         kept.nodes.push_back(graph_.nodes[k]);
     }
-    for (const Number e : graph_.live_edges()) {
-        edge[e] = static_cast<Number>(kept.edges.size());
+    for (const Id e : graph_.live_edges()) {
+        edge[e] = static_cast<Id>(kept.edges.size());
         kept.edges.push_back(graph_.edges[e]);
     }
     for (Node& k : kept.nodes) k.edges = new_number(edge, k.edges), k.owned = new_number(edge, k.owned);
@@ -141,9 +141,9 @@ std::vector<Number> OnlineSystem::renumber() {
         e.next_owned = new_number(edge, e.next_owned);
     }
     for (Supernode& group : tree_.groups)
-        for (Number& k : group.nodes) k = new_number(node, k);
+        for (Id& k : group.nodes) k = new_number(node, k);
     for (Prior& prior : priors_)
-        for (Number& k : prior.members) k = new_number(node, k);
+        for (Id& k : prior.members) k = new_number(node, k);
     graph_ = std::move(kept);
     ordered_ = std::min(ordered_, graph_.size());
     return node;

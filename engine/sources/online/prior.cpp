@@ -49,9 +49,9 @@ double square_in(std::vector<double> A, std::vector<double> b) {
     return total;
 }
 
-std::vector<char> points_of(const Graph& graph, std::span<const Number> members) {
+std::vector<char> points_of(const Graph& graph, std::span<const Id> members) {
     std::vector<char> point;
-    for (const Number node : members) point.push_back(graph.nodes[node].point);
+    for (const Id node : members) point.push_back(graph.nodes[node].point);
     return point;
 }
 
@@ -83,14 +83,14 @@ void Prior::turn_to_poses() {
 
 double Prior::cost(const Graph& graph) const {
     std::vector<Triple> x;
-    for (const Number member : members) x.push_back(graph.nodes[member].x);
+    for (const Id member : members) x.push_back(graph.nodes[member].x);
     return Way(*this, x, points_of(graph, members)).cost(*this);
 }
 
 void Prior::evaluate(const Graph& graph, bool renew) {
     const std::vector<char> point = points_of(graph, members);
     std::vector<Triple> x;
-    for (const Number member : members) x.push_back(graph.nodes[member].x);
+    for (const Id member : members) x.push_back(graph.nodes[member].x);
     const Way way(*this, x, point);
     carry = way.gradient(*this);
     if (!renew) return;
@@ -102,7 +102,7 @@ bool Prior::outdated(const Graph& graph) const {
     if (!pivot.empty()) {
         const std::vector<char> point = points_of(graph, members);
         std::vector<Triple> x;
-        for (const Number member : members) x.push_back(graph.nodes[member].x);
+        for (const Id member : members) x.push_back(graph.nodes[member].x);
         return Way(*this, x, point).turned_from(Way(*this, at, point)) > most_turned;
     }
     const Triple &first = graph.nodes[members[0]].x, &then = at[0];
@@ -268,15 +268,15 @@ Reduced without_first(std::span<const double> information, std::span<const doubl
     return left;
 }
 
-PriorFamily::PriorFamily(const Prior& prior, const Graph& graph, std::span<const Number> number)
+PriorFamily::PriorFamily(const Prior& prior, const Graph& graph, std::span<const Id> number)
     : prior_(prior), point_(points_of(graph, prior.members)), least_(square_in(prior.information, prior.rhs)) {
-    for (const Number node : prior.members) nodes_.push_back(number[node]);
+    for (const Id node : prior.members) nodes_.push_back(number[node]);
 }
 
-double PriorFamily::accumulate(const edges::State& state, edges::System* system, std::span<const edges::Place>) const {
+double PriorFamily::accumulate(const edges::State& state, edges::System* system, std::span<const edges::Index>) const {
     const std::size_t k = nodes_.size(), n = 3 * k;
     std::vector<Triple> x;
-    for (const edges::Place node : nodes_) x.push_back({state.node(node)[0], state.node(node)[1], state.node(node)[2]});
+    for (const edges::Index node : nodes_) x.push_back({state.node(node)[0], state.node(node)[1], state.node(node)[2]});
     const Way way(prior_, x, point_);
     const double total = least_ + way.cost(prior_);
     if (!system) return total;

@@ -10,83 +10,83 @@
 namespace vmslam::online {
 namespace {
 
-using sparse::Place;
+using sparse::Index;
 using sparse::Symbolic;
 
 /// The top: its supernodes, nodes and edges, and the supernodes that hang below it. Its nodes are numbered by `Node::local`.
 struct Top {
-    std::vector<Number> removed, nodes, edges, below;
+    std::vector<Id> removed, nodes, edges, below;
     std::size_t fresh;  ///< the first edges are new
 
     Top(Graph& graph, Tree& tree, const Changes& changes) {
-        for (const Number node : changes.touched) remove_from(tree, graph.nodes[node].home);
-        for (const Number s : changes.gone) remove_from(tree, s);
-        for (const Number s : removed)
-            for (const Number node : tree.groups[s].columns())
+        for (const Id node : changes.touched) remove_from(tree, graph.nodes[node].home);
+        for (const Id s : changes.gone) remove_from(tree, s);
+        for (const Id s : removed)
+            for (const Id node : tree.groups[s].columns())
                 if (!graph.nodes[node].gone) add(graph, node);
-        for (const Number node : changes.touched)
+        for (const Id node : changes.touched)
             if (graph.nodes[node].local < 0) add(graph, node);
         edges.assign(changes.fresh.begin(), changes.fresh.end());
         fresh = edges.size();
-        for (const Number node : nodes)
-            for (Number e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned)
+        for (const Id node : nodes)
+            for (Id e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned)
                 if (!graph.edges[e].taken_out()) edges.push_back(e);
         find_below(tree);
     }
 
    private:
-    void remove_from(Tree& tree, Number s) {
+    void remove_from(Tree& tree, Id s) {
         for (; s > 0 && !tree.groups[s].marked; s = tree.groups[s].parent) {
             tree.groups[s].marked = true;
             removed.push_back(s);
         }
     }
-    void add(Graph& graph, Number node) {
-        graph.nodes[node].local = static_cast<Number>(nodes.size());
+    void add(Graph& graph, Id node) {
+        graph.nodes[node].local = static_cast<Id>(nodes.size());
         nodes.push_back(node);
     }
     void find_below(Tree& tree) {
         // a new prior hangs below supernode 0
-        for (Number c = tree.groups[0].child; c > 0; c = tree.groups[c].sibling)
+        for (Id c = tree.groups[0].child; c > 0; c = tree.groups[c].sibling)
             if (!tree.groups[c].marked && tree.groups[c].w == 0) below.push_back(c);
-        for (const Number s : removed)
-            for (Number c = tree.groups[s].child; c > 0; c = tree.groups[c].sibling)
+        for (const Id s : removed)
+            for (Id c = tree.groups[s].child; c > 0; c = tree.groups[c].sibling)
                 if (!tree.groups[c].marked) below.push_back(c);
-        for (const Number s : removed) tree.groups[s].marked = false;
+        for (const Id s : removed) tree.groups[s].marked = false;
     }
 };
 
 /// The structure of L for the groups of nodes that edges and supernodes below tie together. What a step ties is late in the
 /// order, because the next step probably ties the same; then poses that are held, so that few subtrees are absolute; and the
 /// nodes `newest` last.
-Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::span<const Number> newest) {
-    std::vector<Place> sizes, members;
-    const auto local = [&](Number node) { return static_cast<Place>(graph.nodes[node].local); };
-    for (const Number e : top.edges) {
-        if (graph.edges[e].alone()) continue;
+Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::span<const Id> newest) {
+    std::vector<Index> sizes, members;
+    const auto local = [&](Id node) { return static_cast<Index>(graph.nodes[node].local); };
+    for (const Id e : top.edges) {
+        if (graph.edges[e].one_ended()) continue;
         const auto [low, high] = std::minmax({local(graph.edges[e].ends[0]), local(graph.edges[e].ends[1])});
         sizes.push_back(2);
         members.push_back(low);
         members.push_back(high);
     }
-    for (const Number s : top.below) {
+    for (const Id s : top.below) {
         sizes.push_back(tree.groups[s].r);
-        for (const Number node : tree.groups[s].separator()) members.push_back(local(node));
+        for (const Id node : tree.groups[s].separator()) members.push_back(local(node));
         std::sort(members.end() - tree.groups[s].r, members.end());
     }
-    const auto n = static_cast<Number>(top.nodes.size());
+    const auto n = static_cast<Id>(top.nodes.size());
     const sparse::WidePattern wide = sparse::pattern_of_groups(n, sizes, members);
-    const std::vector<Number> rows(wide.rows.begin(), wide.rows.end());
+    const std::vector<Id> rows(wide.rows.begin(), wide.rows.end());
     const sparse::Pattern pattern{wide.start, rows};
     sparse::Order order = sparse::minimum_degree(pattern, n);
     std::vector<char> last(n, 0);
     for (std::size_t k = 0; k < top.fresh; ++k)
-        for (const Number end : graph.edges[top.edges[k]].ends) last[local(end)] = 1;
-    for (Number k = 0; k < n; ++k)
+        for (const Id end : graph.edges[top.edges[k]].ends) last[local(end)] = 1;
+    for (Id k = 0; k < n; ++k)
         if (graph.nodes[top.nodes[k]].held) last[k] = 2;
-    for (const Number node : newest)
-        if (const Number k = graph.nodes[node].local; k >= 0) last[k] = 3;
-    std::ranges::stable_sort(order, {}, [&](Number k) { return last[k]; });
+    for (const Id node : newest)
+        if (const Id k = graph.nodes[node].local; k >= 0) last[k] = 3;
+    std::ranges::stable_sort(order, {}, [&](Id k) { return last[k]; });
     return sparse::analyze(pattern, order, sparse::shape_of<sparse::Real3>, 1);
 }
 
@@ -94,14 +94,14 @@ Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::
 class Kept {
    public:
     Kept(const Graph& graph, Tree& tree, const Top& top) : top_(top), root_(tree.groups[0].child) {
-        for (const Number node : top.nodes) nodes_.push_back(graph.nodes[node]);
-        for (const Number e : top.edges) edges_.push_back(graph.edges[e]);
-        for (const Number s : top.below) {
+        for (const Id node : top.nodes) nodes_.push_back(graph.nodes[node]);
+        for (const Id e : top.edges) edges_.push_back(graph.edges[e]);
+        for (const Id s : top.below) {
             Supernode& group = tree.groups[s];
             places_.push_back({group.parent, group.sibling, group.split, group.ascending, group.strain, group.relative,
                                group.run_end, std::vector<double>(group.carry(), group.carry() + 3 * group.r)});
         }
-        for (Number c = root_; c > 0; c = tree.groups[c].sibling) roots_.push_back(c);
+        for (Id c = root_; c > 0; c = tree.groups[c].sibling) roots_.push_back(c);
     }
     void put_back(Graph& graph, Tree& tree) {
         for (std::size_t k = 0; k < nodes_.size(); ++k) {
@@ -123,57 +123,55 @@ class Kept {
 
    private:
     const Top& top_;
-    Number root_;
+    Id root_;
     std::vector<Node> nodes_;
     std::vector<Edge> edges_;
-    std::vector<
-        std::tuple<Number, Number, Number, bool, double, std::vector<Number>, std::vector<Number>, std::vector<double>>>
-        places_;
-    std::vector<Number> roots_;
+    std::vector<std::tuple<Id, Id, Id, bool, double, std::vector<Id>, std::vector<Id>, std::vector<double>>> places_;
+    std::vector<Id> roots_;
 };
 
 /// New supernodes in the tree in the place of those removed, which stay for now.
-std::vector<Number> link(Graph& graph, Tree& tree, const Top& top, const Symbolic& symbolic) {
-    const auto node_at = [&](Number column) { return top.nodes[symbolic.order[column]]; };
-    std::vector<Number> created;
-    for (Number k = 0; k < symbolic.supernodes(); ++k) {
+std::vector<Id> link(Graph& graph, Tree& tree, const Top& top, const Symbolic& symbolic) {
+    const auto node_at = [&](Id column) { return top.nodes[symbolic.order[column]]; };
+    std::vector<Id> created;
+    for (Id k = 0; k < symbolic.supernodes(); ++k) {
         const Front front = symbolic.front(k);
-        const Number s = tree.create(static_cast<Number>(front.w), static_cast<Number>(front.r));
+        const Id s = tree.create(static_cast<Id>(front.w), static_cast<Id>(front.r));
         created.push_back(s);
-        std::vector<Number>& nodes = tree.groups[s].nodes;
-        for (Number q = 0; q < front.w; ++q) {
+        std::vector<Id>& nodes = tree.groups[s].nodes;
+        for (Id q = 0; q < front.w; ++q) {
             nodes[q] = node_at(symbolic.first[k] + q);
             graph.nodes[nodes[q]].home = s;
             graph.nodes[nodes[q]].owned = -1;
         }
-        for (Number q = 0; q < front.r; ++q) nodes[front.w + q] = node_at(symbolic.rows[symbolic.row_start[k] + q]);
+        for (Id q = 0; q < front.r; ++q) nodes[front.w + q] = node_at(symbolic.rows[symbolic.row_start[k] + q]);
     }
     // roots that are neither removed nor below stay
-    for (const Number s : top.removed) tree.groups[s].marked = true;
-    for (const Number s : top.below) tree.groups[s].marked = true;
-    std::vector<Number> roots;
-    for (Number c = tree.groups[0].child; c > 0; c = tree.groups[c].sibling)
+    for (const Id s : top.removed) tree.groups[s].marked = true;
+    for (const Id s : top.below) tree.groups[s].marked = true;
+    std::vector<Id> roots;
+    for (Id c = tree.groups[0].child; c > 0; c = tree.groups[c].sibling)
         if (!tree.groups[c].marked) roots.push_back(c);
-    for (const Number s : top.removed) tree.groups[s].marked = false;
-    for (const Number s : top.below) tree.groups[s].marked = false;
+    for (const Id s : top.removed) tree.groups[s].marked = false;
+    for (const Id s : top.below) tree.groups[s].marked = false;
     tree.groups[0].child = 0;
-    for (const Number s : roots) tree.hang(s, 0);
-    for (Number k = 0; k < symbolic.supernodes(); ++k)
+    for (const Id s : roots) tree.hang(s, 0);
+    for (Id k = 0; k < symbolic.supernodes(); ++k)
         tree.hang(created[k], symbolic.parent[k] < 0 ? 0 : created[symbolic.parent[k]]);
-    const auto place = [&](Number node) { return symbolic.position[graph.nodes[node].local]; };
-    for (const Number s : top.below) {
+    const auto place = [&](Id node) { return symbolic.position[graph.nodes[node].local]; };
+    for (const Id s : top.below) {
         const auto separator = tree.groups[s].separator();
         const auto lowest =
-            std::min_element(separator.begin(), separator.end(), [&](Number a, Number b) { return place(a) < place(b); });
+            std::min_element(separator.begin(), separator.end(), [&](Id a, Id b) { return place(a) < place(b); });
         tree.hang(s, lowest == separator.end() ? 0 : graph.nodes[*lowest].home);
     }
-    for (const Number e : top.edges) {
+    for (const Id e : top.edges) {
         Edge& edge = graph.edges[e];
         edge.owner = edge.ends[place(edge.ends[0]) < place(edge.ends[1]) ? 0 : 1];
         edge.next_owned = graph.nodes[edge.owner].owned;
         graph.nodes[edge.owner].owned = e;
     }
-    for (const Number node : top.nodes) graph.nodes[node].local = -1;
+    for (const Id node : top.nodes) graph.nodes[node].local = -1;
     return created;
 }
 
@@ -184,22 +182,22 @@ bool rebuild(Graph& graph, Tree& tree, const Changes& changes, Evaluation& found
     const Symbolic symbolic = analyze_top(graph, tree, top, changes.newest);
     Kept before(graph, tree, top);
     const std::size_t size_before = tree.groups.size();
-    const std::vector<Number> created = link(graph, tree, top, symbolic);
+    const std::vector<Id> created = link(graph, tree, top, symbolic);
     for (std::size_t k = 0; k < top.edges.size(); ++k) {
         // far from the minimum second derivatives mislead: new edges are without, unless all are new
         const bool without = k < top.fresh && top.fresh < top.edges.size();
         relinearize(graph, graph.edges[top.edges[k]], without ? Bent::never() : found.bent);
     }
-    for (const Number s : top.below) tree.follow(graph, s);
-    for (const Number s : created) {
+    for (const Id s : top.below) tree.follow(graph, s);
+    for (const Id s : created) {
         tree.relate_children(graph, s);
         if (tree.factorize(graph, s)) continue;
         before.put_back(graph, tree);
         tree.take_back(created, size_before);
         return false;
     }
-    for (const Number s : top.removed) tree.release(s);
-    for (const Number s : created) tree.evaluate(graph, s, found);
+    for (const Id s : top.removed) tree.release(s);
+    for (const Id s : created) tree.evaluate(graph, s, found);
     return true;
 }
 

@@ -8,7 +8,7 @@
 
 namespace vmslam::online {
 
-using sparse::Place;
+using sparse::Index;
 using sparse::Real3;
 using Part = Real3::Part;
 
@@ -31,7 +31,7 @@ Seen seen_from(const Node& frame, const Node& node) {
 }
 Seen value_of(const Node& node) { return {node.x[0], node.x[1], node.x[2], node.axes}; }
 
-double* at_least(Numbers& numbers, Place size) {
+double* at_least(Numbers& numbers, Index size) {
     if (numbers.size() < size) numbers = Numbers(2 * size);
     return numbers.data();
 }
@@ -39,11 +39,11 @@ double* at_least(Numbers& numbers, Place size) {
 }  // namespace
 
 const double* Tree::motion(const Graph& graph, const Supernode& group) {
-    const Place pad = group.front().update_pad;
+    const Index pad = group.front().update_pad;
     double* w = at_least(motion_, 3 * group.r + pad + 1);
     w = std::fill_n(w, pad, 0.0);
     const Node* const frame = group.frame < 0 ? nullptr : &graph.nodes[group.nodes[group.w + group.frame]];
-    for (Number k = 0; k < group.r; ++k, w += 3) {
+    for (Id k = 0; k < group.r; ++k, w += 3) {
         const Node& node = graph.nodes[group.nodes[group.w + k]];
         const Seen& then = group.seen[k];
         if (!frame) {
@@ -65,14 +65,14 @@ const double* Tree::motion(const Graph& graph, const Supernode& group) {
 const double* Tree::strain(Supernode& group, const double* w) {
     using sparse::lanes, sparse::load, sparse::store;
     const Front front = group.front();
-    const Place h = front.update_height, pad = front.update_pad;
+    const Index h = front.update_height, pad = front.update_pad;
     double* const pull = at_least(pull_, h + 1);
     std::fill_n(pull, h, 0.0);
     // each block of the lower triangle, and of the upper one, which is not there
-    for (Number j = 0; j < group.r; ++j) {
+    for (Id j = 0; j < group.r; ++j) {
         const double *const x = group.update() + 3 * j * h, *const by = w + 3 * j;
         sparse::Vector<lanes> s0{}, s1{}, s2{};
-        for (Place i = sparse::group_of(pad + 3 * j); i < h; i += lanes) {
+        for (Index i = sparse::group_of(pad + 3 * j); i < h; i += lanes) {
             const auto v = load<lanes>(w - pad + i), x0 = load<lanes>(x + i), x1 = load<lanes>(x + h + i),
                        x2 = load<lanes>(x + 2 * h + i);
             store<lanes>(pull + i, load<lanes>(pull + i) + x0 * by[0] + x1 * by[1] + x2 * by[2]);
@@ -85,7 +85,7 @@ const double* Tree::strain(Supernode& group, const double* w) {
         own[2] += sparse::sum<lanes>(s2) - d[2 * h + 2] * by[2];
     }
     group.strain = 0.0;
-    for (Place j = 0; j < 3 * group.r; ++j) group.strain += w[j] * pull[pad + j];
+    for (Index j = 0; j < 3 * group.r; ++j) group.strain += w[j] * pull[pad + j];
     return pull + pad;
 }
 
@@ -93,7 +93,7 @@ void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
     const double* const force = group.force();
     double* const carry = group.carry();
     if (group.frame < 0) {
-        for (Number k = 0; k < 3 * group.r; k += 3) {
+        for (Id k = 0; k < 3 * group.r; k += 3) {
             const Node& node = graph.nodes[group.nodes[group.w + k / 3]];
             const Rotation turn = node.point ? Rotation() : between(node.axes, group.seen[k / 3].axes);
             const Lever own = turned_back(turn, force[k] - pull[k], force[k + 1] - pull[k + 1]);
@@ -104,7 +104,7 @@ void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
     const Node& frame = graph.nodes[group.nodes[group.w + group.frame]];
     const Rotation& axes_then = group.seen[group.frame].axes;
     double x = 0.0, y = 0.0, torque = 0.0;
-    for (Number k = 0; k < group.r; ++k) {
+    for (Id k = 0; k < group.r; ++k) {
         if (k == group.frame) continue;
         const Node& node = graph.nodes[group.nodes[group.w + k]];
         const Seen& then = group.seen[k];
@@ -126,7 +126,7 @@ void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
     own[0] = f[0] + x, own[1] = f[1] + y, own[2] = f[2] + torque;
 }
 
-void Tree::follow(const Graph& graph, Number s) {
+void Tree::follow(const Graph& graph, Id s) {
     Supernode& group = groups[s];
     if (group.w > 0) follow(graph, group, strain(group, motion(graph, group)));
 }
@@ -138,14 +138,14 @@ void Tree::move(Graph& graph, Supernode& group, const double* w) {
     std::memset(a, 0, (front.pad + 3 * group.w) * sizeof(double));
     std::copy_n(w, 3 * group.r, a + front.pad + 3 * group.w);
     const double* const y = group.y();
-    const auto get = [y](Place j) { return Part{y[3 * j], y[3 * j + 1], y[3 * j + 2]}; };
+    const auto get = [y](Index j) { return Part{y[3 * j], y[3 * j + 1], y[3 * j + 2]}; };
     sparse::solve_backward<Real3>(front, group.panel(), a, 0, get,
-                                  [a](Place, Place row, const Part& part) { std::copy_n(part.v, 3, a + row); });
+                                  [a](Index, Index row, const Part& part) { std::copy_n(part.v, 3, a + row); });
     const Node* const frame = group.frame < 0 ? nullptr : &graph.nodes[group.nodes[group.w + group.frame]];
     const Seen* const then = frame ? &group.seen[group.frame] : nullptr;
     const Rotation turn = frame ? between(frame->axes, then->axes) : Rotation();
     const double* at = a + front.pad;
-    for (const Number number : group.columns()) {
+    for (const Id number : group.columns()) {
         Node& node = graph.nodes[number];
         if (node.changed != step) {
             node.changed = step;
@@ -172,13 +172,13 @@ void Tree::move(Graph& graph, Supernode& group, const double* w) {
     }
 }
 
-void Tree::move(Graph& graph, Number s) {
+void Tree::move(Graph& graph, Id s) {
     Supernode& group = groups[s];
     move(graph, group, motion(graph, group));
 }
 
-void Tree::move_paths(Graph& graph, std::span<const Number> homes) {
-    const std::vector<Number> path = upwards(homes);
+void Tree::move_paths(Graph& graph, std::span<const Id> homes) {
+    const std::vector<Id> path = upwards(homes);
     for (auto s = path.rbegin(); s != path.rend(); ++s) move(graph, *s);
 }
 
@@ -186,12 +186,12 @@ void Tree::move_all(Graph& graph) { descend(graph, -1.0); }
 
 Tree::Moved Tree::descend(Graph& graph, double least) {
     Moved moved;
-    std::vector<Number> stack{0};
+    std::vector<Id> stack{0};
     while (!stack.empty()) {
-        const Number s = stack.back();
+        const Id s = stack.back();
         stack.pop_back();
         if (s > 0) moved.supernodes.push_back(s);
-        for (Number c = groups[s].child; c > 0; c = groups[c].sibling) {
+        for (Id c = groups[s].child; c > 0; c = groups[c].sibling) {
             Supernode& child = groups[c];
             if (child.w == 0) {
                 if (s > 0) moved.priors.push_back(c);
@@ -212,14 +212,14 @@ Tree::Moved Tree::descend(Graph& graph, double least) {
     return moved;
 }
 
-void Tree::rest(Graph& graph, Number s) {
+void Tree::rest(Graph& graph, Id s) {
     Supernode& group = groups[s];
-    for (const Number number : group.columns()) {
+    for (const Id number : group.columns()) {
         Node& node = graph.nodes[number];
         node.base = node.x;
         node.base_axes = node.axes;
     }
-    for (Number k = 0; k < group.r; ++k) {
+    for (Id k = 0; k < group.r; ++k) {
         const Node& node = graph.nodes[group.nodes[group.w + k]];
         const bool alone = group.frame < 0 || k == group.frame;
         group.seen[k] = alone ? value_of(node) : seen_from(graph.nodes[group.nodes[group.w + group.frame]], node);
@@ -229,15 +229,15 @@ void Tree::rest(Graph& graph, Number s) {
     group.stress = 1.0;
 }
 
-void Tree::evaluate(Graph& graph, Number s, Evaluation& found) {
+void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
     rest(graph, s);
     Supernode& group = groups[s];
     const Front front = group.front();
     double* const b = work(front.height);
     std::memset(b, 0, front.height * sizeof(double));
     double* const at = b + front.pad;
-    for (Number q = 0; q < group.w; ++q)
-        for (Number e = graph.nodes[group.nodes[q]].owned; e >= 0; e = graph.edges[e].next_owned) {
+    for (Id q = 0; q < group.w; ++q)
+        for (Id e = graph.nodes[group.nodes[q]].owned; e >= 0; e = graph.edges[e].next_owned) {
             Edge& edge = graph.edges[e];
             if (edge.taken_out()) continue;
             const Evaluated now = online::evaluate(graph, edge, found.limit, found.bent);
@@ -250,17 +250,17 @@ void Tree::evaluate(Graph& graph, Number s, Evaluation& found) {
                 at[3 * edge.place + p] += now.pulls.ends[1 - side][p];
             }
         }
-    for (Number c = group.child; c > 0; c = groups[c].sibling) {
+    for (Id c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         const double* const carry = child.carry();
-        for (Number q = 0; q < child.r; ++q)
+        for (Id q = 0; q < child.r; ++q)
             for (int k = 0; k < 3; ++k) at[3 * child.relative[q] + k] += carry[3 * q + k];
         group.energy = std::max(group.energy, child.energy);
         group.stress = std::max(group.stress, child.stress);
     }
     double square = 0.0;
     double* const y = group.y();
-    sparse::solve_forward<Real3>(front, group.panel(), b, 0, [&](Place j, const Part& part) {
+    sparse::solve_forward<Real3>(front, group.panel(), b, 0, [&](Index j, const Part& part) {
         for (int k = 0; k < 3; ++k) {
             square += part.v[k] * part.v[k];
             y[3 * j + k] = part.v[k];
@@ -274,19 +274,19 @@ void Tree::evaluate(Graph& graph, Number s, Evaluation& found) {
 
 // With the unit vectors E of the nodes, it is Y' Y, L Y = E. The columns of Y are zero beside the paths from their nodes to the
 // roots, so that they are solved forward on these only.
-std::vector<double> Tree::covariance(Graph& graph, std::span<const Number> nodes) {
-    std::vector<Number> homes;
-    for (const Number node : nodes) homes.push_back(graph.nodes[node].home);
-    const std::vector<Number> path = upwards(homes);
+std::vector<double> Tree::covariance(Graph& graph, std::span<const Id> nodes) {
+    std::vector<Id> homes;
+    for (const Id node : nodes) homes.push_back(graph.nodes[node].home);
+    const std::vector<Id> path = upwards(homes);
     // separators of the path lie on it
-    Number columns = 0;
-    for (const Number s : path)
-        for (const Number node : groups[s].columns()) graph.nodes[node].local = columns++;
-    const Place rows = 3 * columns;
+    Id columns = 0;
+    for (const Id s : path)
+        for (const Id node : groups[s].columns()) graph.nodes[node].local = columns++;
+    const Index rows = 3 * columns;
     const std::size_t size = 3 * nodes.size();
     std::vector<double> Y(size * rows, 0.0), covariance(size * size);
     std::vector<Triple> b(columns, Triple{});
-    const auto part_of = [&](Number node) -> Triple& { return b[graph.nodes[node].local]; };
+    const auto part_of = [&](Id node) -> Triple& { return b[graph.nodes[node].local]; };
     for (std::size_t column = 0; column < size; ++column) {
         const Node& node = graph.nodes[nodes[column / 3]];
         // a unit vector of the world in the axes of the node
@@ -295,22 +295,22 @@ std::vector<double> Tree::covariance(Graph& graph, std::span<const Number> nodes
         part_of(nodes[column / 3]) = axis == 0 ? Triple{c, -t, 0.0} : axis == 1 ? Triple{t, c, 0.0} : Triple{0.0, 0.0, 1.0};
         double* y = Y.data() + column * rows;
         bool begun = false;
-        for (const Number s : path) {
+        for (const Id s : path) {
             Supernode& group = groups[s];
             begun = begun || s == node.home;
             bool some = false;
-            for (const Number inner : begun ? group.columns() : std::span<const Number>{}) some |= part_of(inner) != Triple{};
+            for (const Id inner : begun ? group.columns() : std::span<const Id>{}) some |= part_of(inner) != Triple{};
             if (some) {
                 const Front front = group.front();
                 double* const part = work(front.height);
                 std::memset(part, 0, front.pad * sizeof(double));
                 double* at = part + front.pad;
-                for (const Number inner : group.nodes) at = std::copy_n(part_of(inner).data(), 3, at);
+                for (const Id inner : group.nodes) at = std::copy_n(part_of(inner).data(), 3, at);
                 sparse::solve_forward<Real3>(front, group.panel(), part, 0,
-                                             [y](Place j, const Part& solved) { std::copy_n(solved.v, 3, y + 3 * j); });
+                                             [y](Index j, const Part& solved) { std::copy_n(solved.v, 3, y + 3 * j); });
                 at = part + front.pad + 3 * group.w;
-                for (const Number inner : group.columns()) part_of(inner) = {};
-                for (const Number inner : group.separator()) {
+                for (const Id inner : group.columns()) part_of(inner) = {};
+                for (const Id inner : group.separator()) {
                     std::copy_n(at, 3, part_of(inner).data());
                     at += 3;
                 }
@@ -318,12 +318,12 @@ std::vector<double> Tree::covariance(Graph& graph, std::span<const Number> nodes
             y += 3 * group.w;
         }
     }
-    for (const Number s : path)
-        for (const Number node : groups[s].columns()) graph.nodes[node].local = -1;
+    for (const Id s : path)
+        for (const Id node : groups[s].columns()) graph.nodes[node].local = -1;
     for (std::size_t i = 0; i < size; ++i)
         for (std::size_t j = 0; j <= i; ++j) {
             double total = 0.0;
-            for (Place q = 0; q < rows; ++q) total += Y[i * rows + q] * Y[j * rows + q];
+            for (Index q = 0; q < rows; ++q) total += Y[i * rows + q] * Y[j * rows + q];
             covariance[i * size + j] = covariance[j * size + i] = total;
         }
     return covariance;

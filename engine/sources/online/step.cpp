@@ -29,7 +29,7 @@ constexpr int held = 3;
 constexpr double forget = 0.9;
 /// Passes end where one predicts that J falls by so many times itself.
 constexpr double hopeless = 10.0;
-/// What a further pass would predict, as a part of what this one predicts, is assumed to be no less.
+/// The next pass is assumed to predict at least this part of what this one predicts.
 constexpr double least_left = 0.3;
 
 }  // namespace
@@ -61,7 +61,7 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
             part *= finer;
         }
         last = predicted;
-        const std::vector<Number> above = renew_priors(pass.outdated);
+        const std::vector<Id> above = renew_priors(pass.outdated);
         renewed = !pass.late.empty() || !above.empty();
         if (ends && !renewed) return Outcome::done;
         ++done;
@@ -80,11 +80,11 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
 OnlineSystem::Pass OnlineSystem::pass(double least) {
     Pass result;
     const Tree::Moved moved = tree_.descend(graph_, least);
-    for (const Number group : moved.priors) {
+    for (const Id group : moved.priors) {
         Prior& prior = *std::ranges::find(priors_, group, &Prior::group);
         prior.evaluate(graph_, false);
         write_prior(prior, false);
-        // an absolute one has to do with single poses where it is not linear
+        // an absolute one is linear but for the heading of each pose itself
         if (!prior.linear_in_places() && prior.outdated(graph_)) result.outdated.push_back(&prior);
     }
     Evaluation found{memory_.limit, memory_.bent};
@@ -96,7 +96,7 @@ OnlineSystem::Pass OnlineSystem::pass(double least) {
 }
 
 /// Factorise again above edges that are linearised where they are, and above `others`.
-bool OnlineSystem::factorize_late(std::span<const Number> late, std::span<const Number> others) {
+bool OnlineSystem::factorize_late(std::span<const Id> late, std::span<const Id> others) {
     Evaluation found{memory_.limit, memory_.bent};
     const bool good = refactor(graph_, tree_, late, others, found);
     memory_.cost += found.change;
@@ -104,16 +104,16 @@ bool OnlineSystem::factorize_late(std::span<const Number> late, std::span<const 
     return good;
 }
 
-// Relative priors, and those that turn, have no second derivatives in the factor. Those of the edges alone are of no use then: they sum up to nothing
-// along a turn of many nodes only together with those of what pulls on the other side.
+// Relative priors, and those that turn, have no second derivatives in the factor. Those of the edges are of no use then: along
+// a common turn of many nodes they cancel only together with those of the priors.
 Bent OnlineSystem::usual_bent() const {
     const bool all = std::ranges::all_of(priors_, [](const Prior& prior) { return prior.linear_in_places(); });
     return all ? Bent{} : Bent::never();
 }
 
 /// Linearise priors where their nodes are; returns the supernodes above, which are to be factorised again.
-std::vector<Number> OnlineSystem::renew_priors(std::span<Prior* const> priors) {
-    std::vector<Number> above;
+std::vector<Id> OnlineSystem::renew_priors(std::span<Prior* const> priors) {
+    std::vector<Id> above;
     for (Prior* const prior : priors) {
         prior->evaluate(graph_, true);
         write_prior(*prior, true);
@@ -122,7 +122,7 @@ std::vector<Number> OnlineSystem::renew_priors(std::span<Prior* const> priors) {
     return above;
 }
 
-bool OnlineSystem::iterate(std::span<const Number> newest) {
+bool OnlineSystem::iterate(std::span<const Id> newest) {
     covariances_ready_ = false;
     for (int done = 0;;) {
         const int earlier = done;
@@ -132,7 +132,7 @@ bool OnlineSystem::iterate(std::span<const Number> newest) {
         memory_.bent.exact = infinity;
         memory_.hold = held;
         tree_.move_all(graph_);
-        const std::vector<Number> every = graph_.live_nodes();
+        const std::vector<Id> every = graph_.live_nodes();
         if (!eliminate({every, {}, newest, {}})) return false;
     }
 }

@@ -21,19 +21,19 @@ void OnlineSystem::use_kernel(const edges::Kernel& kernel, double gain, int rows
         if (rows == k || rows == 0) graph_.kernels[k - 1] = kernel, graph_.gains[k - 1] = gain;
 }
 
-Number OnlineSystem::add_node() {
+Id OnlineSystem::add_node() {
     graph_.nodes.emplace_back();
     return graph_.size() - 1;
 }
 
-Number OnlineSystem::add_point(double x, double y) {
+Id OnlineSystem::add_point(double x, double y) {
     Node& node = graph_.nodes.emplace_back();
     node.point = true;
     node.begin({x, y, 0.0});
     return graph_.size() - 1;
 }
 
-void OnlineSystem::add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information,
+void OnlineSystem::add_prior(std::span<const Id> nodes, std::span<const Triple> places, std::vector<double> information,
                              bool points, std::vector<double> pivot) {
     Prior prior;
     prior.pivot = std::move(pivot);
@@ -55,7 +55,7 @@ void OnlineSystem::add_prior(std::span<const Number> nodes, std::span<const Trip
 
 /// Put a prior into the tree, where the next elimination of its nodes finds it.
 void OnlineSystem::hang_prior(Prior& prior) {
-    const auto k = static_cast<Number>(prior.members.size());
+    const auto k = static_cast<Id>(prior.members.size());
     prior.group = tree_.create(0, k);
     tree_.groups[prior.group].nodes = prior.members;
     tree_.groups[prior.group].absolute = !prior.relative;
@@ -69,36 +69,36 @@ void OnlineSystem::write_prior(const Prior& prior, bool renewed) {
     std::copy(prior.carry.begin(), prior.carry.end(), group.carry());
     if (!renewed) return;
     const Front front = group.front();
-    const auto n = static_cast<Number>(prior.carry.size());
-    for (Number column = 0; column < n; ++column) {
+    const auto n = static_cast<Id>(prior.carry.size());
+    for (Id column = 0; column < n; ++column) {
         double* const to = group.update() + column * front.update_height;
         std::fill_n(to, front.update_pad, 0.0);
         std::copy_n(prior.linear.data() + column * n, n, to + front.update_pad);
     }
 }
 
-bool OnlineSystem::add(Number known, std::span<const NewEdge> added, std::span<const Number> newest) {
+bool OnlineSystem::add(Id known, std::span<const NewEdge> added, std::span<const Id> newest) {
     if (added.empty()) {
         // a known pose from which nothing is seen
         passes = 0;
         return true;
     }
-    const auto first = static_cast<Number>(graph_.edges.size());
+    const auto first = static_cast<Id>(graph_.edges.size());
     const auto before = std::tuple(memory_, ordered_, passes, converged, covariances_ready_);
     // older nodes of the step and those above them are all that changes before an elimination has succeeded
-    std::vector<Number> homes;
+    std::vector<Id> homes;
     for (const NewEdge& edge : added)
-        for (const Number end : {edge.first, edge.second})
+        for (const Id end : {edge.first, edge.second})
             if (end < known) homes.push_back(graph_.nodes[end].home);
-    std::vector<std::pair<Number, Node>> nodes;
-    for (const Number s : tree_.upwards(homes))
-        for (const Number node : tree_.groups[s].columns()) nodes.push_back({node, graph_.nodes[node]});
+    std::vector<std::pair<Id, Node>> nodes;
+    for (const Id s : tree_.upwards(homes))
+        for (const Id node : tree_.groups[s].columns()) nodes.push_back({node, graph_.nodes[node]});
     std::vector<std::vector<double>> carries;
     for (const Prior& prior : priors_) carries.push_back(prior.carry);
     tree_.move_paths(graph_, homes);
-    const std::vector<Number> touched = graph_.append(added, known);
-    std::vector<Number> fresh;
-    for (auto e = first; e < static_cast<Number>(graph_.edges.size()); ++e) fresh.push_back(e);
+    const std::vector<Id> touched = graph_.append(added, known);
+    std::vector<Id> fresh;
+    for (auto e = first; e < static_cast<Id>(graph_.edges.size()); ++e) fresh.push_back(e);
     if (solve(touched, fresh, newest)) return true;
     graph_.detach(first);
     for (const auto& [node, kept] : nodes) graph_.nodes[node] = kept;
@@ -111,8 +111,8 @@ bool OnlineSystem::add(Number known, std::span<const NewEdge> added, std::span<c
     return false;
 }
 
-bool OnlineSystem::solve(std::span<const Number> touched, std::span<const Number> fresh, std::span<const Number> newest) {
-    std::vector<Number> every, all;
+bool OnlineSystem::solve(std::span<const Id> touched, std::span<const Id> fresh, std::span<const Id> newest) {
+    std::vector<Id> every, all;
     if (const auto n = graph_.size(); n > growth * ordered_ + 50) {
         ordered_ = n;
         touched = every = graph_.live_nodes();
@@ -140,16 +140,16 @@ bool OnlineSystem::solve(std::span<const Number> touched, std::span<const Number
     ++tree_.step;
     const double before = memory_.cost;
     // undamped passes may end in a higher minimum
-    const auto falls = [&] { return !graph_.numbers || memory_.cost <= before + rises * (1.0 + before); };
+    const auto falls = [&] { return !graph_.has_single_numbers || memory_.cost <= before + rises * (1.0 + before); };
     converged = (iterate(newest) && falls()) || solve_as_batch(newest);
     return true;
 }
 
-bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Number> newest) {
+bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Id> newest) {
     for (std::size_t k = 0; k < x.size(); ++k) {
         Node& node = graph_.nodes[k];
         Node anew;
-        anew.far = node.far, anew.turned = node.turned, anew.edges = node.edges;
+        anew.far = node.far, anew.turned = node.turned, anew.borrows = node.borrows, anew.edges = node.edges;
         anew.point = node.point, anew.gone = node.gone, anew.held = node.held;
         anew.begin(x[k]);
         node = anew;
@@ -166,12 +166,12 @@ bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Number> n
         prior.evaluate(graph_, true);
         hang_prior(prior);
     }
-    const std::vector<Number> nodes = graph_.live_nodes(), edges = graph_.live_edges();
+    const std::vector<Id> nodes = graph_.live_nodes(), edges = graph_.live_edges();
     lost_ = !eliminate({nodes, edges, newest, {}});
     return !lost_;
 }
 
-bool OnlineSystem::solve_from(std::span<const Number> nodes, std::span<const Triple> places, std::span<const Number> newest) {
+bool OnlineSystem::solve_from(std::span<const Id> nodes, std::span<const Triple> places, std::span<const Id> newest) {
     complete();
     std::vector<Triple> x = this->places();
     for (std::size_t k = 0; k < nodes.size(); ++k) x[nodes[k]] = places[k];
@@ -189,21 +189,21 @@ void OnlineSystem::loosen(const Triple& place, std::vector<double> information) 
     prior.turn_to_poses();
 }
 
-void OnlineSystem::relinearize(std::span<const Number> newest) {
+void OnlineSystem::relinearize(std::span<const Id> newest) {
     factorize_again(newest);
     converged = !lost_ && iterate(newest);
     if (!converged) begin_at(places(), newest);
 }
 
 /// The factor of Gauss-Newton at the estimate, without second derivatives; returns whether there is one.
-bool OnlineSystem::factorize_again(std::span<const Number> newest) {
+bool OnlineSystem::factorize_again(std::span<const Id> newest) {
     complete();
     const std::vector<Triple> x = places();
     memory_.bent.convex = infinity;
-    const std::vector<Number> nodes = graph_.live_nodes(), edges = graph_.live_edges();
+    const std::vector<Id> nodes = graph_.live_nodes(), edges = graph_.live_edges();
     std::vector<Prior*> priors;
     for (Prior& prior : priors_) priors.push_back(&prior);
-    const std::vector<Number> above = renew_priors(priors);
+    const std::vector<Id> above = renew_priors(priors);
     bool good = !lost_ && (factorize_late(edges, above) || eliminate({nodes, {}, newest, {}}));
     good = good || begin_at(x, newest);
     memory_.bent.convex = usual_bent().convex;
@@ -214,13 +214,13 @@ bool OnlineSystem::factorize_again(std::span<const Number> newest) {
 
 // Second derivatives only help passes to converge: they are no information that the graph has, or take some away. So edges
 // enter the factor as Gauss-Newton has them, where covariances would be wrong otherwise.
-bool OnlineSystem::linearize_late(std::span<const Number> newest) {
+bool OnlineSystem::linearize_late(std::span<const Id> newest) {
     if ((lost_ || memory_.bent.convex == 0.0) && !factorize_again(newest)) return false;
     if (covariances_ready_) return true;
     covariances_ready_ = true;
     complete();
-    std::vector<Number> late;
-    for (const Number e : graph_.live_edges())
+    std::vector<Id> late;
+    for (const Id e : graph_.live_edges())
         if (differs_from_gauss_newton(graph_, graph_.edges[e], known_limit)) late.push_back(e);
     if (late.empty()) return true;
     pass(-1.0);
@@ -230,26 +230,26 @@ bool OnlineSystem::linearize_late(std::span<const Number> newest) {
     return covariances_ready_;
 }
 
-std::optional<std::vector<double>> OnlineSystem::covariance(std::span<const Number> nodes, std::span<const Number> newest) {
+std::optional<std::vector<double>> OnlineSystem::covariance(std::span<const Id> nodes, std::span<const Id> newest) {
     if (!converged) {
         // making the factor of Gauss-Newton may fail where steps have not converged, and would cost the one that there is
         OnlineSystem other = *this;
         other.converged = true;
         return other.covariance(nodes, newest);
     }
-    const auto eliminated = [&](Number node) { return graph_.nodes[node].home > 0; };
+    const auto eliminated = [&](Id node) { return graph_.nodes[node].home > 0; };
     if (!linearize_late(newest) || !std::all_of(nodes.begin(), nodes.end(), eliminated)) return std::nullopt;
     // the axes of the nodes are those of the solution
     values(nodes);
     return tree_.covariance(graph_, nodes);
 }
 
-std::vector<Triple> OnlineSystem::values(std::span<const Number> nodes) {
-    std::vector<Number> homes;
-    for (const Number node : nodes) homes.push_back(graph_.nodes[node].home);
+std::vector<Triple> OnlineSystem::values(std::span<const Id> nodes) {
+    std::vector<Id> homes;
+    for (const Id node : nodes) homes.push_back(graph_.nodes[node].home);
     tree_.move_paths(graph_, homes);
     std::vector<Triple> x;
-    for (const Number node : nodes) x.push_back(graph_.nodes[node].x);
+    for (const Id node : nodes) x.push_back(graph_.nodes[node].x);
     return x;
 }
 

@@ -8,39 +8,39 @@
 
 namespace vmslam::online {
 
-using sparse::Place;
+using sparse::Index;
 using sparse::Real3;
 
-Supernode::Supernode(Number w, Number r) : w(w), r(r), nodes(w + r) {
+Supernode::Supernode(Id w, Id r) : w(w), r(r), nodes(w + r) {
     const Front f = front();
     numbers = Numbers(3 * (w * f.height + r * f.update_height + w + 2 * r));
     std::fill_n(y(), 3 * (w + 2 * r), 0.0);
     seen.resize(r);
 }
 
-Number Tree::create(Number w, Number r) {
+Id Tree::create(Id w, Id r) {
     if (free_.empty()) {
         groups.emplace_back(w, r);
-        return static_cast<Number>(groups.size()) - 1;
+        return static_cast<Id>(groups.size()) - 1;
     }
-    const Number s = free_.back();
+    const Id s = free_.back();
     free_.pop_back();
     groups[s] = Supernode(w, r);
     return s;
 }
 
-void Tree::release(Number s) {
+void Tree::release(Id s) {
     groups[s] = Supernode();
     free_.push_back(s);
 }
 
-void Tree::take_back(std::span<const Number> created, std::size_t size_before) {
+void Tree::take_back(std::span<const Id> created, std::size_t size_before) {
     for (auto s = created.rbegin(); s != created.rend(); ++s)
-        if (*s < static_cast<Number>(size_before)) release(*s);
+        if (*s < static_cast<Id>(size_before)) release(*s);
     groups.resize(size_before);
 }
 
-void Tree::hang(Number s, Number parent) {
+void Tree::hang(Id s, Id parent) {
     groups[s].parent = parent;
     groups[s].sibling = groups[parent].child;
     groups[parent].child = s;
@@ -52,16 +52,16 @@ std::ptrdiff_t Tree::numbers() const {
     return total;
 }
 
-double* Tree::work(Place rows) {
+double* Tree::work(Index rows) {
     if (work_.size() < rows) work_ = Numbers(2 * rows);
     return work_.data();
 }
 
-std::vector<Number> Tree::upwards(std::span<const Number> homes) {
-    std::vector<Number> path, chains, order;
-    for (Number s : homes) {
+std::vector<Id> Tree::upwards(std::span<const Id> homes) {
+    std::vector<Id> path, chains, order;
+    for (Id s : homes) {
         if (groups[s].marked) continue;
-        chains.push_back(static_cast<Number>(path.size()));
+        chains.push_back(static_cast<Id>(path.size()));
         for (; s > 0 && !groups[s].marked; s = groups[s].parent) {
             groups[s].marked = true;
             path.push_back(s);
@@ -74,47 +74,47 @@ std::vector<Number> Tree::upwards(std::span<const Number> homes) {
         order.insert(order.end(), path.begin() + *chain, end);
         end = path.begin() + *chain;
     }
-    for (const Number s : order) groups[s].marked = false;
+    for (const Id s : order) groups[s].marked = false;
     return order;
 }
 
-void Tree::relate_children(Graph& graph, Number s) {
+void Tree::relate_children(Graph& graph, Id s) {
     Supernode& parent = groups[s];
-    Number place = 0;
-    for (const Number node : parent.nodes) graph.nodes[node].local = place++;
-    for (Number c = parent.child; c > 0; c = groups[c].sibling) {
+    Id place = 0;
+    for (const Id node : parent.nodes) graph.nodes[node].local = place++;
+    for (Id c = parent.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         child.relative.resize(child.r);
         child.run_end.resize(child.r);
         child.ascending = true;
         child.split = 0;
         parent.absolute |= child.absolute;
-        for (Number k = 0; k < child.r; ++k) {
+        for (Id k = 0; k < child.r; ++k) {
             child.relative[k] = graph.nodes[child.nodes[child.w + k]].local;
             child.ascending &= k == 0 || child.relative[k] > child.relative[k - 1];
             child.split += child.relative[k] < parent.w;
         }
-        for (Number k = child.r - 1, end = child.r; k >= 0; --k) {
+        for (Id k = child.r - 1, end = child.r; k >= 0; --k) {
             if (k + 1 < child.r && child.relative[k + 1] != child.relative[k] + 1) end = k + 1;
             child.run_end[k] = end;
         }
     }
-    for (const Number node : parent.columns())
-        for (Number e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned) {
+    for (const Id node : parent.columns())
+        for (Id e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned) {
             Edge& edge = graph.edges[e];
             if (edge.taken_out()) continue;
             edge.place = graph.nodes[edge.ends[1 - edge.side(node)]].local;
-            parent.absolute |= edge.alone();
+            parent.absolute |= edge.one_ended();
         }
-    for (const Number node : parent.nodes) graph.nodes[node].local = -1;
-    for (Number k = parent.r - 1; k >= 0 && !parent.absolute; --k)
+    for (const Id node : parent.nodes) graph.nodes[node].local = -1;
+    for (Id k = parent.r - 1; k >= 0 && !parent.absolute; --k)
         if (!graph.nodes[parent.nodes[parent.w + k]].point) parent.frame = k;
 }
 
 namespace {
 
 /// Add a symmetric block to a diagonal block.
-void add_symmetric(double* t, Place h, const Symmetric& D) {
+void add_symmetric(double* t, Index h, const Symmetric& D) {
     t[0] += D.xx, t[1] += D.xy, t[2] += D.xt;
     t[h + 1] += D.yy, t[h + 2] += D.yt;
     t[2 * h + 2] += D.tt;
@@ -122,21 +122,21 @@ void add_symmetric(double* t, Place h, const Symmetric& D) {
 
 /// Add the node columns of the update matrix of a child that are `from` to `to` in the front of its parent, whose order is not
 /// that of its separator. `skip` nodes are left out of the target.
-void extend_in_any_order(Supernode& child, Number from, Number to, double* target, Place height, Place pad, Number skip) {
-    const Place h = child.front().update_height;
+void extend_in_any_order(Supernode& child, Id from, Id to, double* target, Index height, Index pad, Id skip) {
+    const Index h = child.front().update_height;
     const double* const update = child.update() + child.front().update_pad;
-    std::vector<Number> order(child.r);
+    std::vector<Id> order(child.r);
     std::iota(order.begin(), order.end(), 0);
-    std::ranges::sort(order, {}, [&](Number k) { return child.relative[k]; });
-    for (Number a = from; a < to; ++a) {
-        const Number j = order[a];
+    std::ranges::sort(order, {}, [&](Id k) { return child.relative[k]; });
+    for (Id a = from; a < to; ++a) {
+        const Id j = order[a];
         double* const column = target + 3 * (child.relative[j] - skip) * height + pad - 3 * skip;
-        for (Number b = a; b < child.r; ++b) {
-            const Number i = order[b];
+        for (Id b = a; b < child.r; ++b) {
+            const Id i = order[b];
             double* const t = column + 3 * child.relative[i];
             // only the blocks of the lower triangle are there
             const double* const u = update + (i < j ? 3 * (i * h + j) : 3 * (j * h + i));
-            const Place row = i < j ? h : 1, next = i < j ? 1 : h;
+            const Index row = i < j ? h : 1, next = i < j ? 1 : h;
             for (int c = 0; c < 3; ++c)
                 for (int r = 0; r < 3; ++r) t[c * height + r] += u[c * next + r * row];
         }
@@ -148,12 +148,12 @@ void extend_in_any_order(Supernode& child, Number from, Number to, double* targe
 /// The blocks of the edges that its nodes own in the columns of a panel.
 void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
     const Front front = group.front();
-    const Place h = front.height;
-    for (Number q = 0; q < group.w; ++q) {
-        const Number number = group.nodes[q];
+    const Index h = front.height;
+    for (Id q = 0; q < group.w; ++q) {
+        const Id number = group.nodes[q];
         double* const column = x + 3 * q * h + front.pad;
         if (graph.nodes[number].point) column[3 * q + 2 * h + 2] += 1.0;
-        for (Number e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
+        for (Id e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
             const Edge& edge = graph.edges[e];
             if (edge.taken_out()) continue;
             const int side = edge.side(number);
@@ -172,8 +172,8 @@ void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
 /// Their blocks on the diagonal of the separator.
 void Tree::put_separator_entries(const Graph& graph, const Supernode& group, double* update) {
     const Front front = group.front();
-    for (const Number number : group.columns())
-        for (Number e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
+    for (const Id number : group.columns())
+        for (Id e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
             const Edge& edge = graph.edges[e];
             if (edge.taken_out() || edge.place < group.w) continue;
             const Blocks own = diagonal_blocks(edge);
@@ -182,20 +182,20 @@ void Tree::put_separator_entries(const Graph& graph, const Supernode& group, dou
         }
 }
 
-bool Tree::factorize(Graph& graph, Number s) {
+bool Tree::factorize(Graph& graph, Id s) {
     Supernode& group = groups[s];
     const Front front = group.front();
-    const Place h = front.height;
+    const Index h = front.height;
     double* const x = group.panel();
-    const Place packing = sparse::packing<Real3>(group.w, h);
+    const Index packing = sparse::packing<Real3>(group.w, h);
     if (packed_.empty() || packed_[0].size() < packing) packed_.assign(1, Numbers(2 * packing));
     const sparse::Panel<Real3> panel{x, front, packed_};
     std::memset(x, 0, 3 * group.w * h * sizeof(double));
     put_entries(graph, group, x);
     double* const limits = work(3 * group.w);
-    for (Place k = 0; k < 3 * group.w; ++k)
+    for (Index k = 0; k < 3 * group.w; ++k)
         limits[k] = std::max(0.0, pivot_tolerance * graph.nodes[group.nodes[k / 3]].diagonal[k % 3]);
-    for (Number c = group.child; c > 0; c = groups[c].sibling) {
+    for (Id c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         if (!child.ascending)
             extend_in_any_order(child, 0, child.split, x, h, front.pad, 0);
@@ -209,7 +209,7 @@ bool Tree::factorize(Graph& graph, Number s) {
     double* const update = group.update();
     panel.update_matrix(update);
     put_separator_entries(graph, group, update);
-    for (Number c = group.child; c > 0; c = groups[c].sibling) {
+    for (Id c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         if (!child.ascending)
             extend_in_any_order(child, child.split, child.r, update, front.update_height, front.update_pad, group.w);
@@ -218,23 +218,23 @@ bool Tree::factorize(Graph& graph, Number s) {
                                   child.update(), update, front.update_height, front.update_pad, group.w);
     }
     // what is above the diagonal there has no meaning, and enters sums as zero
-    for (Number j = 0; j < 3 * group.r; ++j) {
+    for (Id j = 0; j < 3 * group.r; ++j) {
         double* const column = update + j * front.update_height;
-        const Place row = front.update_pad + j;
+        const Index row = front.update_pad + j;
         std::fill(column + sparse::group_of(front.update_pad + j / 3 * 3), column + row, 0.0);
     }
     return true;
 }
 
-bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, std::span<const Number> others, Evaluation& found) {
-    std::vector<Number> homes(others.begin(), others.end());
+bool refactor(Graph& graph, Tree& tree, std::span<const Id> late, std::span<const Id> others, Evaluation& found) {
+    std::vector<Id> homes(others.begin(), others.end());
     homes.reserve(others.size() + late.size());
-    for (const Number e : late) {
+    for (const Id e : late) {
         relinearize(graph, graph.edges[e], found.bent);
         homes.push_back(graph.nodes[graph.edges[e].owner].home);
     }
     bool good = true;
-    for (const Number s : tree.upwards(homes)) {
+    for (const Id s : tree.upwards(homes)) {
         good = good && tree.factorize(graph, s);
         if (good)
             tree.evaluate(graph, s, found);

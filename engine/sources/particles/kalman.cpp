@@ -27,7 +27,7 @@ struct Innovation {
     Pose w0, w1, w2;
 };
 
-/// y = L^-1 e, and y_k / d_k.
+/// The sum of y_k² / d_k with y = L^-1 e, and g_k = y_k / d_k.
 struct Whitened {
     Lanes squared, g0, g1, g2;
 };

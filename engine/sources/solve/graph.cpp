@@ -9,12 +9,13 @@
 
 namespace vmslam::solve {
 
-void Graph::add_anchor(Place node, const edges::Vector& value, double information) {
+void Graph::add_anchor(Index node, const edges::Vector& value, double information) {
     const edges::Symmetric omega{information, 0.0, information, 0.0, 0.0, information};
     members_.push_back({std::make_unique<edges::PositionEdges>(std::vector{edges::Position{node, value, omega}}), {}, {}});
 }
 
 void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel) {
+    reweighted = reweighted || kernel;
     Member member;
     for (const edges::RelativeEdge& edge : edges) {
         member.first.push_back(edge.i);
@@ -26,8 +27,8 @@ void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Ke
     members_.push_back(std::move(member));
 }
 
-void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<const Place> starts,
-                       std::span<const Place> nodes) {
+void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<const Index> starts,
+                       std::span<const Index> nodes) {
     for (std::size_t g = 0; g + 1 < starts.size(); ++g) sizes_.push_back(starts[g + 1] - starts[g]);
     grouped_.insert(grouped_.end(), nodes.begin(), nodes.end());
     members_.push_back({std::move(family), {}, {}});
@@ -40,7 +41,7 @@ void Graph::assemble(int threads, const std::function<void(GraphObjective&, Fact
     Factor factor(std::make_shared<const sparse::Symbolic>(
         analyze(narrow, fill_reducing(narrow), sparse::shape_of<sparse::Real3>, threads)));
 
-    std::vector<std::vector<Place>> pairs;
+    std::vector<std::vector<Index>> pairs;
     for (const Member& m : members_) {
         pairs.emplace_back(m.first.size());
         for (std::size_t e = 0; e < m.first.size(); ++e)
@@ -50,7 +51,7 @@ void Graph::assemble(int threads, const std::function<void(GraphObjective&, Fact
     for (std::size_t k = 0; k < members_.size(); ++k) families.push_back({members_[k].family.get(), pairs[k]});
 
     std::vector<double> values(9 * rows.size()), xi(3 * nodes_);
-    std::vector<Place> workspace(nodes_);
+    std::vector<Index> workspace(nodes_);
     GraphObjective objective(std::move(families), {pattern.start, pattern.rows, values.data(), xi.data(), workspace.data()},
                              {}, 0.0, factor);
     objective.state_dependent = state_dependent;
@@ -84,29 +85,27 @@ ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges:
     });
     ByLandmark made{{}, {}, {{}, {}, std::vector<double>(seen.size(), 1.0), sensor, kernel, log.oriented}};
     for (std::size_t k = 0; k < seen.size(); ++k) {
-        if (k == 0 || seen[k].landmark != seen[k - 1].landmark) made.starts.push_back(static_cast<Place>(k));
-        made.nodes.push_back(static_cast<Place>(seen[k].step));
+        if (k == 0 || seen[k].landmark != seen[k - 1].landmark) made.starts.push_back(static_cast<Index>(k));
+        made.nodes.push_back(static_cast<Index>(seen[k].step));
         made.sightings.z.push_back(seen[k].z);
     }
-    made.starts.push_back(static_cast<Place>(seen.size()));
+    made.starts.push_back(static_cast<Index>(seen.size()));
     made.sightings.noisy = made.sightings.z;
     return made;
 }
 
 Graph graph_of(const Log& log, const MotionNoise& noise, const edges::Sensor& sensor, const edges::Kernel& kernel) {
-    Graph graph(static_cast<Place>(log.poses()));
+    Graph graph(static_cast<Index>(log.poses()));
     graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
     std::vector<edges::RelativeEdge> motions;
-    for (Place t = 0; t + 1 < static_cast<Place>(log.poses()); ++t) {
+    for (Index t = 0; t + 1 < static_cast<Index>(log.poses()); ++t) {
         const auto [z, omega] = measured(log.motion(t), noise);
         motions.push_back({t, t + 1, z, omega});
     }
     graph.add_relative(std::move(motions));
     auto [starts, nodes, sightings] = by_landmark(log, sensor, kernel);
     graph.add_groups(std::make_unique<edges::MarginalEdges>(starts, nodes, std::move(sightings), true), starts, nodes);
-    // only with orientations do the sightings alone give their information
-    graph.state_dependent = !log.oriented;
-    graph.reweighted = static_cast<bool>(kernel);
+    graph.reweighted = graph.reweighted || kernel;
     return graph;
 }
 

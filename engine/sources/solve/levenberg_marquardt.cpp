@@ -61,20 +61,18 @@ bool levenberg_marquardt(Objective& objective, Run& run, int most) {
         const double floor = rounding(run.state, diagonal);
         bool negligible = false;
         while (true) {
-            if (!trial.compute(objective, run, damping, diagonal, run.rules.descend ? nullptr : &reference)) {
-                run.end = End::not_determined;
-                run.damping = damping;
-                return false;
-            }
+            const bool solved = trial.compute(objective, run, damping, diagonal, run.rules.descend ? nullptr : &reference);
             // below the rounding error of J the costs cannot be compared, but no step may raise J beyond it
-            negligible = std::abs(trial.predicted) <= std::max(1e-12 * cost, floor) &&
+            negligible = solved && std::abs(trial.predicted) <= std::max(1e-12 * cost, floor) &&
                          trial.cost <= std::max(cost * (1 + 1e-9), floor);
-            if (negligible || (std::isfinite(trial.cost) && trial.cost < cost)) break;
+            if (negligible || (solved && std::isfinite(trial.cost) && trial.cost < cost)) break;
+            // more damping also makes definite what rounding made indefinite
             damping *= growth;
             growth *= 2;
             if (damping > 1e16) {
-                run.end = End::no_lower_cost;
+                run.end = solved ? End::no_lower_cost : End::not_determined;
                 run.cost_at_end = cost;
+                run.damping = damping;
                 return false;
             }
         }

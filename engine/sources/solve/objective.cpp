@@ -4,16 +4,16 @@
 
 namespace vmslam::solve {
 
-void hold(const edges::System& system, std::span<const Place> blocks, std::span<const Place> nodes) {
-    for (const Place block : blocks) std::fill_n(system.block(block), 9, 0.0);
-    for (const Place node : nodes) {
+void hold(const edges::System& system, std::span<const Index> blocks, std::span<const Index> nodes) {
+    for (const Index block : blocks) std::fill_n(system.block(block), 9, 0.0);
+    for (const Index node : nodes) {
         std::fill_n(system.xi + 3 * node, 3, 0.0);
         for (int c = 0; c < 3; ++c) system.diagonal(node)[4 * c] = 1.0;
     }
 }
 
-void rest(const edges::System& system, std::span<const Place> nodes, int coordinate) {
-    for (const Place node : nodes)
+void rest(const edges::System& system, std::span<const Index> nodes, int coordinate) {
+    for (const Index node : nodes)
         for (int c = coordinate; c < 3; ++c) system.diagonal(node)[4 * c] = 1.0;
 }
 
@@ -39,7 +39,7 @@ bool GraphObjective::solve(std::span<double> delta) { return factor_.solve(xi(),
 
 std::vector<double> GraphObjective::diagonal() {
     std::vector<double> out(3 * nodes());
-    for (std::size_t i = 0; i < out.size(); ++i) out[i] = system_.diagonal(static_cast<Place>(i / 3))[4 * (i % 3)];
+    for (std::size_t i = 0; i < out.size(); ++i) out[i] = system_.diagonal(static_cast<Index>(i / 3))[4 * (i % 3)];
     return out;
 }
 

@@ -11,7 +11,7 @@ using namespace edges;
 
 bool follow_headings(const Relations& edges, std::span<double> headings, std::span<bool> known) {
     for (std::size_t k = 0; k < edges.first.size(); ++k) {
-        const Place i = edges.first[k], j = edges.second[k];
+        const Index i = edges.first[k], j = edges.second[k];
         if (known[i] == known[j] || !(edges.information[k] > 0)) return false;
         if (known[i])
             headings[j] = wrap(headings[i] + edges.value[k]);
@@ -22,7 +22,7 @@ bool follow_headings(const Relations& edges, std::span<double> headings, std::sp
     return true;
 }
 
-StartSystem::StartSystem(std::span<const Place> start, std::shared_ptr<const sparse::Symbolic> symbolic)
+StartSystem::StartSystem(std::span<const Index> start, std::shared_ptr<const sparse::Symbolic> symbolic)
     : start_(start.begin(), start.end()),
       values_(4 * start.back()),
       xi_(2 * (start.size() - 1)),
@@ -30,9 +30,9 @@ StartSystem::StartSystem(std::span<const Place> start, std::shared_ptr<const spa
 
 void StartSystem::add_headings(const Relations& edges, std::span<const double> unit) {
     for (std::size_t k = 0; k < edges.first.size(); ++k) {
-        const Place i = edges.first[k], j = edges.second[k];
+        const Index i = edges.first[k], j = edges.second[k];
         const double w = edges.information[k], c = w * std::cos(edges.value[k]), s = w * std::sin(edges.value[k]);
-        for (const Place node : {i, j}) {
+        for (const Index node : {i, j}) {
             diagonal(node)[0] += w;
             diagonal(node)[3] += w;
         }
@@ -53,7 +53,7 @@ void StartSystem::add_headings(const Relations& edges, std::span<const double> u
 
 void StartSystem::add_positions(const Relations& edges, std::span<const double> position) {
     for (std::size_t k = 0; k < edges.first.size(); ++k) {
-        const Place i = edges.first[k], j = edges.second[k];
+        const Index i = edges.first[k], j = edges.second[k];
         const double* const W = edges.information.data() + 4 * k;
         const double *const a = position.data() + 2 * i, *const b = position.data() + 2 * j;
         const double ex = b[0] - a[0] - edges.value[2 * k], ey = b[1] - a[1] - edges.value[2 * k + 1];
@@ -70,15 +70,15 @@ void StartSystem::add_positions(const Relations& edges, std::span<const double> 
     }
 }
 
-void StartSystem::hold(std::span<const Place> blocks, std::span<const Place> nodes, std::span<const Place> untied) {
-    for (const Place k : blocks) std::fill_n(block(k), 4, 0.0);
-    for (const Place node : nodes) xi_[2 * node] = xi_[2 * node + 1] = 0.0;
+void StartSystem::hold(std::span<const Index> blocks, std::span<const Index> nodes, std::span<const Index> untied) {
+    for (const Index k : blocks) std::fill_n(block(k), 4, 0.0);
+    for (const Index node : nodes) xi_[2 * node] = xi_[2 * node + 1] = 0.0;
     for (const auto rest : {nodes, untied})
-        for (const Place node : rest) diagonal(node)[0] = diagonal(node)[3] = 1.0;
+        for (const Index node : rest) diagonal(node)[0] = diagonal(node)[3] = 1.0;
 }
 
-Place StartSystem::solve(std::span<double> correction) {
-    const Place bad = factor_.factorize(values_);
+Index StartSystem::solve(std::span<double> correction) {
+    const Index bad = factor_.factorize(values_);
     if (bad >= 0) return factor_.symbolic().order[bad / 2];
     const bool finite = factor_.solve(xi_, correction);
     std::fill(values_.begin(), values_.end(), 0.0);
@@ -86,7 +86,7 @@ Place StartSystem::solve(std::span<double> correction) {
     return finite ? -1 : 0;
 }
 
-void turn_to_world(std::span<const double> state, std::span<const Place> first, std::span<const double> measured,
+void turn_to_world(std::span<const double> state, std::span<const Index> first, std::span<const double> measured,
                    std::span<const double> information, int rows, std::span<double> offset, std::span<double> omega) {
     for (std::size_t k = 0; k < first.size(); ++k) {
         const Rotation axes(state[3 * first[k] + 2]);

@@ -54,11 +54,11 @@ class Separator {
         const std::vector<Node> sources = ends(nodes, 0);
         Node size = 0;
         while (const Node found = sweep(sources, 0, before_, after_)) size += found;
-        Place uneven = std::numeric_limits<Place>::max();
+        Index uneven = std::numeric_limits<Index>::max();
         for (const int source : {0, 2}) {
             if (source == 2) sweep(ends(nodes, 2), 2, after_, before_);
-            const Place number = std::count_if(nodes.begin(), nodes.end(), [&](Node v) { return inside(v, source); });
-            const Place difference = std::abs(2 * number + size - static_cast<Place>(nodes.size()));
+            const Index number = std::count_if(nodes.begin(), nodes.end(), [&](Node v) { return inside(v, source); });
+            const Index difference = std::abs(2 * number + size - static_cast<Index>(nodes.size()));
             if (difference >= uneven) continue;
             uneven = difference;
             for (const Node v : nodes) {
@@ -190,7 +190,7 @@ class Separator {
             arc_[0] = graph_.start[first];
             turn_[0] = 0;
             seen_[2 * first] = seen_[2 * first + 1] = stamp_;
-            for (Place depth = 0; depth >= 0;) {
+            for (Index depth = 0; depth >= 0;) {
                 const Node state = next_state(depth, source, before, after);
                 if (state == end) {
                     augment(depth, before, after);
@@ -252,7 +252,7 @@ class Separator {
             low = std::min(low, values[v]);
             high = std::max(high, values[v]);
         }
-        const auto bins = static_cast<Node>(std::min<Place>(most_bins - 1, Place{high} - low + 1));
+        const auto bins = static_cast<Node>(std::min<Index>(most_bins - 1, Index{high} - low + 1));
         std::fill_n(bins_.begin(), bins + 1, 0);
         for (const Node v : nodes) ++bins_[std::min(values[v] - low, bins - 1) + 1];
         for (Node b = 0; b < bins; ++b) bins_[b + 1] += bins_[b];
@@ -291,11 +291,11 @@ class Separator {
     std::vector<Node> seen_;  ///< stamp of the last sweep that visited each state
     Node stamp_ = 0;
     std::vector<Node> queue_;  ///< nodes, or the states of a path
-    std::vector<Place> arc_;   ///< of each state on the path: where to go on in its list,
+    std::vector<Index> arc_;   ///< of each state on the path: where to go on in its list,
     std::vector<char> turn_;   ///< and which kind of step is tried
     std::array<std::vector<Node>, 4> axes_;
     std::vector<Node> ranks_, profile_;
-    std::vector<Place> bins_;
+    std::vector<Index> bins_;
 };
 
 /// Clusters of up to 2^rounds neighbours as the nodes of a smaller graph (Karypis and Kumar 1998).
@@ -342,7 +342,7 @@ struct Matching {
                         result.list.push_back(number[w]);
                     }
             }
-            result.start.push_back(static_cast<Place>(result.list.size()));
+            result.start.push_back(static_cast<Index>(result.list.size()));
         }
         return result;
     }

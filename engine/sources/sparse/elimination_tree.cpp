@@ -32,8 +32,7 @@ class ColumnTree {
           sibling_(tree.parent.size(), -1),
           head_(tree.parent.size()),
           next_(tree.parent.size(), -1),
-          cost_(tree.parent.size()),
-          alive_(tree.parent.size(), 1) {
+          cost_(tree.parent.size()) {
         for (Node& b : below_) --b;
         std::iota(head_.begin(), head_.end(), 0);
     }
@@ -67,7 +66,6 @@ class ColumnTree {
             }
             cost_[p] = cost(shape_, w, below_[p]);
             width_[p] = w;
-            alive_[c] = 0;
             next_[c] = head_[p];
             head_[p] = head_[c];
             // the grandchildren take the place of c; they are not tested again, as they were tested against c
@@ -110,7 +108,6 @@ class ColumnTree {
     const std::vector<Node>& parent_;
     std::vector<Node> below_, width_, child_, sibling_, head_, next_;
     std::vector<double> cost_;
-    std::vector<char> alive_;
 };
 
 }  // namespace
@@ -124,7 +121,7 @@ Order inverse(std::span<const Node> order) {
 Node Pattern::fault() const {
     for (Node j = 0; j < size(); ++j) {
         Node previous = -1;
-        for (Place p = start[j]; p < start[j + 1]; ++p) {
+        for (Index p = start[j]; p < start[j + 1]; ++p) {
             if (rows[p] <= previous) return j;
             previous = rows[p];
         }
@@ -135,15 +132,15 @@ Node Pattern::fault() const {
 
 RowLists permuted(const Pattern& pattern, std::span<const Node> position) {
     const Node n = pattern.size();
-    RowLists lists{std::vector<Place>(n + 1, 0), {}};
+    RowLists lists{std::vector<Index>(n + 1, 0), {}};
     for (Node j = 0; j < n; ++j)
-        for (Place p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p)
+        for (Index p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p)
             ++lists.start[std::max(position[pattern.rows[p]], position[j]) + 1];
     for (Node k = 0; k < n; ++k) lists.start[k + 1] += lists.start[k];
     lists.columns.resize(lists.start[n]);
-    std::vector<Place> fill(lists.start.begin(), lists.start.end() - 1);
+    std::vector<Index> fill(lists.start.begin(), lists.start.end() - 1);
     for (Node j = 0; j < n; ++j)
-        for (Place p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p) {
+        for (Index p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p) {
             const auto [low, high] = std::minmax(position[pattern.rows[p]], position[j]);
             lists.columns[fill[high]++] = low;
         }
@@ -157,7 +154,7 @@ EliminationTree::EliminationTree(const RowLists& lists)
     std::vector<Node> mark(parent.size(), -1);
     for (Node k = 0; k < static_cast<Node>(parent.size()); ++k) {
         mark[k] = k;
-        for (Place p = lists.start[k]; p < lists.start[k + 1]; ++p)
+        for (Index p = lists.start[k]; p < lists.start[k + 1]; ++p)
             for (Node i = lists.columns[p]; mark[i] != k; i = parent[i]) {
                 if (parent[i] < 0) parent[i] = k;
                 ++count[i];
@@ -167,7 +164,7 @@ EliminationTree::EliminationTree(const RowLists& lists)
     }
 }
 
-Place EliminationTree::blocks() const { return std::accumulate(count.begin(), count.end(), Place{0}); }
+Index EliminationTree::blocks() const { return std::accumulate(count.begin(), count.end(), Index{0}); }
 
 double EliminationTree::flops(int rows) const {
     double total = 0.0;

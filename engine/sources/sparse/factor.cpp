@@ -22,12 +22,12 @@ Factor<Block>::Factor(std::shared_ptr<const Symbolic> symbolic)
 }
 
 template <class Block>
-Place Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, double damping, std::span<Numbers> scratch) {
+Index Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, double damping, std::span<Numbers> scratch) {
     const Symbolic& t = *symbolic_;
     const Panel<Block> panel{panels_.data() + t.panel_start[s], t.front(s), scratch};
     const Step h = panel.front.height;
     std::memset(panel.x, 0, Block::columns * panel.front.w * h * sizeof(double));
-    for (Place q = t.entry_start[s]; q < t.entry_start[s + 1]; ++q) {
+    for (Index q = t.entry_start[s]; q < t.entry_start[s + 1]; ++q) {
         const Entry& entry = t.entries[q];
         Block::put(panel.node(entry.column) + panel.row(entry.row), h, values.data() + Block::size * entry.block(),
                    entry.turned());
@@ -44,7 +44,7 @@ Place Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
         extend<Block>(t.front(c), t.relative.data() + t.row_start[c], t.run_end.data() + t.row_start[c], 0, t.split[c],
                       updates_.data() + t.stack_start[c], panel.x, h, panel.front.pad, 0);
     }
-    if (const Place bad = panel.factorize(limits); bad >= 0) return Block::rows * t.first[s] + bad;
+    if (const Index bad = panel.factorize(limits); bad >= 0) return Block::rows * t.first[s] + bad;
     if (panel.front.r == 0) return -1;
     // only the columns are needed before the factorisation, so the update matrix is written by the product and never cleared
     double* const update = updates_.data() + t.stack_start[s];
@@ -60,23 +60,23 @@ Place Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
 }
 
 template <class Block>
-Place Factor<Block>::factorize_part(int part, std::span<const Value> values, double damping) {
+Index Factor<Block>::factorize_part(int part, std::span<const Value> values, double damping) {
     // the last part has all threads for itself
     const bool last = part + 1 == symbolic_->parts;
     const auto scratch = last ? std::span(packed_) : std::span(packed_).subspan(part, 1);
     for (const Node s : members_[part])
-        if (const Place bad = factorize_supernode(s, values, damping, scratch); bad >= 0) return bad;
+        if (const Index bad = factorize_supernode(s, values, damping, scratch); bad >= 0) return bad;
     return -1;
 }
 
 template <class Block>
-Place Factor<Block>::factorize(std::span<const Value> values, double damping) {
+Index Factor<Block>::factorize(std::span<const Value> values, double damping) {
     const int last = symbolic_->parts - 1;
-    std::vector<Place> bad(last, -1);
+    std::vector<Index> bad(last, -1);
     if (last > 0) in_parallel(last, [&](int part) { bad[part] = factorize_part(part, values, damping); });
     // the first bad pivot in the order of elimination, as on one thread
-    Place first = -1;
-    for (const Place pivot : bad)
+    Index first = -1;
+    for (const Index pivot : bad)
         if (pivot >= 0 && (first < 0 || pivot < first)) first = pivot;
     return first >= 0 ? first : factorize_part(last, values, damping);
 }

@@ -7,16 +7,16 @@ namespace {
 /// Neighbours of every node; `twin[p]` is the same edge seen from its far end, so that every change is local and a node
 /// with 10^5 neighbours costs nothing extra.
 struct TwinLists {
-    std::vector<Place> start;
+    std::vector<Index> start;
     std::vector<Node> list;
-    std::vector<Place> twin;
+    std::vector<Index> twin;
     std::vector<Node> length;
 
     explicit TwinLists(const Pattern& pattern) {
         const Node n = pattern.size();
         start.assign(n + 1, 0);
         for (Node j = 0; j < n; ++j)
-            for (Place p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p) {
+            for (Index p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p) {
                 ++start[pattern.rows[p] + 1];
                 ++start[j + 1];
             }
@@ -25,9 +25,9 @@ struct TwinLists {
         twin.resize(start[n]);
         length.assign(n, 0);
         for (Node j = 0; j < n; ++j)
-            for (Place p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p) {
+            for (Index p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p) {
                 const Node i = pattern.rows[p];
-                const Place a = start[i] + length[i]++, b = start[j] + length[j]++;
+                const Index a = start[i] + length[i]++, b = start[j] + length[j]++;
                 list[a] = j;
                 list[b] = i;
                 twin[a] = b;
@@ -36,8 +36,8 @@ struct TwinLists {
     }
 
     /// Remove place p from the list of its owner by moving the last place there.
-    void drop(Place p, Node owner) {
-        const Place last = start[owner] + --length[owner];
+    void drop(Index p, Node owner) {
+        const Index last = start[owner] + --length[owner];
         if (last == p) return;
         list[p] = list[last];
         twin[p] = twin[last];
@@ -45,14 +45,14 @@ struct TwinLists {
     }
 
     bool are_neighbours(Node a, Node b) const {
-        for (Place q = start[a]; q < start[a] + length[a]; ++q)
+        for (Index q = start[a]; q < start[a] + length[a]; ++q)
             if (list[q] == b) return true;
         return false;
     }
 
     /// Take a node of degree one or two out and tie its neighbours together; returns them.
     std::pair<Node, Node> eliminate(Node v) {
-        Place p = start[v];
+        Index p = start[v];
         Node a = list[p];
         if (length[v] == 1) {
             drop(twin[p], a);
@@ -63,7 +63,7 @@ struct TwinLists {
             std::swap(a, b);
             ++p;
         }
-        const Place at_a = twin[p], at_b = twin[2 * start[v] + 1 - p];
+        const Index at_a = twin[p], at_b = twin[2 * start[v] + 1 - p];
         if (are_neighbours(a, b)) {
             drop(at_a, a);
             drop(at_b, b);
@@ -111,8 +111,8 @@ Reduced without_low_degrees(const Pattern& pattern) {
     Neighbours& rest = reduced.rest;
     rest.start.push_back(0);
     for (const Node v : reduced.nodes) {
-        for (Place p = lists.start[v]; p < lists.start[v] + lists.length[v]; ++p) rest.list.push_back(number[lists.list[p]]);
-        rest.start.push_back(static_cast<Place>(rest.list.size()));
+        for (Index p = lists.start[v]; p < lists.start[v] + lists.length[v]; ++p) rest.list.push_back(number[lists.list[p]]);
+        rest.start.push_back(static_cast<Index>(rest.list.size()));
     }
     return reduced;
 }

@@ -21,7 +21,7 @@ class QuotientGraph {
           turn_(turn),
           graph_(graph.list.size() * 3 / 2 + graph.size() + 1),
           start_(graph.start.begin(), graph.start.end() - 1),
-          free_(static_cast<Place>(graph.list.size())),
+          free_(static_cast<Index>(graph.list.size())),
           length_(n_),
           elements_(n_, 0),
           weight_(n_, 1),
@@ -51,8 +51,8 @@ class QuotientGraph {
         for (Node i = 0; i < n_; ++i) {
             if (weight_[i] == 0) continue;
             if (last_ < n_) {  // the dense nodes are left out
-                Place q = start_[i];
-                for (Place p = start_[i]; p < start_[i] + length_[i]; ++p)
+                Index q = start_[i];
+                for (Index p = start_[i]; p < start_[i] + length_[i]; ++p)
                     if (alive_[graph_[p]]) graph_[q++] = graph_[p];
                 length_[i] = static_cast<Node>(q - start_[i]);
             }
@@ -109,8 +109,8 @@ class QuotientGraph {
     }
 
     /// Copy the live lists to the front of new memory, so that `needed` places are free.
-    void make_room(Place needed) {
-        Place total = 0;
+    void make_room(Index needed) {
+        Index total = 0;
         for (Node i = 0; i < n_; ++i)
             if (alive_[i]) total += length_[i];
         std::vector<Node> fresh(total + total / 2 + needed);
@@ -127,22 +127,22 @@ class QuotientGraph {
     /// The pivot becomes an element: the variables that it reaches directly or through its elements, which it absorbs.
     void form_element(Node pivot) {
         const Node elements = elements_[pivot];
-        Place needed = 0;
+        Index needed = 0;
         for (Node s = 0; s < length_[pivot]; ++s) needed += s < elements ? length_[graph_[start_[pivot] + s]] : 1;
-        if (elements > 0 && free_ + needed > static_cast<Place>(graph_.size())) make_room(needed + n_);
+        if (elements > 0 && free_ + needed > static_cast<Index>(graph_.size())) make_room(needed + n_);
         pivot_weight_ = weight_[pivot];
         weight_[pivot] = -pivot_weight_;
         first_ = end_ = elements > 0 ? free_ : start_[pivot];
         reach_ = 0;
         for (Node s = 0; s <= elements; ++s) {
-            Place low = start_[pivot] + elements, high = start_[pivot] + length_[pivot];
+            Index low = start_[pivot] + elements, high = start_[pivot] + length_[pivot];
             if (s < elements) {
                 const Node e = graph_[start_[pivot] + s];
                 low = start_[e];
                 high = low + length_[e];
                 alive_[e] = 0;
             }
-            for (Place p = low; p < high; ++p) {
+            for (Index p = low; p < high; ++p) {
                 const Node i = graph_[p];
                 if (weight_[i] <= 0) continue;
                 reach_ += weight_[i];
@@ -158,9 +158,9 @@ class QuotientGraph {
 
     /// |Le \ Lp| of every element e that meets the new one.
     void measure_overlaps() {
-        for (Place p = first_; p < end_; ++p) {
+        for (Index p = first_; p < end_; ++p) {
             const Node i = graph_[p], w = -weight_[i];
-            for (Place q = start_[i]; q < start_[i] + elements_[i]; ++q) {
+            for (Index q = start_[i]; q < start_[i] + elements_[i]; ++q) {
                 const Node e = graph_[q];
                 if (!alive_[e]) continue;
                 if (mark_[e] >= stamp_)
@@ -174,16 +174,16 @@ class QuotientGraph {
     /// Approximate degrees of the variables of the new element; elements inside it are absorbed, equal variables eliminated.
     void update_degrees(Node pivot) {
         const unsigned mask = static_cast<unsigned>(bucket_.size()) - 1;
-        for (Place p = first_; p < end_; ++p) {
+        for (Index p = first_; p < end_; ++p) {
             const Node i = graph_[p];
-            const Place low = start_[i], middle = low + elements_[i], high = low + length_[i];
-            Place q = low;
-            Place external = 0;
-            Place key = 0;
-            for (Place r = low; r < middle; ++r) {
+            const Index low = start_[i], middle = low + elements_[i], high = low + length_[i];
+            Index q = low;
+            Index external = 0;
+            Index key = 0;
+            for (Index r = low; r < middle; ++r) {
                 const Node e = graph_[r];
                 if (!alive_[e]) continue;
-                const Place rest = mark_[e] - stamp_;
+                const Index rest = mark_[e] - stamp_;
                 if (rest > 0) {
                     external += rest;
                     graph_[q++] = e;
@@ -192,9 +192,9 @@ class QuotientGraph {
                     alive_[e] = 0;  // it lies inside the new element
                 }
             }
-            const Place kept = q - low;
+            const Index kept = q - low;
             // the new element takes the entry of an absorbed element or an eliminated variable; there is at least one
-            for (Place r = middle; r < high; ++r) {
+            for (Index r = middle; r < high; ++r) {
                 const Node j = graph_[r];
                 if (weight_[j] <= 0) continue;
                 external += weight_[j];
@@ -211,7 +211,7 @@ class QuotientGraph {
                 tail_[pivot] = tail_[i];
                 continue;
             }
-            degree_[i] = static_cast<Node>(std::min<Place>(degree_[i], external));
+            degree_[i] = static_cast<Node>(std::min<Index>(degree_[i], external));
             if (q > low + kept) graph_[q] = graph_[low + kept];
             graph_[low + kept] = pivot;
             elements_[i] = static_cast<Node>(kept + 1);
@@ -224,18 +224,18 @@ class QuotientGraph {
 
     /// Variables with the same elements and variables become one.
     void merge_indistinguishable() {
-        for (Place p = first_; p < end_; ++p) {
+        for (Index p = first_; p < end_; ++p) {
             if (weight_[graph_[p]] >= 0) continue;
             const Node h = code_[graph_[p]];
             Node i = bucket_[h];
             bucket_[h] = -1;
             for (; i >= 0 && sibling_[i] >= 0; i = sibling_[i]) {
                 stamp_ += n_;  // this also lifts the stamp above every |Le \ Lp| stored so far
-                for (Place q = start_[i]; q < start_[i] + length_[i]; ++q) mark_[graph_[q]] = stamp_;
+                for (Index q = start_[i]; q < start_[i] + length_[i]; ++q) mark_[graph_[q]] = stamp_;
                 Node previous = i;
                 for (Node j = sibling_[i]; j >= 0; j = sibling_[j]) {
                     bool same = length_[j] == length_[i] && elements_[j] == elements_[i] && turn_of(j) == turn_of(i);
-                    for (Place q = start_[j]; same && q < start_[j] + length_[j]; ++q) same = mark_[graph_[q]] == stamp_;
+                    for (Index q = start_[j]; same && q < start_[j] + length_[j]; ++q) same = mark_[graph_[q]] == stamp_;
                     if (!same) {
                         previous = j;
                         continue;
@@ -255,8 +255,8 @@ class QuotientGraph {
     /// The variables go back to the lists by degree; eliminated ones leave the new element.
     void restore_degrees(Node pivot) {
         const Node after = done_ + pivot_weight_;
-        Place kept = first_;
-        for (Place p = first_; p < end_; ++p) {
+        Index kept = first_;
+        for (Index p = first_; p < end_; ++p) {
             const Node i = graph_[p], w = -weight_[i];
             if (w <= 0) continue;
             weight_[i] = w;
@@ -282,18 +282,18 @@ class QuotientGraph {
     Node n_, done_ = 0, last_, now_ = 0, lowest_ = 0;
     std::span<const Node> turn_;
     std::vector<Node> graph_;
-    std::vector<Place> start_;
-    Place free_;
+    std::vector<Index> start_;
+    Index free_;
     std::vector<Node> length_, elements_, weight_, degree_;  ///< weight: 0 absorbed, negative inside the new element
     std::vector<char> alive_;
-    std::vector<Place> mark_;  ///< stamps of variables; of elements |Le \ Lp| + stamp
-    Place stamp_ = 1;
+    std::vector<Index> mark_;  ///< stamps of variables; of elements |Le \ Lp| + stamp
+    Index stamp_ = 1;
     std::vector<Node> head_, after_, before_;  ///< lists of variables by degree
     std::vector<Node> chain_, tail_;           ///< members of supervariables
     std::vector<Node> bucket_, sibling_, code_;
     Order order_;
     // the element under construction: its place, and the weights of its variables and of the pivot
-    Place first_ = 0, end_ = 0;
+    Index first_ = 0, end_ = 0;
     Node reach_ = 0, pivot_weight_ = 0;
 };
 

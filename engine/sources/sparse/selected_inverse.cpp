@@ -188,7 +188,7 @@ std::optional<std::array<double, 9>> SelectedInverse::block(Node i, Node j) cons
     const auto [column, row] = std::minmax(t.position[i], t.position[j]);
     const Node s = t.owner(column);
     const Front front = t.front(s);
-    Place local = row - t.first[s];
+    Index local = row - t.first[s];
     if (row >= t.first[s + 1]) {
         const auto low = t.rows.begin() + t.row_start[s], high = t.rows.begin() + t.row_start[s + 1];
         const auto found = std::lower_bound(low, high, row);

@@ -70,7 +70,7 @@ void Factor<Block>::forward() {
             for (int c = 0; c < rows; ++c) put_value(b, plane, head + rows * j + c, y.v[c]);
         });
         Step i = front.pad + rows * front.w;
-        for (Place q = t.row_start[s]; q < t.row_start[s + 1]; ++q, i += rows)
+        for (Index q = t.row_start[s]; q < t.row_start[s + 1]; ++q, i += rows)
             for (int p = 0; p < Block::planes; ++p)
                 for (int c = 0; c < rows; ++c) b[p * plane + rows * t.rows[q] + c] += work[p * work_plane + i + c];
     }
@@ -90,7 +90,7 @@ void Factor<Block>::backward() {
         for (int p = 0; p < Block::planes; ++p) {
             std::memset(work + p * work_plane, 0, (front.pad + rows * front.w) * sizeof(double));
             double* const below = work + p * work_plane + front.pad + rows * front.w;
-            for (Place q = t.row_start[s], i = 0; q < t.row_start[s + 1]; ++q, i += rows)
+            for (Index q = t.row_start[s], i = 0; q < t.row_start[s + 1]; ++q, i += rows)
                 for (int c = 0; c < rows; ++c) below[i + c] = b[p * plane + rows * t.rows[q] + c];
         }
         const auto get = [&](Step j) {
@@ -145,7 +145,7 @@ double Factor<Block>::log_determinant() const {
 // With v = (u, 1, 0) for the rows before the pivot, the pivot and those after it, L11^H u = -l^H, where l is the row of the
 // pivot in L. Only supernodes below the pivot's take part.
 template <class Block>
-std::vector<typename Block::Value> Factor<Block>::null_vector(Place pivot) const {
+std::vector<typename Block::Value> Factor<Block>::null_vector(Index pivot) const {
     const Symbolic& t = *symbolic_;
     constexpr int R = Block::rows;
     std::vector<Value> v(R * t.nodes());
@@ -158,15 +158,15 @@ std::vector<typename Block::Value> Factor<Block>::null_vector(Place pivot) const
         if (!below[s]) continue;
         const Front front = t.front(s);
         const double* const x = panels_.data() + t.panel_start[s];
-        const Place head = R * t.first[s], end = R * t.first[s + 1];
-        for (Place j = std::min(end, pivot) - 1; j >= head; --j) {
+        const Index head = R * t.first[s], end = R * t.first[s + 1];
+        for (Index j = std::min(end, pivot) - 1; j >= head; --j) {
             const Step row = front.pad + j - head;
             Value total{};
-            const auto add = [&](Place i, Step at) {
+            const auto add = [&](Index i, Step at) {
                 if (v[i] != Value{}) total += conjugate(entry_of<Value>(x, front.height, at, j - head)) * v[i];
             };
-            for (Place i = j + 1; i < end; ++i) add(i, front.pad + i - head);
-            for (Place q = t.row_start[s], at = front.pad + R * front.w; q < t.row_start[s + 1]; ++q)
+            for (Index i = j + 1; i < end; ++i) add(i, front.pad + i - head);
+            for (Index q = t.row_start[s], at = front.pad + R * front.w; q < t.row_start[s + 1]; ++q)
                 for (int c = 0; c < R; ++c, ++at) add(R * t.rows[q] + c, at);
             v[j] = -total * entry_of<Value>(x, front.height, row, j - head);
         }
@@ -181,12 +181,12 @@ std::vector<double> Factor<Block>::magnitude_square(std::span<const double> v) c
     const Symbolic& t = *symbolic_;
     constexpr int R = Block::rows;
     std::vector<double> result(v.size(), 0.0), size(t.tallest), local(t.tallest), sums(t.tallest);
-    std::vector<Place> where(t.tallest);
+    std::vector<Index> where(t.tallest);
     for (Node s = 0; s < t.supernodes(); ++s) {
         const Front front = t.front(s);
         const Step width = R * front.w, height = width + R * front.r;
         for (Step i = 0; i < width; ++i) where[i] = R * t.first[s] + i;
-        for (Place q = t.row_start[s], i = width; q < t.row_start[s + 1]; ++q)
+        for (Index q = t.row_start[s], i = width; q < t.row_start[s + 1]; ++q)
             for (int c = 0; c < R; ++c, ++i) where[i] = R * t.rows[q] + c;
         for (Step i = 0; i < height; ++i) {
             local[i] = v[where[i]];

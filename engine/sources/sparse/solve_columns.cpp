@@ -13,9 +13,9 @@ using Row = Vector<lanes>;
 class Rows {
    public:
     explicit Rows(std::size_t count) : numbers_(lanes * count) {}
-    Row operator[](Place row) const { return load<lanes>(numbers_.data() + lanes * row); }
-    void set(Place row, const Row& value) { store<lanes>(numbers_.data() + lanes * row, value); }
-    double* at(Place row) { return numbers_.data() + lanes * row; }
+    Row operator[](Index row) const { return load<lanes>(numbers_.data() + lanes * row); }
+    void set(Index row, const Row& value) { store<lanes>(numbers_.data() + lanes * row, value); }
+    double* at(Index row) { return numbers_.data() + lanes * row; }
 
    private:
     Numbers numbers_;
@@ -61,39 +61,39 @@ void backward(const Front& front, const double* panel, Rows& b) {
 
 }  // namespace
 
-bool solve_columns(const Factor<Real3>& factor, std::span<const double> b, Place columns, std::span<double> x) {
+bool solve_columns(const Factor<Real3>& factor, std::span<const double> b, Index columns, std::span<double> x) {
     const Symbolic& t = factor.symbolic();
-    const Place rows = 3 * t.nodes();
+    const Index rows = 3 * t.nodes();
     double zero = 0.0;  // NaN for what is not finite
     for (const double value : b) zero += 0.0 * value;
     if (zero != 0.0) return false;
     Rows all(rows), front_rows(t.tallest);
-    for (Place begin = 0; begin < columns; begin += lanes) {
-        const Place count = std::min<Place>(lanes, columns - begin);
-        for (Place row = 0; row < rows; ++row) {
+    for (Index begin = 0; begin < columns; begin += lanes) {
+        const Index count = std::min<Index>(lanes, columns - begin);
+        for (Index row = 0; row < rows; ++row) {
             all.set(row, Row{});
             std::copy_n(b.data() + (3 * t.order[row / 3] + row % 3) * columns + begin, count, all.at(row));
         }
         for (Node s = 0; s < t.supernodes(); ++s) {
             const Front front = t.front(s);
-            const Place own = 3 * front.w, head = 3 * t.first[s];
-            for (Place i = 0; i < own; ++i) front_rows.set(i, all[head + i]);
-            for (Place i = own; i < own + 3 * front.r; ++i) front_rows.set(i, Row{});
+            const Index own = 3 * front.w, head = 3 * t.first[s];
+            for (Index i = 0; i < own; ++i) front_rows.set(i, all[head + i]);
+            for (Index i = own; i < own + 3 * front.r; ++i) front_rows.set(i, Row{});
             forward(front, factor.panel(s), front_rows);
-            for (Place i = 0; i < own; ++i) all.set(head + i, front_rows[i]);
-            for (Place q = t.row_start[s], i = own; q < t.row_start[s + 1]; ++q)
+            for (Index i = 0; i < own; ++i) all.set(head + i, front_rows[i]);
+            for (Index q = t.row_start[s], i = own; q < t.row_start[s + 1]; ++q)
                 for (int c = 0; c < 3; ++c, ++i) all.set(3 * t.rows[q] + c, all[3 * t.rows[q] + c] + front_rows[i]);
         }
         for (Node s = t.supernodes() - 1; s >= 0; --s) {
             const Front front = t.front(s);
-            const Place own = 3 * front.w, head = 3 * t.first[s];
-            for (Place i = 0; i < own; ++i) front_rows.set(i, all[head + i]);
-            for (Place q = t.row_start[s], i = own; q < t.row_start[s + 1]; ++q)
+            const Index own = 3 * front.w, head = 3 * t.first[s];
+            for (Index i = 0; i < own; ++i) front_rows.set(i, all[head + i]);
+            for (Index q = t.row_start[s], i = own; q < t.row_start[s + 1]; ++q)
                 for (int c = 0; c < 3; ++c, ++i) front_rows.set(i, all[3 * t.rows[q] + c]);
             backward(front, factor.panel(s), front_rows);
-            for (Place i = 0; i < own; ++i) all.set(head + i, front_rows[i]);
+            for (Index i = 0; i < own; ++i) all.set(head + i, front_rows[i]);
         }
-        for (Place row = 0; row < rows; ++row)
+        for (Index row = 0; row < rows; ++row)
             std::copy_n(all.at(row), count, x.data() + (3 * t.order[row / 3] + row % 3) * columns + begin);
     }
     return true;

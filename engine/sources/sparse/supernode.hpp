@@ -41,7 +41,7 @@ struct Panel {
     Step row(Step j) const { return front.pad + Block::rows * j; }
 
     /// Left-looking factorisation of node columns `begin` to `end`, those before being done with; the bad pivot, or -1.
-    Place factorize_columns(Step begin, Step end, const double* limits) const {
+    Index factorize_columns(Step begin, Step end, const double* limits) const {
         const Step h = front.height;
         for (Step j = begin; j < end; ++j) {
             double* const column = node(j);
@@ -69,12 +69,12 @@ struct Panel {
         });
     }
 
-    Place factorize(const double* limits) const {
+    Index factorize(const double* limits) const {
         for (Step out = 0; out < front.w; out += outer) {
             const Step last = std::min(out + outer, front.w);
             for (Step in = out; in < last; in += inner) {
                 const Step stop = std::min(in + inner, last);
-                if (const Place bad = factorize_columns(in, stop, limits); bad >= 0) return bad;
+                if (const Index bad = factorize_columns(in, stop, limits); bad >= 0) return bad;
                 if (stop < last) update_rest(in, stop, last);
             }
             if (last < front.w) update_rest(out, last, front.w);

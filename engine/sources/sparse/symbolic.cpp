@@ -11,14 +11,14 @@ namespace {
 void find_rows(Symbolic& s, const std::vector<Node>& below, const RowLists& lists, const std::vector<Node>& owner) {
     const Node count = s.supernodes();
     s.row_start.assign(count + 1, 0);
-    std::partial_sum(below.begin(), below.end(), s.row_start.begin() + 1, std::plus<Place>());
+    std::partial_sum(below.begin(), below.end(), s.row_start.begin() + 1, std::plus<Index>());
     s.rows.resize(s.row_start[count]);
     s.parent.assign(count, -1);
-    std::vector<Place> fill(s.row_start.begin(), s.row_start.end() - 1);
+    std::vector<Index> fill(s.row_start.begin(), s.row_start.end() - 1);
     std::vector<Node> mark(count, -1);
     for (Node k = 0; k < s.nodes(); ++k) {
         mark[owner[k]] = k;
-        for (Place p = lists.start[k]; p < lists.start[k + 1]; ++p)
+        for (Index p = lists.start[k]; p < lists.start[k + 1]; ++p)
             for (Node t = owner[lists.columns[p]]; mark[t] != k; t = s.parent[t]) {
                 if (s.parent[t] < 0) s.parent[t] = owner[k];
                 s.rows[fill[t]++] = k;
@@ -43,10 +43,10 @@ void relate_to_parents(Symbolic& s) {
     for (Node c = 0; c < s.supernodes(); ++c) {
         const Node t = s.parent[c];
         if (t < 0) continue;
-        const Place low = s.row_start[c], high = s.row_start[c + 1];
+        const Index low = s.row_start[c], high = s.row_start[c + 1];
         const Node w = s.first[t + 1] - s.first[t];
-        Place q = s.row_start[t];
-        for (Place p = low; p < high; ++p) {
+        Index q = s.row_start[t];
+        for (Index p = low; p < high; ++p) {
             if (s.rows[p] < s.first[t + 1]) {
                 s.relative[p] = s.rows[p] - s.first[t];
                 ++s.split[c];
@@ -55,8 +55,8 @@ void relate_to_parents(Symbolic& s) {
             while (s.rows[q] != s.rows[p]) ++q;
             s.relative[p] = static_cast<Node>(w + q - s.row_start[t]);
         }
-        Place end = high;
-        for (Place p = high - 1; p >= low; --p) {
+        Index end = high;
+        for (Index p = high - 1; p >= low; --p) {
             if (p + 1 < high && s.relative[p + 1] != s.relative[p] + 1) end = p + 1;
             s.run_end[p] = static_cast<Node>(end - low);
         }
@@ -78,13 +78,13 @@ void place_panels(Symbolic& s) {
 void place_entries(Symbolic& s, const Pattern& pattern, const std::vector<Node>& owner) {
     s.entry_start.assign(s.supernodes() + 1, 0);
     for (Node j = 0; j < s.nodes(); ++j)
-        for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
+        for (Index p = pattern.start[j]; p < pattern.start[j + 1]; ++p)
             ++s.entry_start[owner[std::min(s.position[pattern.rows[p]], s.position[j])] + 1];
     std::partial_sum(s.entry_start.begin(), s.entry_start.end(), s.entry_start.begin());
-    std::vector<Place> fill(s.entry_start.begin(), s.entry_start.end() - 1);
+    std::vector<Index> fill(s.entry_start.begin(), s.entry_start.end() - 1);
     s.entries.resize(pattern.rows.size());
     for (Node j = 0; j < s.nodes(); ++j)
-        for (Place p = pattern.start[j]; p < pattern.start[j + 1]; ++p) {
+        for (Index p = pattern.start[j]; p < pattern.start[j + 1]; ++p) {
             const Node a = s.position[pattern.rows[p]], b = s.position[j];
             const auto [column, row] = std::minmax(a, b);
             const Node t = owner[column];
@@ -110,7 +110,7 @@ void place_updates(Symbolic& s) {
         stack[t] += 2 * s.part[t];
         for (Node q = s.child_start[t]; q < s.child_start[t + 1]; ++q) stack[s.children[q]] = 1 - (stack[t] & 1);
     }
-    std::vector<Place> top(2 * s.parts, 0), peak(2 * s.parts, 0);
+    std::vector<Index> top(2 * s.parts, 0), peak(2 * s.parts, 0);
     s.stack_start.assign(count, 0);
     for (Node t = 0; t < count; ++t) {
         const Front front = s.front(t);
@@ -124,8 +124,8 @@ void place_updates(Symbolic& s) {
                 break;
             }
     }
-    std::vector<Place> begin(peak.size());
-    std::exclusive_scan(peak.begin(), peak.end(), begin.begin(), Place{0});
+    std::vector<Index> begin(peak.size());
+    std::exclusive_scan(peak.begin(), peak.end(), begin.begin(), Index{0});
     for (Node t = 0; t < count; ++t) s.stack_start[t] += begin[stack[t]];
     s.stack_size = begin.back() + peak.back();
 }

@@ -27,10 +27,10 @@ class Drive {
     }
 
     void step() {
-        const auto known = static_cast<Number>(system_.graph().nodes.size());
+        const auto known = static_cast<Id>(system_.graph().nodes.size());
         const auto landmarks = landmarks_;
         std::vector<NewEdge> edges;
-        const Number from = poses_.back();
+        const Id from = poses_.back();
         poses_.push_back(system_.add_node());
         const auto [z, omega] = measured(Control{input_.number(0.5), input_.number(0.5), input_.positive(1.0)});
         edges.push_back({from, poses_.back(), Kind::motion, true, z, omega});
@@ -41,7 +41,7 @@ class Drive {
             edges.push_back({poses_.back(), known_one->second, Kind::sighting, oriented_, seen.z, seen.omega});
         }
         if (input_.one_in(4)) {
-            const Number other = poses_[input_.below(poses_.size() - 1)];
+            const Id other = poses_[input_.below(poses_.size() - 1)];
             edges.push_back({other,
                              poses_.back(),
                              Kind::relation,
@@ -78,8 +78,8 @@ class Drive {
         system_.marginalize(poses_.front(), {&poses_.back(), 1});
         poses_.erase(poses_.begin());
         if (!system_.crowded()) return;
-        const std::vector<Number> number = system_.renumber();
-        for (Number& pose : poses_) pose = number[pose];
+        const std::vector<Id> number = system_.renumber();
+        for (Id& pose : poses_) pose = number[pose];
         for (auto& [id, node] : landmarks_) node = number[node];
     }
 
@@ -109,8 +109,8 @@ class Drive {
     bool oriented_;
     edges::Sensor sensor_;
     OnlineSystem system_;
-    std::vector<Number> poses_;
-    std::map<std::size_t, Number> landmarks_;
+    std::vector<Id> poses_;
+    std::map<std::size_t, Id> landmarks_;
 };
 
 }  // namespace

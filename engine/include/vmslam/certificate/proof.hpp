@@ -24,7 +24,7 @@ std::vector<double> rounding_of(const sparse::Symbolic& symbolic);
 /// (C |L| |L|^H C w)_i / w_i with C = diag(c)^1/2, because 2 x y <= r x² + y² / r. These are the quotients for
 /// w = diag(A)^-1/2.
 std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const std::complex<double>> values,
-                                  std::span<const Place> column_start, std::span<const double> rounding);
+                                  std::span<const Index> column_start, std::span<const double> rounding);
 
 /// A bound on b^H (A + diag(e))^-1 b for any e of at least the errors of the factor, rounding errors included.
 ///
@@ -37,7 +37,7 @@ double square_bound(HermitianFactor& factor, std::span<const std::complex<double
 class Proof {
    public:
     /// The pattern must live as long.
-    Proof(std::span<const Place> column_start, std::span<const Place> rows, std::shared_ptr<const sparse::Symbolic> symbolic)
+    Proof(std::span<const Index> column_start, std::span<const Index> rows, std::shared_ptr<const sparse::Symbolic> symbolic)
         : column_start_(column_start),
           rows_(rows),
           factor_(std::move(symbolic)),
@@ -45,7 +45,7 @@ class Proof {
 
     std::vector<Edge> edges;
 
-    /// Begin with a state of the edges. `free` nodes may move, but one node is held in every piece that nothing ties to the
+    /// Evaluate the edges at a state. `free` nodes may move, but one node is held in every piece that nothing ties to the
     /// world: the cost does not change when such a piece moves.
     void begin(std::span<const double> state, std::vector<char> free);
 
@@ -85,12 +85,13 @@ class Proof {
     std::vector<Curvature> curvatures_for(double share) const;
     void write_function(QuadraticBound& out, std::span<const Curvature> curves) const;
 
-    std::span<const Place> column_start_, rows_;
+    std::span<const Index> column_start_, rows_;
     HermitianFactor factor_;
     std::vector<double> rounding_;
     State state_;
     std::vector<char> free_;
-    std::vector<double> summation_;  ///< (N) bounds on the rounding errors of the sums over the edges of a node, in units
+    std::vector<double>
+        summation_;  ///< (N) bounds on the rounding errors of the sums over the edges of a node, as parts of their terms
     std::vector<Force> forces_;
     std::vector<Curvature> curves_;
     QuadraticBound function_;

@@ -19,7 +19,7 @@
 
 namespace vmslam::certificate {
 
-using edges::Place;
+using edges::Index;
 
 /// A node as a unit complex number z and a complex position t.
 struct Node {
@@ -31,8 +31,8 @@ struct Node {
 class State {
    public:
     void set(std::span<const double> values);
-    const Node& operator[](Place node) const { return nodes_[node + 1]; }
-    Place size() const { return static_cast<Place>(nodes_.size()) - 1; }
+    const Node& operator[](Index node) const { return nodes_[node + 1]; }
+    Index size() const { return static_cast<Index>(nodes_.size()) - 1; }
 
    private:
     std::vector<Node> nodes_{1};
@@ -40,7 +40,7 @@ class State {
 
 /// An edge whose information is constant in the axes of its first node. `oriented` edges measure the heading.
 struct Edge {
-    Place first, second;
+    Index first, second;
     Complex d_a, d_b;
     double turn;
     bool oriented;
@@ -89,7 +89,7 @@ Curvature curvature(const Edge& edge, const Force& force, double share);
 
 /// Write the function below J on the pattern of the graph. The cost is constant in nodes that are not `free`.
 void write_quadratic_bound(const State& state, std::span<const Edge> edges, std::span<const char> free,
-                           std::span<const Place> column_start, std::span<const Place> rows, std::span<const Force> forces,
+                           std::span<const Index> column_start, std::span<const Index> rows, std::span<const Force> forces,
                            std::span<const Curvature> curvatures, QuadraticBound& out);
 
 }  // namespace vmslam::certificate

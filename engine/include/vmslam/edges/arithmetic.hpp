@@ -141,7 +141,7 @@ inline void add_gradient(double* row, double sign, const Vector& g, const Lever&
 
 /// Add an edge between the nodes i and j: B' W B and -B' W e, with g = W e and the number of the block that they share.
 /// B_i = -[I, u; 0, 1] and B_j = [I, v; 0, 1]. All pair edges of the plane have this form in world axes.
-inline void add_pair(System& to, Place i, Place j, Place pair, const Symmetric& W, const Vector& g, const Lever& u,
+inline void add_pair(System& to, Index i, Index j, Index pair, const Symmetric& W, const Vector& g, const Lever& u,
                      const Lever& v) {
     add_gradient(to.xi + 3 * i, 1.0, g, u);
     add_gradient(to.xi + 3 * j, -1.0, g, v);
@@ -160,7 +160,7 @@ inline void add_pair(System& to, Place i, Place j, Place pair, const Symmetric& 
 
 /// As `add_pair` for two rows and a point at the second end: B_i = -[I, u] and B_j = [I, 0]. `add_pair` gives the same
 /// numbers, but also adds the zeros of the point's heading.
-inline void add_point(System& to, Place i, Place j, Place pair, const Symmetric& W, const Vector& g, const Lever& u) {
+inline void add_point(System& to, Index i, Index j, Index pair, const Symmetric& W, const Vector& g, const Lever& u) {
     add_gradient(to.xi + 3 * i, 1.0, g, u);
     to.xi[3 * j] -= g.x;
     to.xi[3 * j + 1] -= g.y;

@@ -14,8 +14,8 @@ struct State {
     const double* at;
     const double* reference;
 
-    const double* node(Place i) const { return at + 3 * i; }
-    const double* reference_of(Place i) const { return reference + 3 * i; }
+    const double* node(Index i) const { return at + 3 * i; }
+    const double* reference_of(Index i) const { return reference + 3 * i; }
 };
 
 /// Edges of one kind. All of them write e' Omega e into the cost, B' Omega B into Omega and -B' Omega e into xi.
@@ -25,7 +25,7 @@ class Family {
 
     /// The edges added to a system, where one is given, and their cost. `pairs` has the block between the two ends of each
     /// edge, for the families that list their edges.
-    virtual double accumulate(const State& state, System* system, std::span<const Place> pairs) const = 0;
+    virtual double accumulate(const State& state, System* system, std::span<const Index> pairs) const = 0;
 };
 
 }  // namespace vmslam::edges

@@ -34,10 +34,10 @@ struct AroundMeans {
 
 class MarginalEdges : public LandmarkSightings {
    public:
-    MarginalEdges(std::vector<Place> starts, std::vector<Place> nodes, Sightings sightings, bool body)
+    MarginalEdges(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings, bool body)
         : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)), body_(body) {}
 
-    double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;
+    double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
     AroundMeans around_means(const State& state) const;
 
    private:

@@ -8,13 +8,13 @@ namespace vmslam::edges {
 /// Pose `first` sees landmark `second`.
 class PolarEdges : public Family {
    public:
-    PolarEdges(std::vector<Place> first, std::vector<Place> second, Sightings sightings)
+    PolarEdges(std::vector<Index> first, std::vector<Index> second, Sightings sightings)
         : first_(std::move(first)), second_(std::move(second)), seen_(std::move(sightings)) {}
 
-    double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;
+    double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
 
    private:
-    std::vector<Place> first_, second_;
+    std::vector<Index> first_, second_;
     Sightings seen_;
 };
 

@@ -16,7 +16,7 @@ namespace vmslam::edges {
 
 /// The node `j` measured in the frame of pose `i`, with information there.
 struct RelativeEdge {
-    Place i, j;
+    Index i, j;
     Vector z;
     Symmetric omega;
 };
@@ -27,11 +27,11 @@ class RelativeEdges : public Family {
     RelativeEdges(std::vector<RelativeEdge> edges, bool poses, bool world, Kernel kernel)
         : edges_(std::move(edges)), poses_(poses), world_(world), kernel_(kernel) {}
 
-    double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;
+    double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
 
    private:
     template <bool poses, bool world>
-    double add(const State& state, System* system, std::span<const Place> pairs) const;
+    double add(const State& state, System* system, std::span<const Index> pairs) const;
 
     std::vector<RelativeEdge> edges_;
     bool poses_, world_;
@@ -42,7 +42,7 @@ class RelativeEdges : public Family {
 ///
 ///     e = (p + R(theta) lever - (z_x, z_y), theta - z_t),  the angle wrapped.
 struct Position {
-    Place i;
+    Index i;
     Vector z;
     Symmetric omega;
     Lever lever{0.0, 0.0};
@@ -53,7 +53,7 @@ class PositionEdges : public Family {
    public:
     explicit PositionEdges(std::vector<Position> positions, Kernel kernel = {})
         : positions_(std::move(positions)), kernel_(kernel) {}
-    double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;
+    double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
 
    private:
     std::vector<Position> positions_;

@@ -15,15 +15,15 @@ namespace vmslam::edges {
 struct Sensor {
     double range_by_square;  ///< the variance of the range, over the square of the range, ...
     double range_constant;   ///< ... and the part that does not grow
-    double bearing, orientation;
+    double bearing, orientation;  ///< variances
     double offset_x, offset_y;
 
-    double range(double l) const { return range_by_square * l * l + range_constant; }
+    double range_variance(double l) const { return range_by_square * l * l + range_constant; }
 };
 
 /// C = R Q R' with R = [[c, -l s, 0], [s, l c, 0], [0, 1, -1]], for a landmark at range l in the direction (c, s).
 inline Symmetric landmark_covariance(const Sensor& sensor, double l, const Rotation& along, bool oriented) {
-    const double c = along.c, s = along.s, range = sensor.range(l), across = sensor.bearing * l * l;
+    const double c = along.c, s = along.s, range = sensor.range_variance(l), across = sensor.bearing * l * l;
     Symmetric C{range * c * c + across * s * s, (range - across) * c * s, range * s * s + across * c * c, 0.0, 0.0, 0.0};
     if (oriented) {
         C.xt = -sensor.bearing * l * s;
@@ -63,23 +63,23 @@ struct Sightings {
 /// Sightings of landmarks that are no nodes: landmark g has the sightings starts[g] to starts[g + 1], by increasing node.
 class LandmarkSightings : public Family {
    public:
-    LandmarkSightings(std::vector<Place> starts, std::vector<Place> nodes, Sightings sightings);
+    LandmarkSightings(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings);
 
     std::vector<Placed> placed(const State& state, Covariance mode) const;
 
    protected:
-    Place landmarks() const { return static_cast<Place>(starts_.size()) - 1; }
+    Index landmarks() const { return static_cast<Index>(starts_.size()) - 1; }
     /// The sightings from a node, in order_.
-    std::span<const Place> from(Place node) const {
+    std::span<const Index> from(Index node) const {
         return {order_.data() + node_starts_[node], order_.data() + node_starts_[node + 1]};
     }
-    Place last_node() const { return static_cast<Place>(node_starts_.size()) - 2; }
+    Index last_node() const { return static_cast<Index>(node_starts_.size()) - 2; }
 
-    std::vector<Place> starts_, nodes_, groups_;
+    std::vector<Index> starts_, nodes_, groups_;
     Sightings seen_;
 
    private:
-    std::vector<Place> order_, node_starts_;
+    std::vector<Index> order_, node_starts_;
 };
 
 }  // namespace vmslam::edges

@@ -17,14 +17,15 @@ namespace vmslam::edges {
 
 enum class Number { range, bearing };
 
-/// The residual of a number where the sensor sees the second end at (x, y), its derivative there, and the distance.
+/// The residual of a number where the sensor sees the second end at (x, y), its derivative there, and the distance, at least
+/// `nearest`.
 struct NumberSeen {
     double e;
     Lever n;
     double distance;
 };
 inline NumberSeen number_seen(Number kind, double z, double x, double y) {
-    // what comes nearer has no direction
+    // below this distance the direction is not defined
     constexpr double nearest = 1e-6;
     const double distance = std::hypot(x, y), d = std::max(distance, nearest);
     if (kind == Number::range) return {distance - z, {x / d, y / d}, d};
@@ -38,7 +39,7 @@ inline Symmetric along(double omega, const Lever& n) {
 
 /// The number `z` of node j seen from pose i.
 struct NumberEdge {
-    Place i, j;
+    Index i, j;
     double z, omega;
     Lever offset;
 };
@@ -47,7 +48,7 @@ class NumberEdges : public Family {
    public:
     NumberEdges(Number kind, std::vector<NumberEdge> edges, Kernel kernel)
         : kind_(kind), edges_(std::move(edges)), kernel_(kernel) {}
-    double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;
+    double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
 
    private:
     Number kind_;

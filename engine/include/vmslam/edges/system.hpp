@@ -8,21 +8,21 @@
 
 namespace vmslam::edges {
 
-using sparse::Place;
+using sparse::Index;
 
 /// Omega as the upper triangle of 3 x 3 blocks by columns, whose rows ascend and end with the diagonal, and xi. A view.
 struct System {
-    std::span<const Place> start;  ///< (n + 1) the first block of each column
-    std::span<const Place> rows;   ///< the row of each block
+    std::span<const Index> start;  ///< (n + 1) the first block of each column
+    std::span<const Index> rows;   ///< the row of each block
     double* values;                ///< nine numbers for each block, by rows
     double* xi;                    ///< three numbers for each node
-    Place* slot_of;                ///< (n) room to map the rows of one column to blocks
+    Index* slot_of;                ///< (n) room to map the rows of one column to blocks
 
-    double* block(Place k) const { return values + 9 * k; }
-    double* diagonal(Place node) const { return block(start[node + 1] - 1); }
+    double* block(Index k) const { return values + 9 * k; }
+    double* diagonal(Index node) const { return block(start[node + 1] - 1); }
     /// Let `slot_of` map the rows of a column to its blocks.
-    void open(Place column) const {
-        for (Place p = start[column]; p < start[column + 1]; ++p) slot_of[rows[p]] = p;
+    void open(Index column) const {
+        for (Index p = start[column]; p < start[column + 1]; ++p) slot_of[rows[p]] = p;
     }
 };
 

@@ -16,13 +16,13 @@ namespace vmslam::edges {
 class VirtualMotionEdges : public LandmarkSightings {
    public:
     /// `weights` are factors on the information of all edges of a landmark.
-    VirtualMotionEdges(std::vector<Place> starts, std::vector<Place> nodes, Sightings sightings, std::vector<double> weights,
+    VirtualMotionEdges(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings, std::vector<double> weights,
                        bool body)
         : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)),
           weights_(std::move(weights)),
           body_(body) {}
 
-    double accumulate(const State& state, System* system, std::span<const Place> pairs) const override;
+    double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
 
    private:
     std::vector<double> weights_;

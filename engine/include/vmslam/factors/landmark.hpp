@@ -8,12 +8,12 @@
 
 namespace vmslam::factors {
 
-using edges::Place;
+using edges::Index;
 
 /// Where the sightings z (l, phi[, psi]) of poses put their landmark, y = h^-1(x, z), its heading not wrapped; what turning
 /// the pose does to y; and the axes of the pairs whose first sighting it is, which stand at theta + ahead, or are the world's.
 struct PlacedSighting {
-    Place node;
+    Index node;
     edges::Vector y;
     edges::Lever lever;
     edges::Rotation axes;
@@ -21,12 +21,12 @@ struct PlacedSighting {
 
 /// Sightings, and the pairs (a, b) of them with the information of e = y_b - y_a in the axes of a.
 struct LandmarkPairs {
-    std::vector<Place> nodes;
+    std::vector<Index> nodes;
     std::vector<double> z, ahead;
     int dimension;
     double offset_x, offset_y;
     bool turning;
-    std::vector<Place> a, b;
+    std::vector<Index> a, b;
     std::vector<edges::Symmetric> information;
 
     std::vector<PlacedSighting> placed(std::span<const double> x) const;

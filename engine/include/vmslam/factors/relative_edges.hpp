@@ -9,12 +9,12 @@
 
 namespace vmslam::factors {
 
-using edges::Place;
+using edges::Index;
 
 /// Node `j` measured in the frame of pose `i`; R' R = Omega, `rows` of R upper triangular. In the world frame the axes of e
 /// stand at `frozen`.
 struct WhitenedEdge {
-    Place i, j;
+    Index i, j;
     int rows;
     edges::Vector z;
     std::array<double, 9> root;
@@ -25,9 +25,9 @@ struct WhitenedEdge {
 /// The first `poses` nodes are poses, the others points.
 class RelativeEdges {
    public:
-    RelativeEdges(std::vector<WhitenedEdge> edges, Place poses, bool world);
+    RelativeEdges(std::vector<WhitenedEdge> edges, Index poses, bool world);
 
-    Place rows() const { return rows_; }
+    Index rows() const { return rows_; }
     /// The whitened residuals, those of an edge with a kernel scaled so that their squares sum to its loss.
     std::vector<double> residuals(std::span<const double> x) const;
     /// The whitened residuals with a kernel as a weight, and Jacobians (nodes, 3, rows).
@@ -38,7 +38,7 @@ class RelativeEdges {
 
    private:
     std::vector<WhitenedEdge> edges_;
-    Place poses_, rows_ = 0;
+    Index poses_, rows_ = 0;
     bool world_;
 };
 

@@ -10,7 +10,7 @@
 // information in these axes is that of the world turned back by theta.
 //
 // The factor holds every edge with the lever, alpha and robust weight of the last time at which its part of the tree was
-// factorised. Its pulls -B(x)' W e(x) are those at the estimate, so that passes end at an optimum, whatever B is in the
+// factorised. Its pulls -B(x)' w W e(x), w the robust weight, are those at the estimate, so that passes end at an optimum, whatever B is in the
 // factor. If it is near B(x), they converge fast. `evaluate` compares them.
 //
 // Gauss-Newton leaves out the second derivatives of the residual. Where residuals are as large as levers, the curvature of J
@@ -18,7 +18,7 @@
 // `Bent::convex` has them in the factor, and all edges where the passes show that many small residuals do the same. With
 // g = W e, increments (a, phi) of the first end, b of the second and q = R(alpha) b,
 //
-//     J/2 has the further terms  phi h' (q - a) + gamma phi^2 / 2,   h = (-g_y, g_x),  gamma = -g' (lever).
+//     J/2 has the further terms  phi h' (q - a) + gamma phi^2 / 2,   h = (-g_y, g_x),  gamma = -g' d,  d = (u_y, -u_x).
 //
 // They may make Omega indefinite. So an edge that is indefinite by itself has gamma only, and only if that is positive, unless
 // its cost is above `Bent::exact`: next to a minimum, passes converge faster with all of them.
@@ -44,11 +44,11 @@ struct Present {
     Vector g, pull;
     double squares, cost;
     Lever n{};
-    bool alone = false;
+    bool one_ended = false;
 };
 Present linearize(const Graph& graph, const Edge& edge);
 
-/// What an edge pulls its ends with at the estimate, -B(x)' W e.
+/// What an edge pulls its ends with at the estimate, -B(x)' w W e.
 struct Pulls {
     Triple ends[2];
 };

@@ -17,7 +17,7 @@ using edges::Lever;
 using edges::Rotation;
 using edges::Symmetric;
 using edges::Vector;
-using Number = std::int32_t;
+using Id = std::int32_t;
 using Stamp = std::int64_t;
 using Triple = std::array<double, 3>;
 
@@ -30,14 +30,15 @@ struct Node {
     Rotation axes, base_axes;  ///< of x and of the base
     Triple kept{};       ///< the value before the latest step that changed it
     Triple diagonal{};   ///< the diagonal of Omega, without priors
-    /// The smallest standard deviations of its edges [m, rad]. Changes of Jacobians are weighed with these.
+    /// The smallest standard deviations of its edges [m, rad]; see `borrows`. Changes of Jacobians are weighed with these.
     double far = infinity, turned = infinity;
-    Stamp changed = 0;            ///< the latest step that changed x
-    Number home = 0;              ///< the supernode in which the node is eliminated; 0: none yet
-    Number edges = -1, owned = -1;  ///< the first edge of the node; the first that is assembled where it is eliminated
-    Number local = -1;            ///< the number within a part of the graph; -1 between the calls
+    Stamp changed = 0;  ///< the latest step that changed x
+    Id home = 0;  ///< the supernode in which the node is eliminated; 0: none yet
+    Id edges = -1, owned = -1;  ///< the first edge of the node; the first that is assembled where it is eliminated
+    Id local = -1;  ///< the number within a part of the graph; -1 between the calls
     bool point = false, gone = false;  ///< gone: marginalised
-    bool held = false;            ///< a pose with a prior of its own
+    bool held = false;  ///< a pose with a prior of its own
+    bool borrows = false;  ///< far and turned are those of the pose before, as long as nothing is seen from it
 
     /// Put the node at a value. Headings are not wrapped, because increments add up.
     void begin(const Triple& value) {
@@ -67,20 +68,20 @@ struct Edge {
     Vector z{};
     Symmetric omega{};
     Linear linear;
-    double weight = 0.0;         ///< the robust weight in the factor; 0 before the edge is in it
+    double weight = 0.0;  ///< the robust weight in the factor; 0 before the edge is in it
     double cost = 0.0, squares = 0.0;  ///< at the last evaluation: the cost, and e' W e
-    Number ends[2] = {-1, -1};   ///< -1 once the edge was taken out
-    Number next[2] = {-1, -1};   ///< the next edge of either end
-    Number owner = -1, next_owned = -1;  ///< the end that is eliminated first, and the next edge that this owns
-    Number place = 0;            ///< where the other end stands in the front of the owner
-    Lever lever{};               ///< where the sensor of a number is on the robot, or the point that a position measures
+    Id ends[2] = {-1, -1};  ///< -1 once the edge was taken out
+    Id next[2] = {-1, -1};  ///< the next edge of either end
+    Id owner = -1, next_owned = -1;  ///< the end that is eliminated first, and the next edge that this owns
+    Id place = 0;  ///< where the other end stands in the front of the owner
+    Lever lever{};  ///< where the sensor of a number is on the robot, or the point that a position measures
     Form form = Form::relative;
     bool oriented = true, robust = false, sighting = false;
 
-    int side(Number node) const { return ends[0] == node ? 0 : 1; }
-    bool alone() const { return form == Form::position; }
-    bool number() const { return form == Form::range || form == Form::bearing; }
-    int rows() const { return number() ? 1 : oriented ? 3 : 2; }
+    int side(Id node) const { return ends[0] == node ? 0 : 1; }
+    bool one_ended() const { return form == Form::position; }
+    bool single_number() const { return form == Form::range || form == Form::bearing; }
+    int rows() const { return single_number() ? 1 : oriented ? 3 : 2; }
     bool taken_out() const { return ends[0] < 0; }
 };
 
@@ -88,7 +89,7 @@ struct Edge {
 /// known. A position has its pose at both ends.
 enum class Kind { motion, sighting, relation, range, bearing, position };
 struct NewEdge {
-    Number first, second;
+    Id first, second;
     Kind kind;
     bool oriented;
     Vector z;
@@ -103,22 +104,22 @@ struct Graph {
     /// By the number of rows of an edge, less 1: the robust kernel, and what turns weights into information, 1 without a kernel.
     std::array<edges::Kernel, 3> kernels{};
     std::array<double, 3> gains{1.0, 1.0, 1.0};
-    bool numbers = false;  ///< whether there have been single numbers, whose cost has many minima
+    bool has_single_numbers = false;  ///< whether there have been single numbers, whose cost has many minima
 
-    Number size() const { return static_cast<Number>(nodes.size()); }
+    Id size() const { return static_cast<Id>(nodes.size()); }
     const edges::Kernel& kernel_of(const Edge& edge) const { return kernels[edge.rows() - 1]; }
     double gain_of(const Edge& edge) const { return gains[edge.rows() - 1]; }
 
     /// Add edges. Nodes from number `known` on are new, and placed by their first edge, but for those of single numbers. Returns
     /// the nodes of the edges, each once.
-    std::vector<Number> append(std::span<const NewEdge> added, Number known);
+    std::vector<Id> append(std::span<const NewEdge> added, Id known);
     /// Take the edges from number `first` on out, which were added last.
-    void detach(Number first);
+    void detach(Id first);
     /// Take an edge out of the list of one of its ends.
-    void unlink(Number edge, Number node);
+    void unlink(Id edge, Id node);
 
-    std::vector<Number> edges_of(Number node) const;
-    std::vector<Number> live_nodes() const, live_edges() const;
+    std::vector<Id> edges_of(Id node) const;
+    std::vector<Id> live_nodes() const, live_edges() const;
 };
 
 }  // namespace vmslam::online

@@ -22,14 +22,14 @@
 namespace vmslam::online {
 
 struct Prior {
-    std::vector<Number> members;
+    std::vector<Id> members;
     std::vector<double> information, rhs;  ///< Lambda (3k, 3k) and b (3k)
     std::vector<Triple> centre;
     bool relative = false;
     std::vector<double> pivot;  ///< q (2) of a prior that turns with its nodes, otherwise empty
     std::vector<double> linear, carry;  ///< Lambda_x and `carry` of the tree
     std::vector<Triple> at;  ///< the values of the nodes at which Lambda_x was evaluated
-    Number group = 0;  ///< the supernode of the prior
+    Id group = 0;  ///< the supernode of the prior
 
     /// Turn the information from world axes to those of the centres.
     void turn_to_poses();
@@ -82,13 +82,13 @@ Reduced without_first(std::span<const double> information, std::span<const doubl
 /// A prior as a family of a batch solution, in world axes, for nodes by their numbers there.
 class PriorFamily : public edges::Family {
    public:
-    PriorFamily(const Prior& prior, const Graph& graph, std::span<const Number> number);
-    double accumulate(const edges::State& state, edges::System* system, std::span<const edges::Place> pairs) const override;
+    PriorFamily(const Prior& prior, const Graph& graph, std::span<const Id> number);
+    double accumulate(const edges::State& state, edges::System* system, std::span<const edges::Index> pairs) const override;
 
    private:
     const Prior& prior_;
     std::vector<char> point_;
-    std::vector<edges::Place> nodes_;
+    std::vector<edges::Index> nodes_;
     double least_;  ///< b' Lambda^-1 b, so that the cost is at least 0
 };
 

@@ -31,42 +31,42 @@ class OnlineSystem {
     void use_kernel(const edges::Kernel& kernel, double gain, int rows = 0);
 
     /// A new node, at the origin until an edge or a prior leads to it.
-    Number add_node();
+    Id add_node();
     /// A new landmark without heading at a place, for single numbers.
-    Number add_point(double x, double y);
+    Id add_point(double x, double y);
     /// Put nodes at places, with their joint information (3k, 3k) in world axes. `points` have no heading. With a `pivot` (2)
     /// the prior turns with its nodes.
-    void add_prior(std::span<const Number> nodes, std::span<const Triple> places, std::vector<double> information,
-                   bool points, std::vector<double> pivot = {});
+    void add_prior(std::span<const Id> nodes, std::span<const Triple> places, std::vector<double> information, bool points,
+                   std::vector<double> pivot = {});
 
     /// Add edges to new nodes, those from number `known` on, or between others, and solve; `newest` are eliminated last.
     /// False where a node is not determined: the system is as before then, without the new nodes.
-    bool add(Number known, std::span<const NewEdge> added, std::span<const Number> newest);
+    bool add(Id known, std::span<const NewEdge> added, std::span<const Id> newest);
     /// Bring the solution to the optimum after edges were added at nodes.
-    bool solve(std::span<const Number> touched, std::span<const Number> fresh, std::span<const Number> newest);
+    bool solve(std::span<const Id> touched, std::span<const Id> fresh, std::span<const Id> newest);
     /// Put nodes elsewhere, such as a landmark at its mirror image, and solve from there; false where not all nodes are determined.
-    bool solve_from(std::span<const Number> nodes, std::span<const Triple> places, std::span<const Number> newest);
+    bool solve_from(std::span<const Id> nodes, std::span<const Triple> places, std::span<const Id> newest);
     /// Give the prior that was added first, that of one pose, another place and information; `solve_from` takes it over.
     void loosen(const Triple& place, std::vector<double> information);
     /// Linearise all edges where they are now and factorise again, in the order of the tree, and solve.
-    void relinearize(std::span<const Number> newest);
+    void relinearize(std::span<const Id> newest);
 
     /// Take a node out of the graph, and put a prior on its neighbours in its place; returns its last value.
-    Triple marginalize(Number node, std::span<const Number> newest);
+    Triple marginalize(Id node, std::span<const Id> newest);
     /// Whether more than half of the nodes were marginalised.
     bool crowded() const;
     /// Free what belonged to marginalised nodes; returns the new number of each node, or -1.
-    std::vector<Number> renumber();
+    std::vector<Id> renumber();
 
     /// The solution at some nodes.
-    std::vector<Triple> values(std::span<const Number> nodes);
+    std::vector<Triple> values(std::span<const Id> nodes);
     /// Bring all nodes to the solution: steps leave out those that move by a small part of a standard deviation.
     void complete();
     /// The cost at the estimate, without priors, and with all of them but for a constant.
     double cost();
     double cost_with_priors();
     /// The joint covariance (3k, 3k) of k nodes in world axes, unless the edges do not determine it to double precision.
-    std::optional<std::vector<double>> covariance(std::span<const Number> nodes, std::span<const Number> newest);
+    std::optional<std::vector<double>> covariance(std::span<const Id> nodes, std::span<const Id> newest);
 
     const Graph& graph() const { return graph_; }
     Tree& tree() { return tree_; }
@@ -86,26 +86,26 @@ class OnlineSystem {
     enum class Outcome { done, unfinished, indefinite };
 
     /// Passes until the predicted decrease of the cost is below the tolerance.
-    bool iterate(std::span<const Number> newest);
+    bool iterate(std::span<const Id> newest);
     Outcome advance(int& done);
     /// One pass, but for subtrees with less energy and strain than `least`: the decrease of the cost by the next one, and the
     /// edges and priors that are to be linearised again.
     struct Pass {
         double predicted;
-        std::vector<Number> late;
+        std::vector<Id> late;
         std::vector<Prior*> outdated;
     };
     Pass pass(double least);
-    bool factorize_late(std::span<const Number> late, std::span<const Number> others);
-    std::vector<Number> renew_priors(std::span<Prior* const> priors);
+    bool factorize_late(std::span<const Id> late, std::span<const Id> others);
+    std::vector<Id> renew_priors(std::span<Prior* const> priors);
 
     Bent usual_bent() const;
     bool eliminate(const Changes& changes);
     /// Build the tree anew with all nodes at x; returns whether they are determined. It is empty otherwise.
-    bool begin_at(std::span<const Triple> x, std::span<const Number> newest);
-    bool solve_as_batch(std::span<const Number> newest);
-    bool factorize_again(std::span<const Number> newest);
-    bool linearize_late(std::span<const Number> newest);
+    bool begin_at(std::span<const Triple> x, std::span<const Id> newest);
+    bool solve_as_batch(std::span<const Id> newest);
+    bool factorize_again(std::span<const Id> newest);
+    bool linearize_late(std::span<const Id> newest);
     void hang_prior(Prior& prior);
     void write_prior(const Prior& prior, bool renewed);
     std::vector<Triple> places() const;
@@ -116,7 +116,7 @@ class OnlineSystem {
     Tree tree_;
     std::vector<Prior> priors_;
     Memory memory_;
-    Number ordered_ = 0;  ///< the number of nodes when all were ordered last
+    Id ordered_ = 0;  ///< the number of nodes when all were ordered last
     bool covariances_ready_ = false;  ///< whether nothing has changed since a covariance was asked for
     bool lost_ = false;   ///< whether the tree is empty, because not all nodes could be eliminated where they are
 };

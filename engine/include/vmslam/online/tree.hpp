@@ -38,23 +38,23 @@ struct Seen {
 };
 
 struct Supernode {
-    Number w = 0, r = 0;
-    Number parent = 0, child = 0, sibling = 0;
-    Number split = 0;  ///< the first row of the separator that is not among the columns of the parent
-    Number frame = -1;  ///< the first pose of the separator; -1: none, or the subtree is absolute
+    Id w = 0, r = 0;
+    Id parent = 0, child = 0, sibling = 0;
+    Id split = 0;  ///< the first row of the separator that is not among the columns of the parent
+    Id frame = -1;  ///< the first pose of the separator; -1: none, or the subtree is absolute
     bool marked = false;  ///< false between the calls
     bool ascending = true;  ///< whether `relative` ascends
     bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
     double energy = 0.0;  ///< y' y, by how much solving a supernode lowers the cost: the largest in the subtree
     double strain = 0.0;  ///< w' U w
     double stress = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
-    std::vector<Number> nodes;  ///< w nodes, then r nodes, both in the order of elimination
-    std::vector<Number> relative, run_end;  ///< where the separator stands in the front of the parent; ends of its runs
+    std::vector<Id> nodes;  ///< w nodes, then r nodes, both in the order of elimination
+    std::vector<Id> relative, run_end;  ///< where the separator stands in the front of the parent; ends of its runs
     std::vector<Seen> seen;  ///< the separator at the last evaluation
     Numbers numbers;
 
     Supernode() = default;
-    Supernode(Number w, Number r);
+    Supernode(Id w, Id r);
 
     Front front() const { return {{3, 3}, w, r}; }
     double* panel() { return numbers.data(); }
@@ -62,8 +62,8 @@ struct Supernode {
     double* y() { return update() + 3 * r * front().update_height; }
     double* force() { return y() + 3 * w; }
     double* carry() { return force() + 3 * r; }
-    std::span<const Number> columns() const { return {nodes.data(), static_cast<std::size_t>(w)}; }
-    std::span<const Number> separator() const { return {nodes.data() + w, static_cast<std::size_t>(r)}; }
+    std::span<const Id> columns() const { return {nodes.data(), static_cast<std::size_t>(w)}; }
+    std::span<const Id> separator() const { return {nodes.data() + w, static_cast<std::size_t>(r)}; }
 };
 
 /// The evaluation of edges: how, and what it finds.
@@ -71,7 +71,7 @@ struct Evaluation {
     double limit;  ///< from which an edge in the factor is outdated
     Bent bent;
     double change = 0.0, predicted = 0.0;  ///< of the cost; its decrease by a solution of the tree
-    std::vector<Number> late;  ///< edges that are outdated
+    std::vector<Id> late;  ///< edges that are outdated
 };
 
 class Tree {
@@ -84,49 +84,49 @@ class Tree {
     double pivot_tolerance = sparse::Real3::tolerance;
 
     /// A new supernode; numbers of released ones are used again.
-    Number create(Number w, Number r);
-    void release(Number s);
+    Id create(Id w, Id r);
+    void release(Id s);
     /// Take back the last `create`s; there were so many supernodes before.
-    void take_back(std::span<const Number> created, std::size_t size_before);
-    void hang(Number s, Number parent);
+    void take_back(std::span<const Id> created, std::size_t size_before);
+    void hang(Id s, Id parent);
 
     /// The supernodes from `homes` up to the roots, children before their parents.
-    std::vector<Number> upwards(std::span<const Number> homes);
+    std::vector<Id> upwards(std::span<const Id> homes);
 
     /// The separators of the children of s find their places in its front.
-    void relate_children(Graph& graph, Number s);
+    void relate_children(Graph& graph, Id s);
     /// Factorise a supernode from its edges and children; false where a pivot is too small.
-    bool factorize(Graph& graph, Number s);
+    bool factorize(Graph& graph, Id s);
 
     /// Move the nodes of a supernode to the solution, whose separator is there. Moving them again changes nothing.
-    void move(Graph& graph, Number s);
+    void move(Graph& graph, Id s);
     /// The same for all supernodes from `homes` up to the roots, and for all.
-    void move_paths(Graph& graph, std::span<const Number> homes);
+    void move_paths(Graph& graph, std::span<const Id> homes);
     void move_all(Graph& graph);
     /// What a subtree pulls its separator with where that is now, and its strain.
-    void follow(const Graph& graph, Number s);
+    void follow(const Graph& graph, Id s);
     /// Take the present values of the nodes of a supernode as those from which they move, by nothing.
-    void rest(Graph& graph, Number s);
+    void rest(Graph& graph, Id s);
     /// Evaluate the edges of a supernode, whose nodes and children are where they are to be, and solve it forward.
-    void evaluate(Graph& graph, Number s, Evaluation& found);
+    void evaluate(Graph& graph, Id s, Evaluation& found);
 
     /// Move supernodes to the solution from the roots down, but for subtrees with less energy and strain than `least`.
     struct Moved {
-        std::vector<Number> supernodes, priors;  ///< parents before their children; the priors below them
+        std::vector<Id> supernodes, priors;  ///< parents before their children; the priors below them
     };
     Moved descend(Graph& graph, double least);
 
     /// The joint covariance (3k, 3k) of k nodes in world axes.
-    std::vector<double> covariance(Graph& graph, std::span<const Number> nodes);
+    std::vector<double> covariance(Graph& graph, std::span<const Id> nodes);
 
-    std::span<const Number> released() const { return free_; }
-    void set_released(std::vector<Number> free) { free_ = std::move(free); }
+    std::span<const Id> released() const { return free_; }
+    void set_released(std::vector<Id> free) { free_ = std::move(free); }
     /// The numbers that all supernodes hold.
     std::ptrdiff_t numbers() const;
 
    private:
     /// Room for vectors of fronts and for packing, with undefined content.
-    double* work(sparse::Place rows);
+    double* work(sparse::Index rows);
     void put_entries(const Graph& graph, const Supernode& group, double* x);
     void put_separator_entries(const Graph& graph, const Supernode& group, double* update);
     /// w of a supernode.
@@ -135,7 +135,7 @@ class Tree {
     const double* strain(Supernode& group, const double* w);
     void follow(const Graph& graph, Supernode& group, const double* pull);
 
-    std::vector<Number> free_;
+    std::vector<Id> free_;
     Numbers work_, motion_, pull_;
     std::vector<Numbers> packed_;
 };
@@ -143,13 +143,13 @@ class Tree {
 /// Factorise supernodes again where edges are linearised again, `others`, and those above them: the same nodes in the same
 /// order, other numbers. All of them are where they are to be. Returns whether Omega is positive definite. If it is not, the tree
 /// is of no use until all of it is built anew.
-bool refactor(Graph& graph, Tree& tree, std::span<const Number> late, std::span<const Number> others, Evaluation& found);
+bool refactor(Graph& graph, Tree& tree, std::span<const Id> late, std::span<const Id> others, Evaluation& found);
 
 /// A part of the graph that is eliminated anew.
 struct Changes {
-    std::span<const Number> touched, fresh;  ///< nodes and edges that are new or get other numbers
-    std::span<const Number> newest;  ///< nodes that are eliminated last
-    std::span<const Number> gone;  ///< supernodes that are taken out
+    std::span<const Id> touched, fresh;  ///< nodes and edges that are new or get other numbers
+    std::span<const Id> newest;  ///< nodes that are eliminated last
+    std::span<const Id> gone;  ///< supernodes that are taken out
 };
 
 /// Eliminate the top of the tree again: all supernodes from changed nodes up to the roots, in a new order. Their nodes are where

@@ -19,8 +19,8 @@ inline constexpr double log_2pi = 1.8378770664093453;
 /// log N(z; h(x, m), Q) of a landmark at a known place; `oriented`: psi is used.
 Lanes known_likelihood(const Pose& pose, const Vector& landmark, const Sighting& sighting, bool oriented);
 
-/// A landmark `ahead` of a pose in the direction of a sighting, with variances along and across it; `bearing` is the
-/// covariance of the place across and the bearing.
+/// A landmark `ahead` of a pose in the direction of a sighting, with variances along and across it; `bearing` is
+/// Cov(position across, bearing).
 Gaussian landmark_from(const Pose& pose, const Sighting& sighting, double ahead, double along, double across, double bearing);
 
 /// A landmark after its first sighting: mean h^-1(x, z), covariance (H' Q^-1 H)^-1 = R Q R'.

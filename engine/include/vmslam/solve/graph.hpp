@@ -12,15 +12,15 @@ namespace vmslam::solve {
 
 class Graph {
    public:
-    explicit Graph(Place nodes) : nodes_(nodes) {}
+    explicit Graph(Index nodes) : nodes_(nodes) {}
 
     /// Hold a node near a value: the gauge of a graph without a map.
-    void add_anchor(Place node, const edges::Vector& value, double information = 1e6);
+    void add_anchor(Index node, const edges::Vector& value, double information = 1e6);
     /// Measured relative poses, such as motions and loop closures.
     void add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel = {});
     /// Edges of any family that tie groups of nodes: those of group g are nodes[starts[g]] to nodes[starts[g + 1] - 1], not
     /// decreasing.
-    void add_groups(std::unique_ptr<const edges::Family> family, std::span<const Place> starts, std::span<const Place> nodes);
+    void add_groups(std::unique_ptr<const edges::Family> family, std::span<const Index> starts, std::span<const Index> nodes);
 
     /// The families have information that depends on the state, or a robust kernel; see `Objective`.
     bool state_dependent = false, reweighted = false;
@@ -39,17 +39,17 @@ class Graph {
 
     struct Member {
         std::unique_ptr<const edges::Family> family;
-        std::vector<Place> first, second;  ///< the ends of pairs, for the families that list their edges
+        std::vector<Index> first, second;  ///< the ends of pairs, for the families that list their edges
     };
-    Place nodes_;
+    Index nodes_;
     std::vector<Member> members_;
     /// the groups of nodes of all families, one after another
-    std::vector<Place> sizes_, grouped_;
+    std::vector<Index> sizes_, grouped_;
 };
 
 /// The sightings of a log by increasing landmark and step, as the families of `edges/` take them.
 struct ByLandmark {
-    std::vector<Place> starts, nodes;
+    std::vector<Index> starts, nodes;
     edges::Sightings sightings;
 };
 ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel);

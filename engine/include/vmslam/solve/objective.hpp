@@ -10,7 +10,7 @@
 
 namespace vmslam::solve {
 
-using edges::Place;
+using edges::Index;
 
 /// A cost J with the linear system Omega Delta = xi. States have three numbers for each node; `reference` is the one at which
 /// information that depends on the state is evaluated.
@@ -35,7 +35,7 @@ class Objective {
 
 /// What does not move: blocks and nodes whose rows and columns become those of the identity, and nodes without a heading.
 struct Held {
-    std::span<const Place> blocks, nodes, without_heading;
+    std::span<const Index> blocks, nodes, without_heading;
 };
 
 /// A graph of edge families.
@@ -43,7 +43,7 @@ class GraphObjective : public Objective {
    public:
     struct Member {
         const edges::Family* family;
-        std::span<const Place> pairs;  ///< the blocks of its pairs, see `Family::accumulate`
+        std::span<const Index> pairs;  ///< the blocks of its pairs, see `Family::accumulate`
     };
 
     /// `constant` is added to J, such as priors of what is not solved for.
@@ -70,8 +70,8 @@ class GraphObjective : public Objective {
 };
 
 /// Take nodes out of a system: their rows and columns become those of the identity, their xi zero.
-void hold(const edges::System& system, std::span<const Place> blocks, std::span<const Place> nodes);
+void hold(const edges::System& system, std::span<const Index> blocks, std::span<const Index> nodes);
 /// Hold the coordinates of nodes from `coordinate` on, which no edge touches: their diagonal becomes 1.
-void rest(const edges::System& system, std::span<const Place> nodes, int coordinate);
+void rest(const edges::System& system, std::span<const Index> nodes, int coordinate);
 
 }  // namespace vmslam::solve

@@ -61,7 +61,7 @@ class Run {
     void step(double cost, std::span<const double> delta);
     /// Whether the cost is infinite or not a number.
     bool diverged(double cost);
-    /// Whether the last step changed the cost by less than the cost tolerance, and should have.
+    /// Whether the last step changed the cost by less than the cost tolerance, and was predicted to.
     bool settled(double cost);
     /// Whether the last step, which should lower J by `decrease`, was short enough to stop.
     bool finished(double decrease, Objective& objective);
@@ -72,7 +72,8 @@ class Run {
     bool converge(End reason);
 };
 
-/// What J is, at least, by rounding errors of 1e-15 of all coordinates: the sum of diag(Omega) errors².
+/// How much rounding of the coordinates adds to J: the sum of diag(Omega) errors², with errors of 1e-15 of one plus the
+/// largest coordinate.
 double rounding(std::span<const double> state, std::span<const double> diagonal);
 double inner(std::span<const double> a, std::span<const double> b);
 

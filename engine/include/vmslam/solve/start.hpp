@@ -11,11 +11,11 @@
 
 namespace vmslam::solve {
 
-using sparse::Place;
+using sparse::Index;
 
 /// Linear relations between two nodes each, u_second - u_first = value, and the block that each pair shares.
 struct Relations {
-    std::span<const Place> first, second, pairs;
+    std::span<const Index> first, second, pairs;
     std::span<const double> value, information;
 };
 
@@ -26,7 +26,7 @@ bool follow_headings(const Relations& edges, std::span<double> headings, std::sp
 class StartSystem {
    public:
     /// `start` are the first blocks (n + 1) of the columns, and `symbolic` is for blocks of 2 x 2.
-    StartSystem(std::span<const Place> start, std::shared_ptr<const sparse::Symbolic> symbolic);
+    StartSystem(std::span<const Index> start, std::shared_ptr<const sparse::Symbolic> symbolic);
 
     /// Add edges with the residual R(value) r_first - r_second, where r = (cos theta, sin theta) is `unit` (2) of nodes.
     void add_headings(const Relations& edges, std::span<const double> unit);
@@ -34,22 +34,22 @@ class StartSystem {
     void add_positions(const Relations& edges, std::span<const double> position);
     /// Let `solve` leave some nodes where they are: `nodes`, whose rows and columns have the given blocks, and `untied`, which no
     /// edge ties.
-    void hold(std::span<const Place> blocks, std::span<const Place> nodes, std::span<const Place> untied);
+    void hold(std::span<const Index> blocks, std::span<const Index> nodes, std::span<const Index> untied);
     /// Omega^-1 xi; then Omega and xi are zero again. Returns a node that the edges do not determine, or -1.
-    Place solve(std::span<double> correction);
+    Index solve(std::span<double> correction);
 
    private:
-    double* block(Place k) { return values_.data() + 4 * k; }
-    double* diagonal(Place node) { return block(start_[node + 1] - 1); }
+    double* block(Index k) { return values_.data() + 4 * k; }
+    double* diagonal(Index node) { return block(start_[node + 1] - 1); }
 
-    std::vector<Place> start_;
+    std::vector<Index> start_;
     std::vector<double> values_, xi_;
     sparse::Factor<sparse::Real2> factor_;
 };
 
 /// Measured positions (2) and their information (2 x 2), turned from the frame of the first node to the world's.
 /// `rows` are those of the measurements.
-void turn_to_world(std::span<const double> state, std::span<const Place> first, std::span<const double> measured,
+void turn_to_world(std::span<const double> state, std::span<const Index> first, std::span<const double> measured,
                    std::span<const double> information, int rows, std::span<double> offset, std::span<double> omega);
 
 }  // namespace vmslam::solve

@@ -17,9 +17,9 @@ namespace vmslam::sparse {
 /// Multifrontal (Duff and Reid 1983; Liu 1990): the columns of a front are assembled from the matrix and from the update
 /// matrices of its children, factorised, and the update matrix -L21 L21^H plus those of the children is passed on.
 ///
-/// A pivot must be greater than `Block::tolerance` times its (damped) diagonal entry. Smallest ratios of graphs that are
-/// held: INTEL 4e-11, a path of 10^5 poses held at one end 1e-10, CSAIL 1e-7, the others above 1e-6. Graphs that are not
-/// held: negative, or M3500 9e-14, CSAIL (badly scaled) 2e-11.
+/// A pivot must be greater than `Block::tolerance` times its (damped) diagonal entry. The smallest ratios of public graphs
+/// that are held: INTEL 4e-11, a path of 10^5 poses held at one end 1e-10, CSAIL 1e-7, others above 1e-6. Of graphs that are
+/// not held: negative, or M3500 9e-14; CSAIL, which is badly scaled, 2e-11, so that its missing anchor is not noticed here.
 template <class Block>
 class Factor {
    public:
@@ -34,10 +34,10 @@ class Factor {
 
     /// Factorise blocks given by rows, of which only the upper triangle of diagonal ones is read. Returns the first bad
     /// pivot, as a scalar in the order of elimination, or -1.
-    Place factorize(std::span<const Value> values, double damping = 0.0);
+    Index factorize(std::span<const Value> values, double damping = 0.0);
 
     /// After a bad pivot: the vector with a one there that the rows eliminated before map to zero, in node order.
-    std::vector<Value> null_vector(Place pivot) const;
+    std::vector<Value> null_vector(Index pivot) const;
 
     /// Solve A x = b, both in node order; false where b is not finite.
     bool solve(std::span<const Value> b, std::span<Value> x);
@@ -51,8 +51,8 @@ class Factor {
     std::vector<double> magnitude_square(std::span<const double> v) const;
 
    private:
-    Place factorize_supernode(Node s, std::span<const Value> values, double damping, std::span<Numbers> scratch);
-    Place factorize_part(int part, std::span<const Value> values, double damping);
+    Index factorize_supernode(Node s, std::span<const Value> values, double damping, std::span<Numbers> scratch);
+    Index factorize_part(int part, std::span<const Value> values, double damping);
     bool gather(std::span<const Value> b);
     void forward();
     void backward();
@@ -66,7 +66,7 @@ class Factor {
 };
 
 /// Solve A X = B for the columns of B (n, 3, columns), in node order; false where B is not finite.
-bool solve_columns(const Factor<Real3>& factor, std::span<const double> b, Place columns, std::span<double> x);
+bool solve_columns(const Factor<Real3>& factor, std::span<const double> b, Index columns, std::span<double> x);
 
 /// The blocks of the inverse on the pattern of L (Takahashi, Fagan and Chen 1973; Erisman and Tinney 1975).
 class SelectedInverse {

@@ -8,11 +8,11 @@
 namespace vmslam::sparse {
 
 using Node = std::int32_t;
-using Place = std::int64_t;
+using Index = std::int64_t;  ///< into arrays of entries or nodes
 
 /// The upper triangle by columns: column j has the rows `rows[start[j]]` to `rows[start[j + 1] - 1]`, ascending, j last.
 struct Pattern {
-    std::span<const Place> start;
+    std::span<const Index> start;
     std::span<const Node> rows;
 
     Node size() const { return static_cast<Node>(start.size() - 1); }
@@ -23,7 +23,7 @@ struct Pattern {
 
 /// Neighbours of every node, without the node itself: those of v are `list[start[v]]` to `list[start[v + 1] - 1]`.
 struct Neighbours {
-    std::vector<Place> start;
+    std::vector<Index> start;
     std::vector<Node> list;
 
     Node size() const { return static_cast<Node>(start.size() - 1); }

@@ -11,16 +11,16 @@ namespace vmslam::sparse {
 
 /// A pattern with rows in the type that NumPy indexes with.
 struct WidePattern {
-    std::vector<Place> start, rows;
+    std::vector<Index> start, rows;
 };
 
 /// The upper triangle by columns for groups of given sizes, whose nodes follow each other, not decreasing in each group.
-WidePattern pattern_of_groups(Place nodes, std::span<const Place> sizes, std::span<const Place> members);
+WidePattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::span<const Index> members);
 
 /// The numbers of all blocks in the rows and columns of some nodes.
-std::vector<Place> blocks_of_nodes(std::span<const Place> start, std::span<const Place> rows, std::span<const Place> nodes);
+std::vector<Index> blocks_of_nodes(std::span<const Index> start, std::span<const Index> rows, std::span<const Index> nodes);
 
 /// The number of the upper block between two nodes.
-Place block_between(std::span<const Place> start, std::span<const Place> rows, Place first, Place second);
+Index block_between(std::span<const Index> start, std::span<const Index> rows, Index first, Index second);
 
 }  // namespace vmslam::sparse

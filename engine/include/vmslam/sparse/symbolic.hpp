@@ -8,8 +8,8 @@
 namespace vmslam::sparse {
 
 /// Rows of fronts come in groups of so many numbers, counted from the last row, so that vectors never cross cache lines.
-inline constexpr Place group = 8;
-constexpr Place grouped(Place rows) { return (rows + group - 1) & ~(group - 1); }
+inline constexpr Index group = 8;
+constexpr Index grouped(Index rows) { return (rows + group - 1) & ~(group - 1); }
 
 /// The real numbers of a block: `rows` for each of `columns`. A complex column counts as two, its real part first.
 struct BlockShape {
@@ -21,10 +21,10 @@ struct BlockShape {
 /// Its panel holds the w columns of L, with `pad` unused rows on top; its update matrix what it adds to Omega of the nodes
 /// below, with `update_pad` rows on top.
 struct Front {
-    Place w, r;
-    Place pad, height, update_pad, update_height;
+    Index w, r;
+    Index pad, height, update_pad, update_height;
 
-    Front(const BlockShape& shape, Place w, Place r)
+    Front(const BlockShape& shape, Index w, Index r)
         : w(w), r(r), height(grouped(shape.rows * (w + r))), update_height(grouped(shape.rows * r)) {
         pad = height - shape.rows * (w + r);
         update_pad = update_height - shape.rows * r;
@@ -33,9 +33,9 @@ struct Front {
 
 /// A block of the matrix: its number, whether it enters transposed, and its row and column in the front, in nodes.
 struct Entry {
-    Place block_and_turned;
+    Index block_and_turned;
     Node row, column;
-    Place block() const { return block_and_turned >> 1; }
+    Index block() const { return block_and_turned >> 1; }
     bool turned() const { return block_and_turned & 1; }
 };
 
@@ -44,24 +44,24 @@ struct Symbolic {
     BlockShape shape;
     Order order, position;         ///< the node eliminated k-th, and the inverse
     std::vector<Node> first;       ///< (s+1) the first column of each supernode
-    std::vector<Place> row_start;  ///< (s+1) into the next three
+    std::vector<Index> row_start;  ///< (s+1) into the next three
     std::vector<Node> rows;        ///< the rows below the diagonal block of each supernode, ascending
     std::vector<Node> relative;    ///< where those rows stand in the front of the parent
     std::vector<Node> run_end;     ///< one past the last row of the run of consecutive `relative` that each belongs to
     std::vector<Node> split;       ///< (s) the first row that is not among the parent's own columns
     std::vector<Node> parent;      ///< (s) -1 for roots
     std::vector<Node> child_start, children;
-    std::vector<Place> panel_start;  ///< (s+1) where the panel of each supernode begins
-    std::vector<Place> stack_start;  ///< (s) where its update matrix does
-    Place stack_size = 0;
-    std::vector<Place> entry_start;  ///< (s+1) into the entries
+    std::vector<Index> panel_start;  ///< (s+1) where the panel of each supernode begins
+    std::vector<Index> stack_start;  ///< (s) where its update matrix does
+    Index stack_size = 0;
+    std::vector<Index> entry_start;  ///< (s+1) into the entries
     std::vector<Entry> entries;
     std::vector<Node> row_length;  ///< (n) the blocks left of the diagonal in each row of L, without zeros
     std::vector<Node> part;        ///< (s) the thread of each supernode; see `divide`
     int parts = 1, threads = 1;
-    Place tallest = 0;   ///< the rows of the tallest front
-    Place widest = 0;    ///< the most nodes of a supernode
-    Place blocks = 0;    ///< of L, without the zeros that amalgamation adds
+    Index tallest = 0;   ///< the rows of the tallest front
+    Index widest = 0;    ///< the most nodes of a supernode
+    Index blocks = 0;    ///< of L, without the zeros that amalgamation adds
 
     Node nodes() const { return static_cast<Node>(order.size()); }
     Node supernodes() const { return static_cast<Node>(first.size() - 1); }
@@ -83,7 +83,7 @@ void divide(Symbolic& symbolic, int threads);
 
 /// For each row k in the order of elimination its columns before k.
 struct RowLists {
-    std::vector<Place> start;
+    std::vector<Index> start;
     std::vector<Node> columns;
 };
 RowLists permuted(const Pattern& pattern, std::span<const Node> position);
@@ -93,7 +93,7 @@ RowLists permuted(const Pattern& pattern, std::span<const Node> position);
 struct EliminationTree {
     std::vector<Node> parent, count, row_length;
     explicit EliminationTree(const RowLists& lists);
-    Place blocks() const;
+    Index blocks() const;
     double flops(int rows) const;
 };
 
