@@ -7,16 +7,16 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "vmslam/factors/landmark.hpp"
-#include "vmslam/factors/relative_edges.hpp"
+#include "vmslam/factors/whitened_edges.hpp"
 
 namespace vmslam::python::factors_bindings {
 
 using namespace factors;
 
 void bind_whitened(nb::module_& m) {
-    nb::class_<RelativeEdges>(m, "WhitenedEdges")
+    nb::class_<WhitenedEdges>(m, "WhitenedEdges")
         .def("__init__",
-             [](RelativeEdges* at, In<Index> first, In<Index> second, In<Index> rows, In<double> z, In<double> root,
+             [](WhitenedEdges* at, In<Index> first, In<Index> second, In<Index> rows, In<double> z, In<double> root,
                 In<double> frozen, In<Index> codes, In<double> widths, Index poses, bool world) {
                  const std::size_t count = first.size();
                  const auto measured = records<edges::Vector>(z, count);
@@ -30,10 +30,10 @@ void bind_whitened(nb::module_& m) {
                                       roots[k],
                                       frozen.data()[k],
                                       {static_cast<edges::Robust>(codes.data()[k]), widths.data()[k]}});
-                 new (at) RelativeEdges(std::move(edges), poses, world);
+                 new (at) WhitenedEdges(std::move(edges), poses, world);
              })
-        .def("residuals", [](const RelativeEdges& edges, In<double> x) { return array(edges.residuals(span(x))); })
-        .def("linearized", [](const RelativeEdges& edges, In<double> x) {
+        .def("residuals", [](const WhitenedEdges& edges, In<double> x) { return array(edges.residuals(span(x))); })
+        .def("linearized", [](const WhitenedEdges& edges, In<double> x) {
             auto [residuals, jacobians] = edges.linearized(span(x));
             const std::size_t nodes = x.size() / 3, rows = residuals.size();
             return std::pair(array(std::move(residuals)), array(std::move(jacobians), {nodes, 3, rows}));

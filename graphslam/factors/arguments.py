@@ -17,8 +17,6 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 
 FRAMES = ("world", "body")
-#: faster turns are taken for degrees per second [rad/s], in tables, too
-QUICKEST = 2 * pi
 #: the largest angle of a sighting in radians, with what printing it to six digits may add
 WHOLE_TURN = 2 * pi + 1e-6
 

@@ -15,10 +15,9 @@ from ..engine import engine
 from ..errors import GraphError, OptionError
 from ..errors.checks import check_positive
 from ..linear.precision import check_size, small_inverse
-from ..models import MotionModel, sinc_slope_near_zero
+from ..models import QUICKEST, MotionModel, sinc_slope_near_zero
 from ..se2 import Array, rotation
 from .arguments import (
-    QUICKEST,
     PoseLike,
     check_heading,
     frozen_at,

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import LogError, named, quoted
 from ..errors.checks import first
+from ..models import FARTHEST, FASTEST, LONGEST, QUICKEST
 from ..se2 import Array
 from .cells import (
     Doubt,
@@ -54,9 +55,6 @@ ORDERS: dict[str, dict[int, tuple[str, ...]]] = {
     "relations": {8: ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS)},
     "positions": {4: ("t", "x", "y", "sigma")},
 }
-#: odometry with rows farther apart [s], faster [m/s] or turning faster [rad/s], and sightings from farther away [m], are
-#: refused unless their unit is stated
-SLOWEST, FASTEST, QUICKEST, FARTHEST = 5.0, 100.0, 2 * np.pi, 1000.0
 #: poses that move sideways for a larger share of their way are no poses of a robot with wheels
 _SIDEWAYS = 0.3
 
@@ -266,7 +264,7 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     more, doubts = repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
     notes += more
     dt = np.diff(ns) / 1e9
-    if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > SLOWEST:
+    if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > LONGEST:
         unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
         raise table.error(
             None,

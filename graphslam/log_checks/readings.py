@@ -18,12 +18,10 @@ from numpy.typing import ArrayLike
 from ..errors import decimals
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
-from ..models import MotionModel, SensorModel
+from ..models import FARTHEST, FASTEST, LONGEST, QUICKEST, MotionModel, SensorModel
 from ..se2 import Array, between
 from .findings import Finding
 
-#: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s]
-FARTHEST, FASTEST, QUICKEST, SLOWEST = 1000.0, 100.0, 2 * np.pi, 5.0
 #: a sensor that reports one range where it measures nothing: of how many sightings, how often, how far beyond other ranges
 ENOUGH, REPEATED, BEYOND = 20, 3, 1.2
 #: way between the two sightings of a pair, [rad] turned plus [ranges] driven: at least, at most
@@ -251,7 +249,7 @@ def sizes(log: Log) -> Iterator[Finding]:
     within = float(np.median(np.abs(log.controls[:, 1]) * log.dt))
     if turn > QUICKEST or within > np.pi:
         yield Finding("turn rate unit", f"the turn rate reaches {turn:.1f} rad/s; it may be in degrees per second")
-    if (lasting := float(np.median(log.dt))) > SLOWEST:
+    if (lasting := float(np.median(log.dt))) > LONGEST:
         yield Finding("time unit", f"controls last {lasting:g} s (median); the times may be in milliseconds")
     if not np.any(log.controls):
         yield Finding("no motion", "all controls are zero; the odometry may be another column or topic")

@@ -1,4 +1,4 @@
-#include "vmslam/factors/relative_edges.hpp"
+#include "vmslam/factors/whitened_edges.hpp"
 
 namespace vmslam::factors {
 
@@ -43,12 +43,12 @@ double whiten(const WhitenedEdge& edge, const Vector& e, double* out) {
 
 }  // namespace
 
-RelativeEdges::RelativeEdges(std::vector<WhitenedEdge> edges, Index poses, bool world)
+WhitenedEdges::WhitenedEdges(std::vector<WhitenedEdge> edges, Index poses, bool world)
     : edges_(std::move(edges)), poses_(poses), world_(world) {
     for (const WhitenedEdge& edge : edges_) rows_ += edge.rows;
 }
 
-std::vector<double> RelativeEdges::residuals(std::span<const double> x) const {
+std::vector<double> WhitenedEdges::residuals(std::span<const double> x) const {
     std::vector<double> out(rows_);
     double* at = out.data();
     for (const WhitenedEdge& edge : edges_) {
@@ -63,7 +63,7 @@ std::vector<double> RelativeEdges::residuals(std::span<const double> x) const {
     return out;
 }
 
-RelativeEdges::Linearized RelativeEdges::linearized(std::span<const double> x) const {
+WhitenedEdges::Linearized WhitenedEdges::linearized(std::span<const double> x) const {
     Linearized out{std::vector<double>(rows_), std::vector<double>(x.size() * rows_, 0.0)};
     Index start = 0;
     for (const WhitenedEdge& edge : edges_) {

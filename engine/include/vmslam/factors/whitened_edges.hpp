@@ -23,9 +23,9 @@ struct WhitenedEdge {
 };
 
 /// The first `poses` nodes are poses, the others points.
-class RelativeEdges {
+class WhitenedEdges {
    public:
-    RelativeEdges(std::vector<WhitenedEdge> edges, Index poses, bool world);
+    WhitenedEdges(std::vector<WhitenedEdge> edges, Index poses, bool world);
 
     Index rows() const { return rows_; }
     /// The whitened residuals, those of an edge with a kernel scaled so that their squares sum to its loss.
