@@ -106,12 +106,16 @@ class Reader:
         which = f"Say which it is: --columns {self.kind}.{role}=NAME"
         if role == "id":
             # many sensors have no ids, so that only a column without another use is asked about
-            taken = {chosen.column for chosen in self.found.values()}
-            rest = [name for column, name in enumerate(self.table.names or ()) if column not in taken]
-            if not rest:
+            if not self.unused:
                 return f"no column for id (named {names}, ...){consequence}"
             which = f"If one has the ids, say which: --columns {self.kind}.{role}=NAME"
         return f"no column for {role} (named {names}, ...){consequence}; it has {have}. {which}"
+
+    @property
+    def unused(self) -> list[str]:
+        """The names of the columns that have no role."""
+        taken = {chosen.column for chosen in self.found.values()}
+        return [name for column, name in enumerate(self.table.names) if column not in taken]
 
     def described(self) -> tuple[str, ...]:
         """The columns that were used, "range = 'dist' [m]"."""
@@ -200,6 +204,12 @@ class Reader:
                     self._unit(role) or ("radians" if MEASURES[role] == "angle" else "m")
                 ]
         return values
+
+    def single_number(self) -> str | None:
+        """ "range" or "bearing" where a table of sightings has that number alone, and no column that may be the other."""
+        measured = [role for role in ("range", "bearing") if self.has(role)]
+        alone = len(measured) == 1 and self.table.names and not self.unused and not self.has("orientation")
+        return measured[0] if alone else None
 
     def classes(self) -> tuple[np.ndarray | None, tuple[str, ...]]:
         """The classes (N,) of sightings, None where no column has any; and notes."""
@@ -329,14 +339,19 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     table = reader.leave_out("id", *measured, "orientation")
     ns = reader.times()
     found = _ids(reader)
+    single = reader.single_number()
     if cartesian:
         rows = _polar(reader.numbers(*third), options.axes)
+    elif single:
+        rows = np.full((len(table), 2), np.nan)
+        rows[:, ("range", "bearing").index(single)] = reader.numbers(single)[:, 0]
     else:
         instead = ", and none for x and y instead of range and bearing"
         if reader.has("range") != reader.has("bearing"):
             instead += " (a sensor that measures one of them has an empty column of the other)"
         reader.need("range", "bearing", instead=instead)
         rows = reader.numbers("range", "bearing", finite=reader.has("orientation"))
+    if reader.has("bearing"):
         reader.refuse(
             "bearing", rows[:, 1], np.abs(rows[:, 1]) > 2 * np.pi + 1e-6,
             "the bearing is {:g} rad, beyond 2 pi: is it in degrees?", "degrees/radians",
@@ -352,13 +367,20 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     if reader.has("orientation"):
         rows = np.column_stack([rows, sign * reader.numbers("orientation")])
     if options.centre == "robot" and any(options.sensor_offset or ()):
+        if (alone_at := np.flatnonzero(np.isnan(rows[:, :2]).any(axis=1))).size:
+            raise table.error(
+                int(alone_at[0]),
+                "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset: give it as "
+                "the sensor measured it, with --centre sensor",
+            )
         rows[:, :2] = _moved(rows[:, :2], np.array(options.sensor_offset))
     ns, order, more = ordered(reader, ns)
     ids, rows = found.numbers[order], rows[order]
     doubts = repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
-    notes = (*found.notes, *more, *remarks)
+    alone = (f"{table.source}: the sensor measures the {single} alone",) if single else ()
+    notes = (*found.notes, *more, *remarks, *alone)
     return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
 
 

@@ -281,6 +281,14 @@ def test_an_empty_cell_of_a_table_is_a_sighting_with_one_number() -> None:
     assert np.array_equal(log.partial_sightings.ranges, [np.nan, 1.5], equal_nan=True)
     assert np.array_equal(log.partial_sightings.bearings, [0.4, np.nan], equal_nan=True)
     assert "2 of 3 sightings have a range or a bearing alone" in log.notes
+    # a table without the other column is the same, unless another column may be the one that is missing
+    odometry = {"t": seconds, "v": [0.5] * 101, "w": [0.2] * 101}
+    alone = Log.from_tables(odometry, {"t": [1.0, 2.0], "id": [3, 4], "bearing": [0.4, 0.1]})
+    assert alone.partial_sightings is not None and np.isnan(alone.partial_sightings.ranges).all()
+    assert alone.partial_sightings.bearings.tolist() == [0.4, 0.1]
+    assert any("the sensor measures the bearing alone" in note for note in alone.notes)
+    with pytest.raises(LogError, match="no column for range"):
+        Log.from_tables(odometry, {"t": [1.0, 2.0], "id": [3, 4], "bearing": [0.4, 0.1], "way": [2.0, 3.0]})
     with pytest.raises(LogError, match="empty or NaN"):
         Log.from_tables(
             {"t": seconds, "v": [0.5] * 101, "w": [0.2] * 101},

@@ -147,10 +147,17 @@ MISTAKES = {
         "sightings.csv:4: the range is 0 m, but a range is above zero: remove rows in which nothing was seen",
     ),
     "a missing column": (
-        {"sightings": text("t,id,range", [row[:3] for row in SEEN])},
+        {"sightings": text("t,id,range,way", [(*row[:3], 0.0) for row in SEEN])},
         r"sightings.csv: no column for bearing \(named bearing or b or phi, ...\), and none for x and y instead of range "
         r"and bearing \(a sensor that measures one of them has an empty column of the other\); "
-        r"it has t, id, range. Say which it is: --columns sightings.bearing=NAME",
+        r"it has t, id, range, way. Say which it is: --columns sightings.bearing=NAME",
+    ),
+    "a range from the robot's centre": (
+        {
+            "sightings": text("t,id,range", [row[:3] for row in SEEN]),
+            "recipe": 'centre = "robot"\nsensor_offset = [0.2, 0.0]\n',
+        },
+        r"sightings.csv:2: a range or a bearing alone from the robot's centre says nothing about the sensor at its offset",
     ),
     "two columns of one meaning": (
         {"odometry": text("t,nu,omega,v_left,v_right", [(*row, 0.1, 0.2) for row in ODOMETRY]).replace("nu", "speed", 1)
