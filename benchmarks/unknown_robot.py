@@ -1,7 +1,7 @@
 """Robots that nobody has calibrated: the default result of drives whose noise, biases and misread ids are unknown.
 
     python benchmarks/unknown_robot.py [--seeds tuning|reporting|1000-1009] [--drives 20] [--jobs 2] [--misread 0.05]
-                                       [--option noise=auto] [--plain] [--also fastslam2] [--json FILE]
+                                       [--option noise=auto] [--no-ids] [--plain] [--also fastslam2] [--json FILE]
                                        [--oracles FOLDER] [--drive odometry|sightings]
     python benchmarks/unknown_robot.py --sizes     # time of `estimate_robot` and `solve` by the length of a drive
 
@@ -42,6 +42,7 @@ import comparisons
 from comparisons.estimators import warm_up
 from comparisons.results import EstimatorResult
 from graphslam import Graph, GraphError, Log, SensorModel, SlamError, Solution, estimate_robot, solve
+from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.models import MotionModel
 from graphslam.se2 import Array
@@ -102,9 +103,11 @@ class Outcome:
 Runner = Callable[[Log], Outcome]
 
 
-def default_run(log: Log, also: tuple[str, ...] = (), **options: Any) -> Outcome:
+def default_run(log: Log, also: tuple[str, ...] = (), *, without_ids: bool = False, **options: Any) -> Outcome:
     """`comparisons.run` with the estimator ``graph``; its notes tell the share of the ids that contradict their place."""
     assert log.true_poses is not None
+    if without_ids:
+        log = log.replace(landmarks=np.full_like(log.landmarks, UNIDENTIFIED))
     begin = time.process_time()
     found = comparisons.run(log, estimators=["graph"], **options)
     seconds = time.process_time() - begin
@@ -381,6 +384,7 @@ def main() -> None:
         "--also", default="", help="further estimators with the same noise, for example fastslam,fastslam2"
     )
     parser.add_argument("--drive", choices=DRIVES, default="random", help="what the seeds stand for")
+    parser.add_argument("--no-ids", action="store_true", help="take the ids from all sightings; the oracle keeps them")
     parser.add_argument("--plain", action="store_true", help="time the graph with the noise of the book, too")
     parser.add_argument("--oracles", type=Path, help="a folder that keeps the figures of the oracle")
     parser.add_argument("--json", type=Path, help="write the rows there")
@@ -392,8 +396,8 @@ def main() -> None:
     options = dict(value_of(word) for word in arguments.option)
     options["also"] = tuple(filter(None, arguments.also.split(",")))
     task = partial(
-        row, misread=arguments.misread, run=partial(default_run, **options), plain=arguments.plain,
-        oracles=arguments.oracles, kind=arguments.drive,
+        row, misread=arguments.misread, run=partial(default_run, without_ids=arguments.no_ids, **options),
+        plain=arguments.plain, oracles=arguments.oracles, kind=arguments.drive,
     )  # fmt: skip
     rows = []
     print(HEAD)

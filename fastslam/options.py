@@ -1,7 +1,6 @@
 """The options of the particle filters, each declared once with its type, default, choices and help.
 
 Constructors take these options as keywords, and command lines and configuration files derive theirs from the fields.
-This module imports neither the engine nor SciPy.
 
 Conversion of arguments to numbers, with an `OptionError` that says what was expected.
 

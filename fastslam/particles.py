@@ -76,7 +76,7 @@ class Samples:
             steps = list(range(len(self.poses)))
         marks = np.array(list(self.landmarks.values()))
         away = [
-            _sample_deviations(samples[:, :, chosen], means[chosen]).reshape(-1, len(chosen) * means.shape[1])
+            deviations(samples[:, :, chosen], means[chosen]).reshape(-1, len(chosen) * means.shape[1])
             for samples, means, chosen in (
                 (self.trajectories, self.poses, steps),
                 (self.maps, marks, [rows[j] for j in ids]),
@@ -108,15 +108,8 @@ def _mean(samples: Array) -> Array:
 
 
 def _covariances(samples: Array, mean: Array) -> Array:
-    d = _sample_deviations(samples, mean).reshape(-1, *mean.shape)
+    d = deviations(samples, mean).reshape(-1, *mean.shape)
     return np.einsum("sti,stj->tij", d, d) / len(d)
-
-
-def _sample_deviations(samples: Array, mean: Array) -> Array:
-    d = samples - mean
-    if mean.shape[1] == 3:
-        d[..., 2] = wrap(d[..., 2])
-    return d
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +183,7 @@ class ParticleState:
         among = weights * np.all([owned for _, _, owned in gaussians], axis=0) if ids else weights
         among /= among.sum()
         samples = [self.poses] * times + [means for means, _, _ in gaussians]
-        away = np.hstack([_deviations(points, weighted_mean(points, among)) for points in samples])
+        away = np.hstack([deviations(points, weighted_mean(points, among)) for points in samples])
         within = [np.zeros((3, 3))] * times + [np.tensordot(among, inside, 1) for _, inside, _ in gaussians]
         return away.T @ (among[:, None] * away) + block_diag(*within)
 
@@ -289,15 +282,15 @@ def weighted_mean(points: Array, weights: Array) -> Array:
 
 def weighted_covariance(points: Array, mean: Array, weights: Array) -> Array:
     """Return the covariance of (k, n) points about a mean under weights that sum to 1; a third coordinate is an angle."""
-    difference = _deviations(points, mean)
+    difference = deviations(points, mean)
     return difference.T @ (weights[:, None] * difference)
 
 
-def _deviations(points: Array, mean: Array) -> Array:
-    """The differences of (k, n) points to a mean; a third coordinate is an angle."""
+def deviations(points: Array, mean: Array) -> Array:
+    """The differences of points (..., n) to a mean (..., n); a third coordinate is an angle."""
     difference = points - mean
-    if points.shape[1] == 3:
-        difference[:, 2] = wrap(difference[:, 2])
+    if mean.shape[-1] == 3:
+        difference[..., 2] = wrap(difference[..., 2])
     return difference
 
 

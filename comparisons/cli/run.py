@@ -107,14 +107,10 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
     from ..options.option import options_of
 
     fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
-    # wrong ids raise J, so that it may fit with noise models that are too wide
-    fits &= outcome.log.identified
     auto = command("run", log, "--noise", "auto", options=options)
     of_book = set(outcome.noise_source.values()) == {"book"}
     if fits or options.noise is not None or outcome.findings or not of_book or outcome.log.controls is None:
         return None
-    if not outcome.log.identified:
-        return f"Ids depend on the noise models. With noise estimated from this log: {auto}"
     if outcome.log.true_poses is not None:
         # of a data set of several robots it needs to know which one
         reading = ReadingOptions.of(**{name: getattr(options, name) for name in options_of(ReadingOptions)})

@@ -28,9 +28,9 @@ from graphslam import (
     load,
     sample_log_path,
 )
+from graphslam.association import known_noise
 from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
-from graphslam.calibration.estimate import robot_of
 from graphslam.errors import quoted
 from graphslam.files import check_file
 from graphslam.graph.landmark_map import as_map
@@ -38,7 +38,7 @@ from graphslam.graph.tracking import in_frame_of
 from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
 from graphslam.identification.result import ESTIMATE
-from graphslam.identification.robot import enough_ids, estimate_robot, known_robot, unknown_noise, with_checked_ids
+from graphslam.identification.robot import estimate_robot, unknown_noise, with_checked_ids
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.rows import ReadOptions
@@ -203,16 +203,11 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
     if options.noise is None and _gives_noise(options):
         return (log.replace(notes=(*log.notes, NOT_ESTIMATED)) if unknown_noise(log) else log), values, None
     try:
-        if options.noise == AUTO and not enough_ids(log):
-            # the models of the options have the place of the sensor
-            found, notes = robot_of(log, *options.models(log.motion, log.sensor))
-            known = Calibration.of(found).apply(log)
-            known = known.replace(uncertain=found.log.uncertain, notes=(*known.notes, *found.sentences, *notes))
-            return known, values, Calibration.of(found)
         place = {name: value for name, value in options.of_component("sensor").items() if name in SensorModel.GEOMETRY}
         if place:
             log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
-        known, estimate = known_robot(log, None if options.noise is None else str(options.noise))
+        noise = None if options.noise is None else str(options.noise)
+        known, estimate = known_noise(log, noise, *options.models(log.motion, log.sensor))
         return known, values, None if estimate is None else Calibration.of(estimate)
     except (GraphError, LogError) as error:
         return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values, None

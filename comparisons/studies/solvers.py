@@ -142,8 +142,9 @@ def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Va
             # only pairs of sightings can be weighted differently
             continue
         for scale in options.motion_weights if kind.endswith("+motion") else (1.0,):
-            values = zip(options_of(GraphOptions), (kind, frame, weight, scale, kernel))
-            yield Variant(dimensions=d, **dict(values))  # type: ignore[arg-type]
+            yield Variant(
+                edges=kind, frame=frame, weight=weight, motion_weight=scale, kernel=kernel, dimensions=d
+            )  # fmt: skip
 
 
 def compare_solvers(

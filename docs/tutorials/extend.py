@@ -46,7 +46,7 @@ from graphslam.edges.base import EdgeFamily, Linearization
 
 
 @dataclass(frozen=True, eq=False)
-class PositionEdges(EdgeFamily):
+class FixEdges(EdgeFamily):
     """Positions z (E, 2) [m] measured at nodes (E,), as by GPS: e = (x, y) - z, B = [I, 0]."""
 
     nodes: np.ndarray
@@ -64,21 +64,12 @@ class PositionEdges(EdgeFamily):
         B = np.broadcast_to(np.eye(2, 3), (self.count, 2, 3))
         return Linearization(state[self.nodes, :2] - self.measured, self.information, (self.nodes,), (B,))
 
-    def accumulate(self, state, reference, system):
-        edges = self.linearize(state, reference)
-        if system is not None:
-            (B,) = edges.jacobians
-            BtO = B.transpose(0, 2, 1) @ self.information
-            np.add.at(system.values, system.diagonal_slots[self.nodes], BtO @ B)
-            np.add.at(system.xi, self.nodes, -np.einsum("eij,ej->ei", BtO, edges.residuals))
-        return float(edges.mahalanobis.sum())
-
 
 # %% edge_used
 log = load(sample_log_path())
 graph = Graph.from_log(log)
 measured = np.arange(0, log.num_poses, 10)  # every tenth pose is measured to 0.05 m
-gps = PositionEdges(measured, log.true_poses[measured, :2], np.tile(400 * np.eye(2), (len(measured), 1, 1)))
+gps = FixEdges(measured, log.true_poses[measured, :2], np.tile(400 * np.eye(2), (len(measured), 1, 1)))
 errors = []
 for name, families in (("without", graph.families), ("with", (*graph.families, gps))):
     poses = solve(replace(graph, families=families)).poses

@@ -111,9 +111,7 @@ class FastSLAM1(ParticleFilter):
         return self._needs_ids and plain
 
     def _with_place(self, ids: np.ndarray, sightings: Array) -> np.ndarray:
-        if self._coordinates is None:
-            self._coordinates = sightings.shape[1]
-            self._begin_maps(self._coordinates)
+        self._begin_if_first(sightings)
         single = np.isnan(sightings).any(axis=1)
         placed = ~single | np.isin(ids, self._engine.landmarks()) | np.isin(ids, ids[~single])
         for k in np.flatnonzero(~placed).tolist():
@@ -152,9 +150,7 @@ class FastSLAM1(ParticleFilter):
                 f"{', '.join(f'{std:g}' for std in np.sqrt(q[k]))}, is beyond floating point; leave it out, or change "
                 "the sensor model"
             )
-        if self._coordinates is None:
-            self._coordinates = sightings.shape[1]
-            self._begin_maps(self._coordinates)
+        self._begin_if_first(sightings)
         if self._needs_ids:
             known: bool = self._engine.weigh_identified(ids, sightings, q, self._poses_drawn)
             return known
@@ -170,6 +166,11 @@ class FastSLAM1(ParticleFilter):
     def _poses_drawn(self) -> int:
         """The engine's proposal of poses at a step with sightings: here, their motion only."""
         return 0
+
+    def _begin_if_first(self, sightings: Array) -> None:
+        if self._coordinates is None:
+            self._coordinates = sightings.shape[1]
+            self._begin_maps(self._coordinates)
 
     def _begin_maps(self, n: int) -> None:
         """Give the particles empty maps of landmarks with n coordinates, or the map that is given."""

@@ -15,11 +15,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from graphslam.association import known_noise
 from graphslam.engine import available_threads, engine
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.errors.checks import check_type, suggestion
 from graphslam.graph.localization import Fix
-from graphslam.identification.robot import known_robot
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
@@ -119,7 +119,7 @@ class ParticleFilter(ABC):
             check_memory(log, self.options, maps=self.HAS_MAPS)
         if log is not None and motion is None and sensor is None:
             # the same choice as that of `Graph.from_log`
-            log, _ = known_robot(log)
+            log, _ = known_noise(log)
         self.log = log
         self.motion = motion or getattr(log, "motion", None) or MotionModel()
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()
@@ -462,10 +462,7 @@ class ParticleFilter(ABC):
         q[missing] = NOT_MEASURED
         weighed = self._weigh(ids, sightings, q, rows)
         self._version, self._observed = self._version + 1, True
-        if not weighed or self.options.stage == "motion":
-            self._remember(ids, sightings)
-            return False
-        possible = self._reweigh("sightings")
+        possible = weighed and self.options.stage != "motion" and self._reweigh("sightings")
         self._remember(ids, sightings)
         if possible:
             # without the density of what was not measured

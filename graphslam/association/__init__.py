@@ -4,5 +4,15 @@ from .ambiguity import Ambiguity
 from .assignment import ids_by_map
 from .associate import Association, AssociationScore, associate, score
 from .problem import AssociationOptions
+from .unknown_robot import known_noise
 
-__all__ = ["Association", "AssociationOptions", "AssociationScore", "Ambiguity", "associate", "ids_by_map", "score"]
+__all__ = [
+    "Association",
+    "AssociationOptions",
+    "AssociationScore",
+    "Ambiguity",
+    "associate",
+    "ids_by_map",
+    "known_noise",
+    "score",
+]

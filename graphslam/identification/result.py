@@ -278,3 +278,10 @@ class RobotEstimate:
                 f"landmarks have in common, {self.inflation:.1f} sightings count as one"
             )
         return tuple(lines)
+
+
+def with_book(log: Log, error: Exception) -> Log:
+    """The log with a note why its noise is the book's."""
+    return log.replace(
+        notes=(*log.notes, f"the noise models are the book's, because noise cannot be estimated: {error}")
+    )

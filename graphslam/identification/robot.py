@@ -41,6 +41,7 @@ from .result import (
     LeftOut,
     RobotEstimate,
     left_out,
+    with_book,
 )
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
@@ -83,6 +84,8 @@ AUTO, BOOK = "auto", "book"
 def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate | None]:
     """The log with the noise of its robot, and the estimate where that is asked for, or where nothing else is known.
 
+    The log has ids; `association.known_noise` is for all logs.
+
     Args:
         noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
             the log where it brings some, the book's for logs of `simulate`, and else "auto" where the noise is identifiable.
@@ -100,8 +103,7 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
     except (GraphError, LogError) as error:
         if noise == AUTO:
             raise
-        reason = f"the noise models are the book's, because noise cannot be estimated: {error}"
-        return log.replace(notes=(*log.notes, reason)), None
+        return with_book(log, error), None
     unused = (
         [f"noise and biases were estimated without the {', '.join(log.measured).replace('_', ' ')} of the log"]
         if log.measured
@@ -111,8 +113,8 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
 
 
 def unknown_noise(log: Log) -> bool:
-    """Whether the noise of a log is unknown, and can be estimated from it."""
-    if log.simulated or log.motion is not None or log.controls is None or np.all(log.landmarks == UNIDENTIFIED):
+    """Whether the noise of a log with controls is unknown."""
+    if log.simulated or log.motion is not None or log.controls is None:
         return False
     sensor, book = log.sensor or SensorModel(), SensorModel()
     return all(value == getattr(book, name) for name, value in vars(sensor).items() if name not in SensorModel.GEOMETRY)

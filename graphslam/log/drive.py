@@ -243,7 +243,7 @@ class Reader:
         """Raise an error where values look like another unit, unless their unit is stated."""
         if not self.stated(role) and (k := first(wrong)) is not None:
             unit, own = option.split("/")
-            name = {"degrees": "angles", "radians": "angles"}.get(unit, "time" if unit in ("ms", "us") else "lengths")
+            name = "angles" if unit == "degrees" else "lengths"
             raise self.table.error(
                 k,
                 message.format(values[k])

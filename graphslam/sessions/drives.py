@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..association import known_noise
 from ..association.across_logs import joined_without_ids
 from ..errors import GraphError, LogError, OptionError, named
 from ..graph import Graph
@@ -64,7 +65,7 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
     if not logs:
         raise OptionError("join_logs needs at least one log")
     if mean_noise:
-        logs = with_common_noise([known_robot(each)[0] for each in logs])
+        logs = with_common_noise([known_noise(each)[0] for each in logs])
     for each in logs:
         _check(each, logs[0])
     if len(logs) > 1 and not all(each.identified for each in logs):

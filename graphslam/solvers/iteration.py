@@ -77,9 +77,11 @@ class Run:
 
     Attributes:
         state: (n, 3), where it starts; then where it ended.
-        tolerance: the step norm below which the iteration has converged.
+        tolerance: the iteration has converged where a step is shorter than this and its predicted decrease of J is small:
+            at most 1e-6 of J (or this tolerance, where that is greater), or no more than rounding makes of J.
         max_iterations: the most steps to take.
-        cost_tolerance: the relative change of J below which the iteration has converged; 0 for none.
+        cost_tolerance: it has also converged where J changes, or is predicted to change, by less than this part; 0: never. A
+            third rule ends it where the predicted decrease is below 1e-15 J and steps no longer become shorter.
         callback: called after each step.
         costs, step_norms: J before each step, and the norm of each step.
         descend: whether damped steps must lower J itself, with state-dependent information evaluated at both ends.
@@ -103,7 +105,7 @@ class Run:
 
 
 def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: float) -> None:
-    """Iterate in the engine from ``run.state``; ``kept`` is `KEPT`.
+    """Iterate in the engine from ``run.state``; ``kept`` is the part of J below which a factor is kept, 0 for never.
 
     Raises:
         GraphError: the edges do not determine the nodes.

@@ -19,6 +19,7 @@ from comparisons.estimators.config import read_config
 from comparisons.options import NoiseOptions, RunOptions
 from comparisons.options.reading import prepare
 from comparisons.options.toml_files import read_noise, write_noise
+from fastslam import FastSLAM2
 from graphslam import (
     Drive,
     FormatError,
@@ -251,19 +252,17 @@ def test_better_noise_is_offered_where_that_of_the_book_does_not_fit(invoke: Inv
         seed=2, steps=80, clean=True, orientation=False, motion=MotionModel(nn=0.02, no=0.001, on=0.01, oo=0.02),
         sensor=SensorModel(range_rate=0.02, bearing_std=0.01),
     )  # fmt: skip
-    fits, calibrate_it, auto, trees = "fits.npz", "calibrate.npz", "auto.npz", "trees.npz"
-    without_ids = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    fits, calibrate_it, auto = "fits.npz", "calibrate.npz", "auto.npz"
     alone = precise.replace(true_poses=None)
-    for name, each in ((fits, log), (calibrate_it, precise), (auto, alone), (trees, without_ids)):
+    for name, each in ((fits, log), (calibrate_it, precise), (auto, alone)):
         save(each, tmp_path / name)
     outputs = {
         name: invoke("run", name, "--estimators", "graph", "--out", "a", "--figures", "").output
-        for name in (fits, calibrate_it, auto, trees)
+        for name in (fits, calibrate_it, auto)
     }
     assert "Noise of this robot" not in outputs[fits]
     assert "Noise of this robot: slam-compare calibrate calibrate.npz --out noise.toml" in outputs[calibrate_it]
     assert "Noise of this robot: slam-compare run auto.npz --noise auto" in outputs[auto]
-    assert "With noise estimated from this log: slam-compare run trees.npz --noise auto" in outputs[trees]
 
 
 def test_the_command_for_the_noise_names_the_robot_of_a_data_set() -> None:
@@ -297,11 +296,19 @@ def test_logs_without_ids(tmp_path: Path) -> None:
     assert options.noise == Path("auto") and options.calibration.sensor == options.sensor == data.sensor
     assert options.sensor.bearing_std == pytest.approx(estimate_robot(log).sensor.bearing_std, rel=1e-3)
     assert [note for note in data.notes if note.startswith("noise estimated from this log")]
-    assert [note for note in data.notes if "13 landmarks were found" in note]
+    assert [note for note in data.notes if "with 13 landmarks that were found" in note]
+    # the default is the same for a log of whose noise nothing is known
+    unnamed = unknown.replace(simulated=False)
+    by_default, _, chosen = prepare(unnamed, RunOptions())
+    assert (chosen.sensor, chosen.motion) == (options.sensor, options.motion) and by_default.notes == data.notes
+    assert FastSLAM2(unnamed, particles=2, seed=0).sensor == options.sensor
     # what cannot tell its noise keeps the book's, and says why
     few, _, options = prepare(unknown.at_steps(np.arange(15)), RunOptions.of(noise="auto"))
     assert options.calibration is None and options.sensor == SensorModel()
     assert [note for note in few.notes if note.startswith("noise auto kept the book's noise models")]
+    few, _, options = prepare(unnamed.at_steps(np.arange(15)), RunOptions())
+    assert options.calibration is None and options.sensor == SensorModel()
+    assert [note for note in few.notes if note.startswith("the noise models are the book's, because")]
 
 
 @pytest.mark.slow

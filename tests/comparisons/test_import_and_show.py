@@ -83,7 +83,7 @@ def test_mistakes_end_with_one_sentence(call, folder):
     )
     assert "give at most a folder or bag" in call("import", "a", "b", "c", code=2)
     assert "this is no bag; give the folder of tables" in call("import", folder / "odometry.csv", code=2)
-    (folder / "sightings.csv").write_text("t,id,range\n1,2,3\n")
+    (folder / "sightings.csv").write_text("t,id,range,way\n1,2,3,4\n")
     output = call("run", folder, code=2)
     assert output.count("\n") == 1 and "sightings.csv: no column for bearing" in output
 

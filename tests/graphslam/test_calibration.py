@@ -321,7 +321,7 @@ def test_sightings_without_ids() -> None:
         assert found.numbers[name] == pytest.approx(known.numbers[name], abs=0.1 * np.nan_to_num(error, nan=np.inf)), (
             name
         )
-    assert "13 landmarks were found" in found.notes[0]
+    assert "with 13 landmarks that were found" in found.notes[0]
     # true poses count, but landmarks that were found have no true positions
     assert "there is no true map" in " ".join(calibrate(without_ids(log)).notes)
     with pytest.raises(LogError, match="without landmark ids"):
