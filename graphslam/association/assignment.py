@@ -110,8 +110,10 @@ def ids_by_map(
 
 #: two landmarks that share the sightings of one are farther apart than chance would have them: each has those on its side
 SHARED = 1 - 1e-9
-#: one search decides on at most so many landmarks
+#: one search decides on at most so many landmarks, where they are no single piece, ...
 MOST_ITEMS = 40
+#: ... and on so many pairs of them, whose joint covariance has the square of that many blocks
+MOST_PAIRS = 1_000
 #: and compares at most so many hypotheses
 MOST = 3_000
 
@@ -161,7 +163,7 @@ def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.n
     density, squares = log_density(nu, own)
     kept = (squares <= gate) & (density + weights > 0)
     item, other, a, b = item[kept], other[kept], a[kept], b[kept]
-    nu, weights = nu[kept], weights[kept]
+    nu, weights, alone = nu[kept], weights[kept], (density + weights)[kept]
     found: list[Merge] = []
     # landmarks that share no candidate are decided on their own
     label = pieces(len(chosen), [a], [b])[a]
@@ -169,6 +171,8 @@ def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.n
         [np.arange(len(a))] if len(np.unique(item)) <= MOST_ITEMS else [np.flatnonzero(label == g) for g in set(label)]
     )
     for group in groups:
+        # what is left out is found in the next round, when the most likely ones are merged
+        group = group[np.argsort(-alone[group], kind="stable")[:MOST_PAIRS]] if len(group) > MOST_PAIRS else group
         found += _decided(solved, item[group], other[group], a[group], b[group], nu[group], weights[group],
                           P, probability)  # fmt: skip
     return found

@@ -21,9 +21,11 @@ from ..identification.odometry import OF_SENSOR, with_variances
 from ..identification.result import RobotEstimate
 from ..log import Log, check_is_log
 from ..models import MotionModel, SensorModel
-from .from_truth import Means, knows_enough, knows_poses, motion_noise, sensor_noise
+from .from_truth import Means, knows_enough, knows_poses, motion_noise, sensor_noise, true_motions
 from .variances import VarianceFit
 
+#: at least so many motions with true poses at both ends tell their noise
+FEWEST_MOTIONS = 20
 #: the choices of the option ``source``
 SOURCES = ("auto", "truth", "residuals")
 
@@ -228,18 +230,25 @@ def calibrate(
     check_choice("source", source, SOURCES)
     logs = (log, *others)
     motion, sensor = log.noise_models(motion, sensor)
+    moved = sum(map(true_motions, logs))
     if auto := source == "auto":
-        source = "truth" if all(map(knows_enough, logs)) else "residuals"
+        without_motions = log.controls is not None and moved < FEWEST_MOTIONS
+        source = "truth" if all(map(knows_enough, logs)) and not without_motions else "residuals"
     _check(logs, source)
     if source == "truth":
         return _from_truth(logs, motion, sensor, degrees)
     robots = [robot_of(each, motion, sensor) for each in logs]
     found = Calibration.of(*(robot for robot, _ in robots))
     found = replace(found, notes=(*(note for _, notes in robots for note in notes), *found.notes))
-    if auto and all(map(knows_poses, logs)):
+    known = all(map(knows_poses, logs))
+    if auto and known and moved >= FEWEST_MOTIONS:
         return _with_true_motion(found, motion, *motion_noise(logs, degrees))
-    note = ("no true poses with headings are known: all numbers are from residuals",) * auto
-    return replace(found, notes=(*note, *found.notes))
+    reason = (
+        f"the true poses at both ends are known of {moved} motions, and {FEWEST_MOTIONS} are needed"
+        if known
+        else "no true poses with headings are known"
+    )
+    return replace(found, notes=(*(f"{reason}: all numbers are from residuals",) * auto, *found.notes))
 
 
 def _from_truth(logs: tuple[Log, ...], motion: MotionModel, sensor: SensorModel, degrees: float | None) -> Calibration:

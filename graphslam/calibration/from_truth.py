@@ -42,6 +42,14 @@ def knows_enough(log: Log) -> bool:
     return knows_poses(log) and bool(np.isin(log.landmarks, list(log.true_landmarks or {})).any())
 
 
+def true_motions(log: Log) -> int:
+    """The number of motions whose true start and end are known, with headings, and that have odometry."""
+    if not knows_poses(log):
+        return 0
+    truth = _truth(log)
+    return int(np.sum(np.isfinite(between(truth[:-1], truth[1:])).all(axis=1) & ordinary(log)))
+
+
 def knows_poses(log: Log) -> bool:
     """Whether true poses with headings are known."""
     truth = log.robot_truth

@@ -329,6 +329,18 @@ def test_sightings_without_ids() -> None:
 
 
 @pytest.mark.slow
+def test_truth_that_is_sparser_than_the_poses_tells_no_motions() -> None:
+    """Every second pose has no truth, as with true poses once a second: all numbers are then from residuals."""
+    log = load(sample_log_path())
+    assert log.true_poses is not None
+    truth = log.true_poses.copy()
+    truth[1::2] = np.nan
+    found = calibrate(log.replace(true_poses=truth))
+    assert found.source == "residuals" and "of 0 motions, and 20 are needed" in found.notes[0]
+    assert found.numbers == calibrate(log, source="residuals").numbers
+
+
+@pytest.mark.slow
 def test_noise_that_is_much_too_wide_at_first_does_not_keep_wrong_ids() -> None:
     motion = MotionModel(nn=0.02, no=0.002, on=0.02, oo=0.02)
     sensor = SensorModel(range_rate=0.001, range_std=0.05, bearing_std=0.02)
@@ -355,6 +367,8 @@ def test_no_controls() -> None:
 
 def test_too_few_and_too_exact() -> None:
     with pytest.raises(LogError, match="too few"):
+        calibrate(drive(0, steps=2), source="truth")
+    with pytest.raises(LogError, match="at least 60 sightings and 20 poses"):
         calibrate(drive(0, steps=2))
     log = drive(0, steps=50)
     exact = calibrate(log.replace(true_poses=log.dead_reckoning()))
