@@ -88,7 +88,7 @@ class Evaluated(Errors):
         nees: mean of e' P^-1 e / 3; about 1 for right covariances. Where that of the first pose is zero, errors are those
             in its frame, else in that of the truth. None without covariances, true headings, or the truth of the first pose.
         landmarks: the number of landmarks of the map.
-            The error of the map is that of landmarks whose ids are true ones, or, with ``match="place"``, of the pairs.
+        landmark_rmse_m: of landmarks whose ids are true ones, or, with ``match="place"``, of the pairs.
         missed, false: true landmarks that have no partner within the cutoff, and landmarks of the map without.
         gospa_m: see `graphslam.metrics.gospa`.
         times, errors: (N,) [s] since the first true pose, and position errors [m].

@@ -1,21 +1,17 @@
-"""The options of the particle filters, each declared once with its type, default, choices and help.
+"""What a particle filter is told: its options, checked arguments, random numbers, and the memory that it may take.
 
-Constructors take these options as keywords, and command lines and configuration files derive theirs from the fields.
+Options are declared once, with type, default, choices and help. Constructors take them as keywords, and command lines and
+configuration files derive theirs from the fields. Arguments become numbers, or an `OptionError` says what was expected.
 
-Conversion of arguments to numbers, with an `OptionError` that says what was expected.
-
-Gaussian random numbers that are a function of a key and an index, so that threads need no common generator.
-
-The filter's generator draws one key per motion. Each of the N particles then has five numbers of its own, which depend
-only on the key and on the particle's index (`vmslam/numbers/random.hpp` in the engine).
+Gaussian random numbers are a function of a key and an index, so that threads need no common generator. The filter's generator
+draws one key per motion. Each of the N particles then has five numbers of its own, which depend only on the key and on the
+particle's index (`vmslam/numbers/random.hpp` in the engine).
 
 Rejected: `Generator.standard_normal`, which takes 7 to 8 ns per number in a single thread (here: 2.3 ns), and one
 generator per block of particles, which is repeatable but as slow.
 
-The memory that a particle filter needs, and the memory that there is.
-
-The numbers per particle are those of the arrays: 32 bytes for each stored pose of the genealogy, 8 bytes for each number of
-a landmark, and about 100 bytes for poses, weights and buffers. How many poses are stored depends on the resampling, so the
+Memory is forecast from the arrays: 32 bytes for each stored pose of the genealogy, 8 bytes for each number of a landmark, and
+about 100 bytes per particle for poses, weights and buffers. How many poses are stored depends on the resampling, so the
 forecast has a lower and an upper end.
 """
 

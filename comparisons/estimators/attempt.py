@@ -1,8 +1,8 @@
-"""One estimator of a comparison: an error becomes a `Skipped`, and the other estimators run.
+"""One estimator of a comparison, in this process or, with a time limit, in one of a pool; an error becomes a `Skipped`.
 
-With a time limit it runs in a process of the pool. Neither a compiled kernel nor GTSAM can be interrupted in this process.
+Neither the engine nor GTSAM can be interrupted in this process.
 
-The pool of local processes in which studies, solver checks and the studies of filters do their work.
+Studies and solver checks use the same pool.
 
 `graphslam.processes` starts the processes; here they also load the modules of estimators before their first task.
 """

@@ -1,10 +1,8 @@
-"""The estimators that are particle filters; on small logs they run with several random seeds.
+"""The estimators that are particle filters, the ids that they find, and the memory that they need.
 
-One run is one draw, whose error says little about the filter.
+One run is one draw, whose error says little about the filter: on small logs a filter runs with several random seeds.
 
-Ids for logs whose sightings have none, found once for all estimators that solve graphs.
-
-The memory that particle filters will need, said before they start.
+Where sightings have no ids, these are found once for all estimators that solve graphs.
 """
 
 from __future__ import annotations
@@ -259,7 +257,7 @@ def of_several_seeds(name: str, log: Log, options: RunOptions) -> EstimatorResul
     return replace(results[median], notes=(*results[median].notes, note), seed_errors=errors)
 
 
-#: what may be needed without a word [bytes]
+#: a filter that needs more memory than this says so beforehand [bytes]
 UNSAID = 1e9
 #: called with a sentence before work that needs much memory
 Announce = Callable[[str], None]

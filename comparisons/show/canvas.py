@@ -1,14 +1,10 @@
-"""Matplotlib figures in the style of this project, and how they are written.
+"""Matplotlib figures in the style of this project: how they are written, their colours and lines, and alignment to the truth.
 
 Only matplotlib's objects are used, no pyplot: nothing global changes, and any number of figures can be made at once.
-
-The colours, line styles and markers of all figures, animations and reports.
 
 Most colours are those of Okabe and Ito, the others those of Paul Tol; readers with colour blindness can distinguish all
 of them. Each estimator also has its own line style or marker and its own lightness, so that a figure printed in grey
 remains readable.
-
-The alignment of estimates to the ground truth, the same for all drawings.
 """
 
 from __future__ import annotations

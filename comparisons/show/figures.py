@@ -1,8 +1,6 @@
-"""The figure of a comparison: trajectories and map on the left, errors (or convergence) on the right.
+"""The figures of a comparison, of a log before it is solved, and of an evaluation.
 
-Covariance ellipses of three standard deviations.
-
-The figure of a log before it is solved: dead reckoning with all sightings, when each landmark was seen, histograms.
+A log before it is solved: dead reckoning with all sightings, when each landmark was seen, histograms.
 """
 
 from __future__ import annotations

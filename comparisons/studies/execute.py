@@ -1,8 +1,6 @@
-"""One run, from its description to the figures of its row: the task of every process, wherever it is.
+"""One run of a study, from its description to the columns of its row, and the executors of runs.
 
-The outcome of one run: the columns of a study's table.
-
-The executors of all studies: this process, local processes, or a Dask cluster (`sweep`).
+A run is the task of every process, wherever it is: this one, local processes, or a Dask cluster (`sweep`).
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The summary of a study: medians with intervals, and differences between methods on the same logs and seeds.
+"""The summary of a study: medians with intervals, and differences between methods on the same logs and seeds; its files.
 
 A method is an estimator with its varied options. A log is a file, or a simulated world with its varied settings, of which
 each seed makes another log.
 
-The rows of a study for other programs, CSV and JSON lines, and its summary as CSV.
+The files are its rows as CSV or JSON lines, and its summary as CSV.
 
-The median with its bootstrap interval: how far it would move if other logs had been drawn.
+The bootstrap interval of a median says how far it would move if other logs had been drawn.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Execute the runs that a study lacks, and write a row as each run ends.
+"""Execute the runs that a study lacks, here or on a Dask cluster, and write a row as each run ends.
 
-Runs on an existing Dask cluster: the extra ``cluster``. Each worker of the cluster has a pool of local processes.
+On an existing cluster (the extra ``cluster``) each worker of the cluster has a pool of local processes.
 
 A worker of Dask cannot stop a run or survive its crash, so its pool does, as on a single machine.
 """

@@ -1,4 +1,6 @@
-"""FastSLAM 1.0: every particle carries a trajectory and, given that, a map of independent Gaussians.
+"""Monte Carlo localisation on a known map, FastSLAM 1.0 and FastSLAM 2.0.
+
+FastSLAM 1.0: every particle carries a trajectory and, given that, a map of independent Gaussians.
 
 Sources: Murphy, *Bayesian map learning in dynamic environments*, NIPS 1999; Montemerlo, Thrun, Koller and Wegbreit,
 *FastSLAM*, AAAI 2002; *Probabilistic Robotics*, section 13.3; Ueda, *LNPR*, chapter 8.

@@ -1,8 +1,6 @@
-"""Particle Gibbs: samples of whole trajectories and maps, from the posterior itself.
+"""Particle Gibbs: samples of whole trajectories and maps from the posterior itself, their moments, and whether chains mixed.
 
-`GibbsResult`: samples of particle Gibbs, their moments, and whether the chains have mixed.
-
-Whether chains have mixed: split R-hat and the effective sample size, of all coordinates at once.
+Mixing: split R-hat and the effective sample size, of all coordinates at once.
 
 Sources: Vehtari, Gelman, Simpson, Carpenter and Bürkner, *Rank-normalization, folding, and localization: an improved
 R-hat*, Bayesian Analysis 2021 (here without ranks: the coordinates are nearly Gaussian); Geyer, *Practical Markov chain

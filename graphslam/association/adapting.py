@@ -1,4 +1,4 @@
-"""Estimates from a first association: the slip of the robot sideways, and parameters of vehicle and sensor.
+"""What a first association tells: the slip of the robot sideways, and parameters; and a competition of several starts.
 
 The noise of motions is independent from one motion to the next, but slip on grass or on a slope lasts for minutes. In a
 single motion it is small, and over long ways it adds up to far more than the model allows. Then odometry bends the map. So

@@ -1,9 +1,7 @@
-"""Places that may have been taken for others: for every return to a place, how much more likely it is than any alternative.
+"""Alternatives to an association: places that may have been taken for others, and with what evidence.
 
 What the criterion takes for chance it cannot doubt: in it landmarks are distributed at random, so two places that look
 alike are taken for one wherever odometry allows it, unless the drive itself has shown that there are two.
-
-Alternative associations of a drive: which landmarks the robot may have returned to instead, and with what evidence.
 
 A return begins where landmarks are seen again that were out of sight for long, an arrival where new ones are seen after a
 blind stretch. All sightings from there on are taken for new landmarks (those in sight all along excepted), the graph is
@@ -13,7 +11,7 @@ every landmark of the return is another one, or new.
 The time out of sight is measured by a clock in steps that counts blind stretches as more steps. Within a moment of this
 clock, odometry determines well enough where landmarks that were just seen must be.
 
-The k best joint hypotheses where the prior covariance is so large that no single pair is significant.
+Alternatives are the k best joint hypotheses, also where the prior covariance is so large that no single pair is significant.
 
 After a long drive without sightings no pair of a new and an old landmark is likely by itself, but the second pair
 is, given the first, because both move together. So a hypothesis begins with a seed: a first pair, whatever its own

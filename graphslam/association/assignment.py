@@ -1,6 +1,7 @@
-"""The assignment of all sightings of a log to the landmarks of one map, scan by scan, each landmark once in a scan.
+"""Which landmark is a sighting of, and which landmarks are one, given a solved graph.
 
-Landmarks that turn out to be one: tested jointly, with their covariance from the solved graph.
+`assign` gives all sightings of a log to the landmarks of one map, scan by scan, each landmark once in a scan. `merges` tests
+jointly, with their covariance from the solved graph, which landmarks are one.
 
 Two landmarks with difference delta ~ N(0, S) if they are one are merged where the evidence for it, log N(delta; 0, S) -
 log(density of landmarks), is positive. This is the Bayesian information criterion with its constants: the landmark that

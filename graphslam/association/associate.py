@@ -1,12 +1,10 @@
-"""`associate`: a log whose sightings have no ids, with ids, and a report on how they were found.
+"""`associate`: a log whose sightings have no ids, with ids; `Verdict`: can they be trusted; `score`: compared with true ids.
 
-Whether an association can be relied on: a statement that separates good maps from bad ones, calibrated on simulated logs.
+The verdict separates good maps from bad ones, calibrated on simulated logs.
 
 A map is good where the ATE is at most 1.5 times that of the same graph with the true ids. The criterion is how much more
 likely the map is than any other one with another trajectory that the search has met, and whether several starts found it.
 `docs/association.md` has the shares of errors.
-
-An association against the true ids: precision, recall, and landmarks found, missed, doubled and invented.
 """
 
 from __future__ import annotations

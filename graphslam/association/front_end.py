@@ -1,6 +1,7 @@
 """Association along the drive: tracks from a local filter, joined to landmarks by graphs of the drive so far.
 
-A Kalman filter of the robot and the landmarks that it saw last, which joins sightings of neighbouring scans to tracks.
+The local filter is a Kalman filter of the robot and the landmarks that it saw last. It joins sightings of neighbouring scans
+to tracks.
 
 Its state is the pose and the tracks seen within some steps. Older ones are marginalised: whether a track is a landmark that
 was seen before is decided by the graph, not here.

@@ -1,17 +1,17 @@
-"""The options of the association of sightings without ids.
+"""What an association of sightings without ids is given: log, options, densities, classes, and ids that are known.
 
-Classes of sightings, such as the colour of a cone: the log likelihood ratio that a class gives to a landmark.
+A class, such as the colour of a cone, gives a landmark a log likelihood ratio.
 
 A sighting shows the class of its landmark, or, with the probability of confusion, any of the others. With n classes and
 the counts of the classes that a landmark's sightings have shown, p(c) is the probability that it is of class c, and the
 sighting's class k has the probability sum over c of p(c) P(k given c). Against 1/n, that of a new landmark, this is the
 factor on the evidence. A sighting whose class is not known has the factor 1.
 
-The densities of landmarks and false sightings, and the probability of detection, with which evidence is compared.
+Evidence is compared with the densities of landmarks and of false sightings, and the probability of detection.
 
-Ids that some sightings of a log have: sightings with one id are of one landmark, and no landmark has two.
+Some sightings may have ids: those with one id are of one landmark, and no landmark has two.
 
-All other labels are found as where no sighting has an id, and then changed to agree with the ids.
+Other labels are found as where no sighting has an id, and then changed to agree with the ids.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Association and solving in turn: with the whole drive solved, every sighting is assigned again.
+"""Association and solving in turn: with the whole drive solved, every sighting is assigned again; alternatives are tried.
 
 Each round merges landmarks that are one, assigns the sightings of every scan to the landmarks of the solved graph, makes
 landmarks of sightings that no landmark explains but that agree with each other, and drops landmarks whose sightings are
@@ -9,7 +9,7 @@ better explained as clutter. A landmark with sightings z_k, assigned with square
 
 Laplace's approximation of the evidence for it, C its covariance from its sightings alone.
 
-Hill climbing: alternatives are tried, refined, and kept where the total evidence is significantly higher.
+The search climbs: alternatives are tried, refined, and kept where the total evidence is significantly higher.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from .from_truth import Means, knows_enough, knows_poses, motion_noise, sensor_n
 from .variances import VarianceFit
 
 #: at least so many motions with true poses at both ends tell their noise
-FEWEST_MOTIONS = 20
+FEWEST_MOTIONS = 10
 #: the choices of the option ``source``
 SOURCES = ("auto", "truth", "residuals")
 

@@ -1,8 +1,10 @@
-"""Anchor: a prior on a pose, (x - x̂)' Omega_0 (x - x̂). Without an anchor the whole graph can move freely.
+"""Edges of single nodes: anchors, priors of a map or of eliminated poses, and absolute positions.
 
-Priors on nodes: those of a map on its landmarks, or the marginal of edges whose poses were eliminated.
+An anchor is a prior on a pose, (x - x̂)' Omega_0 (x - x̂). Without one the whole graph can move freely.
 
-Absolute positions: a point of the robot measured in the world, by GPS, motion capture or a total station.
+Other priors are those of a map on its landmarks, or the marginal of edges whose poses were eliminated.
+
+An absolute position is a point of the robot measured in the world, by GPS, motion capture or a total station.
 
 With the lever a, the point in the axes of the robot, and the measured place z = (x, y) or (x, y, theta),
 

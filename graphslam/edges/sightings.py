@@ -1,10 +1,10 @@
-"""`SightingEdges`, the base of all edges that come from sightings, and sightings grouped by landmark.
+"""`SightingEdges`, the base of all edges that come from sightings, and `MarginalEdges`, which eliminate each landmark.
 
 Every sighting places its landmark at y = h^-1(x, z) with covariance C = R Q R'. When the pose rotates, y moves by the
 lever t = (-v_y, v_x) per radian, where v leads from the pose to the landmark. It is l (cos, sin)(theta + phi), plus
 R(theta) o where the sensor sits at o on the robot.
 
-Marginal edges: each landmark as a variable, eliminated. Every sighting counts exactly once.
+Marginal edges have each landmark as a variable, eliminated. Every sighting counts exactly once.
 
 With y_a = h^-1(x_a, z_a) and W_a = (R_a Q_a R_a')^-1 a landmark m costs
 

@@ -1,6 +1,6 @@
-"""The messages of a topic as columns of numbers, collected while the bag is streamed.
+"""The messages of a topic as columns of numbers, and rigid motions between frames.
 
-Rigid motions between frames, from /tf_static and /tf.
+Messages are collected while the bag is streamed. The motions are those of /tf_static and /tf.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""`LogFormat`, the description of a file format of logs, and functions that readers share.
-
-Text files of numbers: words, and tables of columns; errors name the line.
-"""
+"""`Format`, the description of a file format of logs, and what readers share: text files of numbers; errors name lines."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""`Finding`: something in a log that is probably a mistake.
+"""`Finding`: something in a log that is probably a mistake; and what all checks compare sightings by.
 
-Positions of sightings by the odometry, and distances between landmarks that are seen shortly after one another.
+These are positions of sightings by the odometry, and distances between landmarks that are seen shortly after one another.
 
 Over a short way both hardly depend on the drift of the odometry.
 """

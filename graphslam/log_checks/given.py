@@ -1,6 +1,6 @@
-"""A log against its ground truth: scale, signs and axes of the true poses.
+"""A log against its ground truth (scale, signs and axes of the true poses) and against its true map (ids and places).
 
-A log against its true map: whether the map has the landmarks that are seen, where they are seen from each other.
+The map is checked for whether the map has the landmarks that are seen, where they are seen from each other.
 """
 
 from __future__ import annotations

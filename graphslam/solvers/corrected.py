@@ -1,6 +1,6 @@
-"""A graph of a log at given values of its parameters, and what its sightings should have been.
+"""A graph of a log at given values of its parameters; and why an Omega is singular.
 
-Explains a singular Omega: which nodes are not determined, in which direction, and which edges touch them.
+The explanation names which nodes are not determined, in which direction, and which edges touch them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""`solve`: the hand-written solver.
-
-`solve_many`: solve one graph after another, on several threads.
-"""
+"""`solve`: the hand-written solver; `solve_many`: many graphs, on several threads."""
 
 from __future__ import annotations
 

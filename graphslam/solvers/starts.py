@@ -1,20 +1,19 @@
-"""Initial values of the iteration: given values, dead reckoning, or headings first and then positions.
+"""Initial values: the given ones, dead reckoning, headings first and then positions, a growing trajectory, and restarts.
 
-Gauss-Newton reaches the optimum only from near it, mostly because of the headings. They can be computed first, by linear
-least squares on unit vectors: with r_i = (cos theta_i, sin theta_i), every edge that measures a relative heading d asks
-for R(d) r_i = r_j. With the headings known, the positions are linear, too. Both systems have the pattern of Omega, so
-its ordering and structure are computed only once.
+Headings first: Gauss-Newton reaches the optimum only from near it, mostly because of the headings. They can be computed
+first, by linear least squares on unit vectors: with r_i = (cos theta_i, sin theta_i), every edge that measures a relative
+heading d asks for R(d) r_i = r_j. With the headings known, the positions are linear, too. Both systems have the pattern of
+Omega, so its ordering and structure are computed only once.
 
 Source: Carlone, Tron, Daniilidis and Dellaert, *Initialization techniques for 3D SLAM: a survey on rotation estimation
 and its use in pose graph optimization*, ICRA 2015 (there called chordal relaxation, for the plane).
 
-Initial values by solving a growing part of the trajectory: solve the first poses, add the next ones, solve again.
+Growing: solve the first poses, add the next ones, solve again. Each added pose begins where its motion edge leads from the
+corrected pose before it, so that no error of dead reckoning accumulates, and each new landmark where its first sighting puts
+it. This finds the optimum where noise is so large that starts which look at all poses at once end in other minima. Fewer
+poses at a time find it more often, and take longer.
 
-Each added pose begins where its motion edge leads from the corrected pose before it, so that no error of dead reckoning
-accumulates, and each new landmark where its first sighting puts it. This finds the optimum where noise is so large that
-starts which look at all poses at once end in other minima. Fewer poses at a time find it more often, and take longer.
-
-Restarts with one stretch of the trajectory turned by 2 pi: a search for a lower minimum near a local one.
+Restarts with one stretch of the trajectory turned by 2 pi look for a lower minimum near a local one.
 
 Sightings hold headings up to full turns. Where they are few or noisy, mainly the motion edges say how far the robot turns
 over a stretch of poses, and one full turn more or less, spread over the stretch, leads to another minimum. If the headings

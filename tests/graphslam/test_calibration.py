@@ -336,7 +336,7 @@ def test_truth_that_is_sparser_than_the_poses_tells_no_motions() -> None:
     truth = log.true_poses.copy()
     truth[1::2] = np.nan
     found = calibrate(log.replace(true_poses=truth))
-    assert found.source == "residuals" and "of 0 motions, and 20 are needed" in found.notes[0]
+    assert found.source == "residuals" and "of 0 motions, and 10 are needed" in found.notes[0]
     assert found.numbers == calibrate(log, source="residuals").numbers
 
 
