@@ -37,6 +37,7 @@ from graphslam import (
 from graphslam.calibration import Calibration, calibrate
 from graphslam.identification.declared import CORRECTIONS
 from graphslam.log import UNIDENTIFIED
+from graphslam.simulation.worlds import simulate_single_numbers
 
 Invoke = Callable[..., Result]
 #: a drive, and what `estimate_robot` finds
@@ -274,6 +275,13 @@ def test_the_command_for_the_noise_names_the_robot_of_a_data_set() -> None:
         "Noise of this robot: slam-compare calibrate mrclam6 --out noise.toml"
     )
     assert "--robot 3" in advice and "--keep-every 0.5" in advice and "particles" not in advice
+
+
+def test_no_command_that_fails_is_named_for_single_numbers() -> None:
+    log = simulate_single_numbers("range")
+    outcome: Any = SimpleNamespace(log=log, noise_ratio=(1.0, 0.01), findings=(), noise_source={"motion": "book"})
+    advice = _noise_advice(outcome, Path("beacons.npz"), RunOptions())
+    assert advice is not None and advice.startswith("The noise of ranges or bearings alone is not estimated")
 
 
 def test_robots_that_disagree_are_not_one(invoke: Invoke, tmp_path: Path) -> None:
