@@ -225,10 +225,13 @@ class Comparison(Displayed):
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What is probably wrong with the log, see `graphslam.log_checks`, or with its noise."""
+        """What is probably wrong with the log, see `graphslam.log_checks`, with its noise, or with ids that were found."""
         estimated = self.options.calibration
         doubts = () if estimated is None else tuple(Finding("doubtful noise", each) for each in estimated.doubts)
-        return (*check_log(self.log), *doubts, *self._noise_findings())
+        # the same ids serve several estimators
+        unreliable = {str(each.found.verdict) for each in self.results if each.found and not each.found.verdict.reliable}
+        maps = tuple(Finding("unreliable ids", f"{self.log.name}: {verdict}") for verdict in sorted(unreliable))
+        return (*check_log(self.log), *doubts, *self._noise_findings(), *maps)
 
     def _noise_findings(self) -> Iterator[Finding]:
         """Noise that was given, such as that of another robot, or estimated, and is less than this log shows.

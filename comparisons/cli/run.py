@@ -112,8 +112,10 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
     if fits or options.noise is not None or outcome.findings or not of_book or outcome.log.controls is None:
         return None
     if not len(outcome.log.steps) and outcome.log.partial_sightings is not None:
-        options_of_noise = "--range-rate and --range-std, or --bearing-std"
-        return f"The noise of ranges or bearings alone is not estimated; give it by {options_of_noise}"
+        return (
+            "The noise of ranges or bearings alone is not estimated; give it by --range-rate and --range-std, or "
+            "--bearing-std"
+        )
     if outcome.log.true_poses is not None:
         # of a data set of several robots it needs to know which one
         reading = ReadingOptions.of(**{name: getattr(options, name) for name in options_of(ReadingOptions)})

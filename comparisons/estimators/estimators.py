@@ -430,8 +430,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         with noted(notes, "the probability of being off is not known"):
             values["integrity_risk"] = solution.integrity_risk(*bounds_of(options))
     if found is not None:
-        # the notes of the association came with its log
-        notes = [*found.notes, *notes]
+        # the notes of the association came with its log; that its map is not reliable is a finding of the comparison
+        notes = [*(each for each in found.notes if found.verdict.reliable or each != str(found.verdict)), *notes]
         values |= {
             "named": False,
             "association": found.ids,

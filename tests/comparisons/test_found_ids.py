@@ -50,6 +50,16 @@ def test_the_graph_finds_ids_that_the_log_lacks(log):
     assert known["graph"].association is None
 
 
+def test_a_map_that_cannot_be_relied_on_is_a_warning(log):
+    hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    for front_end, warned in (("fastslam2", True), ("auto", False)):
+        comparison = run(hidden, estimators=["graph", "gtsam"], front_end=front_end)
+        found = [finding.message for finding in comparison.findings if finding.check == "unreliable ids"]
+        # one start tells nothing; it is said once, for both estimators
+        assert len(found) == warned and all("do not rely on the map without a check" in each for each in found)
+        assert not [note for note in comparison["graph"].notes if "do not rely" in note]
+
+
 @pytest.mark.parametrize("front_end", ["auto", "fastslam2", "batch", "best"])
 def test_ignored_ids_are_compared_with_those_found(log, front_end):
     comparison = run(log, estimators="graph", association="maximum-likelihood", front_end=front_end)
