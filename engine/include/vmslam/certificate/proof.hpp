@@ -90,8 +90,8 @@ class Proof {
     std::vector<double> rounding_;
     State state_;
     std::vector<char> free_;
-    std::vector<double>
-        summation_;  ///< (N) bounds on the rounding errors of the sums over the edges of a node, as parts of their terms
+    /// (N) bounds on the rounding errors of the sums over the edges of a node, as parts of their terms.
+    std::vector<double> summation_;
     std::vector<Force> forces_;
     std::vector<Curvature> curves_;
     QuadraticBound function_;

@@ -10,8 +10,8 @@
 // information in these axes is that of the world turned back by theta.
 //
 // The factor holds every edge with the lever, alpha and robust weight of the last time at which its part of the tree was
-// factorised. Its pulls -B(x)' w W e(x), w the robust weight, are those at the estimate, so that passes end at an optimum, whatever B is in the
-// factor. If it is near B(x), they converge fast. `evaluate` compares them.
+// factorised. Its pulls -B(x)' w W e(x), w the robust weight, are those at the estimate, so that passes end at an optimum,
+// whatever B is in the factor. If it is near B(x), they converge fast. `evaluate` compares them.
 //
 // Gauss-Newton leaves out the second derivatives of the residual. Where residuals are as large as levers, the curvature of J
 // can be more than twice B' W B, and Gauss-Newton then diverges from the minimum itself. So an edge with a cost above
