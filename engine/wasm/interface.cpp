@@ -168,8 +168,8 @@ struct LogGraph {
 struct Online {
     Robot robot;
     online::OnlineSystem system{3e-8, 15};
-    online::Number pose;
-    std::map<std::int64_t, online::Number> landmarks;
+    online::Id pose;
+    std::map<std::int64_t, online::Id> landmarks;
 
     Online(const double* start, const Robot& robot) : robot(robot), pose(system.add_node()) {
         const online::Triple first{start[0], start[1], start[2]};
@@ -178,7 +178,7 @@ struct Online {
     }
 
     bool step(const double* control, const double* sightings, int count) {
-        const auto known = static_cast<online::Number>(system.graph().nodes.size());
+        const auto known = static_cast<online::Id>(system.graph().nodes.size());
         const auto pose_before = pose;
         const auto landmarks_before = landmarks;
         std::vector<online::NewEdge> edges;
