@@ -229,7 +229,9 @@ class Comparison(Displayed):
         estimated = self.options.calibration
         doubts = () if estimated is None else tuple(Finding("doubtful noise", each) for each in estimated.doubts)
         # the same ids serve several estimators
-        unreliable = {str(each.found.verdict) for each in self.results if each.found and not each.found.verdict.reliable}
+        unreliable = {
+            str(each.found.verdict) for each in self.results if each.found and not each.found.verdict.reliable
+        }
         maps = tuple(Finding("unreliable ids", f"{self.log.name}: {verdict}") for verdict in sorted(unreliable))
         return (*check_log(self.log), *doubts, *self._noise_findings(), *maps)
 

@@ -171,7 +171,7 @@ def set_limits(axes: Axes, core: Array, rest: Sequence[Array]) -> float:
 
 
 # thick light lines are drawn first, thin dark lines and markers over them, so that all estimates that coincide are visible
-ESTIMATORS: dict[str, dict[str, Any]] = {
+STYLES: dict[str, dict[str, Any]] = {
     "dead-reckoning": {"color": "#E69F00", "linestyle": (0, (5, 1.5)), "linewidth": 1.1, "zorder": 2.1},
     "textbook": {"color": "#D55E00", "linestyle": "none", "marker": "x", "markersize": 3.6, "zorder": 3.4},
     "graph": {"color": "#56B4E9", "linestyle": "-", "linewidth": 2.3, "zorder": 2.3},
@@ -194,18 +194,18 @@ CONSISTENCY: dict[str, dict[str, Any]] = {
 }
 #: the solvers of pose graphs; graphslam and gtsam look as the estimators that they are
 BACKENDS: dict[str, dict[str, Any]] = {
-    "graphslam": {"color": ESTIMATORS["graph"]["color"], "linestyle": "-", "marker": "o", "linewidth": 2.0},
-    "gtsam-lm": {"color": ESTIMATORS["gtsam"]["color"], "linestyle": "--", "marker": "s"},
+    "graphslam": {"color": STYLES["graph"]["color"], "linestyle": "-", "marker": "o", "linewidth": 2.0},
+    "gtsam-lm": {"color": STYLES["gtsam"]["color"], "linestyle": "--", "marker": "s"},
     "gtsam-gn": {"color": "#117733", "linestyle": "-.", "marker": "^"},
     "g2o-gn": {"color": "#AA4499", "linestyle": ":", "marker": "x"},
     "g2o-lm": {"color": "#000000", "linestyle": (0, (5, 1.5)), "marker": "+"},
 }
 #: the iterations that the report compares: textbook, world frame, world frame accelerated, body frame
 ITERATIONS = (
-    (ESTIMATORS["textbook"]["color"], "x"), ("#999933", "diamond"), ("#CC6677", "triangle-up"),
-    (ESTIMATORS["graph"]["color"], "circle"),
+    (STYLES["textbook"]["color"], "x"), ("#999933", "diamond"), ("#CC6677", "triangle-up"),
+    (STYLES["graph"]["color"], "circle"),
 )  # fmt: skip
-_OTHER = ("#AA4499", "#44AA99", "#999933", "#117733")
+_OTHER = ("#AA4499", "#44AA99", "#999933")
 
 INK = "#1a1a1a"
 TRUTH: dict[str, Any] = {"color": "black", "linestyle": "-", "linewidth": 0.9, "zorder": 2.9}
@@ -228,11 +228,11 @@ MATRIX = ("#ffffff", "#E69F00", "#0072B2")
 
 def style_of(name: str, points: int = 0) -> dict[str, Any]:
     """The line properties of an estimator, a graph of a consistency study or a backend, for a line of ``points``."""
-    style = ESTIMATORS.get(name) or CONSISTENCY.get(name) or BACKENDS.get(name)
+    style = STYLES.get(name) or CONSISTENCY.get(name) or BACKENDS.get(name)
     if style is None:
         color = _OTHER[sum(map(ord, name)) % len(_OTHER)]
         style = {"color": color, "linestyle": (0, (3, 1, 1, 1, 1, 1)), "zorder": 2.7}
-    if "marker" in style and name in ESTIMATORS and points:
+    if "marker" in style and name in STYLES and points:
         # the markers of two estimators on one line take turns
         every = max(2, points // 15)
         style = style | {"markevery": (every // 2 if name == "textbook" else 0, every)}

@@ -20,7 +20,7 @@ from comparisons.results import EstimatorResult
 from comparisons.show.canvas import (
     BACKENDS,
     CONSISTENCY,
-    ESTIMATORS,
+    STYLES,
     colour_of,
     place_map,
     placement_of,
@@ -97,20 +97,18 @@ def test_the_map_has_equal_axes_and_shows_everything(comparison: Comparison, log
 
 
 def test_each_estimator_looks_different_in_colour_and_in_grey() -> None:
-    looks = {(str(s.get("linestyle")), s.get("marker")) for s in ESTIMATORS.values()}
-    assert len(looks) == len(ESTIMATORS)
+    looks = {(str(s.get("linestyle")), s.get("marker")) for s in STYLES.values()}
+    assert len(looks) == len(STYLES)
     # markers lie on the thick light line of the graph and must stand out from it without colour
-    grey = {name: float(np.dot(to_rgb(s["color"]), (0.299, 0.587, 0.114))) for name, s in ESTIMATORS.items()}
+    grey = {name: float(np.dot(to_rgb(s["color"]), (0.299, 0.587, 0.114))) for name, s in STYLES.items()}
     assert grey["graph"] - grey["gtsam"] > 0.1
     assert grey["graph"] - grey["textbook"] > 0.1
 
 
 def test_a_colour_means_one_thing() -> None:
-    assert len({s["color"] for s in (*ESTIMATORS.values(), *CONSISTENCY.values())}) == len(ESTIMATORS) + len(
-        CONSISTENCY
-    )
+    assert len({s["color"] for s in (*STYLES.values(), *CONSISTENCY.values())}) == len(STYLES) + len(CONSISTENCY)
     assert len({s["color"] for s in BACKENDS.values()}) == len(BACKENDS)
-    assert {name for name in CONSISTENCY if name in ESTIMATORS} == set()
+    assert {name for name in CONSISTENCY if name in STYLES} == set()
     # an estimator under another name keeps its colour
     assert (colour_of("graphslam"), colour_of("gtsam-lm")) == (colour_of("graph"), colour_of("gtsam"))
 
@@ -128,7 +126,7 @@ def test_an_estimator_has_its_colour_in_every_figure() -> None:
         lines = [
             line for axes in study.figure().axes for line in axes.get_lines() if "fastslam2" in str(line.get_label())
         ]
-        assert {line.get_color() for line in lines} == {ESTIMATORS["fastslam2"]["color"]}
+        assert {line.get_color() for line in lines} == {STYLES["fastslam2"]["color"]}
 
 
 def test_the_right_panel_shows_the_errors_whose_rms_is_the_ate(comparison: Comparison) -> None:
