@@ -18,13 +18,13 @@ int main(int argc, char** argv) try {
 
     // a step ends where the next pass would lower J by less than 3e-8 of it, at the latest after 15 passes
     OnlineSystem system{3e-8, 15};
-    Number pose = system.add_node();
+    Id pose = system.add_node();
     system.add_prior({&pose, 1}, {&log.start, 1}, {1e6, 0, 0, 0, 1e6, 0, 0, 0, 1e6}, false);
     system.solve({&pose, 1}, {}, {&pose, 1});
 
-    std::map<std::int64_t, Number> landmarks;
+    std::map<std::int64_t, Id> landmarks;
     for (std::size_t t = 0; t < log.poses(); ++t) {
-        const auto known = static_cast<Number>(system.graph().nodes.size());
+        const auto known = static_cast<Id>(system.graph().nodes.size());
         std::vector<NewEdge> edges;
         if (t > 0) {
             const auto [z, omega] = measured(log.controls[t - 1]);
