@@ -211,7 +211,8 @@ def calibrate(
     Args:
         log, others: the logs; of one kind of robot, since they share all numbers.
         source: "truth", "residuals", or "auto": the truth where poses, headings and landmarks are known. Where the map is
-            not, "auto" takes the numbers of the motion from the true poses, and those of the sensor from residuals.
+            not, "auto" takes the numbers of the motion from the true poses, and those of the sensor from residuals. Where
+            fewer than `FEWEST_MOTIONS` motions have true poses at both ends, all are from residuals.
         motion, sensor: the noise with which ids are found first, and the offset of the sensor; default: the first log's, or
             the book's.
         degrees: degrees of freedom of the residuals against the truth; None to estimate them, infinity for a Gaussian

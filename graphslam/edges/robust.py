@@ -180,8 +180,8 @@ def _gaussian_squares(dimension: int) -> Array:
 def efficient_width(code: int, dimension: int) -> float:
     """The width with `EFFICIENCY`, by bisection.
 
-    Up to 9 dimensions the efficiency is below it for small widths and above it for large ones. From 10 dimensions on, Huber's
-    kernel has it at any width, however small, and so no width follows from it.
+    Up to 9 dimensions the efficiency is below it for small widths and above it for large ones. From some dimension on, 10 for
+    Huber's kernel, a kernel has it at any width, however small, and so no width follows from it.
 
     Raises:
         OptionError: the dimension does not determine a width.

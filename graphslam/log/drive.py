@@ -208,7 +208,8 @@ class Reader:
     def single_number(self) -> str | None:
         """ "range" or "bearing" where a table of sightings has that number alone, and no column that may be the other."""
         measured = [role for role in ("range", "bearing") if self.has(role)]
-        alone = len(measured) == 1 and self.table.names and not self.unused and not self.has("orientation")
+        others = self.unused or any(self.has(role) for role in ("orientation", "x", "y", "z"))
+        alone = len(measured) == 1 and self.table.names and not others
         return measured[0] if alone else None
 
     def classes(self) -> tuple[np.ndarray | None, tuple[str, ...]]:
