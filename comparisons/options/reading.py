@@ -38,7 +38,7 @@ from graphslam.graph.tracking import in_frame_of
 from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
 from graphslam.identification.result import ESTIMATE
-from graphslam.identification.robot import estimate_robot, unknown_noise, with_checked_ids
+from graphslam.identification.robot import enough_ids, estimate_robot, unknown_noise, with_checked_ids
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.rows import ReadOptions
@@ -110,10 +110,6 @@ def prepare(
     of_file = options.noise not in (None, AUTO, BOOK)
     if check_ids := (of_file if options.check_ids is None else options.check_ids) and not estimated:
         data = _with_checked_ids(data, motion, sensor)
-    if options.check_ids is False and estimated:
-        raise OptionError(
-            "the estimate from the log always checks ids; without it, name the noise (--noise FILE, --noise book)"
-        )
     if of_file and data.controls is not None:
         data = _compared_with_estimate(data, motion, sensor)
     if options.max_range is not None:
@@ -208,6 +204,11 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
             log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
         noise = None if options.noise is None else str(options.noise)
         known, estimate = known_noise(log, noise, *options.models(log.motion, log.sensor))
+        if options.check_ids is False and estimate is not None and enough_ids(log):
+            raise OptionError(
+                "the estimate of the noise always checks ids; to run without that check, name the noise: --noise FILE or "
+                "--noise book"
+            )
         return known, values, None if estimate is None else Calibration.of(estimate)
     except (GraphError, LogError) as error:
         return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values, None

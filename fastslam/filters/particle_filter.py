@@ -72,7 +72,9 @@ class ParticleFilter(ABC):
     The same seed gives exactly the same result for any number of threads.
 
     Args:
-        log: controls and sightings; None for a filter that is used with `move` and `observe`.
+        log: controls and sightings; None for a filter that is used with `move` and `observe`. Where its noise is not
+            known and neither ``motion`` nor ``sensor`` is given, `graphslam.association.known_noise` estimates it first;
+            without ids that takes two associations.
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose, in the frame of
@@ -118,7 +120,7 @@ class ParticleFilter(ABC):
             log.warn_of_unused("a particle filter", [name for name, is_used in used.items() if is_used])
             check_memory(log, self.options, maps=self.HAS_MAPS)
         if log is not None and motion is None and sensor is None:
-            # the same choice as that of `Graph.from_log`
+            # for logs with ids the same choice as that of `Graph.from_log`
             log, _ = known_noise(log)
         self.log = log
         self.motion = motion or getattr(log, "motion", None) or MotionModel()

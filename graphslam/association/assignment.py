@@ -111,9 +111,9 @@ def ids_by_map(
 
 #: two landmarks that share the sightings of one are farther apart than chance would have them: each has those on its side
 SHARED = 1 - 1e-9
-#: one search decides on at most so many landmarks, where they are no single piece, ...
+#: with more landmarks than this each connected piece of them is searched by itself, ...
 MOST_ITEMS = 40
-#: ... and on so many pairs of them, whose joint covariance has the square of that many blocks
+#: ... a piece by at most so many pairs at a time: their joint covariance has the square of that number of blocks
 MOST_PAIRS = 1_000
 #: and compares at most so many hypotheses
 MOST = 3_000
@@ -172,10 +172,15 @@ def merges(problem: Problem, solved: MapSolution, items: np.ndarray, views: np.n
         [np.arange(len(a))] if len(np.unique(item)) <= MOST_ITEMS else [np.flatnonzero(label == g) for g in set(label)]
     )
     for group in groups:
-        # what is left out is found in the next round, when the most likely ones are merged
-        group = group[np.argsort(-alone[group], kind="stable")[:MOST_PAIRS]] if len(group) > MOST_PAIRS else group
-        found += _decided(solved, item[group], other[group], a[group], b[group], nu[group], weights[group],
-                          P, probability)  # fmt: skip
+        likely = group[np.argsort(-alone[group], kind="stable")] if len(group) > MOST_PAIRS else group
+        for begin in range(0, len(group), MOST_PAIRS):
+            some = likely[begin : begin + MOST_PAIRS]
+            decided = _decided(solved, item[some], other[some], a[some], b[some], nu[some], weights[some],
+                               P, probability)  # fmt: skip
+            found += decided
+            if decided:
+                # less likely pairs are decided on in the next round, when these are merged
+                break
     return found
 
 

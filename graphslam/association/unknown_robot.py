@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from ..errors import GraphError, LogError
+from ..errors.checks import check_choice
 from ..identification.corrections import without_biases
 from ..identification.declared import PLACE
-from ..identification.result import RobotEstimate, with_book
+from ..identification.result import RobotEstimate, not_used, with_book
 from ..identification.robot import AUTO, BOOK, enough_ids, estimate_robot, known_robot, unknown_noise
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
@@ -24,8 +25,11 @@ def known_noise(
         motion, sensor: the noise with which ids are found first; default: that of the log, else the book's.
 
     Raises:
+        OptionError: there is no such choice of ``noise``.
         LogError, GraphError: the log does not determine its noise, and ``noise`` is "auto".
     """
+    if noise is not None:
+        check_choice("noise", noise, (AUTO, BOOK))
     if noise == BOOK or (noise is None and not unknown_noise(log)) or enough_ids(log):
         return known_robot(log, noise)
     try:
@@ -35,7 +39,8 @@ def known_noise(
             raise
         return with_book(log, error), None
     known = _corrected(log, found)
-    return known.replace(uncertain=found.log.uncertain, notes=(*known.notes, *found.sentences, *notes)), found
+    notes = (*known.notes, *found.sentences, *not_used(log), *notes)
+    return known.replace(uncertain=found.log.uncertain, notes=notes), found
 
 
 def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotEstimate, tuple[str, ...]]:
@@ -75,7 +80,5 @@ def _with_found_ids(log: Log, corrected: Log, motion: MotionModel, sensor: Senso
     kept = found.ids != UNIDENTIFIED
     # landmarks that were found are not those of the true map
     named = log.with_sightings(kept, landmarks=found.ids[kept], initial_poses=found.poses, true_landmarks=None)
-    return (
-        named,
-        f"noise and biases were estimated with {found.landmarks} landmarks that were found in sightings without ids",
-    )
+    note = f"noise and biases were estimated with {found.landmarks} landmarks that were found in sightings without ids"
+    return named, note

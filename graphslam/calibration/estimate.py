@@ -238,17 +238,22 @@ def calibrate(
     _check(logs, source)
     if source == "truth":
         return _from_truth(logs, motion, sensor, degrees)
-    robots = [robot_of(each, motion, sensor) for each in logs]
-    found = Calibration.of(*(robot for robot, _ in robots))
-    found = replace(found, notes=(*(note for _, notes in robots for note in notes), *found.notes))
     known = all(map(knows_poses, logs))
-    if auto and known and moved >= FEWEST_MOTIONS:
-        return _with_true_motion(found, motion, *motion_noise(logs, degrees))
     reason = (
-        f"the true poses at both ends are known of {moved} motions, and {FEWEST_MOTIONS} are needed"
+        f"only {moved} motions have true poses at both ends ({FEWEST_MOTIONS} are needed)"
         if known
         else "no true poses with headings are known"
     )
+    try:
+        robots = [robot_of(each, motion, sensor) for each in logs]
+    except LogError as error:
+        if auto and known and moved < FEWEST_MOTIONS:
+            raise LogError(f"{error}; the ground truth is not used, because {reason}") from error
+        raise
+    found = Calibration.of(*(robot for robot, _ in robots))
+    found = replace(found, notes=(*(note for _, notes in robots for note in notes), *found.notes))
+    if auto and known and moved >= FEWEST_MOTIONS:
+        return _with_true_motion(found, motion, *motion_noise(logs, degrees))
     return replace(found, notes=(*(f"{reason}: all numbers are from residuals",) * auto, *found.notes))
 
 

@@ -68,6 +68,11 @@ def motion_noise(logs: Sequence[Log], degrees: float | None = None) -> tuple[Var
     moved = [between(truth[:-1], truth[1:]) for truth in map(_truth, logs)]
     counted = np.concatenate([np.isfinite(m).all(axis=1) & ordinary(log) for log, m in zip(logs, moved)])
     parts = {name: C[counted] for name, C in stacked(map(motion_parts, logs)).items()}
+    if 3 * np.count_nonzero(counted) <= len(parts) + 1:
+        raise LogError(
+            f"{np.count_nonzero(counted)} motions with true poses at both ends are too few to estimate their noise; with "
+            "source 'residuals' it is estimated without the true poses"
+        )
 
     def residuals(means: Array, way: Callable[[Log, Array], Array] = differences) -> Array:
         corrected = [without_biases(log, wheel_scale=means[0], turn_rate_bias=means[1]) for log in logs]

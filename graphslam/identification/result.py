@@ -285,3 +285,9 @@ def with_book(log: Log, error: Exception) -> Log:
     return log.replace(
         notes=(*log.notes, f"the noise models are the book's, because noise cannot be estimated: {error}")
     )
+
+
+def not_used(log: Log) -> tuple[str, ...]:
+    """A note of what the log has beside sightings and odometry, which say nothing about noise and biases here."""
+    kinds = ", ".join(log.measured).replace("_", " ")
+    return (f"noise and biases were estimated without the {kinds} of the log",) if kinds else ()

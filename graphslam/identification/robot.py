@@ -41,6 +41,7 @@ from .result import (
     LeftOut,
     RobotEstimate,
     left_out,
+    not_used,
     with_book,
 )
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
@@ -104,12 +105,7 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
         if noise == AUTO:
             raise
         return with_book(log, error), None
-    unused = (
-        [f"noise and biases were estimated without the {', '.join(log.measured).replace('_', ' ')} of the log"]
-        if log.measured
-        else []
-    )
-    return found.log.replace(notes=(*log.notes, *found.sentences, *unused)), found
+    return found.log.replace(notes=(*log.notes, *found.sentences, *not_used(log))), found
 
 
 def unknown_noise(log: Log) -> bool:
@@ -313,6 +309,7 @@ def _check(log: Log) -> None:
         raise LogError(f"{log.name} has sightings without ids; find them first, for example with graphslam.associate")
     if count < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
         with_ids = "" if log.identified else " with ids"
+        with_ids += " of range and bearing" if log.partial_sightings is not None else ""
         raise LogError(
             f"{log.name} has {count} sightings{with_ids} from {log.num_poses} poses; noise and biases are estimated from at "
             f"least {FEWEST['sightings']} sightings and {FEWEST['poses']} poses"

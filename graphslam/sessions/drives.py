@@ -52,7 +52,7 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
         logs: with controls, and ids that mean the same landmarks in all of them. Where one has sightings without ids, each
             log is associated, and their maps are matched (`association.across_logs`). Noise models must be the same in all,
             or be given to `Graph.from_log`. Their ground truth is in one frame, and unknown where a log has none.
-        mean_noise: the noise of each log is found as in `Graph.from_log`, and all get the means (`with_common_noise`).
+        mean_noise: the noise of each log is found by `known_noise`, and all get the means (`with_common_noise`).
         placed: the initial poses of all are in one frame already, so that none is looked for.
 
     Raises:

@@ -34,6 +34,7 @@ from graphslam import (
     save,
     simulate,
 )
+from graphslam.association import known_noise
 from graphslam.calibration import Calibration, calibrate
 from graphslam.identification.declared import CORRECTIONS
 from graphslam.log import UNIDENTIFIED
@@ -310,6 +311,10 @@ def test_logs_without_ids(tmp_path: Path) -> None:
     by_default, _, chosen = prepare(unnamed, RunOptions())
     assert (chosen.sensor, chosen.motion) == (options.sensor, options.motion) and by_default.notes == data.notes
     assert FastSLAM2(unnamed, particles=2, seed=0).sensor == options.sensor
+    # there are no ids that could be checked
+    assert prepare(unnamed, RunOptions.of(check_ids=False))[2].sensor == options.sensor
+    with pytest.raises(OptionError, match="noise must be one of auto, book, not 'bok'"):
+        known_noise(unnamed, "bok")
     # what cannot tell its noise keeps the book's, and says why
     few, _, options = prepare(unknown.at_steps(np.arange(15)), RunOptions.of(noise="auto"))
     assert options.calibration is None and options.sensor == SensorModel()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from graphslam import (
     save,
     simulate,
 )
-from graphslam.association import score
+from graphslam.association import assignment, score
 from graphslam.association.ambiguity import readable
 from graphslam.association.evidence import Candidates, evidence, log_density
 from graphslam.association.map_solution import MapSolution, Problem, seen_from
@@ -145,14 +146,40 @@ def cluttered(seed: int) -> Log:
     return replace(log, steps=steps[order], landmarks=ids[order], sightings=z[order])
 
 
-def test_a_search_that_leaves_out_pairs_finds_them_in_the_next_round(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_takes_a_limited_number_of_pairs_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """MR.CLAM 6 robot 3 without ids begins with 33,455 pairs of landmarks that may be one: all at once take 33 GiB."""
-    log = load(sample_log_path())
+    log, decided, sizes = load(sample_log_path()), assignment._decided, list[int]()
     whole = associate(log)
-    monkeypatch.setattr("graphslam.association.assignment.MOST_PAIRS", 2)
+
+    def recorded(solved: Any, item: np.ndarray, *rest: Any) -> Any:
+        sizes.append(len(item))
+        return decided(solved, item, *rest)
+
+    monkeypatch.setattr(assignment, "_decided", recorded)
+    associate(log)
+    assert max(sizes) > 2
+    sizes.clear()
+    monkeypatch.setattr(assignment, "MOST_PAIRS", 2)
     few = associate(log)
-    assert few.landmarks == whole.landmarks == 13
-    assert np.array_equal(few.ids, whole.ids)
+    assert max(sizes) == 2
+    assert few.landmarks == whole.landmarks == 13 and np.array_equal(few.ids, whole.ids)
+
+
+def test_less_likely_pairs_are_tried_where_the_likely_ones_lead_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[tuple[int, ...]] = []
+
+    def nothing(solved: Any, item: np.ndarray, other: np.ndarray, *rest: Any) -> list[assignment.Merge]:
+        calls.append(tuple(zip(item.tolist(), other.tolist())))
+        return []
+
+    monkeypatch.setattr(assignment, "_decided", nothing)
+    log = load(sample_log_path())
+    associate(log)
+    at_once = {pair for call in calls for pair in call}
+    calls.clear()
+    monkeypatch.setattr(assignment, "MOST_PAIRS", 2)
+    associate(log)
+    assert {pair for call in calls for pair in call} == at_once and max(map(len, calls)) == 2
 
 
 def test_clutter_and_misses() -> None:

@@ -336,8 +336,17 @@ def test_truth_that_is_sparser_than_the_poses_tells_no_motions() -> None:
     truth = log.true_poses.copy()
     truth[1::2] = np.nan
     found = calibrate(log.replace(true_poses=truth))
-    assert found.source == "residuals" and "of 0 motions, and 10 are needed" in found.notes[0]
+    assert (
+        found.source == "residuals" and "only 0 motions have true poses at both ends (10 are needed)" in found.notes[0]
+    )
     assert found.numbers == calibrate(log, source="residuals").numbers
+    with pytest.raises(LogError, match="0 motions with true poses at both ends are too few .* source 'residuals'"):
+        calibrate(log.replace(true_poses=truth), source="truth")
+    short = log.replace(true_poses=truth).at_steps(np.arange(15))
+    with pytest.raises(
+        LogError, match="at least 60 sightings .*; the ground truth is not used, because only 0 motions"
+    ):
+        calibrate(short)
 
 
 @pytest.mark.slow

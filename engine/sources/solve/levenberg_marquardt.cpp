@@ -59,20 +59,21 @@ bool levenberg_marquardt(Objective& objective, Run& run, int most) {
         if (run.diverged(cost) || (damping < 1e-6 && run.settled(cost))) return false;
         const std::vector<double> diagonal = objective.diagonal();
         const double floor = rounding(run.state, diagonal);
-        bool negligible = false;
+        bool negligible = false, ever_solved = false;
         while (true) {
             const bool solved = trial.compute(objective, run, damping, diagonal, run.rules.descend ? nullptr : &reference);
             // below the rounding error of J the costs cannot be compared, but no step may raise J beyond it
             negligible = solved && std::abs(trial.predicted) <= std::max(1e-12 * cost, floor) &&
                          trial.cost <= std::max(cost * (1 + 1e-9), floor);
             if (negligible || (solved && std::isfinite(trial.cost) && trial.cost < cost)) break;
+            ever_solved = ever_solved || solved;
+            run.damping = damping;
             // more damping also makes definite what rounding made indefinite
             damping *= growth;
             growth *= 2;
             if (damping > 1e16) {
-                run.end = solved ? End::no_lower_cost : End::not_determined;
+                run.end = ever_solved ? End::no_lower_cost : End::not_determined;
                 run.cost_at_end = cost;
-                run.damping = damping;
                 return false;
             }
         }

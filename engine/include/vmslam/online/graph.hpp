@@ -30,7 +30,8 @@ struct Node {
     Rotation axes, base_axes;  ///< of x and of the base
     Triple kept{};       ///< the value before the latest step that changed it
     Triple diagonal{};   ///< the diagonal of Omega, without priors
-    /// The smallest standard deviations of its edges [m, rad]; see `borrows`. Changes of Jacobians are weighed with these.
+    /// The smallest standard deviations of its edges [m, rad], at first of those of the pose before. Changes of Jacobians are
+    /// weighed with these.
     double far = infinity, turned = infinity;
     Stamp changed = 0;  ///< the latest step that changed x
     Id home = 0;  ///< the supernode in which the node is eliminated; 0: none yet
@@ -38,7 +39,7 @@ struct Node {
     Id local = -1;  ///< the number within a part of the graph; -1 between the calls
     bool point = false, gone = false;  ///< gone: marginalised
     bool held = false;  ///< a pose with a prior of its own
-    bool borrows = false;  ///< far and turned are those of the pose before, as long as nothing is seen from it
+    bool borrows = false;  ///< whether a first sighting replaces far and turned, which only the pose before has lent
 
     /// Put the node at a value. Headings are not wrapped, because increments add up.
     void begin(const Triple& value) {
