@@ -67,13 +67,14 @@ bool levenberg_marquardt(Objective& objective, Run& run, int most) {
                          trial.cost <= std::max(cost * (1 + 1e-9), floor);
             if (negligible || (solved && std::isfinite(trial.cost) && trial.cost < cost)) break;
             ever_solved = ever_solved || solved;
-            run.damping = damping;
+            const double tried = damping;
             // more damping also makes definite what rounding made indefinite
             damping *= growth;
             growth *= 2;
             if (damping > 1e16) {
                 run.end = ever_solved ? End::no_lower_cost : End::not_determined;
                 run.cost_at_end = cost;
+                run.damping = tried;
                 return false;
             }
         }
