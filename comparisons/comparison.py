@@ -440,11 +440,12 @@ def compare(
     if len(data.steps) == 0 and data.partial_sightings is None:
         within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
-    announce_memory(((name, data, options) for name in names or default_estimators()), announce)
+    chosen = names or default_estimators()
+    announce_memory(((name, data, options) for name in chosen), announce)
     results: list[EstimatorResult] = []
     skipped: list[Skipped] = []
-    with attempts(names or default_estimators(), time_limit) as attempt:
-        for name in names or default_estimators():
+    with attempts(chosen, time_limit) as attempt:
+        for name in chosen:
             if progress is not None:
                 progress(name, None)
             outcome: EstimatorResult | Skipped
