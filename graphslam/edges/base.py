@@ -168,7 +168,7 @@ class EdgeFamily(ABC):
                     block = pull @ C
                     # the upper block of a pair has the rows of the lower node
                     block = np.where((node < other)[:, None, None], block, np.swapaxes(block, 1, 2))
-                    np.add.at(system.values, system.slots_of(node, other)[2], block)
+                    np.add.at(system.values, system.slots_of(node, other), block)
         return float(np.sum(squares if kernel is None else kernel.loss(squares)))
 
     def cost(self, state: Array, reference: Array) -> float:
@@ -239,8 +239,11 @@ class PairEdges(EdgeFamily):
         return len(self.first)
 
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.arange(0, 2 * self.count + 1, 2), np.sort(np.column_stack([self.first, self.second]), axis=1).ravel()
+        ends = np.empty((self.count, 2), dtype=np.int64)
+        np.minimum(self.first, self.second, out=ends[:, 0])
+        np.maximum(self.first, self.second, out=ends[:, 1])
+        return np.arange(0, 2 * self.count + 1, 2), ends.ravel()
 
     def blocks(self, system: BlockSystem) -> np.ndarray:
         """The block between the ends of each edge, (E,)."""
-        return system.slots_of(self.first, self.second)[2]
+        return system.slots_of(self.first, self.second)

@@ -224,7 +224,7 @@ class PriorEdges(EdgeFamily):
             system.values[system.diagonal_slots[self.nodes]] += blocks[np.arange(k), np.arange(k)]
             if k > 1:
                 i, j = self._pairs
-                system.values[system.slots_of(*self._ends)[2]] += blocks[i, j]
+                system.values[system.slots_of(*self._ends)] += blocks[i, j]
             system.xi[self.nodes] += way.pulled((0.0 if self.rhs is None else self.rhs) - pull).reshape(k, 3)
         if self.rhs is None:
             return float(v @ pull)

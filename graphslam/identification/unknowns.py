@@ -401,7 +401,7 @@ class Linear:
         for each in self.edges:
             jacobians = each.by_first, each.by_second, each.by_parameters, each.information
             engine.add_linearized(
-                each.first, each.second, system.slots_of(each.first, each.second)[2], each.residuals,
+                each.first, each.second, system.slots_of(each.first, each.second), each.residuals,
                 *(np.ascontiguousarray(each) for each in jacobians), *system.arrays, self.mixed, own, self.gradient,
             )  # fmt: skip
         if self.flat:

@@ -34,7 +34,7 @@ class Structure:
     @cached_property
     def symbolic(self) -> Symbolic:
         """Ordering and structure of the factor, computed at the first use."""
-        return analyze(self.indptr, self.indices)
+        return analyze(self.indptr, self.indices, check=False)
 
     @cached_property
     def _for_start(self) -> Any:
@@ -163,18 +163,17 @@ class BlockSystem:
         """The scalar diagonal of Omega, (n, 3)."""
         return np.diagonal(self.values[self.diagonal_slots], axis1=1, axis2=2)
 
-    def slots_of(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The slots of (first, first), (second, second) and of the pair's upper block for edges between nodes (E,).
+    def slots_of(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """The slots (E,) of the upper blocks between nodes (E,) and nodes (E,).
 
         They are looked up once for each pair of arrays, which must not change afterwards.
         """
         key = (id(first), id(second))
         if key not in self._slots:
-            # the arrays are kept with the slots, so that their ids cannot pass to other objects
             a, b = (np.ascontiguousarray(nodes, dtype=np.int64) for nodes in (first, second))
-            pairs = engine.pair_blocks(self.indptr, self.indices, a, b)
-            self._slots[key] = (self.diagonal_slots[a], self.diagonal_slots[b], pairs, first, second)
-        return self._slots[key][:3]  # type: ignore[return-value]
+            # the arrays are kept with the slots, so that their ids cannot pass to other objects
+            self._slots[key] = engine.pair_blocks(self.indptr, self.indices, a, b), first, second
+        return self._slots[key][0]
 
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""

@@ -114,8 +114,7 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     if graph.reweighted:
         cost, constant = sum(family.weighted_cost(state) for family in graph.families), 0.0
     cost = (graph.cost(state) if cost is None else cost) - constant
-    strayed = difference(state[graph.fixed], graph.initial[graph.fixed])
-    moved = graph.fixed[np.any(np.abs(strayed) > HELD * (1 + np.abs(graph.initial[graph.fixed])), axis=1)]
+    moved = _moved(graph, state)
     if len(moved):
         outcome: _Outcome = NOT_PROVEN, 0.0, f"the state moves {graph.names(moved)}, which the graph holds", None
     else:
@@ -127,6 +126,14 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     if graph.parameters is not None and status in _HELD:
         status, reason = _HELD[status], f"with the parameters held at their values, {reason}"
     return _certificate((status, bound + constant, reason, direction), cost + constant, begin, graph.reweighted)
+
+
+def _moved(graph: Graph, state: Array) -> np.ndarray:
+    """The fixed nodes that a state (n, 3) moves."""
+    given, there = graph.initial[graph.fixed], state[graph.fixed]
+    if np.array_equal(given, there):
+        return graph.fixed[:0]
+    return graph.fixed[np.any(np.abs(difference(there, given)) > HELD * (1 + np.abs(given)), axis=1)]
 
 
 #: the status of a proof that holds the parameters
@@ -233,7 +240,8 @@ def _of_graph(graph: Graph, state: Array) -> _Problem:
             reasons.append(str(error))
             continue
         parts.append(edges)
-        nodes = np.concatenate([nodes, edges.landmarks])
+        if len(edges.landmarks):
+            nodes = np.concatenate([nodes, edges.landmarks])
     if reasons:
         raise GraphError("; ".join(dict.fromkeys(reasons)))
     system = graph.system if len(nodes) == graph.num_nodes else None
@@ -277,10 +285,12 @@ class _Problem:
             GraphError: the information of an edge has a negative eigenvalue, beyond its rounding.
         """
         ends, upper = self.proof.without_split()
+        if len(ends) == 0:
+            return 0
         W = upper[:, [[0, 1, 3], [1, 2, 4], [3, 4, 5]]]
         diagonal = np.einsum("eii->ei", W)
         size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        smallest = np.linalg.eigvalsh(W / size[:, :, None] / size[:, None, :])[:, 0] if len(W) else np.zeros(0)
+        smallest = np.linalg.eigvalsh(W / size[:, :, None] / size[:, None, :])[:, 0]
         if (k := first(smallest < -ROUNDED[1])) is not None:
             a, b = ends[k].tolist()
             where = f"node {b}" if a < 0 else f"the nodes {a} and {b}"

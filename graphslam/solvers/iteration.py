@@ -131,17 +131,22 @@ def _reason(run: Run, inside: Any) -> str:
     """The reason for the end of the iteration, a sentence."""
     End, steps, cost = engine.End, len(run.step_norms), inside.cost_at_end
     norm = run.step_norms[-1] if steps else np.nan
-    reasons = {
-        End.most_steps: f"max_iterations = {run.max_iterations} reached",
-        End.diverged: f"diverged: the cost is {cost} after {steps} steps",
-        End.cost_settled: f"J changed by less than {run.cost_tolerance:g} of it",
-        End.short_step: f"step norm {norm:.1e} below the tolerance {run.tolerance:g}",
-        End.small_decrease: f"the last step lowered J by less than {run.cost_tolerance:g} of it",
-        End.rounding_floor: f"step norm {norm:.1e} at its rounding floor: J can fall no further",
-        End.no_lower_cost: f"stuck: no step lowers the cost {cost:.6g}, however short",
-        End.singular: "stuck: damped steps lead to a state where Omega is singular",
-    }
-    return reasons[inside.end]
+    match inside.end:
+        case End.most_steps:
+            return f"max_iterations = {run.max_iterations} reached"
+        case End.diverged:
+            return f"diverged: the cost is {cost} after {steps} steps"
+        case End.cost_settled:
+            return f"J changed by less than {run.cost_tolerance:g} of it"
+        case End.short_step:
+            return f"step norm {norm:.1e} below the tolerance {run.tolerance:g}"
+        case End.small_decrease:
+            return f"the last step lowered J by less than {run.cost_tolerance:g} of it"
+        case End.rounding_floor:
+            return f"step norm {norm:.1e} at its rounding floor: J can fall no further"
+        case End.no_lower_cost:
+            return f"stuck: no step lowers the cost {cost:.6g}, however short"
+    return "stuck: damped steps lead to a state where Omega is singular"
 
 
 def end_of(

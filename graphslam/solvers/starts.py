@@ -183,7 +183,7 @@ def _held(graph: Graph, state: Array) -> np.ndarray:
 
 def _relations(graph: Graph, relations: Relations) -> tuple[Array, ...]:
     """The nodes of relations, the blocks between them, values and information, as the engine takes them."""
-    pairs = graph.system.slots_of(relations.first, relations.second)[2]
+    pairs = graph.system.slots_of(relations.first, relations.second)
     return relations.first, relations.second, pairs, relations.value, relations.information
 
 
