@@ -8,7 +8,7 @@
 namespace vmslam::online {
 namespace {
 
-constexpr char title[] = "vmslam online 5";
+constexpr char title[] = "vmslam online 6";
 
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
@@ -30,7 +30,7 @@ auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Supernode>
 {
     auto& g = value;
-    return std::tie(g.w, g.r, g.parent, g.child, g.sibling, g.split, g.frame, g.marked, g.ascending, g.absolute, g.energy,
+    return std::tie(g.w, g.r, g.parent, g.child, g.sibling, g.frame, g.marked, g.ascending, g.absolute, g.energy,
                     g.strain, g.stress, g.nodes, g.relative, g.run_end, g.seen, g.numbers);
 }
 auto fields(auto& value)
@@ -137,7 +137,7 @@ bool OnlineSystem::restore(std::string_view bytes) {
     read.raw(found, sizeof found);
     if (!read.good || std::memcmp(found, title, sizeof title) != 0) return false;
     std::vector<Id> released;
-    tree_ = Tree();
+    tree_.clear();
     read(tolerance_), read(most_passes_), read(passes), read(converged), read(batch_solutions);
     read(graph_.nodes), read(graph_.edges), read(graph_.gains), read(graph_.has_single_numbers);
     for (edges::Kernel& kernel : graph_.kernels) read(kernel.kind), read(kernel.c);

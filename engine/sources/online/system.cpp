@@ -159,9 +159,7 @@ bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Id> newes
         edge.weight = edge.cost = edge.squares = 0.0;
     }
     memory_.cost = 0.0;
-    const double tolerance = tree_.pivot_tolerance;
-    tree_ = Tree();
-    tree_.pivot_tolerance = tolerance;
+    tree_.clear();
     for (Prior& prior : priors_) {
         prior.evaluate(graph_, true);
         hang_prior(prior);

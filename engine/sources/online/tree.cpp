@@ -18,6 +18,13 @@ Supernode::Supernode(Id w, Id r) : w(w), r(r), nodes(w + r) {
     seen.resize(r);
 }
 
+void Tree::clear() {
+    groups.clear();
+    groups.resize(1);
+    free_.clear();
+    step = 1;
+}
+
 Id Tree::create(Id w, Id r) {
     if (free_.empty()) {
         groups.emplace_back(w, r);
@@ -87,12 +94,10 @@ void Tree::relate_children(Graph& graph, Id s) {
         child.relative.resize(child.r);
         child.run_end.resize(child.r);
         child.ascending = true;
-        child.split = 0;
         parent.absolute |= child.absolute;
         for (Id k = 0; k < child.r; ++k) {
             child.relative[k] = graph.nodes[child.nodes[child.w + k]].local;
             child.ascending &= k == 0 || child.relative[k] > child.relative[k - 1];
-            child.split += child.relative[k] < parent.w;
         }
         for (Id k = child.r - 1, end = child.r; k >= 0; --k) {
             if (k + 1 < child.r && child.relative[k + 1] != child.relative[k] + 1) end = k + 1;
@@ -120,25 +125,29 @@ void add_symmetric(double* t, Index h, const Symmetric& D) {
     t[2 * h + 2] += D.tt;
 }
 
-/// Add the node columns of the update matrix of a child that are `from` to `to` in the front of its parent, whose order is not
-/// that of its separator. `skip` nodes are left out of the target.
-void extend_in_any_order(Supernode& child, Id from, Id to, double* target, Index height, Index pad, Id skip) {
+/// Add the update matrix of a child to the node columns `from` to `to` of the front of its parent, whose order may be another
+/// one. Only the lower triangles are there. The first number of the target is that of node `from`.
+void extend(Supernode& child, Id from, Id to, double* target, Index height) {
     const Index h = child.front().update_height;
-    const double* const update = child.update() + child.front().update_pad;
-    std::vector<Id> order(child.r);
-    std::iota(order.begin(), order.end(), 0);
-    std::ranges::sort(order, {}, [&](Id k) { return child.relative[k]; });
-    for (Id a = from; a < to; ++a) {
-        const Id j = order[a];
-        double* const column = target + 3 * (child.relative[j] - skip) * height + pad - 3 * skip;
-        for (Id b = a; b < child.r; ++b) {
-            const Id i = order[b];
-            double* const t = column + 3 * child.relative[i];
-            // only the blocks of the lower triangle are there
-            const double* const u = update + (i < j ? 3 * (i * h + j) : 3 * (j * h + i));
-            const Index row = i < j ? h : 1, next = i < j ? 1 : h;
-            for (int c = 0; c < 3; ++c)
-                for (int r = 0; r < 3; ++r) t[c * height + r] += u[c * next + r * row];
+    const auto place = [&](Id column, Id row) { return target + 3 * (column - from) * height + 3 * (row - from); };
+    const auto inside = [=](Id column) { return from <= column && column < to; };
+    for (Id j = 0; j < child.r; ++j) {
+        const double* const source = child.update() + child.front().update_pad + 3 * j * h;
+        const Id own = child.relative[j];
+        if (child.ascending && !inside(own)) continue;
+        for (Id i = j; i < child.r;) {
+            const Id end = child.run_end[i];
+            Id node = child.relative[i];
+            if (node >= own && inside(own))
+                sparse::add_rows<3>({place(own, node), height}, {source + 3 * i, h}, 3 * (end - i));
+            // above the diagonal: the blocks are turned
+            for (Id k = i; k < end && node < own; ++k, ++node) {
+                if (!inside(node)) continue;
+                double* const t = place(node, own);
+                for (int c = 0; c < 3; ++c)
+                    for (int r = 0; r < 3; ++r) t[r * height + c] += source[3 * k + r + c * h];
+            }
+            i = end;
         }
     }
 }
@@ -195,28 +204,15 @@ bool Tree::factorize(Graph& graph, Id s) {
     double* const limits = work(3 * group.w);
     for (Index k = 0; k < 3 * group.w; ++k)
         limits[k] = std::max(0.0, pivot_tolerance * graph.nodes[group.nodes[k / 3]].diagonal[k % 3]);
-    for (Id c = group.child; c > 0; c = groups[c].sibling) {
-        Supernode& child = groups[c];
-        if (!child.ascending)
-            extend_in_any_order(child, 0, child.split, x, h, front.pad, 0);
-        else
-            sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), 0, child.split, child.update(),
-                                  x, h, front.pad, 0);
-    }
+    for (Id c = group.child; c > 0; c = groups[c].sibling) extend(groups[c], 0, group.w, x + front.pad, h);
     if (panel.factorize(limits) >= 0) return false;
     if (group.r == 0) return true;
     // only the columns are needed before the factorisation, so the update matrix is written by the product and never cleared
     double* const update = group.update();
     panel.update_matrix(update);
     put_separator_entries(graph, group, update);
-    for (Id c = group.child; c > 0; c = groups[c].sibling) {
-        Supernode& child = groups[c];
-        if (!child.ascending)
-            extend_in_any_order(child, child.split, child.r, update, front.update_height, front.update_pad, group.w);
-        else
-            sparse::extend<Real3>(child.front(), child.relative.data(), child.run_end.data(), child.split, child.r,
-                                  child.update(), update, front.update_height, front.update_pad, group.w);
-    }
+    for (Id c = group.child; c > 0; c = groups[c].sibling)
+        extend(groups[c], group.w, group.w + group.r, update + front.update_pad, front.update_height);
     // what is above the diagonal there has no meaning, and enters sums as zero
     for (Id j = 0; j < 3 * group.r; ++j) {
         double* const column = update + j * front.update_height;

@@ -40,7 +40,6 @@ struct Seen {
 struct Supernode {
     Id w = 0, r = 0;
     Id parent = 0, child = 0, sibling = 0;
-    Id split = 0;  ///< the first row of the separator that is not among the columns of the parent
     Id frame = -1;  ///< the first pose of the separator; -1: none, or the subtree is absolute
     bool marked = false;  ///< false between the calls
     bool ascending = true;  ///< whether `relative` ascends
@@ -83,6 +82,8 @@ class Tree {
     /// The smallest ratio of a pivot to its diagonal entry, as in batch solutions.
     double pivot_tolerance = sparse::Real3::tolerance;
 
+    /// Without supernodes again.
+    void clear();
     /// A new supernode; numbers of released ones are used again.
     Id create(Id w, Id r);
     void release(Id s);
