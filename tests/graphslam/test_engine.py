@@ -83,7 +83,7 @@ def _edges(number=2, nodes=3, rows=2, parameters=4):
     system = BlockSystem.from_cliques(nodes, [chain])
     sizes = [(rows,), (rows, 3), (rows, 3), (rows, parameters), (rows, rows)]
     border = [(nodes, 3, parameters), (parameters, parameters), (parameters,)]
-    pairs = system.slots_of(first, first + 1)[2]
+    pairs = system.slots_of(first, first + 1)
     given = [first, first + 1, pairs, *(np.ones((number, *size)) for size in sizes)]
     return [*given, *system.arrays, *(np.zeros(shape) for shape in border)]
 
