@@ -270,12 +270,12 @@ class Graph:
         """The number of edges, anchors not counted."""
         return sum(family.count for family in self.families if not isinstance(family, AnchorEdges))
 
-    @property
+    @cached_property
     def state_dependent_information(self) -> bool:
         """Whether some information depends on the state, so that it has to be re-evaluated between linear solves."""
         return any(family.state_dependent_information for family in self.families)
 
-    @property
+    @cached_property
     def reweighted(self) -> bool:
         """Whether some edges have a robust kernel, which re-weights them at every step."""
         return any(getattr(family, "kernel", None) is not None for family in self.families)

@@ -396,7 +396,7 @@ def enough(ends: list[End]) -> bool:
     if lowest.graph.reweighted:
         return lowest.proven or (confirmed and lowest.possible)
     small = lowest.graph.num_nodes <= SMALL
-    return (lowest.plausible and confirmed if small else lowest.plausible or confirmed) or lowest.proven
+    return (confirmed and lowest.plausible if small else confirmed or lowest.plausible) or lowest.proven
 
 
 def _finished(ends: list[End], further: int) -> bool:
