@@ -245,7 +245,8 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
         close = np.flatnonzero((moved >= back) & (way[moved] - way[before] <= _BACK_WAY))
         if len(close) == 0:
             break
-        close = close[ids[before[close]] != ids[moved[close]]]
+        # where many landmarks are close to each other, one that is seen there for the first time says nothing
+        close = close[stays[before[close]] & (ids[before[close]] != ids[moved[close]])]
         # an id that is then seen again at its place is no other one: one of the two is misread, or two landmarks are close
         place = np.searchsorted(sequence, rank[before[close]] * len(ids) + moved[close], side="right")
         then = sequence[np.minimum(place, len(ids) - 1)]
@@ -272,9 +273,10 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
         return None
     count, kept, changed = max(times, key=lambda each: each[0] - each[1])
     far = [n > m for n, m, first in times if abs(way[first[0]] - way[changed[0]]) > 2 * _BACK_WAY]
-    # two are enough where nothing else in the log looks like it
+    again = np.isin(changed, own[stays])
+    # two that are seen again there are enough where nothing else in the log looks like it
     if (count >= _FEWEST_CHANGED and count > _MORE * kept) or (
-        count == _FEWEST_CHANGED - 1 and not kept and not any(far)
+        count == _FEWEST_CHANGED - 1 and not kept and not any(far) and again.all()
     ):
         return int(steps[changed[0]]), ", ".join(f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist())
     return None

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from graphslam import MotionModel, Stream, load, sample_log_path, simulate, synchronize
+from graphslam import MotionModel, SensorModel, Stream, load, sample_log_path, simulate, synchronize
 from graphslam.log.rows import UNIDENTIFIED
 from graphslam.log_checks import check_log
 from graphslam.log_checks.readings import pairs_of
@@ -284,3 +284,17 @@ def test_ids_that_change_are_told_among_misread_ones(own):
     wrong = np.flatnonzero(rng.random(len(ids)) < 0.03)
     ids[wrong] = rng.permutation(ids)[: len(wrong)]
     assert "counted them anew" in message(own.replace(landmarks=ids, true_poses=None), "ids change")
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_landmarks_that_are_close_to_each_other_have_not_changed_their_ids(seed):
+    """Several new landmarks at a time are beside others by chance where 600 stand on 48 m x 48 m."""
+    rng, side, lane = np.random.default_rng(seed), 40.0, 8.0
+    route = [(x, lane * k) for k in range(6) for x in ((0.0, side) if k % 2 == 0 else (side, 0.0))]
+    log = simulate(
+        steps=1500, dt=1.0, speed=0.25, turn_rate=1.0, way_points=route[1:], start=(0.0, 0.0, 0.0), clean=True, seed=seed,
+        landmarks=rng.uniform(-4, side + 4, (600, 2)), max_range=5.55, field_of_view=3.14, orientation=False,
+        motion=MotionModel(nn=0.019, no=1e-4, on=0.013, oo=0.02, epsilon=1e-6),
+        sensor=SensorModel(range_rate=0.014, bearing_std=0.005),
+    )  # fmt: skip
+    assert not checks(log)
