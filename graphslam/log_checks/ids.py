@@ -24,7 +24,8 @@ _WAY, _AROUND = 2.0, 40
 _NEAR, _CLOSE, _TIMES = 0.1, 0.03, 3.0
 #: so many sightings of the place have to show other ids, which are seen again there
 _OTHERS = 2
-#: misread ids are reported from so many on, and from this share of the sightings; above the second share the cause is another
+#: misread ids are reported from so many on, from this share of the sightings, and above what is expected by chance; above
+#: the second share the cause is another
 _LEAST, _FEW, _MOST = 3, 0.004, 1 / 3
 
 
@@ -60,7 +61,9 @@ def misread(log: Log) -> np.ndarray:
     again = np.bincount(a[own], minlength=len(ids)) + np.bincount(b[own], minlength=len(ids)) > 0
     others = sum(np.bincount(p[other & again[q]], minlength=len(ids)) for p, q in ((a, b), (b, a)))
     wrong = ~again & (others >= _OTHERS)
-    if max(_LEAST, _FEW * len(ids)) <= np.sum(wrong) <= _MOST * len(ids):
+    # where landmarks are close to each other, sightings with right ids and large errors are among others, too
+    by_chance = np.sum(~again) * float(np.mean(others[again] >= _OTHERS)) if again.any() else 0.0
+    if max(_LEAST, _FEW * len(ids), by_chance + np.sqrt(by_chance)) <= np.sum(wrong) <= _MOST * len(ids):
         found[known] = wrong
     return found
 

@@ -298,3 +298,10 @@ def test_landmarks_that_are_close_to_each_other_have_not_changed_their_ids(seed)
         sensor=SensorModel(range_rate=0.014, bearing_std=0.005),
     )  # fmt: skip
     assert not checks(log)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_large_errors_among_many_landmarks_are_no_misread_ids(seed):
+    """A sighting with a large error has others around it by chance where 80 landmarks stand on 12 m x 12 m."""
+    landmarks = np.random.default_rng(seed).uniform(-6, 6, (80, 2))
+    assert not checks(simulate(seed=seed, steps=400, landmarks=landmarks, clean=True, orientation=False))
