@@ -59,7 +59,9 @@ def misread(log: Log) -> np.ndarray:
     error = _TIMES * float(np.median(least[np.isfinite(least)]))
     own, other = ((same == 1) & (distance <= max(_NEAR, error))), ((same == 0) & (distance <= max(_CLOSE, error)))
     again = np.bincount(a[own], minlength=len(ids)) + np.bincount(b[own], minlength=len(ids)) > 0
-    others = sum(np.bincount(p[other & again[q]], minlength=len(ids)) for p, q in ((a, b), (b, a)))
+    others = np.zeros(len(ids), dtype=int)
+    for p, q in ((a, b), (b, a)):
+        others += np.bincount(p[other & again[q]], minlength=len(ids))
     wrong = ~again & (others >= _OTHERS)
     # where landmarks are close to each other, sightings with right ids and large errors are among others, too
     by_chance = np.sum(~again) * float(np.mean(others[again] >= _OTHERS)) if again.any() else 0.0
