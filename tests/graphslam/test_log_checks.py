@@ -305,3 +305,16 @@ def test_large_errors_among_many_landmarks_are_no_misread_ids(seed):
     """A sighting with a large error has others around it by chance where 80 landmarks stand on 12 m x 12 m."""
     landmarks = np.random.default_rng(seed).uniform(-6, 6, (80, 2))
     assert not checks(simulate(seed=seed, steps=400, landmarks=landmarks, clean=True, orientation=False))
+
+
+def test_jitter_of_the_true_poses_is_no_other_unit():
+    """True poses at 10 Hz with errors of 2 cm move three times as far as a robot with 0.1 m/s, from one to the next."""
+    log = simulate(seed=0, steps=800, dt=0.1, speed=0.1, clean=True, motion=MotionModel.constant(0.01, 0.01))
+    truth = log.true_poses.copy()
+    truth[:, :2] += np.random.default_rng(0).normal(0, 0.02, truth[:, :2].shape)
+    assert (
+        np.hypot(*np.diff(truth[:, :2], axis=0).T).sum()
+        > 2.5 * np.hypot(*np.diff(log.true_poses[:, :2], axis=0).T).sum()
+    )
+    assert "truth scale" not in checks(log.replace(true_poses=truth))
+    assert "truth scale" in checks(log.replace(true_poses=truth * [3.0, 3.0, 1.0]))
