@@ -35,7 +35,7 @@ def against_truth(log: Log) -> Iterator[Finding]:
     if len(steps) < _FEWEST:
         return
     path, truth = log.at_truth(log.dead_reckoning()), log.true_poses
-    # between lines, too: noise of true poses that are close to each other lengthens the way from one to the next
+    # over long pieces as well, because noise of true poses that are close to each other makes their path longer
     lines = np.flatnonzero(placed)[:: max(1, len(steps) // _LINES)]
     lengths = [
         [float(np.sum(np.hypot(*(poses[to, :2] - poses[at, :2]).T))) for poses in (path, truth)]

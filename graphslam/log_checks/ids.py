@@ -63,7 +63,7 @@ def misread(log: Log) -> np.ndarray:
     for p, q in ((a, b), (b, a)):
         others += np.bincount(p[other & again[q]], minlength=len(ids))
     wrong = ~again & (others >= _OTHERS)
-    # where landmarks are close to each other, sightings with right ids and large errors are among others, too
+    # where landmarks are close to each other, sightings with the right id and a large error lie near others, too
     by_chance = np.sum(~again) * float(np.mean(others[again] >= _OTHERS)) if again.any() else 0.0
     if max(_LEAST, _FEW * len(ids), by_chance + np.sqrt(by_chance)) <= np.sum(wrong) <= _MOST * len(ids):
         found[known] = wrong
@@ -250,7 +250,8 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
         close = np.flatnonzero((moved >= back) & (way[moved] - way[before] <= _BACK_WAY))
         if len(close) == 0:
             break
-        # where many landmarks are close to each other, one that is seen there for the first time says nothing
+        # only a landmark that was seen at its place before can have got another id: in dense fields new ones are
+        # beside others by chance
         close = close[stays[before[close]] & (ids[before[close]] != ids[moved[close]])]
         # an id that is then seen again at its place is no other one: one of the two is misread, or two landmarks are close
         place = np.searchsorted(sequence, rank[before[close]] * len(ids) + moved[close], side="right")
