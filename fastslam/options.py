@@ -1,4 +1,4 @@
-"""What a particle filter is told: its options, checked arguments, random numbers, and the memory that it may take.
+"""The options of a particle filter, checked arguments, random numbers, and the memory that it may take.
 
 Options are declared once, with type, default, choices and help. Constructors take them as keywords, and command lines and
 configuration files derive theirs from the fields. Arguments become numbers, or an `OptionError` says what was expected.

@@ -257,8 +257,8 @@ def of_several_seeds(name: str, log: Log, options: RunOptions) -> EstimatorResul
     return replace(results[median], notes=(*results[median].notes, note), seed_errors=errors)
 
 
-#: a filter that needs more memory than this says so beforehand [bytes]
-UNSAID = 1e9
+#: the memory [bytes] above which a filter announces what it needs
+ANNOUNCED = 1e9
 #: called with a sentence before work that needs much memory
 Announce = Callable[[str], None]
 
@@ -288,6 +288,6 @@ def announce_memory(runs: Iterable[tuple[str, Log, RunOptions]], announce: Annou
             f"{what} needs {need} of memory, {jobs} runs at a time need more than the {there / GIGABYTE:.2g} GB that are "
             f"available; use --jobs {int(there / need.least)}"
         )
-    if announce is not None and jobs * need.most > UNSAID:
+    if announce is not None and jobs * need.most > ANNOUNCED:
         times = f", and {jobs} runs are executed at a time" if jobs > 1 else ""
         announce(f"{what} needs {need} of memory{times}.")
