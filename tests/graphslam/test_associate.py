@@ -192,6 +192,12 @@ def test_clutter_and_misses() -> None:
     assert exact == 6 and np.mean(precise) > 0.95
 
 
+def test_each_sighting_by_itself_finds_clear_landmarks() -> None:
+    log = load(sample_log_path())
+    found = associate(log, method="nearest")
+    assert found.landmarks == 13 and score(found.ids, log.landmarks).precision == 1
+
+
 def test_ids_of_the_log_are_not_used() -> None:
     log = load(sample_log_path())
     np.testing.assert_array_equal(associate(log).ids, associate(hidden(log)).ids)
