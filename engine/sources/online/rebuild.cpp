@@ -98,8 +98,8 @@ class Kept {
         for (const Id e : top.edges) edges_.push_back(graph.edges[e]);
         for (const Id s : top.below) {
             Supernode& group = tree.groups[s];
-            places_.push_back({group.parent, group.sibling, group.ascending, group.strain, group.relative,
-                               group.run_end, std::vector<double>(group.carry(), group.carry() + 3 * group.r)});
+            places_.push_back({group.parent, group.sibling, group.ascending, group.strain, group.relative, group.run_end,
+                               std::vector<double>(group.carry(), group.carry() + 3 * group.r)});
         }
         for (Id c = root_; c > 0; c = tree.groups[c].sibling) roots_.push_back(c);
     }
@@ -112,8 +112,8 @@ class Kept {
         for (std::size_t k = 0; k < places_.size(); ++k) {
             Supernode& group = tree.groups[top_.below[k]];
             std::vector<double> carry;
-            std::tie(group.parent, group.sibling, group.ascending, group.strain, group.relative, group.run_end,
-                     carry) = std::move(places_[k]);
+            std::tie(group.parent, group.sibling, group.ascending, group.strain, group.relative, group.run_end, carry) =
+                std::move(places_[k]);
             std::copy(carry.begin(), carry.end(), group.carry());
         }
         tree.groups[0].child = root_;

@@ -1,7 +1,6 @@
 #include "vmslam/online/tree.hpp"
 
 #include <algorithm>
-#include <numeric>
 
 #include "sparse/supernode.hpp"
 #include "vmslam/online/edge.hpp"
