@@ -124,9 +124,8 @@ class PolarObservationEdges(ObservationEdges, EngineEdges):
     @property
     def cartesian(self) -> CartesianObservationEdges:
         """The same sightings with the Cartesian residual, in the body frame."""
-        return CartesianObservationEdges(
-            self.first, self.second, self.sightings, self.sensor, kernel=self.kernel, trust=self.trust
-        )
+        noise = {"kernel": self.kernel, "trust": self.trust, "noise_at": self.noise_at}
+        return CartesianObservationEdges(self.first, self.second, self.sightings, self.sensor, **noise)
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
         d = self.sightings.shape[1]
@@ -135,7 +134,7 @@ class PolarObservationEdges(ObservationEdges, EngineEdges):
         residuals[:, 1:] = wrap(residuals[:, 1:])
         by_landmark = np.zeros((self.count, d, 3))
         by_landmark[:, :, :d] = self.sensor.H(x, m)
-        information = np.linalg.inv(self.sensor.Q(self.sightings)) * self.trusted[:, None, None]
+        information = np.linalg.inv(self.sensor.Q(self.noisy)) * self.trusted[:, None, None]
         return Linearization(residuals, information, (self.first, self.second), (self.sensor.H_pose(x, m), by_landmark))
 
     def constant(self, state: Array) -> ConstantEdges:

@@ -77,10 +77,10 @@ def family(name, rng, frame):
             )
         z = np.column_stack([rng.uniform(0.5, 5, 8), rng.uniform(-np.pi, np.pi, (8, 2))])
         seen = (poses, landmarks, z[:, : 3 if "3d" in name else 2], sensor_of(name))
-        trust = rng.uniform(0.5, 1, 8)
+        noise = {"trust": rng.uniform(0.5, 1, 8), "noise_at": seen[2] * rng.uniform(0.8, 1.2, (8, 1))}
         if name.startswith("polar"):
-            return PolarObservationEdges(*seen, trust=trust)
-        return CartesianObservationEdges(*seen, trust=trust, frame=frame)
+            return PolarObservationEdges(*seen, **noise)
+        return CartesianObservationEdges(*seen, **noise, frame=frame)
     return virtual(rng, frame, 3 if "3d" in name else 2, sensor=sensor_of(name))
 
 
@@ -196,7 +196,7 @@ def test_cartesian_sightings_are_the_lectures_inverse_observation(seed):
             e = m - edges.sensor.h_inverse(x, edges.sightings)
             e[:, 2:] = wrap(e[:, 2:])
             # in the body frame the information turns with the pose itself
-            covariance = edges.sensor.landmark_covariance(at[edges.first], edges.sightings)
+            covariance = edges.sensor.landmark_covariance(at[edges.first], edges.noisy)
             expected = edges.trust * np.einsum("ki,kij,kj->k", e, np.linalg.inv(covariance), e)
             np.testing.assert_allclose(edges.linearize(state, reference).mahalanobis, expected, rtol=1e-8)
             assert edges.state_dependent_information == (frame == "world")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, GraphError, OptionError, simulate, solve
+from graphslam.edges import MarginalEdges
 from graphslam.graph.transform import with_landmark_nodes
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
@@ -96,6 +97,16 @@ def test_with_landmark_nodes_the_cost_is_that_of_marginal_edges(book_log, weight
     )
     assert nodes.num_edges == len(book_log.steps) + book_log.num_poses - 1
     assert solve(nodes).cost == pytest.approx(marginal.cost, rel=1e-9)
+
+
+def test_with_landmark_nodes_the_noise_stays_that_of_the_predicted_sightings(book_log):
+    """Graphs that estimate parameters evaluate the noise at other numbers than the measured ones, and so do their maps."""
+    graph = Graph.from_log(book_log, weight="marginal", edges="virtual+motion", kernel="none")
+    edges = next(family for family in graph.families if isinstance(family, MarginalEdges))
+    changed = replace(edges, noise_at=edges.sightings * [1.3, 1.0, 1.0])
+    marginal = replace(graph, families=tuple(changed if family is edges else family for family in graph.families))
+    assert solve(marginal).cost < 0.9 * solve(graph).cost
+    assert solve(with_landmark_nodes(marginal)).cost == pytest.approx(solve(marginal).cost, rel=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))

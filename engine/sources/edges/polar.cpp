@@ -20,7 +20,7 @@ double PolarEdges::accumulate(const State& state, System* system, std::span<cons
         // e = h(x, m) - z
         const double range = r - z.range, bearing = wrap(direction - x[2] - z.bearing);
         const double orientation = seen_.oriented ? wrap(direction - m[2] - z.orientation) : 0.0;
-        double w_range = 1 / sensor.range_variance(z.range), w_bearing = 1 / sensor.bearing;
+        double w_range = 1 / sensor.range_variance(seen_.noisy[k].range), w_bearing = 1 / sensor.bearing;
         double w_orientation = seen_.oriented ? 1 / sensor.orientation : 0.0;
         const double squares = seen_.trust[k] * (w_range * range * range + w_bearing * bearing * bearing +
                                                  w_orientation * orientation * orientation);
