@@ -124,8 +124,10 @@ class PolarObservationEdges(ObservationEdges, EngineEdges):
     @property
     def cartesian(self) -> CartesianObservationEdges:
         """The same sightings with the Cartesian residual, in the body frame."""
-        noise = {"kernel": self.kernel, "trust": self.trust, "noise_at": self.noise_at}
-        return CartesianObservationEdges(self.first, self.second, self.sightings, self.sensor, **noise)
+        return CartesianObservationEdges(
+            self.first, self.second, self.sightings, self.sensor,
+            kernel=self.kernel, trust=self.trust, noise_at=self.noise_at,
+        )  # fmt: skip
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
         d = self.sightings.shape[1]

@@ -101,8 +101,9 @@ def with_landmark_nodes(graph: Graph) -> Graph | None:
             "initial": np.concatenate([graph.initial, np.zeros((count, 3))]), "landmark_ids": np.arange(count),
             "landmark_dimension": sighted.sightings.shape[1],
         }  # fmt: skip
-    noise = {"trust": sighted.trust, "noise_at": sighted.noise_at}
-    edges = CartesianObservationEdges(first, second, sighted.sightings, sighted.sensor, **noise)
+    edges = CartesianObservationEdges(
+        first, second, sighted.sightings, sighted.sensor, trust=sighted.trust, noise_at=sighted.noise_at
+    )
     return replace(graph, families=tuple(edges if f is sighted else f for f in graph.families), **parts)
 
 
