@@ -1,5 +1,7 @@
 #include "vmslam/edges/polar.hpp"
 
+#include "vmslam/edges/rotations.hpp"
+
 namespace vmslam::edges {
 
 // With the unit vector (c, s) from the sensor to the landmark at distance r and (p, q) = (-s, c) / r, the Jacobian is M B
@@ -8,11 +10,12 @@ namespace vmslam::edges {
 double PolarEdges::accumulate(const State& state, System* system, std::span<const Index> pairs) const {
     const Sensor& sensor = seen_.sensor;
     double total = 0.0;
+    Rotations axes(first_.size(), [&](std::size_t k) { return state.node(first_[k])[2]; });
     for (std::size_t k = 0; k < first_.size(); ++k) {
         const Index i = first_[k], j = second_[k];
         const double *const x = state.node(i), *const m = state.node(j);
         const Sighting& z = seen_.z[k];
-        const Rotation robot(x[2]);
+        const Rotation robot = axes[k];
         const double dx = m[0] - x[0], dy = m[1] - x[1];
         const double sx = dx - robot.c * sensor.offset_x + robot.s * sensor.offset_y;
         const double sy = dy - robot.s * sensor.offset_x - robot.c * sensor.offset_y;

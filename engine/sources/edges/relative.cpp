@@ -1,17 +1,18 @@
 #include "vmslam/edges/relative.hpp"
 
+#include "vmslam/edges/rotations.hpp"
+
 namespace vmslam::edges {
 
 template <bool poses, bool world>
 double RelativeEdges::add(const State& state, System* system, std::span<const Index> pairs) const {
     double total = 0.0;
-    Index turning = -1;
-    Rotation axes;
+    Rotations axes_of(edges_.size(), [&](std::size_t k) { return state.node(edges_[k].i)[2]; });
+    Rotations references(edges_.size(), [&](std::size_t k) { return state.reference_of(edges_[k].i)[2]; });
     for (std::size_t k = 0; k < edges_.size(); ++k) {
         const auto& [i, j, z, omega] = edges_[k];
         const double *const a = state.node(i), *const b = state.node(j);
-        // the edges of a pose often follow each other
-        if (i != turning) axes = Rotation(a[2]), turning = i;
+        const Rotation axes = axes_of[k];
         // e in world axes: p_j - p_i - R t
         const double dx = b[0] - a[0], dy = b[1] - a[1];
         const double rx = axes.c * z.x - axes.s * z.y, ry = axes.s * z.x + axes.c * z.y;
@@ -19,7 +20,7 @@ double RelativeEdges::add(const State& state, System* system, std::span<const In
         // Both frames have the Jacobians -[I, u; 0, 1] and [I, 0; 0, 1]: u is the derivative of the rotated measurement
         // (world: information held still) or of the offset itself (body: information turns along).
         const Lever u = world ? Lever{-ry, rx} : Lever{-dy, dx};
-        Symmetric W = turned(world ? Rotation(state.reference_of(i)[2]) : axes, omega);
+        Symmetric W = turned(world ? references[k] : axes, omega);
         Vector g = W * e;
         const double squares = dot(g, e);
         if (kernel_) {

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <numeric>
 
+#include "vmslam/edges/rotations.hpp"
+
 namespace vmslam::edges {
 
 LandmarkSightings::LandmarkSightings(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings)
@@ -23,14 +25,16 @@ LandmarkSightings::LandmarkSightings(std::vector<Index> starts, std::vector<Inde
 std::vector<Placed> LandmarkSightings::placed(const State& state, Covariance mode) const {
     const Sensor& sensor = seen_.sensor;
     std::vector<Placed> out(nodes_.size());
+    Rotations directions(out.size(), [&](std::size_t k) { return state.node(nodes_[k])[2] + seen_.z[k].bearing; });
+    Rotations robots(out.size(), [&](std::size_t k) { return state.node(nodes_[k])[2]; });
     for (std::size_t k = 0; k < out.size(); ++k) {
         const double* const x = state.node(nodes_[k]);
         const Sighting &z = seen_.z[k], &noisy = seen_.noisy[k];
         const double direction = x[2] + z.bearing;
-        Rotation along(direction);
+        Rotation along = directions[k];
         double vx = z.range * along.c, vy = z.range * along.s;
         if (sensor.offset_x != 0 || sensor.offset_y != 0) {
-            const Rotation robot(x[2]);
+            const Rotation robot = robots[k];
             vx += robot.c * sensor.offset_x - robot.s * sensor.offset_y;
             vy += robot.s * sensor.offset_x + robot.c * sensor.offset_y;
         }

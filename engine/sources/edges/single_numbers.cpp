@@ -1,13 +1,16 @@
 #include "vmslam/edges/single_numbers.hpp"
 
+#include "vmslam/edges/rotations.hpp"
+
 namespace vmslam::edges {
 
 double NumberEdges::accumulate(const State& state, System* system, std::span<const Index> pairs) const {
     double total = 0.0;
+    Rotations axes_of(edges_.size(), [&](std::size_t k) { return state.node(edges_[k].i)[2]; });
     for (std::size_t k = 0; k < edges_.size(); ++k) {
         const auto& [i, j, z, omega, offset] = edges_[k];
         const double *const a = state.node(i), *const b = state.node(j);
-        const Rotation axes(a[2]);
+        const Rotation axes = axes_of[k];
         const double dx = b[0] - a[0], dy = b[1] - a[1];
         const auto [e, n, distance] =
             number_seen(kind_, z, axes.c * dx + axes.s * dy - offset.x, axes.c * dy - axes.s * dx - offset.y);

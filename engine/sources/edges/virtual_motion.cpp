@@ -1,14 +1,16 @@
 #include "vmslam/edges/virtual_motion.hpp"
 
+#include "vmslam/edges/rotations.hpp"
+
 namespace vmslam::edges {
 
 // Column by column of Omega: the system maps the rows of a column to blocks, so that no list of pairs is needed.
 double VirtualMotionEdges::accumulate(const State& state, System* system, std::span<const Index>) const {
     const Covariance mode = !body_ ? Covariance::reference : seen_.oriented ? Covariance::landmark : Covariance::rotating;
     const std::vector<Placed> at = placed(state, mode);
-    std::vector<Rotation> axes;
-    axes.reserve(at.size());
-    for (const Placed& p : at) axes.emplace_back(p.gamma);
+    std::vector<Rotation> axes(at.size());
+    Rotations facing(at.size(), [&](std::size_t k) { return at[k].gamma; });
+    for (std::size_t k = 0; k < at.size(); ++k) axes[k] = facing[k];
     double total = 0.0;
     for (Index j = 0; j <= last_node(); ++j) {
         if (from(j).empty()) continue;

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "vmslam/edges/arithmetic.hpp"
+#include "vmslam/edges/rotations.hpp"
 
 namespace vmslam::solve {
 
@@ -88,10 +88,9 @@ Index StartSystem::solve(std::span<double> correction) {
 
 void turn_to_world(std::span<const double> state, std::span<const Index> first, std::span<const double> measured,
                    std::span<const double> information, int rows, std::span<double> offset, std::span<double> omega) {
-    Rotation axes;
+    Rotations axes_of(first.size(), [&](std::size_t k) { return state[3 * first[k] + 2]; });
     for (std::size_t k = 0; k < first.size(); ++k) {
-        // the edges of a pose often follow each other
-        if (k == 0 || first[k] != first[k - 1]) axes = Rotation(state[3 * first[k] + 2]);
+        const Rotation axes = axes_of[k];
         const double *const z = measured.data() + k * rows, *const W = information.data() + k * rows * rows;
         offset[2 * k] = axes.c * z[0] - axes.s * z[1];
         offset[2 * k + 1] = axes.s * z[0] + axes.c * z[1];
