@@ -63,6 +63,18 @@ def test_a_log_is_solved_as_in_python(programs: Path, log_file: Path) -> None:
     assert_same_poses(rows(run(programs / "solve", log_file)), solution(load(log_file)).poses)
 
 
+def test_the_minimum_is_proven_as_in_python(programs: Path, log_file: Path) -> None:
+    """Without psi dead reckoning leads to a wrong minimum here, which both say."""
+    said = subprocess.run([programs / "solve", log_file], capture_output=True, text=True).stderr
+    expected = solution(load(log_file)).certificate
+    assert expected.proven == (load(log_file).sightings.shape[1] == 3)
+    bound = re.search(r"no state has a J below (\S+): (.*)", said)
+    assert bound is not None, said
+    # the program prints six digits
+    assert float(bound[1]) == pytest.approx(expected.lower_bound, rel=1e-5)
+    assert bound[2] == ("this is the global minimum" if expected.proven else "there may be a lower minimum")
+
+
 def test_the_online_loop_gives_the_poses_of_python(programs: Path, log_file: Path) -> None:
     assert_same_poses(rows(run(programs / "online", log_file)), online(load(log_file))[0])
 

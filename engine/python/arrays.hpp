@@ -102,8 +102,9 @@ Out<T> array(std::vector<T> values) {
 
 /// The numbers of a member of some records, (n, k) or (n,).
 template <class Record, class Member>
-Out<double> rows_of(const std::vector<Record>& records, Member Record::* member) {
-    std::vector<double> out(width<Member> * records.size());
+auto rows_of(const std::vector<Record>& records, Member Record::* member) {
+    using Number = std::conditional_t<std::is_integral_v<Member>, Member, double>;
+    std::vector<Number> out(width<Member> * records.size());
     for (std::size_t k = 0; k < records.size(); ++k)
         std::memcpy(out.data() + k * width<Member>, &(records[k].*member), sizeof(Member));
     if constexpr (width<Member> == 1)

@@ -11,6 +11,7 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "vmslam/certificate/proof.hpp"
+#include "vmslam/edges/family.hpp"
 
 namespace vmslam::python::certificate_bindings {
 
@@ -28,31 +29,47 @@ bool take_upper(const double* W, int d, double tolerance, double* upper) {
     return true;
 }
 
+/// Edges given by arrays; false where the information of one is not symmetric, but for rounding.
+bool add(edges::ConstantEdges& to, const In<Index>& first, const In<Index>& second, const In<double>& start,
+         const In<double>& end, const std::optional<In<double>>& turn, const In<double>& information, double tolerance) {
+    const int d = static_cast<int>(information.shape(1));
+    for (std::size_t e = 0; e < first.size(); ++e) {
+        const double *const a = start.data() + 2 * e, *const b = end.data() + 2 * e;
+        to.edges.push_back({first.data()[e],
+                            second.data()[e],
+                            {a[0], a[1]},
+                            {b[0], b[1]},
+                            turn ? turn->data()[e] : 0.0,
+                            turn.has_value(),
+                            {}});
+        if (!take_upper(information.data() + d * d * e, d, tolerance, &to.edges.back().information.xx)) return false;
+    }
+    return true;
+}
+
+/// First, second, d_a, d_b, turn (None without a heading row), the upper triangles of Omega (E, 6), and the landmarks.
+nb::tuple arrays(const edges::ConstantEdges& from) {
+    std::vector<double> places[2];
+    for (const Edge& edge : from.edges) {
+        places[0].insert(places[0].end(), {edge.d_a.real(), edge.d_a.imag()});
+        places[1].insert(places[1].end(), {edge.d_b.real(), edge.d_b.imag()});
+    }
+    const std::size_t count = from.edges.size();
+    const bool oriented = count && from.edges.front().oriented;
+    return nb::make_tuple(rows_of(from.edges, &Edge::first), rows_of(from.edges, &Edge::second),
+                          array(std::move(places[0]), {count, 2}), array(std::move(places[1]), {count, 2}),
+                          oriented ? nb::cast(rows_of(from.edges, &Edge::turn)) : nb::none(),
+                          rows_of(from.edges, &Edge::information), rows_of(from.landmarks));
+}
+
 /// A proof with the pattern that it needs.
 class OwnedProof : public Proof {
    public:
     OwnedProof(const In<Index>& start, const In<Index>& rows, std::shared_ptr<sparse::Symbolic> symbolic)
         : Proof(span(start), span(rows), std::move(symbolic)), start_(start), rows_(rows) {}
 
-    /// Add the edges of a family; false where the information of one is not symmetric, but for rounding.
-    bool add(const In<Index>& first, const In<Index>& second, const In<double>& start, const In<double>& end,
-             const std::optional<In<double>>& turn, const In<double>& information, double tolerance) {
-        const int d = static_cast<int>(information.shape(1));
-        for (std::size_t e = 0; e < first.size(); ++e) {
-            const double *const a = start.data() + 2 * e, *const b = end.data() + 2 * e;
-            edges.push_back({first.data()[e],
-                             second.data()[e],
-                             {a[0], a[1]},
-                             {b[0], b[1]},
-                             turn ? turn->data()[e] : 0.0,
-                             turn.has_value(),
-                             {}});
-            if (!take_upper(information.data() + d * d * e, d, tolerance, &edges.back().information.xx)) return false;
-        }
-        return true;
-    }
-
-    void begin_at(const In<double>& state, const In<Index>& fixed) {
+    void begin_at(const edges::ConstantEdges& taken, const In<double>& state, const In<Index>& fixed) {
+        edges = taken.edges;
         std::vector<char> free(state.size() / 3, 1);
         for (const Index node : span(fixed)) free[node] = 0;
         begin(span(state), std::move(free));
@@ -63,11 +80,26 @@ class OwnedProof : public Proof {
 };
 
 void bind(nb::module_& m) {
+    nb::class_<edges::ConstantEdges>(m, "ConstantEdges")
+        .def(nb::init<>())
+        // the edges of a family at a state; its landmarks (K, 3)
+        .def("take",
+             [](edges::ConstantEdges& to, const edges::Family& family, const In<double>& state) {
+                 const std::size_t before = to.landmarks.size();
+                 require(family.constant(state.data(), static_cast<Index>(state.shape(0)), to),
+                         "the information of these edges is not constant");
+                 return rows_of(std::vector(to.landmarks.begin() + static_cast<std::ptrdiff_t>(before), to.landmarks.end()));
+             })
+        .def("add", &add, nb::arg("first"), nb::arg("second"), nb::arg("start"), nb::arg("end"), nb::arg("turn").none(),
+             nb::arg("information"), nb::arg("tolerance"))
+        .def_prop_ro("arrays", &arrays)
+        // the pattern that a number of nodes have by the edges
+        .def("pattern", [](const edges::ConstantEdges& from, Index nodes) {
+            const sparse::WidePattern pattern = pattern_of(from.edges, nodes);
+            return std::pair(array(pattern.start), array(pattern.rows));
+        });
     nb::class_<OwnedProof>(m, "Proof")
         .def(nb::init<const In<Index>&, const In<Index>&, std::shared_ptr<sparse::Symbolic>>())
-        .def("clear", [](OwnedProof& proof) { proof.edges.clear(); })
-        .def("add", &OwnedProof::add, nb::arg("first"), nb::arg("second"), nb::arg("start"), nb::arg("end"),
-             nb::arg("turn").none(), nb::arg("information"), nb::arg("tolerance"))
         .def("begin", &OwnedProof::begin_at)
         .def_prop_ro("cost", &Proof::cost)
         .def_prop_ro("slack", &Proof::slack)

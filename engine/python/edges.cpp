@@ -1,4 +1,4 @@
-// Edge families, robust kernels, and the linear systems of the starts.
+// Edge families and robust kernels.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
@@ -15,7 +15,6 @@
 #include "vmslam/edges/single_numbers.hpp"
 #include "vmslam/edges/virtual_motion.hpp"
 #include "vmslam/solve/objective.hpp"
-#include "vmslam/solve/start.hpp"
 
 namespace vmslam::python::edges_bindings {
 
@@ -67,7 +66,27 @@ void bind_families(nb::module_& m) {
                 System system = system_of(start, rows, values, xi, workspace);
                 return f.accumulate({state.data(), reference.data()}, &system, span(pairs));
             },
-            release());
+            release())
+        // the nodes (E,) and (E,), values and information of the relative headings, or positions, that the edges measure
+        .def("headings",
+             [](const Family& f) {
+                 const std::vector<HeadingRelation> found = f.headings();
+                 return std::tuple(rows_of(found, &HeadingRelation::first), rows_of(found, &HeadingRelation::second),
+                                   rows_of(found, &HeadingRelation::value), rows_of(found, &HeadingRelation::information));
+             })
+        .def("positions", [](const Family& f, In<double> state) {
+            std::vector<Index> first, second;
+            std::vector<double> value, information;
+            for (const auto& [i, j, x, y, xx, xy, yy] : f.positions(state.data())) {
+                first.push_back(i);
+                second.push_back(j);
+                value.insert(value.end(), {x, y});
+                information.insert(information.end(), {xx, xy, xy, yy});
+            }
+            const std::size_t count = first.size();
+            return std::tuple(array(std::move(first)), array(std::move(second)), array(std::move(value), {count, 2}),
+                              array(std::move(information), {count, 2, 2}));
+        });
     nb::class_<RelativeEdges, Family>(m, "RelativeEdges")
         .def("__init__", [](RelativeEdges* at, In<Index> first, In<Index> second, In<double> measured, In<double> information,
                             bool world, int code, double width) {
@@ -169,30 +188,7 @@ void bind_kernels(nb::module_& m) {
           [](int code, double width, int dimension) { return expectations(kernel_of(code, width), dimension); });
 }
 
-void bind_starts(nb::module_& m) {
-    m.def("follow_headings", [](In<Index> first, In<Index> second, In<double> turn, In<double> information,
-                                InOut<double> headings, InOut<bool> known) {
-        return solve::follow_headings({span(first), span(second), {}, span(turn), span(information)}, span(headings),
-                                      span(known));
-    });
-    nb::class_<solve::StartSystem>(m, "StartSystem")
-        .def("__init__",
-             [](solve::StartSystem* at, In<Index> start, std::shared_ptr<sparse::Symbolic> symbolic) {
-                 new (at) solve::StartSystem(span(start), std::move(symbolic));
-             })
-        .def("add_headings",
-             [](solve::StartSystem& s, In<Index> first, In<Index> second, In<Index> pairs, In<double> turn,
-                In<double> information, In<double> unit) {
-                 s.add_headings({span(first), span(second), span(pairs), span(turn), span(information)}, span(unit));
-             })
-        .def("add_positions",
-             [](solve::StartSystem& s, In<Index> first, In<Index> second, In<Index> pairs, In<double> offset,
-                In<double> information, In<double> position) {
-                 s.add_positions({span(first), span(second), span(pairs), span(offset), span(information)}, span(position));
-             })
-        .def("hold", [](solve::StartSystem& s, In<Index> blocks, In<Index> nodes,
-                        In<Index> untied) { s.hold(span(blocks), span(nodes), span(untied)); })
-        .def("solve", [](solve::StartSystem& s, InOut<double> correction) { return s.solve(span(correction)); });
+void bind_holding(nb::module_& m) {
     // the rows and columns of nodes become those of the identity
     m.def("hold", [](In<Index> start, In<Index> rows, InOut<double> values, InOut<double> xi, InOut<Index> workspace,
                      In<Index> blocks, In<Index> nodes) {
@@ -202,20 +198,13 @@ void bind_starts(nb::module_& m) {
     m.def("rest",
           [](In<Index> start, In<Index> rows, InOut<double> values, InOut<double> xi, InOut<Index> workspace, In<Index> nodes,
              int coordinate) { solve::rest(system_of(start, rows, values, xi, workspace), span(nodes), coordinate); });
-    m.def("turned_to_world", [](In<double> state, In<Index> first, In<double> measured, In<double> information) {
-        const std::size_t count = first.size();
-        std::vector<double> offset(2 * count), omega(4 * count);
-        solve::turn_to_world(span(state), span(first), span(measured), span(information), static_cast<int>(measured.shape(1)),
-                             offset, omega);
-        return std::pair(array(std::move(offset), {count, 2}), array(std::move(omega), {count, 2, 2}));
-    });
 }
 
 void bind(nb::module_& m) {
     bind_families(m);
     bind_linearized(m);
     bind_kernels(m);
-    bind_starts(m);
+    bind_holding(m);
 }
 
 }  // namespace vmslam::python::edges_bindings

@@ -1,6 +1,7 @@
 // Iterations on graphs of edge families, some of which may be written in Python.
 #include <nanobind/stl/function.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -9,6 +10,7 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "vmslam/solve/run.hpp"
+#include "vmslam/solve/start.hpp"
 
 namespace vmslam::python::solve_bindings {
 
@@ -21,10 +23,12 @@ Out<double> state_array(const double* at, std::size_t size) {
     return array(std::vector<double>(at, at + size), {size / 3, 3});
 }
 
-/// A family written in Python: accumulate(state, reference, whether to add to the system) is the cost.
+/// A family written in Python: accumulate(state, reference, whether to add to the system) is the cost; headings() and
+/// positions(state) are `base.Relations`, or None.
 class PythonFamily : public edges::Family {
    public:
-    PythonFamily(nb::callable accumulate, std::size_t size) : accumulate_(std::move(accumulate)), size_(size) {}
+    PythonFamily(nb::callable accumulate, nb::object family, std::size_t size)
+        : accumulate_(std::move(accumulate)), family_(std::move(family)), size_(size) {}
 
     double accumulate(const edges::State& state, edges::System* system, std::span<const Index>) const override {
         const nb::gil_scoped_acquire python;
@@ -32,8 +36,44 @@ class PythonFamily : public edges::Family {
             accumulate_(state_array(state.at, size_), state_array(state.reference, size_), system != nullptr));
     }
 
+    std::vector<edges::HeadingRelation> headings() const override {
+        const nb::gil_scoped_acquire python;
+        return read<edges::HeadingRelation>(family_.attr("headings")(), [](const double* value, const double* information) {
+            return edges::HeadingRelation{0, 0, *value, *information};
+        });
+    }
+
+    std::vector<edges::PositionRelation> positions(const double* state) const override {
+        const nb::gil_scoped_acquire python;
+        const auto relation = [](const double* p, const double* W) {
+            return edges::PositionRelation{0, 0, p[0], p[1], W[0], (W[1] + W[2]) / 2, W[3]};
+        };
+        return read<edges::PositionRelation>(family_.attr("positions")(state_array(state, size_)), relation);
+    }
+
    private:
+    template <class Relation, class Make>
+    static std::vector<Relation> read(const nb::object& relations, Make make) {
+        std::vector<Relation> out;
+        if (relations.is_none()) return out;
+        const auto first = nb::cast<In<Index>>(relations.attr("first")),
+                   second = nb::cast<In<Index>>(relations.attr("second"));
+        const auto value = nb::cast<In<double>>(relations.attr("value"));
+        const auto information = nb::cast<In<double>>(relations.attr("information"));
+        const std::size_t count = first.size();
+        require(second.size() == count && value.size() % std::max(count, std::size_t{1}) == 0,
+                "relations have two nodes, a value and information each");
+        for (std::size_t k = 0; k < count; ++k) {
+            out.push_back(
+                make(value.data() + k * (value.size() / count), information.data() + k * (information.size() / count)));
+            out.back().first = first.data()[k];
+            out.back().second = second.data()[k];
+        }
+        return out;
+    }
+
     nb::callable accumulate_;
+    nb::object family_;
     std::size_t size_;
 };
 
@@ -95,7 +135,7 @@ class PythonObjective : public Objective {
 };
 
 void bind_objectives(nb::module_& m) {
-    nb::class_<PythonFamily, edges::Family>(m, "PythonFamily").def(nb::init<nb::callable, std::size_t>());
+    nb::class_<PythonFamily, edges::Family>(m, "PythonFamily").def(nb::init<nb::callable, nb::object, std::size_t>());
     nb::class_<Objective>(m, "Objective")
         .def_rw("state_dependent", &Objective::state_dependent)
         .def_rw("reweighted", &Objective::reweighted);
@@ -113,6 +153,12 @@ void bind_objectives(nb::module_& m) {
                 std::move(members), {places(system[0]), places(system[1]), values.data(), xi.data(), workspace.data()},
                 {places(held[0]), places(held[1]), places(held[2])}, constant, *nb::cast<Factor*>(owned[4]), owned);
         });
+    // initial values (n, 3), poses whose heading no edge measures, and a node that the edges do not tie, or -1
+    m.def("rotation_first", [](const BoundGraph& graph, In<double> state, In<Index> held, Index poses) {
+        Start start = rotation_first(graph, copy_of(state), span(held), poses);
+        return std::tuple(state_array(start.state.data(), start.state.size()), array(std::move(start.unturned)),
+                          start.untied);
+    });
     nb::class_<PythonObjective, Objective>(m, "PythonObjective").def(nb::init<nb::object>());
 }
 

@@ -9,3 +9,4 @@ void test_linearized();
 void test_numbers();
 void test_online();
 void test_particles();
+void test_start();

@@ -175,6 +175,7 @@ int main() {
     test_numbers();
     test_online();
     test_particles();
+    test_start();
     std::printf("%s\n", failures == 0 ? "all tests passed" : "tests failed");
     return failures == 0 ? 0 : 1;
 }

@@ -4,10 +4,7 @@
 // step in front; noise (nn, no, on, oo, epsilon, range rate, std of bearing, std of orientation).
 #include <cstdlib>
 #include <map>
-#include <numeric>
-#include <tuple>
 
-#include "vmslam/certificate/proof.hpp"
 #include "vmslam/edges/marginal.hpp"
 #include "vmslam/edges/virtual_motion.hpp"
 #include "vmslam/online/system.hpp"
@@ -61,71 +58,10 @@ struct LogGraph {
           plain(made({}, count)),
           map(landmarks(options.kernel)) {}
 
-    /// Whether edges have constant information in the axes of a pose, without which there is no proof.
+    /// Whether edges have constant information in the axes of a pose.
     bool constant() const { return options.body && (robot.oriented || options.marginal); }
 
-    /// A lower bound on J of all states, and J; with a kernel on the cost with its weights held at those of the poses.
-    std::pair<double, double> proof(std::span<const double> poses) const {
-        std::vector<certificate::Edge> list;
-        std::vector<double> state(poses.begin(), poses.end());
-        list.push_back({-1, 0, {log.start[0], log.start[1]}, {}, log.start[2], true, {1e6, 0.0, 1e6, 0.0, 0.0, 1e6}});
-        const auto size = static_cast<solve::Index>(log.poses());
-        for (solve::Index t = 0; options.motions && t + 1 < size; ++t) {
-            const auto [z, omega] = measured(log.motion(t), robot.motion);
-            list.push_back({t, t + 1, {z.x, z.y}, {}, z.t, true, omega});
-        }
-        const std::vector<double> squares = plain.costs(poses);
-        double cost = std::accumulate(squares.begin(), squares.end(), 0.0);
-        if (options.marginal) {
-            const auto around = map.around_means({poses.data(), poses.data()});
-            const auto seen = solve::by_landmark(log, robot.sensor, options.kernel);
-            for (const edges::Vector& m : around.means) state.insert(state.end(), {m.x, m.y, robot.oriented ? m.t : 0.0});
-            const auto first = squares.size() - around.means.size();
-            cost = std::accumulate(squares.begin(), squares.begin() + static_cast<std::ptrdiff_t>(first), 0.0);
-            for (std::size_t g = 0, k = 0; g < around.means.size(); ++g)
-                for (; k < static_cast<std::size_t>(seen.starts[g + 1]); ++k) {
-                    const auto [z, omega] = measured(seen.sightings.z[k], robot.oriented, robot.sensor);
-                    const edges::AroundMean& each = around.sightings[k];
-                    list.push_back({seen.nodes[k],
-                                    size + static_cast<solve::Index>(g),
-                                    {z.x, z.y},
-                                    {},
-                                    z.t,
-                                    robot.oriented,
-                                    each.factor * omega});
-                    const edges::Vector pull = each.W * each.e;
-                    cost +=
-                        each.factor * (each.e.x * pull.x + each.e.y * pull.y + (robot.oriented ? each.e.t * pull.t : 0.0));
-                }
-        } else {
-            const auto before = squares.size() - pairs.size() / 2;
-            cost = std::accumulate(squares.begin(), squares.begin() + static_cast<std::ptrdiff_t>(before), 0.0);
-            for (std::size_t k = 0; k < pairs.size() / 2; ++k) {
-                const double weight = options.kernel.weight(squares[before + k]);
-                add_pair(list, log.sightings[pairs[2 * k]], log.sightings[pairs[2 * k + 1]], weight);
-                cost += weight * squares[before + k];
-            }
-        }
-        return {certificate::lower_bound(state, std::move(list), cost), cost};
-    }
-
    private:
-    void add_pair(std::vector<certificate::Edge>& list, const LandmarkSighting& a, const LandmarkSighting& b,
-                  double weight) const {
-        const edges::Vector first = measured(a.z, true, robot.sensor).z, second = measured(b.z, true, robot.sensor).z;
-        // in the axes of the first pose, in which the landmark has the heading first.t
-        const edges::Rotation from_a(a.z.bearing), from_b(b.z.orientation + first.t);
-        const edges::Symmetric C = edges::landmark_covariance(robot.sensor, a.z.range, from_a, true) +
-                                   edges::landmark_covariance(robot.sensor, b.z.range, from_b, true);
-        list.push_back({place(a),
-                        place(b),
-                        {first.x, first.y},
-                        {second.x, second.y},
-                        edges::wrap(first.t - second.t),
-                        true,
-                        weight * edges::inverse(C, true)});
-    }
-
     solve::Graph made(const edges::Kernel& kernel, int count) const {
         if (count < 0) return solve::graph_of(log, robot.motion, robot.sensor, kernel);
         solve::Graph graph(static_cast<solve::Index>(log.poses()));
@@ -267,9 +203,9 @@ VMSLAM_EXPORT(vm_graph_solve) int vm_graph_solve(const LogGraph* graph, double* 
 /// Write a lower bound on the cost of all poses, and the cost at these poses: J, with a kernel that with its weights held.
 /// Returns 0 where the edges have no constant information, so that there is no proof.
 VMSLAM_EXPORT(vm_graph_proof) int vm_graph_proof(const LogGraph* graph, const double* poses, double* bound) {
-    if (!graph->constant()) return 0;
-    std::tie(bound[0], bound[1]) = graph->proof({poses, 3 * graph->log.poses()});
-    return 1;
+    const auto found = graph->graph.lower_bound({poses, 3 * graph->log.poses()});
+    if (found) bound[0] = found->lowest, bound[1] = found->cost;
+    return found.has_value();
 }
 /// Write the covariances (T + 1, 3, 3) at the poses; returns 0 where the edges do not determine the poses.
 VMSLAM_EXPORT(vm_graph_covariances) int vm_graph_covariances(const LogGraph* graph, const double* poses, double* blocks) {

@@ -21,6 +21,9 @@ int main(int argc, char** argv) try {
 
     std::fprintf(stderr, "J = %.6g after %d steps%s\n", run.costs.back(), run.steps(),
                  run.converged ? "" : ", not converged");
+    if (const auto bound = graph.lower_bound(run.state))
+        std::fprintf(stderr, "no state has a J below %.6g: %s\n", bound->lowest,
+                     bound->global() ? "this is the global minimum" : "there may be a lower minimum");
     for (std::size_t t = 0; t < log.poses(); ++t)
         std::printf("%.12g %.12g %.12g\n", run.state[3 * t], run.state[3 * t + 1], run.state[3 * t + 2]);
     return run.converged ? 0 : 1;

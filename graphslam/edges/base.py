@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import first, make_read_only
 from ..linear.information import BlockSystem
@@ -21,6 +22,8 @@ from ..se2 import Array, turn_matrix
 
 #: the blocks of pairs, for families that do not list their pairs
 _NO_BLOCKS = np.zeros(0, dtype=np.int64)
+#: which of the six numbers of a symmetric matrix stands where
+SYMMETRIC = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 
 
 @dataclass(frozen=True)
@@ -217,9 +220,37 @@ class EngineEdges(EdgeFamily):
             return self.in_engine.cost(state, reference)
         return self.in_engine.add(state, reference, *system.arrays, self.blocks(system))
 
+    def check_constant(self) -> None:
+        """Raise `GraphError` unless the edges have a form with constant information; its message says why not."""
+        super().constant(np.zeros((0, 3)))
+
+    def constant(self, state: Array) -> ConstantEdges:
+        self.check_constant()
+        edges = engine.ConstantEdges()
+        edges.take(self.in_engine, state)
+        first, second, start, end, turn, upper, landmarks = edges.arrays
+        d = 2 if turn is None else 3
+        return ConstantEdges(first, second, start, end, turn, upper[:, SYMMETRIC][:, :d, :d], landmarks)
+
+    def headings(self) -> Relations | None:
+        return _relations(self.in_engine.headings())
+
+    def positions(self, state: Array) -> Relations | None:
+        return _relations(self.in_engine.positions(state))
+
     def __getstate__(self) -> dict[str, Any]:
         # another process makes its own
         return {name: value for name, value in vars(self).items() if name != "in_engine"}
+
+
+def check_body(frame: str) -> None:
+    """Raise `GraphError` unless edges are in the body frame, in which their information may be constant."""
+    if frame == "world":
+        raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
+
+
+def _relations(arrays: tuple[np.ndarray, ...]) -> Relations | None:
+    return Relations(*arrays) if len(arrays[0]) else None
 
 
 @dataclass(frozen=True, eq=False)

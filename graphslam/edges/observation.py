@@ -36,7 +36,7 @@ residual, which does not depend on d, has a weight below 0 on d² unless e* = 0:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -46,7 +46,7 @@ from ..engine import engine
 from ..errors import GraphError
 from ..models import SensorModel
 from ..se2 import Array, mounted, perpendicular, wrap
-from .base import ConstantEdges, EngineEdges, Linearization, PairEdges, Relations
+from .base import EngineEdges, Linearization, PairEdges, check_body
 from .relative import RobustPointEdges, RobustPoseEdges
 from .robust import SingleEdges, code_and_width
 from .sightings import SightingEdges
@@ -66,20 +66,6 @@ class ObservationEdges(PairEdges, SightingEdges):
     @property
     def numbers(self) -> tuple[int, float]:
         return self.sightings.size, float(self.sightings.shape[1] * np.sum(self.trusted))
-
-    def headings(self) -> Relations | None:
-        if not self.oriented:
-            return None
-        variance = self.sensor.bearing_std**2 + self.sensor.orientation_std**2
-        facing = self.sightings[:, 1] - self.sightings[:, 2]
-        return Relations(self.first, self.second, facing, np.full(self.count, 1 / variance))
-
-    def positions(self, state: Array) -> Relations | None:
-        x = state[self.first]
-        at_origin = np.column_stack([np.zeros((self.count, 2)), x[:, 2]])
-        offset = self.sensor.h_inverse(at_origin, self.sightings[:, :2])
-        information = np.linalg.inv(self.sensor.landmark_covariance(x, self.noisy[:, :2]))
-        return Relations(self.first, self.second, offset, information)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +94,8 @@ class CartesianObservationEdges(ObservationEdges, EngineEdges):
     def linearize(self, state: Array, reference: Array) -> Linearization:
         return self.relative.linearize(state, reference)
 
-    def constant(self, state: Array) -> ConstantEdges:
-        self._check_constant(self.frame)
-        edges = self.relative.constant(state)
-        return replace(edges, information=edges.information * self.kernel_weights(state)[:, None, None])
+    def check_constant(self) -> None:
+        check_body(self.frame)
 
     def _to_engine(self) -> Any:
         return self.relative.in_engine
@@ -139,7 +123,7 @@ class PolarObservationEdges(ObservationEdges, EngineEdges):
         information = np.linalg.inv(self.sensor.Q(self.noisy)) * self.trusted[:, None, None]
         return Linearization(residuals, information, (self.first, self.second), (self.sensor.H_pose(x, m), by_landmark))
 
-    def constant(self, state: Array) -> ConstantEdges:
+    def check_constant(self) -> None:
         raise GraphError("the residual h(x, m) - z of landmark nodes has no such form; use residual='cartesian'")
 
     def _to_engine(self) -> Any:
@@ -182,7 +166,7 @@ class PartialEdges(SingleEdges, PairEdges, EngineEdges):
     #: why the certificate does not cover them
     _unproven: ClassVar[str] = ""
 
-    def constant(self, state: Array) -> ConstantEdges:
+    def check_constant(self) -> None:
         raise GraphError(self._unproven)
 
     def _to_engine(self) -> Any:

@@ -59,10 +59,8 @@ class AnchorEdges(EngineEdges):
         jacobians = np.broadcast_to(np.eye(3), (self.count, 3, 3))
         return Linearization(residuals, self.information, (self.nodes,), (jacobians,))
 
-    def constant(self, state: Array) -> ConstantEdges:
-        # a relative pose measured from the origin of the world
-        ends = np.full(self.count, -1), self.nodes
-        return ConstantEdges(*ends, self.values[:, :2], np.zeros((self.count, 2)), self.values[:, 2], self.information)
+    def check_constant(self) -> None:
+        pass
 
     def _to_engine(self) -> Any:
         no_lever = np.zeros((self.count, 2))
@@ -278,12 +276,8 @@ class PositionEdges(SingleEdges, EngineEdges):
             residuals[:, 2] = wrap(state[self.nodes, 2] - self.measured[:, 2])
         return Linearization(residuals[:, :d], self.weighed, (self.nodes,), (B[:, :d],))
 
-    def constant(self, state: Array) -> ConstantEdges:
-        # a relative pose measured from the origin of the world
-        information = self.weighed * self.kernel_weights(state)[:, None, None]
-        turn = self.measured[:, 2] if self.dimension == 3 else None
-        origin = np.full(self.count, -1)
-        return ConstantEdges(origin, self.nodes, self.measured[:, :2], self.levers, turn, information)
+    def check_constant(self) -> None:
+        pass
 
     def _to_engine(self) -> Any:
         kernel = code_and_width(self.kernel)

@@ -21,18 +21,17 @@ the frame of x_{t-1} (body, Omega constant).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..engine import engine
-from ..errors import GraphError
 from ..linear.precision import inverses
 from ..models import MotionModel
 from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
-from .base import ConstantEdges, EngineEdges, Linearization, PairEdges, Relations, linearization
+from .base import EngineEdges, Linearization, PairEdges, check_body, linearization
 from .robust import Kernel, SingleEdges, code_and_width
 
 
@@ -73,15 +72,8 @@ class _RelativeEdges(PairEdges, EngineEdges):
         information = turn @ self.weighed @ np.swapaxes(turn, 1, 2)
         return linearization(ends, residuals, information, (perpendicular(reached), still))
 
-    def constant(self, state: Array) -> ConstantEdges:
-        if self.frame == "world":
-            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
-        d_a, turn = self.measured[:, :2], self.measured[:, 2] if self.measured.shape[1] == 3 else None
-        return ConstantEdges(self.first, self.second, d_a, np.zeros_like(d_a), turn, self.weighed)
-
-    def positions(self, state: Array) -> Relations | None:
-        turned = engine.turned_to_world(state, self.first, self.measured, self.weighed)
-        return Relations(self.first, self.second, *turned)
+    def check_constant(self) -> None:
+        check_body(self.frame)
 
     def _to_engine(self) -> Any:
         edges = self.first, self.second, self.measured, self.weighed
@@ -90,9 +82,6 @@ class _RelativeEdges(PairEdges, EngineEdges):
 
 class RelativePoseEdges(_RelativeEdges):
     """Edges from nodes ``first`` (E,) to ``second`` (E,): measured (E, 3), information (E, 3, 3) in first's frame."""
-
-    def headings(self) -> Relations | None:
-        return Relations(self.first, self.second, self.measured[:, 2], self.weighed[:, 2, 2])
 
 
 class RelativePointEdges(_RelativeEdges):
@@ -123,10 +112,6 @@ class RelationEdges(SingleEdges, RelativePoseEdges):
 
     ``kernel`` and ``trust`` are those of `DoubtedEdges`.
     """
-
-    def constant(self, state: Array) -> ConstantEdges:
-        edges = super().constant(state)
-        return replace(edges, information=edges.information * self.kernel_weights(state)[:, None, None])
 
 
 def motion_edges(

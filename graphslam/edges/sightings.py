@@ -37,11 +37,10 @@ from typing import Any
 import numpy as np
 
 from ..engine import engine
-from ..errors import GraphError
 from ..linear.precision import inverses
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
-from .base import ConstantEdges, EngineEdges, Linearization, Relations, linearization
+from .base import SYMMETRIC, EngineEdges, Linearization, check_body, linearization
 from .robust import DoubtedEdges, code_and_width
 
 
@@ -69,11 +68,6 @@ class SightingEdges(DoubtedEdges):
     def oriented(self) -> bool:
         """Whether the sightings measure psi."""
         return self.sightings.shape[1] == 3
-
-    def _check_constant(self, frame: str) -> None:
-        """Raise `GraphError` unless the information of the sightings is constant, but for a kernel: in the body frame."""
-        if frame == "world":
-            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
 
     @property
     def _for_engine(self) -> tuple[Any, ...]:
@@ -127,37 +121,10 @@ class LandmarkSightings(SightingEdges, EngineEdges):
         y[:, : self.sightings.shape[1]] = self.sensor.h_inverse(poses, self.sightings)
         return y, perpendicular(y[:, :2] - poses[:, :2])
 
-    def headings(self) -> Relations | None:
-        # consecutive sightings of a landmark only: an initial state needs no more
-        if not self.oriented:
-            return None
-        a, b, first, second = self._consecutive
-        # theta + phi - psi is the landmark's heading
-        facing = self.sightings[:, 1] - self.sightings[:, 2]
-        variance = 2 * (self.sensor.bearing_std**2 + self.sensor.orientation_std**2)
-        return Relations(first, second, facing[a] - facing[b], np.full(len(a), 1 / variance))
-
-    def positions(self, state: Array) -> Relations | None:
-        a, b, first, second = self._consecutive
-        y, _ = self.placed(state)
-        towards = y[:, :2] - state[self.nodes, :2]
-        covariance = self.sensor.landmark_covariance(state[self.nodes], self.noisy)[:, :2, :2]
-        return Relations(first, second, towards[a] - towards[b], np.linalg.inv(covariance[a] + covariance[b]))
-
-    @cached_property
-    def _consecutive(self) -> tuple[np.ndarray, ...]:
-        """Sightings of a landmark that follow each other from different nodes, first and second, and their nodes."""
-        a = np.flatnonzero((self.group[1:] == self.group[:-1]) & (self.nodes[1:] != self.nodes[:-1]))
-        return a, a + 1, self.nodes[a], self.nodes[a + 1]
-
     @cached_property
     def _place(self) -> Array:
         """The landmark (M, 2 or 3) that each sighting measures, in the frame of the pose."""
         return self.sensor.h_inverse(np.zeros((len(self.nodes), 3)), self.sightings)
-
-
-#: which of the six numbers of a symmetric matrix stands where
-_SYMMETRIC = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,21 +143,14 @@ class MarginalEdges(LandmarkSightings):
         """The sightings one by one, as edges to their landmark, which is held at m̂; in world axes."""
         e, W, factor, lever, _, _ = self._around_means(state, reference)
         d = self.sightings.shape[1]
-        information = (W * factor[:, None])[:, _SYMMETRIC][:, :d, :d]
+        information = (W * factor[:, None])[:, SYMMETRIC][:, :d, :d]
         if self.frame == "body":
             # the derivative of the rotation of W
             lever = lever + perpendicular(e[:, :2])
         return linearization((self.nodes,), e, information, (lever,))
 
-    def constant(self, state: Array) -> ConstantEdges:
-        """The sightings one by one, as edges to landmark nodes: the marginal cost is the minimum over these nodes."""
-        self._check_constant(self.frame)
-        _, _, factor, _, means, _ = self._around_means(state, state)
-        place, covariance = self.sensor.places(self.sightings, noisy=self.noisy)
-        information = np.linalg.inv(covariance) * factor[:, None, None]
-        turn, start = place[:, 2] if self.oriented else None, place[:, :2]
-        second = len(state) + self.group
-        return ConstantEdges(self.nodes, second, start, np.zeros_like(start), turn, information, means)
+    def check_constant(self) -> None:
+        check_body(self.frame)
 
     def kernel_weights(self, state: Array) -> Array:
         _, _, factor, *_ = self._around_means(state, state)
@@ -207,7 +167,7 @@ class MarginalEdges(LandmarkSightings):
     def squares(self, state: Array, reference: Array) -> Array:
         """The squared Mahalanobis norm (M,) of each sighting about m̂, without kernel and trust on the sighting itself."""
         e, W, *_ = self._around_means(state, reference)
-        return np.einsum("mi,mij,mj->m", e, W[:, _SYMMETRIC], e)
+        return np.einsum("mi,mij,mj->m", e, W[:, SYMMETRIC], e)
 
     def map(self, poses: Array) -> tuple[Array, Array]:
         """m̂ (G, d) of each landmark, and its covariance given the poses (G, d, d): (s sum of w Omega)^-1.
@@ -219,7 +179,7 @@ class MarginalEdges(LandmarkSightings):
         """
         _, W, factor, _, means, _ = self._around_means(poses, poses)
         d = self.sightings.shape[1]
-        information = np.add.reduceat(W * factor[:, None], self.starts[:-1], axis=0)[:, _SYMMETRIC][:, :d, :d]
+        information = np.add.reduceat(W * factor[:, None], self.starts[:-1], axis=0)[:, SYMMETRIC][:, :d, :d]
         remedy = "the sightings of this landmark do not determine it; change the noise of the sensor"
         return means[:, :d], inverses(self.information_per_weight * information, "landmark", remedy)
 

@@ -38,8 +38,8 @@ import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError
-from ..se2 import Array, difference, perpendicular, turn_matrix
-from .base import ConstantEdges, Linearization, linearization
+from ..se2 import Array, difference, perpendicular
+from .base import Linearization, check_body, linearization
 from .sightings import LandmarkSightings
 
 #: the most pairs that `VirtualMotionEdges.constant` lists: some 600 MB
@@ -112,27 +112,15 @@ class VirtualMotionEdges(LandmarkSightings):
             angle = y[a, 2] if self.oriented else (state - reference)[self.nodes[a], 2]
         return linearization((self.nodes[a], self.nodes[b]), residuals, information, (u, lever[b]), angle)
 
-    def constant(self, state: Array) -> ConstantEdges:
+    def check_constant(self) -> None:
         if not self.oriented:
             raise GraphError(
                 "without psi the information of virtual-motion edges depends on the state; use weight='marginal' or "
                 "edges='landmark+motion'"
             )
-        self._check_constant(self.frame)
+        check_body(self.frame)
         if (pairs := int(np.sum(np.diff(self.starts) ** 2)) // 2) > MOST_LISTED:
             raise GraphError(f"{pairs} pairs of sightings are too many to list; use weight='marginal'")
-        a, b, group = self.pairs()
-        factor = self.group_weights[group] * self.trusted[a] * self.trusted[b]
-        place, own = self._place, self.covariances(state)
-        # from the axes of the landmark to those of the first pose, in which the landmark faces phi - psi
-        turn = turn_matrix(place[a, 2])
-        if self.kernel is not None:
-            factor = factor * self.kernel_weights(state)
-        information = turn @ np.linalg.inv(own[a] + own[b]) @ np.swapaxes(turn, 1, 2) * factor[:, None, None]
-        facing = place[:, 2]
-        return ConstantEdges(
-            self.nodes[a], self.nodes[b], place[a, :2], place[b, :2], facing[a] - facing[b], information
-        )
 
     def _to_engine(self) -> Any:
         sightings = self.starts, self.nodes, *self._for_engine

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from os import PathLike
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
@@ -21,7 +21,9 @@ from ..edges import (
     PriorEdges,
     SightingEdges,
 )
+from ..edges.base import EngineEdges
 from ..edges.robust import Kernel, expected_cost, kernel_of
+from ..engine import engine
 from ..errors import GraphError, OptionError
 from ..errors.checks import array_of, check_choice, check_positive, make_read_only
 from ..identification.declared import Parameters, declared
@@ -97,7 +99,7 @@ class Graph:
     def __getstate__(self) -> dict[str, Any]:
         # the system is made again where it is needed: it finds edges by the addresses of their arrays, which another
         # process gives to other arrays, and its factor is many times larger than the graph
-        return {name: value for name, value in vars(self).items() if name != "system"}
+        return {name: value for name, value in vars(self).items() if name not in ("system", "_objective")}
 
     @classmethod
     def from_log(
@@ -285,6 +287,22 @@ class Graph:
         """Omega and xi: the pattern is made at the first use, the numbers by `linearize`."""
         return BlockSystem.from_cliques(self.num_nodes, [family.cliques() for family in self.families])
 
+    @property
+    def objective(self) -> Any:
+        """The edges with the `system`, as the engine iterates them (``engine/include/vmslam/solve/objective.hpp``)."""
+        factor = self.system.factor_in_engine
+        kept = vars(self).get("_objective")
+        # a factor that was given away is another one
+        if kept is None or kept[1] is not factor:
+            families = tuple(_in_engine(family, self.system) for family in self.families)
+            pairs = tuple(f.blocks(self.system) if _is_of_engine(f) else _none() for f in self.families)
+            fixed = np.ascontiguousarray(self.fixed, dtype=np.int64)
+            held = (self.system.blocks_of(fixed), fixed, self.without_heading)
+            objective = engine.GraphObjective((families, pairs, self.system.arrays, held, factor), self.prior_cost)
+            objective.state_dependent, objective.reweighted = self.state_dependent_information, self.reweighted
+            kept = vars(self)["_objective"] = objective, factor
+        return kept[0]
+
     def cost(self, state: Array, reference: Array | None = None) -> float:
         """J = the sum of e' Omega e at a state (n, 3), with state-dependent information taken at ``reference``.
 
@@ -425,6 +443,21 @@ class Graph:
         poses[self.steps] = state[: len(self.steps)]
         estimated[self.steps] = True
         return poses, estimated
+
+
+def _is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
+    """Whether the engine computes the sums of a family: it is of the engine, and no derived class has sums of its own."""
+    return isinstance(family, EngineEdges) and type(family).accumulate is EngineEdges.accumulate
+
+
+def _in_engine(family: EdgeFamily, system: BlockSystem) -> Any:
+    if _is_of_engine(family):
+        return family.in_engine
+
+    def accumulate(state: Array, reference: Array, add: bool) -> float:
+        return family.accumulate(state, reference, system if add else None)
+
+    return engine.PythonFamily(accumulate, family, 3 * system.num_nodes)
 
 
 def check_graph(graph: object, name: str = "graph") -> None:

@@ -37,25 +37,15 @@ class Structure:
         return analyze(self.indptr, self.indices, check=False)
 
     @cached_property
-    def _for_start(self) -> Any:
-        return engine.for_start(self.symbolic.structure)
-
-    @cached_property
     def _for_proof(self) -> Any:
         return engine.for_proof(self.symbolic.structure)
 
-    def start(self) -> Any:
-        """Omega and xi of two coordinates of each node, in the engine, for initial values."""
-        return engine.StartSystem(self.indptr, self._for_start)
-
     def proof(self) -> Any:
-        """A proof in the engine without edges: the ``spare`` one, where its user gives it back, or a new one."""
+        """A proof in the engine: the ``spare`` one, where its user gives it back, or a new one."""
         try:
-            proof = self.spare.pop()
+            return self.spare.pop()
         except IndexError:
-            proof = engine.Proof(self.indptr, self.indices, self._for_proof)
-        proof.clear()
-        return proof
+            return engine.Proof(self.indptr, self.indices, self._for_proof)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,16 +9,18 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from ..edges import ConstantEdges
+from ..edges.base import EngineEdges
+from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import first
 from ..graph import Graph
 from ..linear.cholesky import ROUNDOFF
-from ..linear.information import BlockSystem
+from ..linear.information import Structure
 from ..se2 import Array, difference
 
 GLOBAL, NOT_PROVEN, NOT_APPLICABLE = "global", "not proven", "not applicable"
@@ -163,10 +165,16 @@ def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray,
         fixed: the nodes that are held at their rows of the state.
         cost: of the state.
     """
+
+    def problem() -> _Problem:
+        taken = engine.ConstantEdges()
+        for each in edges:
+            _add(taken, each)
+        nodes = np.concatenate([state, *(each.landmarks for each in edges)])
+        return _Problem(taken, nodes, fixed, len(state))
+
     begin = time.perf_counter()
-    nodes = np.concatenate([state, *(each.landmarks for each in edges)])
-    outcome = _outcome(lambda: _Problem(edges, nodes, fixed, len(state)), cost, thorough=True)
-    return _certificate(outcome, cost, begin)
+    return _certificate(_outcome(problem, cost, thorough=True), cost, begin)
 
 
 #: status, lower bound, reason and direction of a `Certificate`
@@ -231,49 +239,46 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
 
 def _of_graph(graph: Graph, state: Array) -> _Problem:
     reasons: list[str] = []
-    parts: list[ConstantEdges] = []
-    nodes = np.array(state, dtype=float)
+    taken, nodes = engine.ConstantEdges(), np.array(state, dtype=float)
     for family in graph.families:
         try:
-            edges = family.constant(nodes)
+            if isinstance(family, EngineEdges) and type(family).constant is EngineEdges.constant:
+                family.check_constant()
+                landmarks = taken.take(family.in_engine, nodes)
+            else:
+                edges = family.constant(nodes)
+                _add(taken, edges)
+                landmarks = edges.landmarks
         except GraphError as error:
             reasons.append(str(error))
             continue
-        parts.append(edges)
-        if len(edges.landmarks):
-            nodes = np.concatenate([nodes, edges.landmarks])
+        if len(landmarks):
+            nodes = np.concatenate([nodes, landmarks])
     if reasons:
         raise GraphError("; ".join(dict.fromkeys(reasons)))
-    system = graph.system if len(nodes) == graph.num_nodes else None
-    return _Problem(parts, nodes, graph.fixed, graph.num_nodes, system)
+    structure = graph.system.structure if len(nodes) == graph.num_nodes else None
+    return _Problem(taken, nodes, graph.fixed, graph.num_nodes, structure)
+
+
+def _add(taken: Any, edges: ConstantEdges) -> None:
+    arrays = edges.first, edges.second, edges.start, edges.end, edges.turn, edges.information
+    if not taken.add(*arrays, ROUNDED[0]):
+        raise GraphError("the information of an edge is not symmetric")
 
 
 class _Problem:
-    """The edges of a graph at the values (N, 3) of all nodes, of which the first ``given`` are those of the graph.
+    """The edges of a graph (``engine.ConstantEdges``) at the values (N, 3) of all nodes; the graph has ``given`` of these.
 
     Attributes:
         proof: the function below J and its bounds, in the engine: ``engine/include/vmslam/certificate/proof.hpp``.
     """
 
     def __init__(
-        self,
-        edges: Sequence[ConstantEdges],
-        nodes: Array,
-        fixed: np.ndarray,
-        given: int,
-        system: BlockSystem | None = None,
+        self, edges: Any, nodes: Array, fixed: np.ndarray, given: int, structure: Structure | None = None
     ) -> None:
-        if system is None:
-            ends = np.concatenate([np.zeros((0, 2), np.int64), *(np.column_stack([e.first, e.second]) for e in edges)])
-            pairs = np.sort(ends[ends[:, 0] >= 0], axis=1)
-            system = BlockSystem.from_cliques(len(nodes), [(np.arange(0, 2 * len(pairs) + 1, 2), pairs.ravel())])
-        self.given, self.structure, self.proof = given, system.structure, system.structure.proof()
-        for part in edges:
-            if not self.proof.add(
-                part.first, part.second, part.start, part.end, part.turn, part.information, ROUNDED[0]
-            ):
-                raise GraphError("the information of an edge is not symmetric")
-        self.proof.begin(nodes, fixed)
+        structure = Structure(*edges.pattern(len(nodes))) if structure is None else structure
+        self.given, self.structure, self.proof = given, structure, structure.proof()
+        self.proof.begin(edges, nodes, np.asarray(fixed, np.int64))
 
     def __del__(self) -> None:
         self.structure.spare[:] = [self.proof]

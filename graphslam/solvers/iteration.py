@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
-from ..edges import EdgeFamily
-from ..edges.base import EngineEdges
 from ..engine import engine
 from ..graph import Graph
 from ..linear.cholesky import Factor, FactorizationError
@@ -24,36 +22,11 @@ from .corrected import undetermined
 
 def objective_of(graph: Any) -> Any:
     """The objective of a `Graph`, or of an object with the methods of `joint.JointGraph`."""
-    objective = _of_graph(graph) if isinstance(graph, Graph) else engine.PythonObjective(graph)
+    if isinstance(graph, Graph):
+        return graph.objective
+    objective = engine.PythonObjective(graph)
     objective.state_dependent, objective.reweighted = graph.state_dependent_information, graph.reweighted
     return objective
-
-
-def _of_graph(graph: Graph) -> Any:
-    system, fixed = graph.system, np.ascontiguousarray(graph.fixed, dtype=np.int64)
-    families = tuple(_in_engine(family, graph) for family in graph.families)
-    pairs = tuple(family.blocks(system) if _is_of_engine(family) else _NONE for family in graph.families)
-    held = (system.blocks_of(fixed) if len(fixed) else _NONE, fixed, graph.without_heading)
-    return engine.GraphObjective((families, pairs, system.arrays, held, system.factor_in_engine), graph.prior_cost)
-
-
-_NONE = np.zeros(0, dtype=np.int64)
-
-
-def _is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
-    """Whether the engine computes the sums of a family: it is of the engine, and no derived class has sums of its own."""
-    return isinstance(family, EngineEdges) and type(family).accumulate is EngineEdges.accumulate
-
-
-def _in_engine(family: EdgeFamily, graph: Graph) -> Any:
-    if _is_of_engine(family):
-        return family.in_engine
-    return engine.PythonFamily(_accumulate(family, graph.system), graph.initial.size)
-
-
-def _accumulate(family: EdgeFamily, system: BlockSystem) -> Callable[[Array, Array, bool], float]:
-    """`EdgeFamily.accumulate` of a family that is written in NumPy."""
-    return lambda state, reference, add: family.accumulate(state, reference, system if add else None)
 
 
 #: a step shorter than the tolerance ends an iteration only where it promises to lower J by less than this part of it,

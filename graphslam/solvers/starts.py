@@ -28,16 +28,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..edges import AnchorEdges, ObservationEdges, PriorEdges, RelationEdges, RelativePoseEdges
-from ..edges.base import Relations
 from ..engine import engine
 from ..errors import GraphError, quoted
 from ..graph import Graph
-from ..graph.transform import first_poses
+from ..graph.transform import first_poses, with_cartesian_sightings
 from ..se2 import Array, chained, compose, rotation, wrap
 from .iteration import Run, end_of, gauss_newton
 
@@ -48,59 +46,18 @@ def rotation_first(graph: Graph) -> Array:
     Raises:
         GraphError: the edges do not connect all headings (no psi and no motion edges, for instance).
     """
-    state, system = graph.initial.copy(), graph.system.structure.start()
+    graph, state = with_cartesian_sightings(graph) or graph, graph.initial.copy()
     held = _held(graph, state)
-    headings = _followed(graph, state, held)
-    if headings is None:
-        _solve_headings(graph, system, state, held)
-    else:
-        state[:, 2] = headings
-
-    position = np.zeros((graph.num_nodes, 2))
-    position[held] = state[held, :2]
-    for family in graph.families:
-        offset = family.positions(state)
-        if offset is not None:
-            system.add_positions(*_relations(graph, offset), position)
-    state[:, :2] = position + _solved(graph, system, held, np.zeros(0, dtype=np.int64))
-    return state
-
-
-def _followed(graph: Graph, state: Array, held: np.ndarray) -> Array | None:
-    """The headings (n,) where each edge leads to one more node, in the order of the edges: without loops all can be met."""
-    headings, known = state[:, 2].copy(), np.zeros(graph.num_nodes, dtype=bool)
-    known[held] = True
-    for family in graph.families:
-        edges = family.headings()
-        if edges is not None and not engine.follow_headings(
-            edges.first, edges.second, edges.value, edges.information, headings, known
-        ):
-            return None
-    return headings if known[: len(graph.steps)].all() else None
-
-
-def _solve_headings(graph: Graph, system: Any, state: Array, held: np.ndarray) -> None:
-    """Write the headings by linear least squares on unit vectors into a state (n, 3)."""
-    tied = np.zeros(graph.num_nodes, dtype=bool)
-    # linear, so it does not matter where the others start
-    unit = np.zeros((graph.num_nodes, 2))
-    unit[held, 0], unit[held, 1] = np.cos(state[held, 2]), np.sin(state[held, 2])
-    for family in graph.families:
-        relative = family.headings()
-        if relative is not None:
-            system.add_headings(*_relations(graph, relative), unit)
-            tied[relative.first] = tied[relative.second] = True
-    if not tied[: len(graph.steps)].all():
-        loose = np.flatnonzero(~tied[: len(graph.steps)])
+    state, unturned, untied = engine.rotation_first(graph.objective, state, held, len(graph.steps))
+    if len(unturned):
         raise GraphError(
-            f"initialize='rotation-first' needs edges that measure relative headings; {graph.names(loose)} have none"
+            f"initialize='rotation-first' needs edges that measure relative headings; {graph.names(unturned)} have none"
         )
-    correction = _solved(graph, system, held, np.flatnonzero(~tied))
-    # a held heading keeps its own value, with its full turns
-    tied[held] = False
-    direction = unit + correction
-    tied &= np.any(direction != 0, axis=1)
-    state[tied, 2] = np.arctan2(direction[tied, 1], direction[tied, 0])
+    if untied >= 0:
+        raise GraphError(
+            f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([untied]))}"
+        )
+    return state
 
 
 def dead_reckoning(graph: Graph) -> Array:
@@ -181,24 +138,6 @@ def _held(graph: Graph, state: Array) -> np.ndarray:
     return nodes if len(nodes) else np.zeros(1, dtype=np.int64)
 
 
-def _relations(graph: Graph, relations: Relations) -> tuple[Array, ...]:
-    """The nodes of relations, the blocks between them, values and information, as the engine takes them."""
-    pairs = graph.system.slots_of(relations.first, relations.second)
-    return relations.first, relations.second, pairs, relations.value, relations.information
-
-
-def _solved(graph: Graph, system: Any, held: np.ndarray, untied: np.ndarray) -> Array:
-    """The correction (n, 2), in which held nodes, and those that no edge ties, are at rest."""
-    correction = np.empty((graph.num_nodes, 2))
-    system.hold(graph.system.blocks_of(held), held, untied)
-    loose = system.solve(correction)
-    if loose >= 0:
-        raise GraphError(
-            f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([loose]))}"
-        )
-    return correction
-
-
 #: beyond this number of poses, more are added at a time in proportion, so that the time grows little faster than them
 MANY = 300
 #: the most steps of Gauss-Newton after each addition
@@ -255,6 +194,7 @@ def _place(state: Array, tree: _Tree, nodes: np.ndarray) -> None:
 
 def _tree(graph: Graph) -> _Tree:
     """Poses follow from the pose before, landmarks from the first pose that sees them."""
+    graph = with_cartesian_sightings(graph) or graph
     poses, unturned = len(graph.steps), np.zeros_like(graph.initial)
     parents, offsets = np.full(graph.num_nodes, -1), np.zeros((graph.num_nodes, 3))
     parents[1:poses] = np.arange(poses - 1)

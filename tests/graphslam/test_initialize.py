@@ -17,15 +17,12 @@ from graphslam import (
     solve_with_gtsam,
 )
 from graphslam.graph.transform import first_poses
-from graphslam.se2 import wrap
+from graphslam.se2 import between, wrap
 from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers import auto
 from graphslam.solvers.initialize import starting_state
 from graphslam.solvers.starts import (
-    _followed,
-    _held,
-    _solve_headings,
     dead_reckoning,
     lower_by_turns,
     rotation_first,
@@ -315,15 +312,16 @@ def chain(tmp_path, loop=""):
 def test_headings_without_loops_are_followed_along_the_edges(tmp_path):
     """They are those of least squares, which can meet every edge."""
     graph = chain(tmp_path)
-    state, held = graph.initial.copy(), _held(graph, graph.initial.copy())
-    headings = _followed(graph, state, held)
-    _solve_headings(graph, graph.system.structure.start(), state, held)
-    assert headings is not None
-    assert headings[4] == 9.0
-    np.testing.assert_allclose(wrap(headings - state[:, 2]), 0, atol=1e-12)
-    assert graph.cost(rotation_first(graph)) < 1e-20
-    looped = chain(tmp_path, "EDGE_SE2 0 9 1 2 3 1 0 0 1 0 1\n")
-    assert _followed(looped, looped.initial.copy(), held) is None
+    followed = rotation_first(graph)
+    assert followed[4, 2] == 9.0
+    assert graph.cost(followed) < 1e-20
+    # another edge that the followed state meets, and the headings are those of least squares
+    x, y, theta = between(followed[0], followed[9])
+    looped = chain(tmp_path, f"EDGE_SE2 0 9 {x:.17g} {y:.17g} {theta:.17g} 1 0 0 1 0 1\n")
+    solved = rotation_first(looped)
+    assert solved[4, 2] == 9.0
+    np.testing.assert_allclose(wrap(solved[:, 2] - followed[:, 2]), 0, atol=1e-12)
+    np.testing.assert_allclose(solved[:, :2], followed[:, :2], atol=1e-9)
 
 
 def test_other_turns_lead_out_of_a_wrong_minimum():

@@ -7,7 +7,6 @@
 #include "vmslam/edges/arithmetic.hpp"
 #include "vmslam/numbers/random.hpp"
 #include "vmslam/sparse/ordering.hpp"
-#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::certificate {
 namespace {
@@ -255,15 +254,19 @@ double Proof::raised_bound() {
     return best;
 }
 
-double lower_bound(std::span<const double> state, std::vector<Edge> edges, double cost) {
-    const auto nodes = static_cast<Index>(state.size() / 3);
+sparse::WidePattern pattern_of(std::span<const Edge> edges, Index nodes) {
     std::vector<Index> sizes, tied;
     for (const Edge& edge : edges) {
         if (edge.first < 0) continue;
         sizes.push_back(2);
         tied.insert(tied.end(), {std::min(edge.first, edge.second), std::max(edge.first, edge.second)});
     }
-    const sparse::WidePattern wide = sparse::pattern_of_groups(nodes, sizes, tied);
+    return sparse::pattern_of_groups(nodes, sizes, tied);
+}
+
+Bound lower_bound(std::span<const double> state, std::vector<Edge> edges) {
+    const auto nodes = static_cast<Index>(state.size() / 3);
+    const sparse::WidePattern wide = pattern_of(edges, nodes);
     const std::vector<sparse::Node> rows(wide.rows.begin(), wide.rows.end());
     const sparse::Pattern pattern{wide.start, rows};
     Proof proof(wide.start, wide.rows,
@@ -271,10 +274,11 @@ double lower_bound(std::span<const double> state, std::vector<Edge> edges, doubl
                     analyze(pattern, fill_reducing(pattern), {sparse::Hermitian2::rows, sparse::Hermitian2::columns}, 1)));
     proof.edges = std::move(edges);
     proof.begin(state, std::vector<char>(nodes, 1));
-    if (cost <= proven && proof.zero()) return cost;
+    const double cost = proof.cost();
+    if (cost <= proven && proof.zero()) return {cost, cost};
     double bound = proof.bound();
     if (!proof.negative().empty()) bound = proof.raised_bound();
-    return std::clamp(bound, 0.0, cost);
+    return {std::clamp(bound, 0.0, cost), cost};
 }
 
 }  // namespace vmslam::certificate

@@ -56,7 +56,8 @@ void write_quadratic_bound(const State& state, std::span<const Edge> edges, std:
     out.touched = out.slack = 0.0;
     double rest = 0.0;
     for (std::size_t e = 0; e < edges.size(); ++e) {
-        const auto& [a, b, d_a, d_b, turn, oriented, information] = edges[e];
+        const auto& [a, b, start, end, turn, oriented, information] = edges[e];
+        const Complex d_b = end;
         const Force& force = forces[e];
         const auto [beta, A, A_error, split_slack] = curvatures[e];
         const Complex p = force.p, reached = force.reached;

@@ -118,4 +118,18 @@ double MarginalEdges::accumulate(const State& state, System* system, std::span<c
     return around.cost;
 }
 
+// The sightings one by one, as edges to landmark nodes: the marginal cost is the minimum over these nodes.
+bool MarginalEdges::constant(const double* state, Index nodes, ConstantEdges& out) const {
+    if (!body_) return false;
+    const AroundMeans around = around_means({state, state});
+    const std::vector<Placed> seen = from_robot(Covariance::reference);
+    for (std::size_t k = 0; k < seen.size(); ++k) {
+        const Vector& y = seen[k].y;
+        const Symmetric W = around.sightings[k].factor * inverse(seen[k].C, seen_.oriented);
+        out.edges.push_back({nodes_[k], nodes + groups_[k], {y.x, y.y}, {}, y.t, seen_.oriented, W});
+    }
+    for (const Vector& m : around.means) out.landmarks.push_back({m.x, m.y, seen_.oriented ? m.t : 0.0});
+    return true;
+}
+
 }  // namespace vmslam::edges

@@ -1,5 +1,7 @@
 #include "vmslam/edges/relative.hpp"
 
+#include <algorithm>
+
 #include "vmslam/edges/rotations.hpp"
 
 namespace vmslam::edges {
@@ -44,6 +46,39 @@ double RelativeEdges::accumulate(const State& state, System* system, std::span<c
     return world_ ? add<false, true>(state, system, pairs) : add<false, false>(state, system, pairs);
 }
 
+std::vector<HeadingRelation> RelativeEdges::headings() const {
+    std::vector<HeadingRelation> out;
+    if (!poses_) return out;
+    out.reserve(edges_.size());
+    for (const auto& [i, j, z, omega] : edges_) out.push_back({i, j, z.t, omega.tt});
+    return out;
+}
+
+std::vector<PositionRelation> RelativeEdges::positions(const double* state) const {
+    std::vector<PositionRelation> out;
+    out.reserve(edges_.size());
+    Rotations axes(edges_.size(), [&](std::size_t k) { return state[3 * edges_[k].i + 2]; });
+    for (std::size_t k = 0; k < edges_.size(); ++k) {
+        const auto& [i, j, z, omega] = edges_[k];
+        const Rotation& r = axes[k];
+        const Vector offset = turned(r, z);
+        const Symmetric W = turned(r, omega);
+        out.push_back({i, j, offset.x, offset.y, W.xx, W.xy, W.yy});
+    }
+    return out;
+}
+
+bool RelativeEdges::constant(const double* state, Index, ConstantEdges& out) const {
+    if (world_) return false;
+    out.edges.reserve(out.edges.size() + edges_.size());
+    for (const auto& [i, j, z, omega] : edges_) {
+        ConstantEdge edge{i, j, {z.x, z.y}, {}, z.t, poses_, omega};
+        if (kernel_) edge.information = kernel_.weight(edge.squares(state)) * omega;
+        out.edges.push_back(edge);
+    }
+    return true;
+}
+
 double PositionEdges::accumulate(const State& state, System* system, std::span<const Index>) const {
     double total = 0.0;
     for (const auto& [i, z, omega, lever] : positions_) {
@@ -60,6 +95,18 @@ double PositionEdges::accumulate(const State& state, System* system, std::span<c
         add_gradient(system->xi + 3 * i, -1.0, g, v);
     }
     return total;
+}
+
+// A relative pose, or point, measured from the origin of the world.
+bool PositionEdges::constant(const double* state, Index, ConstantEdges& out) const {
+    const bool oriented =
+        std::any_of(positions_.begin(), positions_.end(), [](const Position& p) { return p.omega.tt != 0; });
+    for (const auto& [i, z, omega, lever] : positions_) {
+        ConstantEdge edge{-1, i, {z.x, z.y}, {lever.x, lever.y}, z.t, oriented, omega};
+        if (kernel_) edge.information = kernel_.weight(edge.squares(state)) * omega;
+        out.edges.push_back(edge);
+    }
+    return true;
 }
 
 }  // namespace vmslam::edges

@@ -55,4 +55,39 @@ std::vector<Placed> LandmarkSightings::placed(const State& state, Covariance mod
     return out;
 }
 
+std::vector<Placed> LandmarkSightings::from_robot(Covariance mode) const {
+    const std::vector<double> origin(3 * (last_node() + 1), 0.0);
+    return placed({origin.data(), origin.data()}, mode);
+}
+
+// Sightings of a landmark that follow each other are enough: a landmark of K sightings has K (K - 1) / 2 pairs.
+template <class Use>
+void LandmarkSightings::for_consecutive(Use use) const {
+    for (std::size_t b = 1; b < nodes_.size(); ++b)
+        if (groups_[b] == groups_[b - 1] && nodes_[b] != nodes_[b - 1]) use(b - 1, b);
+}
+
+std::vector<HeadingRelation> LandmarkSightings::headings() const {
+    std::vector<HeadingRelation> out;
+    if (!seen_.oriented) return out;
+    // theta + phi - psi is the landmark's heading
+    const auto facing = [&](std::size_t k) { return seen_.z[k].bearing - seen_.z[k].orientation; };
+    const double information = 0.5 / (seen_.sensor.bearing + seen_.sensor.orientation);
+    for_consecutive(
+        [&](std::size_t a, std::size_t b) { out.push_back({nodes_[a], nodes_[b], facing(a) - facing(b), information}); });
+    return out;
+}
+
+std::vector<PositionRelation> LandmarkSightings::positions(const double* state) const {
+    std::vector<PositionRelation> out;
+    const std::vector<Placed> at = placed({state, state}, Covariance::reference);
+    for_consecutive([&](std::size_t a, std::size_t b) {
+        // the lever is the way to the landmark, turned by a quarter
+        const Lever &u = at[a].lever, &v = at[b].lever;
+        const Symmetric W = inverse(at[a].C + at[b].C, false);
+        out.push_back({nodes_[a], nodes_[b], u.y - v.y, v.x - u.x, W.xx, W.xy, W.yy});
+    });
+    return out;
+}
+
 }  // namespace vmslam::edges

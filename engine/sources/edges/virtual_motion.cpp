@@ -44,4 +44,30 @@ double VirtualMotionEdges::accumulate(const State& state, System* system, std::s
     return total;
 }
 
+// Without psi the information depends on the direction between the two poses.
+bool VirtualMotionEdges::constant(const double* state, Index, ConstantEdges& out) const {
+    if (!body_ || !seen_.oriented) return false;
+    const std::vector<Placed> seen = from_robot(Covariance::landmark);
+    for (std::size_t b = 0; b < seen.size(); ++b) {
+        const Index g = groups_[b];
+        const Kernel kernel{seen_.kernel.kind, seen_.kernel.c * std::sqrt(weights_[g])};
+        for (std::size_t a = starts_[g]; a < b; ++a) {
+            if (nodes_[a] == nodes_[b]) continue;
+            const Vector &from_a = seen[a].y, &from_b = seen[b].y;
+            // from the axes of the landmark to those of the first pose
+            const Symmetric C = turned(Rotation(from_a.t), seen[a].C + seen[b].C);
+            ConstantEdge edge{nodes_[a],
+                              nodes_[b],
+                              {from_a.x, from_a.y},
+                              {from_b.x, from_b.y},
+                              from_a.t - from_b.t,
+                              true,
+                              weights_[g] * seen_.trust[a] * seen_.trust[b] * inverse(C, true)};
+            if (kernel) edge.information = kernel.weight(edge.squares(state)) * edge.information;
+            out.edges.push_back(edge);
+        }
+    }
+    return true;
+}
+
 }  // namespace vmslam::edges

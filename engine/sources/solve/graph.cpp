@@ -4,6 +4,7 @@
 #include <numeric>
 
 #include "vmslam/edges/marginal.hpp"
+#include "vmslam/solve/start.hpp"
 #include "vmslam/sparse/ordering.hpp"
 #include "vmslam/sparse/pattern.hpp"
 
@@ -12,6 +13,7 @@ namespace vmslam::solve {
 void Graph::add_anchor(Index node, const edges::Vector& value, double information) {
     const edges::Symmetric omega{information, 0.0, information, 0.0, 0.0, information};
     members_.push_back({std::make_unique<edges::PositionEdges>(std::vector{edges::Position{node, value, omega}}), {}, {}});
+    anchors_.emplace_back(node, value);
 }
 
 void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel) {
@@ -59,8 +61,34 @@ void Graph::assemble(int threads, const std::function<void(GraphObjective&, Fact
     work(objective, factor);
 }
 
+std::optional<std::vector<double>> Graph::rotation_first(int threads) const {
+    std::vector<double> state(3 * nodes_, 0.0);
+    std::vector<Index> held;
+    for (const auto& [node, value] : anchors_) {
+        held.push_back(node);
+        state[3 * node] = value.x, state[3 * node + 1] = value.y, state[3 * node + 2] = value.t;
+    }
+    if (held.empty()) held.push_back(0);
+    Start start;
+    assemble(threads, [&](GraphObjective& objective, Factor&) {
+        start = solve::rotation_first(objective, std::move(state), held, nodes_);
+    });
+    if (!start.unturned.empty() || start.untied >= 0) return std::nullopt;
+    return start.state;
+}
+
 void Graph::solve(Run& run, int threads) const {
     assemble(threads, [&run](GraphObjective& objective, Factor&) { gauss_newton(objective, run); });
+}
+
+std::optional<certificate::Bound> Graph::lower_bound(std::span<const double> state) const {
+    edges::ConstantEdges found;
+    for (const Member& m : members_)
+        if (!m.family->constant(state.data(), nodes_ + static_cast<Index>(found.landmarks.size()), found))
+            return std::nullopt;
+    std::vector<double> values(state.begin(), state.end());
+    for (const edges::Vector& m : found.landmarks) values.insert(values.end(), {m.x, m.y, m.t});
+    return certificate::lower_bound(values, std::move(found.edges));
 }
 
 std::vector<double> Graph::costs(std::span<const double> state) const {

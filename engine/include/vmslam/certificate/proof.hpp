@@ -6,6 +6,7 @@
 
 #include "vmslam/certificate/quadratic_bound.hpp"
 #include "vmslam/sparse/factor.hpp"
+#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::certificate {
 
@@ -101,7 +102,16 @@ class Proof {
 /// The relative gap (J - bound) / J up to which a state is proven to be a global minimum, and J itself where it is zero.
 inline constexpr double proven = 1e-6;
 
-/// The best lower bound, at most `cost`, on the cost of all states of edges that are no part of a larger system.
-double lower_bound(std::span<const double> state, std::vector<Edge> edges, double cost);
+/// The pattern that edges give their nodes.
+sparse::WidePattern pattern_of(std::span<const Edge> edges, Index nodes);
+
+/// The cost of a state, and the best lower bound on the cost of all states; at most `proven` of the cost lies between them where
+/// the state is a global minimum for certain.
+struct Bound {
+    double lowest, cost;
+    bool global() const { return cost - lowest <= proven * cost || cost <= proven; }
+};
+/// Of edges that are no part of a larger system. `state` has their landmarks, too.
+Bound lower_bound(std::span<const double> state, std::vector<Edge> edges);
 
 }  // namespace vmslam::certificate

@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "vmslam/certificate/exact.hpp"
-#include "vmslam/edges/arithmetic.hpp"
+#include "vmslam/edges/constant.hpp"
 
 namespace vmslam::certificate {
 
@@ -38,14 +38,7 @@ class State {
     std::vector<Node> nodes_{1};
 };
 
-/// An edge whose information is constant in the axes of its first node. `oriented` edges measure the heading.
-struct Edge {
-    Index first, second;
-    Complex d_a, d_b;
-    double turn;
-    bool oriented;
-    edges::Symmetric information;
-};
+using Edge = edges::ConstantEdge;
 
 /// An edge at a candidate state.
 struct Force {

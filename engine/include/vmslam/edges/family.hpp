@@ -3,7 +3,7 @@
 
 #include <span>
 
-#include "vmslam/edges/arithmetic.hpp"
+#include "vmslam/edges/constant.hpp"
 #include "vmslam/edges/robust.hpp"
 
 namespace vmslam::edges {
@@ -18,6 +18,18 @@ struct State {
     const double* reference_of(Index i) const { return reference + 3 * i; }
 };
 
+/// A measured difference of the headings of two nodes, from which initial values are computed.
+struct HeadingRelation {
+    Index first, second;
+    double value, information;
+};
+
+/// A measured difference of the places of two nodes, in world axes, and its information.
+struct PositionRelation {
+    Index first, second;
+    double x, y, xx, xy, yy;
+};
+
 /// Edges of one kind. All of them write e' Omega e into the cost, B' Omega B into Omega and -B' Omega e into xi.
 class Family {
    public:
@@ -26,6 +38,14 @@ class Family {
     /// The edges added to a system, where one is given, and their cost. `pairs` has the block between the two ends of each
     /// edge, for the families that list their edges.
     virtual double accumulate(const State& state, System* system, std::span<const Index> pairs) const = 0;
+
+    /// The relative headings that the edges measure; none by default.
+    virtual std::vector<HeadingRelation> headings() const { return {}; }
+    /// The relative positions that they measure, with the headings of a state; none by default.
+    virtual std::vector<PositionRelation> positions(const double* /* state */) const { return {}; }
+    /// Append the edges with constant information at a state of `nodes` nodes; false where there is no such form. A kernel keeps
+    /// the weights that it has there, and further nodes have the numbers from `nodes` on.
+    virtual bool constant(const double* /* state */, Index /* nodes */, ConstantEdges& /* out */) const { return false; }
 };
 
 }  // namespace vmslam::edges

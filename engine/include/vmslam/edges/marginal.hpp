@@ -38,6 +38,7 @@ class MarginalEdges : public LandmarkSightings {
         : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)), body_(body) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
     AroundMeans around_means(const State& state) const;
 
    private:

@@ -28,6 +28,9 @@ class RelativeEdges : public Family {
         : edges_(std::move(edges)), poses_(poses), world_(world), kernel_(kernel) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    std::vector<HeadingRelation> headings() const override;
+    std::vector<PositionRelation> positions(const double* state) const override;
+    bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
 
    private:
     template <bool poses, bool world>
@@ -54,6 +57,7 @@ class PositionEdges : public Family {
     explicit PositionEdges(std::vector<Position> positions, Kernel kernel = {})
         : positions_(std::move(positions)), kernel_(kernel) {}
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
 
    private:
     std::vector<Position> positions_;

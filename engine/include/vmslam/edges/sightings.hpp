@@ -66,6 +66,10 @@ class LandmarkSightings : public Family {
     LandmarkSightings(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings);
 
     std::vector<Placed> placed(const State& state, Covariance mode) const;
+    /// The sightings in the axes of their poses, and their covariances there, or in the landmark's own axes.
+    std::vector<Placed> from_robot(Covariance mode) const;
+    std::vector<HeadingRelation> headings() const override;
+    std::vector<PositionRelation> positions(const double* state) const override;
 
    protected:
     Index landmarks() const { return static_cast<Index>(starts_.size()) - 1; }
@@ -79,6 +83,10 @@ class LandmarkSightings : public Family {
     Sightings seen_;
 
    private:
+    /// Call use(a, b) for the sightings a and b of a landmark that follow each other, from different nodes.
+    template <class Use>
+    void for_consecutive(Use use) const;
+
     std::vector<Index> order_, node_starts_;
 };
 

@@ -23,6 +23,7 @@ class VirtualMotionEdges : public LandmarkSightings {
           body_(body) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
 
    private:
     std::vector<double> weights_;

@@ -3,7 +3,9 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 
+#include "vmslam/certificate/proof.hpp"
 #include "vmslam/edges/relative.hpp"
 #include "vmslam/log.hpp"
 #include "vmslam/solve/run.hpp"
@@ -25,8 +27,14 @@ class Graph {
     /// The families have information that depends on the state, or a robust kernel; see `Objective`.
     bool state_dependent = false, reweighted = false;
 
+    /// Initial values by rotation first (`solve/start.hpp`): the anchored nodes at their values, the others from the edges; none
+    /// where these do not determine them.
+    std::optional<std::vector<double>> rotation_first(int threads = 1) const;
     /// Minimise J from run.state by `gauss_newton`.
     void solve(Run& run, int threads = 1) const;
+    /// J of a state and a lower bound on J of all states; with a kernel on the cost with its weights held at those of the state.
+    /// None where an edge has no constant information.
+    std::optional<certificate::Bound> lower_bound(std::span<const double> state) const;
     /// What each call of `add_` contributes to J at a state.
     std::vector<double> costs(std::span<const double> state) const;
     /// The blocks (n, 3, 3) of Omega^-1 on the diagonal at a state; none where Omega has no factor.
@@ -43,6 +51,7 @@ class Graph {
     };
     Index nodes_;
     std::vector<Member> members_;
+    std::vector<std::pair<Index, edges::Vector>> anchors_;
     /// the groups of nodes of all families, one after another
     std::vector<Index> sizes_, grouped_;
 };

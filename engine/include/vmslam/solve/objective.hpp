@@ -58,6 +58,11 @@ class GraphObjective : public Objective {
     std::span<const double> xi() override { return {system_.xi, 3 * nodes()}; }
     std::vector<double> diagonal() override;
 
+    const std::vector<Member>& families() const { return families_; }
+    const edges::System& system() const { return system_; }
+    /// The ordering and structure of the factor.
+    const sparse::Symbolic& symbolic() const { return factor_.symbolic(); }
+
    private:
     std::size_t nodes() const { return system_.start.size() - 1; }
     std::span<const double> values() const { return {system_.values, 9 * system_.rows.size()}; }

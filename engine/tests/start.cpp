@@ -1,0 +1,74 @@
+// Initial values of a graph, its minimum, and the proof of that.
+#include <cmath>
+#include <numbers>
+#include <random>
+
+#include "expect.hpp"
+#include "vmslam/solve/graph.hpp"
+
+namespace {
+
+using namespace vmslam;
+using edges::Vector;
+
+/// Pose b in the axes of pose a.
+Vector between(const Vector& a, const Vector& b) {
+    const Vector offset = edges::turned(edges::Rotation(-a.t), Vector{b.x - a.x, b.y - a.y, 0.0});
+    return {offset.x, offset.y, edges::wrap(b.t - a.t)};
+}
+
+void test_ring(unsigned seed) {
+    std::mt19937 random(seed);
+    std::normal_distribution<> noise(0.0, 0.03);
+    const int poses = 8 + static_cast<int>(random() % 20);
+    std::vector<Vector> truth;
+    for (int k = 0; k < poses; ++k) {
+        const double angle = 2 * std::numbers::pi * k / poses;
+        truth.push_back({5 * std::cos(angle), 5 * std::sin(angle), edges::wrap(angle + std::numbers::pi / 2)});
+    }
+    std::vector<edges::RelativeEdge> measured;
+    for (int k = 0; k < 2 * poses; ++k) {
+        const int i = k < poses ? k : static_cast<int>(random() % poses), j = (i + (k < poses ? 1 : 3)) % poses;
+        Vector z = between(truth[i], truth[j]);
+        z = {z.x + noise(random), z.y + noise(random), z.t + noise(random)};
+        measured.push_back({i, j, z, {100.0, 5.0, 200.0, 3.0, 1.0, 300.0}});
+    }
+    solve::Graph graph(poses);
+    graph.add_anchor(0, truth[0]);
+    graph.add_relative(measured, seed % 2 ? edges::Kernel{edges::Robust::cauchy, 3.0} : edges::Kernel{});
+
+    const auto start = graph.rotation_first();
+    expect(start.has_value(), "the edges determine all poses", seed);
+    if (!start) return;
+    for (int k = 0; k < poses; ++k) {
+        const double apart = std::hypot((*start)[3 * k] - truth[k].x, (*start)[3 * k + 1] - truth[k].y);
+        expect(apart < 1.0 && std::abs(edges::wrap((*start)[3 * k + 2] - truth[k].t)) < 0.3, "the start is near the truth", seed);
+    }
+    solve::Run run{{.tolerance = 1e-9}, *start};
+    graph.solve(run);
+    expect(run.converged, "the iteration converges", seed);
+    const auto least = graph.lower_bound(run.state);
+    expect(least && least->global() && least->lowest <= least->cost, "the minimum is proven", seed);
+    if (seed % 2 == 0) expect(std::abs(least->cost - run.costs.back()) < 1e-6 * least->cost, "J of the proof", seed);
+
+    // the headings wind twice around the ring
+    std::vector<double> wound = run.state;
+    for (int k = 0; k < poses; ++k) wound[3 * k + 2] += 2 * std::numbers::pi * k / poses;
+    const auto other = graph.lower_bound(wound);
+    expect(other && !other->global(), "a worse state is not proven", seed);
+    expect(other && (seed % 2 || other->lowest <= least->cost), "a lower bound is below the minimum", seed);
+}
+
+void test_loose() {
+    solve::Graph graph(3);
+    graph.add_anchor(0, {0.0, 0.0, 0.0});
+    graph.add_relative({{0, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 1.0, 0.0, 0.0, 1.0}}});
+    expect(!graph.rotation_first(), "a pose that no edge ties has no initial value", 0);
+}
+
+}  // namespace
+
+void test_start() {
+    for (unsigned seed = 0; seed < 50; ++seed) test_ring(seed);
+    test_loose();
+}
