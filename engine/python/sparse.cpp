@@ -74,7 +74,6 @@ void bind_symbolic(nb::module_& m) {
             return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of<Real3>, threads));
         },
         nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("threads"));
-    m.def("for_start", [](const Symbolic& s) { return std::make_shared<Symbolic>(reshaped(s, shape_of<Real2>)); });
     m.def("for_proof", [](const Symbolic& s) { return std::make_shared<Symbolic>(reshaped(s, shape_of<Hermitian2>)); });
 }
 

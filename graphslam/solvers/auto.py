@@ -21,7 +21,7 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
 from .certificate import GLOBAL, Certificate, prove
-from .initialize import AUTO, GROWING, starting_state
+from .initialize import GROWING, starting_state, starts_of_auto
 from .iteration import Run, end_of, factorized, gauss_newton, levenberg_marquardt
 from .starts import descents, lower_by_turns, most_steps
 
@@ -298,7 +298,7 @@ def _starts(graph: Graph, ends: list[End], effort: _Effort) -> Iterator[tuple[st
     """
     if graph.reweighted:
         yield from _starts_of_kernel(graph, ends)
-    names, growing = [*AUTO], [*GROWING] if _sighted(graph) else []
+    names, growing = [*starts_of_auto(graph)], [*GROWING] if _sighted(graph) else []
     if graph.num_nodes <= SMALL:
         names, growing = names + growing, []
     while names:

@@ -116,11 +116,10 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     if graph.reweighted:
         cost, constant = sum(family.weighted_cost(state) for family in graph.families), 0.0
     cost = (graph.cost(state) if cost is None else cost) - constant
-    moved = _moved(graph, state)
+    moved = _put_back(graph, state)
     if len(moved):
         outcome: _Outcome = NOT_PROVEN, 0.0, f"the state moves {graph.names(moved)}, which the graph holds", None
     else:
-        state[graph.fixed] = graph.initial[graph.fixed]
         outcome = _outcome(lambda: _of_graph(graph, state), cost, thorough)
     if graph.reweighted:
         outcome = _for_weights(outcome)
@@ -130,11 +129,12 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     return _certificate((status, bound + constant, reason, direction), cost + constant, begin, graph.reweighted)
 
 
-def _moved(graph: Graph, state: Array) -> np.ndarray:
-    """The fixed nodes that a state (n, 3) moves."""
+def _put_back(graph: Graph, state: Array) -> np.ndarray:
+    """The fixed nodes that a state (n, 3) moves. What rounding and full turns have done to the others is undone."""
     given, there = graph.initial[graph.fixed], state[graph.fixed]
-    if np.array_equal(given, there):
+    if (given == there).all():
         return graph.fixed[:0]
+    state[graph.fixed] = given
     return graph.fixed[np.any(np.abs(difference(there, given)) > HELD * (1 + np.abs(given)), axis=1)]
 
 

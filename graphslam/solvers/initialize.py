@@ -240,8 +240,15 @@ def _given(graph: Graph) -> Array:
     return graph.initial
 
 
+def starts_of_auto(graph: Graph) -> tuple[str, ...]:
+    """The starts of `AUTO` for the families of a graph: some are for sightings of landmark nodes."""
+    if any(isinstance(family, ObservationEdges | PartialEdges) for family in graph.families):
+        return AUTO
+    return AUTO[AUTO.index("rotation-first") :]
+
+
 def _first_of_auto(graph: Graph) -> Array:
-    for choice in AUTO:
+    for choice in starts_of_auto(graph):
         with suppress(GraphError):
             return _STARTS[choice](graph)
     return graph.initial
