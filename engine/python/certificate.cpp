@@ -68,8 +68,9 @@ class OwnedProof : public Proof {
     OwnedProof(const In<Index>& start, const In<Index>& rows, std::shared_ptr<sparse::Symbolic> symbolic)
         : Proof(span(start), span(rows), std::move(symbolic)), start_(start), rows_(rows) {}
 
-    void begin_at(const edges::ConstantEdges& taken, const In<double>& state, const In<Index>& fixed) {
-        edges = taken.edges;
+    /// The edges become those of the proof.
+    void begin_at(edges::ConstantEdges& taken, const In<double>& state, const In<Index>& fixed) {
+        edges = std::move(taken.edges);
         std::vector<char> free(state.size() / 3, 1);
         for (const Index node : span(fixed)) free[node] = 0;
         begin(span(state), std::move(free));

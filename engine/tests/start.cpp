@@ -42,7 +42,8 @@ void test_ring(unsigned seed) {
     if (!start) return;
     for (int k = 0; k < poses; ++k) {
         const double apart = std::hypot((*start)[3 * k] - truth[k].x, (*start)[3 * k + 1] - truth[k].y);
-        expect(apart < 1.0 && std::abs(edges::wrap((*start)[3 * k + 2] - truth[k].t)) < 0.3, "the start is near the truth", seed);
+        expect(apart < 1.0 && std::abs(edges::wrap((*start)[3 * k + 2] - truth[k].t)) < 0.3, "the start is near the truth",
+               seed);
     }
     solve::Run run{{.tolerance = 1e-9}, *start};
     graph.solve(run);

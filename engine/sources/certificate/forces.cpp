@@ -2,7 +2,7 @@
 #include <numbers>
 
 #include "vmslam/certificate/quadratic_bound.hpp"
-#include "vmslam/edges/arithmetic.hpp"
+#include "vmslam/edges/rotations.hpp"
 
 namespace vmslam::certificate {
 namespace {
@@ -18,10 +18,13 @@ constexpr double more_shares[] = {0.5, 0.8, 0.95, 0.99};
 }  // namespace
 
 void State::set(std::span<const double> values) {
-    nodes_.resize(1 + values.size() / 3);
-    for (std::size_t i = 1; i < nodes_.size(); ++i) {
-        const double* const x = values.data() + 3 * (i - 1);
-        nodes_[i] = {{std::cos(x[2]), std::sin(x[2])}, {x[0], x[1]}, x[2]};
+    const std::size_t count = values.size() / 3;
+    nodes_.resize(1 + count);
+    // their errors, up to 1e-15, are part of those of places and headings in `force`
+    edges::Rotations axes(count, [&](std::size_t i) { return values[3 * i + 2]; });
+    for (std::size_t i = 0; i < count; ++i) {
+        const double* const x = values.data() + 3 * i;
+        nodes_[1 + i] = {{axes[i].c, axes[i].s}, {x[0], x[1]}, x[2]};
     }
 }
 

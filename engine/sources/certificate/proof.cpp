@@ -84,10 +84,13 @@ void Proof::begin(std::span<const double> state, std::vector<char> free) {
     summation_.clear();
     for (const Index ends : hold_roots(edges, free_))
         summation_.push_back(roundoff * (128.0 + 4.0 * static_cast<double>(ends)));
-    forces_.clear();
-    for (const Edge& edge : edges) forces_.push_back(force(state_[edge.first], state_[edge.second], edge));
-    curves_.clear();
-    for (std::size_t e = 0; e < edges.size(); ++e) curves_.push_back(curvature(edges[e], forces_[e], first_share));
+    forces_.resize(edges.size());
+    curves_.resize(edges.size());
+    for (std::size_t e = 0; e < edges.size(); ++e) {
+        const Edge& edge = edges[e];
+        forces_[e] = force(state_[edge.first], state_[edge.second], edge);
+        curves_[e] = curvature(edge, forces_[e], first_share);
+    }
     write_function(function_, curves_);
 }
 

@@ -3,14 +3,23 @@
 #include "vmslam/edges/rotations.hpp"
 
 namespace vmslam::edges {
+namespace {
+
+/// The axes of the covariances, which gamma turns.
+std::vector<Rotation> axes_of(std::span<const Placed> at) {
+    std::vector<Rotation> axes(at.size());
+    Rotations facing(at.size(), [&](std::size_t k) { return at[k].gamma; });
+    for (std::size_t k = 0; k < at.size(); ++k) axes[k] = facing[k];
+    return axes;
+}
+
+}  // namespace
 
 // Column by column of Omega: the system maps the rows of a column to blocks, so that no list of pairs is needed.
 double VirtualMotionEdges::accumulate(const State& state, System* system, std::span<const Index>) const {
     const Covariance mode = !body_ ? Covariance::reference : seen_.oriented ? Covariance::landmark : Covariance::rotating;
     const std::vector<Placed> at = placed(state, mode);
-    std::vector<Rotation> axes(at.size());
-    Rotations facing(at.size(), [&](std::size_t k) { return at[k].gamma; });
-    for (std::size_t k = 0; k < at.size(); ++k) axes[k] = facing[k];
+    const std::vector<Rotation> axes = axes_of(at);
     double total = 0.0;
     for (Index j = 0; j <= last_node(); ++j) {
         if (from(j).empty()) continue;
@@ -48,6 +57,7 @@ double VirtualMotionEdges::accumulate(const State& state, System* system, std::s
 bool VirtualMotionEdges::constant(const double* state, Index, ConstantEdges& out) const {
     if (!body_ || !seen_.oriented) return false;
     const std::vector<Placed> seen = from_robot(Covariance::landmark);
+    const std::vector<Rotation> axes = axes_of(seen);
     for (std::size_t b = 0; b < seen.size(); ++b) {
         const Index g = groups_[b];
         const Kernel kernel{seen_.kernel.kind, seen_.kernel.c * std::sqrt(weights_[g])};
@@ -55,7 +65,7 @@ bool VirtualMotionEdges::constant(const double* state, Index, ConstantEdges& out
             if (nodes_[a] == nodes_[b]) continue;
             const Vector &from_a = seen[a].y, &from_b = seen[b].y;
             // from the axes of the landmark to those of the first pose
-            const Symmetric C = turned(Rotation(from_a.t), seen[a].C + seen[b].C);
+            const Symmetric C = turned(axes[a], seen[a].C + seen[b].C);
             ConstantEdge edge{nodes_[a],
                               nodes_[b],
                               {from_a.x, from_a.y},
