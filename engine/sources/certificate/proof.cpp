@@ -73,6 +73,22 @@ std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const
     return error;
 }
 
+std::vector<double> errors_by_structure(const sparse::Symbolic& symbolic, std::span<const double> rounding) {
+    std::vector<double> squares(rounding.size(), 0.0);
+    std::vector<sparse::Node> rows;
+    for (sparse::Node s = 0; s < symbolic.supernodes(); ++s) {
+        rows.clear();
+        for (sparse::Node k = symbolic.first[s]; k < symbolic.first[s + 1]; ++k) rows.push_back(k);
+        rows.insert(rows.end(), symbolic.rows.begin() + symbolic.row_start[s],
+                    symbolic.rows.begin() + symbolic.row_start[s + 1]);
+        double sum = 0.0;
+        for (const sparse::Node k : rows) sum += 2 * std::sqrt(rounding[k]);
+        for (const sparse::Node k : rows) squares[k] += sum * sum;
+    }
+    for (std::size_t k = 0; k < squares.size(); ++k) squares[k] = 1.001 * std::sqrt(rounding[k] * squares[k]);
+    return squares;
+}
+
 double square_bound(HermitianFactor& factor, std::span<const std::complex<double>> b, std::span<const double> rounding) {
     const double lost = 1.001 + std::sqrt(2 * std::accumulate(rounding.begin(), rounding.end(), 0.0));
     return factor.forward_square(b) * lost * lost;
@@ -133,7 +149,7 @@ bool Proof::zero() const {
 ///
 /// S is at least what is assembled minus `assembled`, and L L^H is at most that minus `assembled + margin`, so that S is at
 /// least L L^H plus `margin`.
-bool Proof::factorize(std::span<const double> shifts, std::vector<double>& margin) {
+bool Proof::factorize(std::span<const double> shifts, Errors errors, std::vector<double>& margin) {
     const std::vector<double>& scale = function_.scale;
     const sparse::Order& order = factor_.symbolic().order;
     const double largest = rounding_.empty() ? 0.0 : *std::max_element(rounding_.begin(), rounding_.end());
@@ -144,7 +160,8 @@ bool Proof::factorize(std::span<const double> shifts, std::vector<double>& margi
             const Index i = order[k], at = 2 * i + c;
             const double size = scale[at] + (c == 0 ? shifts[i] : 0.0);
             assembled[at] = summation_[i] * size;
-            if (scale[at] > 0) margin[at] = assembled[at] + 2 * std::sqrt(rounding_[k] * largest) * size;
+            const double part = errors == Errors::by_structure ? by_structure_[k] : 2 * std::sqrt(rounding_[k] * largest);
+            if (scale[at] > 0) margin[at] = assembled[at] + part * size;
         }
     while (true) {
         // 1 where a node is not free
@@ -158,6 +175,7 @@ bool Proof::factorize(std::span<const double> shifts, std::vector<double>& margi
             negative_ = factor_.null_vector(bad);
             return false;
         }
+        if (errors == Errors::by_structure) return true;
         const std::vector<double> error = factor_errors(factor_, values_, column_start_, rounding_);
         if (std::equal(error.begin(), error.end(), margin.begin(), std::less_equal<>())) return true;
         for (std::size_t at = 0; at < scale.size(); ++at)
@@ -167,10 +185,10 @@ bool Proof::factorize(std::span<const double> shifts, std::vector<double>& margi
 
 /// The bound with the multipliers of the headings shifted, in units of the scale of S: with lower multipliers S is positive
 /// definite, but its function touches J no longer at its own minimum.
-double Proof::shifted_bound(double shift) {
+double Proof::shifted_bound(double shift, Errors errors) {
     std::vector<double> shifts(state_.size()), margin;
     for (Index i = 0; i < state_.size(); ++i) shifts[i] = shift * function_.scale[2 * i] / 8;
-    if (!factorize(shifts, margin)) return -infinity;
+    if (!factorize(shifts, errors, margin)) return -infinity;
     std::vector<std::complex<double>> gradient = function_.gradient;
     double lost = 0.0;
     for (std::size_t at = 0; at < margin.size(); ++at) {
@@ -182,6 +200,11 @@ double Proof::shifted_bound(double shift) {
     }
     const double step = std::sqrt(square_bound(factor_, gradient, rounding_)) + 1.001 * std::sqrt(lost);
     return function_.touched - step * step - function_.slack;
+}
+
+double Proof::bound() {
+    const double found = shifted_bound(0.0, Errors::by_structure);
+    return negative_.empty() ? found : shifted_bound(0.0);
 }
 
 /// The best lower bound among a few shifts.

@@ -27,6 +27,13 @@ std::vector<double> rounding_of(const sparse::Symbolic& symbolic);
 std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const std::complex<double>> values,
                                   std::span<const Index> column_start, std::span<const double> rounding);
 
+/// A weaker bound on these errors, from the structure alone: for each node, in the order of elimination, a part of A_ii.
+///
+/// Let l_i be the norm of row i of L within the columns of a supernode s, and S_s the sum of sqrt(c) over the rows of s. By the
+/// inequality of Cauchy and Schwarz, (|L| |L|^H C w)_i is at most the sum of l_i S_s over the supernodes that have row i, and
+/// that is at most A_ii^1/2 times the root of the sum of S_s², because the sum of l_i² is A_ii.
+std::vector<double> errors_by_structure(const sparse::Symbolic& symbolic, std::span<const double> rounding);
+
 /// A bound on b^H (A + diag(e))^-1 b for any e of at least the errors of the factor, rounding errors included.
 ///
 /// The computed x = L^-1 b solves L x = b - f exactly, with |f_i| <= c_i (|L| |x|)_i <= c_i sqrt(d_i) |x|, d the diagonal of
@@ -42,7 +49,8 @@ class Proof {
         : column_start_(column_start),
           rows_(rows),
           factor_(std::move(symbolic)),
-          rounding_(rounding_of(factor_.symbolic())) {}
+          rounding_(rounding_of(factor_.symbolic())),
+          by_structure_(errors_by_structure(factor_.symbolic(), rounding_)) {}
 
     std::vector<Edge> edges;
 
@@ -61,7 +69,7 @@ class Proof {
     bool zero() const;
 
     /// A lower bound on the cost of all states; -inf where S is not proven positive definite.
-    double bound() { return shifted_bound(0.0); }
+    double bound();
     /// After that a vector (N, 2) v with v^H S v <= 0 up to rounding, otherwise empty.
     const std::vector<std::complex<double>>& negative() const { return negative_; }
     /// The best lower bound after each edge has chosen its split for the directions in which S is the smallest.
@@ -77,8 +85,11 @@ class Proof {
         double shift = 0.0;    ///< the least one with which S is positive definite, whose factor is there
         bool factored = false;
     };
-    double shifted_bound(double shift);
-    bool factorize(std::span<const double> shifts, std::vector<double>& margin);
+    /// Which bound on the errors of the factor is subtracted from S before: that of the structure takes no time, and the other one
+    /// is smaller.
+    enum class Errors { by_structure, of_factor };
+    double shifted_bound(double shift, Errors errors = Errors::of_factor);
+    bool factorize(std::span<const double> shifts, Errors errors, std::vector<double>& margin);
     Shifted least_shift();
     std::vector<std::complex<double>> smallest();
     void choose_splits(std::span<const std::vector<Curvature>> choices, double part);
@@ -88,7 +99,7 @@ class Proof {
 
     std::span<const Index> column_start_, rows_;
     HermitianFactor factor_;
-    std::vector<double> rounding_;
+    std::vector<double> rounding_, by_structure_;
     State state_;
     std::vector<char> free_;
     /// (N) bounds on the rounding errors of the sums over the edges of a node, as parts of their terms.
