@@ -49,8 +49,8 @@ class Backend(ABC):
         """The ids of the landmarks that are nodes."""
 
     @abstractmethod
-    def relate(self, relation: Relation) -> None:
-        """Add a relation between two poses, one of which may be the next, new pose."""
+    def relate(self, *relations: Relation) -> None:
+        """Add relations between two poses each, and solve once; one of all poses may be the next, new one."""
 
     @abstractmethod
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:

@@ -108,10 +108,11 @@ class Isam2Backend(Backend):
         self._values.insert(X(0), gtsam.Pose2(*start))
         self.update()
 
-    def relate(self, relation: Relation) -> None:
-        # a motion leads to a new pose; all other relations may be wrong
-        known = max(relation[:2]) < self._num_poses
-        self.add_relation(relation, self._kernel if known else None)
+    def relate(self, *relations: Relation) -> None:
+        for relation in relations:
+            # a motion leads to a new pose; all other relations may be wrong
+            known = max(relation[:2]) < self._num_poses
+            self.add_relation(relation, self._kernel if known else None)
         self.update()
 
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:

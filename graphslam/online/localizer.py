@@ -48,19 +48,23 @@ class Localizer:
             raise AttributeError(name)
         return getattr(self._backend, name)
 
-    def relate(self, relation: Relation) -> None:
-        """Add a relation between two poses; that of a new pose to the one before is a motion."""
-        first, second, _, information = relation
-        before, new = self._backend.num_poses - 1, self._backend.num_poses
-        fix = self.fixes.get(new) if max(first, second) == new else None
-        if fix is not None:
-            relation = (before, new, between(self._backend.pose, fix.pose), np.diag(1 / np.array(ANYWHERE)))
-        last = self._backend.pose
-        self._backend.relate(relation)
-        self._calls.append(partial(self.relate, (first, second, relation[2], information)))
-        if self._backend.num_poses > new:
+    def relate(self, *relations: Relation) -> None:
+        """Add relations between two poses each; that of a new pose to the one before is a motion."""
+        before, new, last = self._backend.num_poses - 1, self._backend.num_poses, self._backend.pose
+        leading = next((k for k, relation in enumerate(relations) if max(relation[:2]) == new), None)
+        fix = None if leading is None else self.fixes.get(new)
+        passed = list(relations)
+        if fix is not None and leading is not None:
+            moved = between(last, fix.pose)
+            passed[leading] = (before, new, moved, np.diag(1 / np.array(ANYWHERE)))
+            # the next calls begin with what the robot did instead of what it measured
+            first, second, _, information = relations[leading]
+            relations = (*relations[:leading], (first, second, moved, information), *relations[leading + 1 :])
+        self._backend.relate(*passed)
+        self._calls.append(partial(self.relate, *relations))
+        if leading is not None:
             self._motions.append(between(last, self._backend.pose))
-            self._noise.append(np.linalg.inv(information))
+            self._noise.append(np.linalg.inv(relations[leading][3]))
             if self.tracker is not None:
                 self.tracker.move(self._motions[-1], self._noise[-1])
                 if fix is not None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -118,8 +119,8 @@ class OwnBackend(Backend):
 
     # -- measurements ------------------------------------------------------------------------------------------------
 
-    def relate(self, relation: Relation, *, doubted: bool = True) -> None:
-        self.update(relation, doubted=doubted)
+    def relate(self, *relations: Relation) -> None:
+        self.update(relations)
 
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         alone: np.ndarray = np.asarray(np.isnan(sightings).any(axis=1))
@@ -129,11 +130,11 @@ class OwnBackend(Backend):
         information = inverses(covariances, "sighting", "check the noise of the sensor")
         whole = [id for id, single in zip(ids, alone) if not single]
         numbers = [(id, z) for id, z, single in zip(ids, sightings, alone) if single]
-        self.update(None, pose, whole, measured, information, numbers)
+        self.update((), pose, whole, measured, information, numbers)
 
     def update(
         self,
-        relation: Relation | None,
+        relations: Sequence[Relation],
         pose: int = 0,
         landmarks: Sequence[int] = (),
         measured: Array | None = None,
@@ -141,30 +142,32 @@ class OwnBackend(Backend):
         numbers: Sequence[tuple[int, Array]] = (),
         *,
         places: dict[int, Array] | None = None,
-        doubted: bool = True,
+        doubted: Sequence[bool] | None = None,
     ) -> None:
-        """Add a relation, and what is seen from a pose; then solve.
+        """Add relations, and what is seen from a pose; then solve.
 
         Args:
-            relation: to a new pose, or between known ones.
+            relations: to a new pose, or between known ones.
             pose: from which something is seen.
             landmarks, measured, information: landmarks in the axes of the pose (K, 2 or 3), with their information.
             numbers: further landmarks with (range, bearing), one of which is NaN.
             places: of landmarks that have been waiting, (2,) each.
-            doubted: whether the robust kernel acts on a relation between known poses.
+            doubted: for each relation whether the robust kernel acts on it where it is between known poses; default: it does.
 
         Raises:
             GraphError: a pose or landmark is not determined. Nothing is added then.
         """
         system, poses, columns, waiting = self.system, len(self._poses), self.columns, self._others.waiting
         known, fresh, added = system.num_nodes, list[int](), list[_Edges]()
-        if relation is not None:
+        leading: Relation | None = None
+        for relation, in_doubt in zip(relations, repeat(True) if doubted is None else doubted):
             first, second, z, omega = relation
             if created := max(first, second) == self.num_poses:
                 self._poses.append(system.add_node())
+                leading = relation
             kind = MOTION if created and first < second else RELATION
             ends = np.array([[self._node(first), self._node(second)]], np.int32)
-            added.append(_Edges(kind, ends, z[None], omega[None], doubted=doubted and not created))
+            added.append(_Edges(kind, ends, z[None], omega[None], doubted=in_doubt and not created))
         if len(landmarks):
             assert measured is not None and information is not None
             self.columns = measured.shape[1]
@@ -181,7 +184,7 @@ class OwnBackend(Backend):
             self._others.waiting = still = waiting.copy()
             for landmark in fresh:
                 added += self._edges_of_numbers(landmark, still.take(landmark))
-            found, poses_now = dict(places or {}), partial(self._poses_with, relation)
+            found, poses_now = dict(places or {}), partial(self._poses_with, leading)
             for landmark, z in numbers:
                 self.columns = columns or 2
                 row = (pose, float(z[0]), float(z[1]))
@@ -215,7 +218,7 @@ class OwnBackend(Backend):
             self._marginalize()
 
     def place(self, landmark: int, place: Array) -> None:
-        self.update(None, places={landmark: place})
+        self.update((), places={landmark: place})
 
     def locate(self, pose: int, measured: Array, information: Array, lever: Array, *, doubted: bool = True) -> None:
         node, system = self._node(pose), self.system
@@ -251,11 +254,11 @@ class OwnBackend(Backend):
     def _place(self, landmark: int) -> Array:
         return np.asarray(self.system.values([self._landmarks[landmark]])[0])
 
-    def _poses_with(self, relation: Relation | None) -> Array:
-        """All poses (T, 3), the new one of a relation where it leads to."""
+    def _poses_with(self, leading: Relation | None) -> Array:
+        """All poses (T, 3), the new one where the relation leads that it came with."""
         poses = self.poses
-        if relation is not None and max(relation[:2]) == self.num_poses - 1:
-            first, second, z, _ = relation
+        if leading is not None:
+            first, second, z, _ = leading
             poses[-1] = compose(poses[first], z) if first < second else compose(poses[second], inverse(z[None])[0])
         return poses
 

@@ -32,7 +32,7 @@ from ..se2 import Array
 from ..solvers.corrected import motion_edges
 from ..solvers.initialize import image_notes, partial_edges
 from ..solvers.solution import Solution, make_solution
-from .backend import ANYWHERE
+from .backend import ANYWHERE, Relation
 from .solver import OnlineSolver, backend_options
 
 
@@ -161,7 +161,7 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
     bounds = np.searchsorted(sighted.first[rows], np.arange(total + 1))
     ids = graph.landmark_ids[sighted.second - total]
     seen = sighted.relative
-    relations = _Arriving.of(graph)
+    measured = _Arriving.of(graph)
 
     log, noise = graph.log, np.linalg.inv(motions.information)
     tracker: Tracker | None = None
@@ -169,21 +169,29 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         backend.tracker = tracker = unlocated(known, graph.sensor, graph.initial[0])
 
     def add(step: int, now: np.ndarray) -> None:
-        motion = (step - 1, step, motions.measured[step - 1], motions.information[step - 1]) if step else None
+        arriving, doubted = list[Relation](), list[bool]()
+        if step:
+            arriving.append((step - 1, step, motions.measured[step - 1], motions.information[step - 1]))
+            doubted.append(False)
+        positions: list[tuple[PositionEdges, int]] = []
+        for edges, row in measured.at(step):
+            if isinstance(edges, PositionEdges):
+                positions.append((edges, row))
+            else:
+                ends = int(edges.first[row]), int(edges.second[row])
+                arriving.append((*ends, edges.measured[row], edges.information[row]))
+                doubted.append(edges.kernel is not None)
         if tracker is not None:
-            if motion:
+            if step:
                 tracker.pose = backend.pose
-                tracker.move(motion[2], noise[step - 1])
+                tracker.move(motions.measured[step - 1], noise[step - 1])
             if len(now) and log is not None:
                 tracker.see(step, now, ids[now], log.sightings[graph.sighting_rows[now]])
         whole = ids[now].tolist(), seen.measured[now], seen.information[now]
-        backend.update(motion, step, *whole, numbers.at(step))
-        for edges, row in relations.at(step):
-            z, doubted = (edges.measured[row], edges.information[row]), edges.kernel is not None
-            if isinstance(edges, PositionEdges):
-                backend.locate(step, *z, edges.levers[row], doubted=doubted)
-            else:
-                backend.relate((int(edges.first[row]), int(edges.second[row]), *z), doubted=doubted)
+        backend.update(arriving, step, *whole, numbers.at(step), doubted=doubted)
+        for edges, row in positions:
+            z = edges.measured[row], edges.information[row], edges.levers[row]
+            backend.locate(step, *z, doubted=edges.kernel is not None)
 
     return _steps(solver, total, add, rows, bounds)
 

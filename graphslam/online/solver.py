@@ -180,24 +180,31 @@ class OnlineSolver:
             self._arrived = float(time)
         self._time = clock
 
-    def relate(self, first: int, second: int, motion: ArrayLike, covariance: ArrayLike) -> None:
-        """Add a measured relation of two poses, such as a loop closure.
+    def relate(self, first: ArrayLike, second: ArrayLike, motion: ArrayLike, covariance: ArrayLike) -> None:
+        """Add a measured relation of two poses, such as a loop closure; or K relations, which are then solved for together.
 
         Args:
-            first, second: the numbers of the poses. One of them may be the next pose number, which is then new.
-            motion: the second pose (3,) in the axes of the first.
-            covariance: (3, 3) of the motion.
+            first, second: the numbers of the poses, or (K,) each. The next pose number may be among them, which is then new.
+            motion: the second pose in the axes of the first, (3,) or (K, 3).
+            covariance: (3, 3) of each motion, or (K, 3, 3).
 
         Raises:
-            OptionError: a value is impossible. GraphError: a pose is unknown, final or not determined.
+            OptionError: a value is impossible. GraphError: a pose is unknown, final or not determined. Nothing is added then.
         """
-        check_count(first=first, second=second)
-        last, lower, upper = self.step, min(first, second), max(first, second)
-        if first == second or lower > last or upper > last + 1:
-            raise GraphError(f"a relation between poses {first} and {second}: the poses so far are 0 to {last}")
-        self._check_pose(lower, "a relation from")
-        self._backend.relate((int(first), int(second), numbers("motion", motion, (3,)), information_of(covariance)))
-        if upper > last:
+        several, last = np.ndim(first) > 0 or np.ndim(second) > 0, self.step
+        ends = _pairs(first, second)
+        motions = numbers("motion", motion, (len(ends), 3) if several else (3,)).reshape(-1, 3)
+        if several and np.ndim(covariance) == 3:
+            information = [information_of(P) for P in numbers("covariance", covariance, (len(ends), 3, 3))]
+        else:
+            information = [information_of(covariance)] * len(ends)
+        for a, b in ends:
+            check_count(first=a, second=b)
+            if a == b or min(a, b) > last or max(a, b) > last + 1:
+                raise GraphError(f"a relation between poses {a} and {b}: the poses so far are 0 to {last}")
+            self._check_pose(min(a, b), "a relation from")
+        self._backend.relate(*((int(a), int(b), z, omega) for (a, b), z, omega in zip(ends, motions, information)))
+        if self.step > last:
             self._arrived = np.nan
 
     def locate(
@@ -401,6 +408,20 @@ class OnlineSolver:
         """Sightings (K, d) with 1 in place of the number that each may lack."""
         alone = (np.isnan(z).sum(axis=1) == 1) & (z.shape[1] == 2)
         return np.where(np.isnan(z) & alone[:, None], 1.0, z)
+
+
+def _pairs(first: ArrayLike, second: ArrayLike) -> list[tuple[int, int]]:
+    """The numbers of poses of several relations.
+
+    Raises:
+        OptionError: these are not as many whole numbers each.
+    """
+    each = [np.atleast_1d(np.asarray(ends, dtype=object)) for ends in (first, second)]
+    if each[0].shape != each[1].shape or each[0].ndim != 1:
+        raise OptionError(
+            f"first and second must be as many pose numbers each, not {quoted(first, 40)} and {quoted(second, 40)}"
+        )
+    return list(zip(*(ends.tolist() for ends in each)))
 
 
 def backend_class(backend: str) -> type[Any]:

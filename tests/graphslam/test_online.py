@@ -13,6 +13,7 @@ from graphslam import (
     GraphError,
     MotionModel,
     OnlineSolver,
+    OptionError,
     SensorModel,
     load,
     simulate,
@@ -250,6 +251,39 @@ def test_a_relation_from_the_new_pose():
     solver.relate(2, 0, compose(z, z), covariance)
     assert solver.step == 2
     assert solver.cost < 1e-9
+
+
+@pytest.mark.parametrize("backend", ["own", "isam2"])
+def test_several_relations_in_one_call(backend: str) -> None:
+    """They lead to the same minimum as one after the other, and a call of which one is impossible adds nothing."""
+    rng, covariance = np.random.default_rng(3), np.diag([0.05, 0.05, 0.02]) ** 2
+    truth = np.array([(np.cos(0.3 * k), np.sin(0.3 * k), 0.3 * k) for k in range(30)]) * [3.0, 3.0, 1.0]
+    together, alone = (OnlineSolver(truth[0], backend=backend) for _ in range(2))
+    for k in range(1, len(truth)):
+        first = [k - 1, *(j for j in (k - 7, k - 21) if j >= 0)]
+        motions = between(truth[first], truth[k]) + rng.normal(0, [0.05, 0.05, 0.02], (len(first), 3))
+        together.relate(first, [k] * len(first), motions, covariance)
+        for j, motion in zip(first, motions):
+            alone.relate(j, k, motion, covariance)
+    together.relinearize(), alone.relinearize()
+    np.testing.assert_allclose(together.poses, alone.poses, atol=1e-6)
+    assert together.cost == pytest.approx(alone.cost, rel=1e-6)
+    # one covariance for each, and an array of numbers
+    together.relate(np.array([0, 2]), np.array([28, 29]), motions[:2], np.array([covariance, 2 * covariance]))
+    before, motion = together.poses, np.zeros((2, 3))
+    for ends, error, words in (
+        (([3, 30], [5, 31]), GraphError, "between poses 30 and 31: the poses so far are 0 to 29"),
+        (([3, 4], [5, 4]), GraphError, "between poses 4 and 4"),
+        (([3, 4], [5]), OptionError, "as many pose numbers each"),
+        (([3, 4.5], [5, 6]), OptionError, "first must be a whole number, not 4.5"),
+    ):
+        with pytest.raises(error, match=words):
+            together.relate(*ends, motion, covariance)
+    with pytest.raises(OptionError, match="motion must be finite numbers of shape"):
+        together.relate([3, 4], [5, 6], motion[0], covariance)
+    with pytest.raises(OptionError, match="covariance must be finite numbers of shape"):
+        together.relate([3, 4], [5, 6], motion, np.array([covariance] * 3))
+    np.testing.assert_array_equal(together.poses, before)
 
 
 def test_second_derivatives_of_all_edges_are_no_information() -> None:
