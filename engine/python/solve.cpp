@@ -38,9 +38,10 @@ class PythonFamily : public edges::Family {
 
     std::vector<edges::HeadingRelation> headings() const override {
         const nb::gil_scoped_acquire python;
-        return read<edges::HeadingRelation>(family_.attr("headings")(), [](const double* value, const double* information) {
-            return edges::HeadingRelation{0, 0, *value, *information};
-        });
+        return read<edges::HeadingRelation>(family_.attr("headings")(), 1,
+                                            [](const double* value, const double* information) {
+                                                return edges::HeadingRelation{0, 0, *value, *information};
+                                            });
     }
 
     std::vector<edges::PositionRelation> positions(const double* state) const override {
@@ -48,26 +49,30 @@ class PythonFamily : public edges::Family {
         const auto relation = [](const double* p, const double* W) {
             return edges::PositionRelation{0, 0, p[0], p[1], W[0], (W[1] + W[2]) / 2, W[3]};
         };
-        return read<edges::PositionRelation>(family_.attr("positions")(state_array(state, size_)), relation);
+        return read<edges::PositionRelation>(family_.attr("positions")(state_array(state, size_)), 2, relation);
     }
 
    private:
+    /// Relations with values of `width` numbers, whose information has `width` rows.
     template <class Relation, class Make>
-    static std::vector<Relation> read(const nb::object& relations, Make make) {
+    std::vector<Relation> read(const nb::object& relations, std::size_t width, Make make) const {
         std::vector<Relation> out;
         if (relations.is_none()) return out;
-        const auto first = nb::cast<In<Index>>(relations.attr("first")),
-                   second = nb::cast<In<Index>>(relations.attr("second"));
-        const auto value = nb::cast<In<double>>(relations.attr("value"));
-        const auto information = nb::cast<In<double>>(relations.attr("information"));
+        In<Index> first, second;
+        In<double> value, information;
+        require(nb::try_cast(relations.attr("first"), first) && nb::try_cast(relations.attr("second"), second) &&
+                    nb::try_cast(relations.attr("value"), value) && nb::try_cast(relations.attr("information"), information),
+                "relations consist of arrays: whole numbers of nodes, and floating-point numbers");
         const std::size_t count = first.size();
-        require(second.size() == count && value.size() % std::max(count, std::size_t{1}) == 0,
-                "relations have two nodes, a value and information each");
+        require(second.size() == count && value.size() == count * width && information.size() == count * width * width,
+                "relations have two nodes, a value and information each, and as many of all");
         for (std::size_t k = 0; k < count; ++k) {
-            out.push_back(
-                make(value.data() + k * (value.size() / count), information.data() + k * (information.size() / count)));
+            out.push_back(make(value.data() + k * width, information.data() + k * width * width));
             out.back().first = first.data()[k];
             out.back().second = second.data()[k];
+            for (const Index node : {out.back().first, out.back().second})
+                require(node >= 0 && static_cast<std::size_t>(node) < size_ / 3,
+                        "relations name a node that the graph lacks");
         }
         return out;
     }
@@ -153,11 +158,12 @@ void bind_objectives(nb::module_& m) {
                 std::move(members), {places(system[0]), places(system[1]), values.data(), xi.data(), workspace.data()},
                 {places(held[0]), places(held[1]), places(held[2])}, constant, *nb::cast<Factor*>(owned[4]), owned);
         });
-    // initial values (n, 3), poses whose heading no edge measures, and a node that the edges do not tie, or -1
+    // initial values (n, 3), poses whose heading no edge measures, and a node that the edges do not tie, and one of a relation
+    // that the pattern does not have, or -1
     m.def("rotation_first", [](const BoundGraph& graph, In<double> state, In<Index> held, Index poses) {
         Start start = rotation_first(graph, copy_of(state), span(held), poses);
-        return std::tuple(state_array(start.state.data(), start.state.size()), array(std::move(start.unturned)),
-                          start.untied);
+        return std::tuple(state_array(start.state.data(), start.state.size()), array(std::move(start.unturned)), start.untied,
+                          start.unlisted);
     });
     nb::class_<PythonObjective, Objective>(m, "PythonObjective").def(nb::init<nb::object>());
 }

@@ -29,10 +29,11 @@ void bind_patterns(nb::module_& m) {
     m.def("blocks_of_nodes", [](In<Index> start, In<Index> rows, In<Index> nodes) {
         return array(blocks_of_nodes(span(start), span(rows), span(nodes)));
     });
+    // the block between two nodes each, -1 where the pattern has none
     m.def("pair_blocks", [](In<Index> start, In<Index> rows, In<Index> first, In<Index> second) {
         std::vector<Index> blocks(first.size());
         for (std::size_t e = 0; e < blocks.size(); ++e)
-            blocks[e] = block_between(span(start), span(rows), first.data()[e], second.data()[e]);
+            blocks[e] = block_or_none(span(start), span(rows), first.data()[e], second.data()[e]);
         return array(std::move(blocks));
     });
 }

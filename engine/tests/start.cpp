@@ -2,6 +2,7 @@
 #include <cmath>
 #include <numbers>
 #include <random>
+#include <stdexcept>
 
 #include "expect.hpp"
 #include "vmslam/solve/graph.hpp"
@@ -37,26 +38,26 @@ void test_ring(unsigned seed) {
     graph.add_anchor(0, truth[0]);
     graph.add_relative(measured, seed % 2 ? edges::Kernel{edges::Robust::cauchy, 3.0} : edges::Kernel{});
 
-    const auto start = graph.rotation_first();
-    expect(start.has_value(), "the edges determine all poses", seed);
-    if (!start) return;
+    const solve::Start start = graph.rotation_first();
+    expect(start.found(), "the edges determine all poses", seed);
+    if (!start.found()) return;
     for (int k = 0; k < poses; ++k) {
-        const double apart = std::hypot((*start)[3 * k] - truth[k].x, (*start)[3 * k + 1] - truth[k].y);
-        expect(apart < 1.0 && std::abs(edges::wrap((*start)[3 * k + 2] - truth[k].t)) < 0.3, "the start is near the truth",
+        const double apart = std::hypot(start.state[3 * k] - truth[k].x, start.state[3 * k + 1] - truth[k].y);
+        expect(apart < 1.0 && std::abs(edges::wrap(start.state[3 * k + 2] - truth[k].t)) < 0.3, "the start is near the truth",
                seed);
     }
-    solve::Run run{{.tolerance = 1e-9}, *start};
+    solve::Run run{{.tolerance = 1e-9}, start.state};
     graph.solve(run);
     expect(run.converged, "the iteration converges", seed);
     const auto least = graph.lower_bound(run.state);
-    expect(least && least->global() && least->lowest <= least->cost, "the minimum is proven", seed);
+    expect(least && least->global && least->lowest <= least->cost, "the minimum is proven", seed);
     if (seed % 2 == 0) expect(std::abs(least->cost - run.costs.back()) < 1e-6 * least->cost, "J of the proof", seed);
 
     // the headings wind twice around the ring
     std::vector<double> wound = run.state;
     for (int k = 0; k < poses; ++k) wound[3 * k + 2] += 2 * std::numbers::pi * k / poses;
     const auto other = graph.lower_bound(wound);
-    expect(other && !other->global(), "a worse state is not proven", seed);
+    expect(other && !other->global, "a worse state is not proven", seed);
     expect(other && (seed % 2 || other->lowest <= least->cost), "a lower bound is below the minimum", seed);
 }
 
@@ -64,7 +65,67 @@ void test_loose() {
     solve::Graph graph(3);
     graph.add_anchor(0, {0.0, 0.0, 0.0});
     graph.add_relative({{0, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 1.0, 0.0, 0.0, 1.0}}});
-    expect(!graph.rotation_first(), "a pose that no edge ties has no initial value", 0);
+    const solve::Start start = graph.rotation_first();
+    expect(!start.found() && start.unturned == std::vector<solve::Index>{2}, "a pose that no edge ties has no initial value",
+           0);
+}
+
+/// What has no lower bound, or none that is certain, is not proven.
+void test_no_proof() {
+    const std::vector<double> state{0.0, 0.0, 0.0, 1.25, 0.0, 1.0};
+    const auto proven = [&](const edges::Symmetric& first, const edges::Symmetric& second) {
+        solve::Graph graph(2);
+        graph.add_anchor(0, {0.0, 0.0, 0.0});
+        graph.add_relative({{0, 1, {1.0, 0.0, 0.0}, first}, {0, 1, {1.5, 0.0, 0.0}, second}});
+        const auto bound = graph.lower_bound(state);
+        return bound && bound->global;
+    };
+    expect(!proven({1.0, 0.0, 1.0, 0.0, 0.0, -1.0}, {1.0, 0.0, 1.0, 0.0, 0.0, 0.0}), "a negative eigenvalue", 0);
+    expect(!proven({100.0, 500.0, 100.0, 0.0, 0.0, 400.0}, {1.0, 0.0, 1.0, 0.0, 0.0, 1.0}), "indefinite information", 0);
+    expect(!proven({1.0, 0.0, 1.0, 0.0, 0.0, 1.0}, {1.0, 0.0, 1.0, 0.0, 0.0, 1.0}), "no stationary point", 0);
+    // a ring whose headings wind twice, with a cost below what counts as zero
+    solve::Graph ring(12);
+    ring.add_anchor(0, {0.0, 0.0, 0.0});
+    std::vector<double> wound;
+    for (int k = 0; k < 12; ++k) {
+        const double turn = 2 * std::numbers::pi / 12;
+        ring.add_relative({{k, (k + 1) % 12, {1.0, 0.0, turn}, {1e-9, 0.0, 1e-9, 0.0, 0.0, 1e-8}}});
+        wound.insert(wound.end(), {0.0, 0.0, edges::wrap(2 * turn * k)});
+    }
+    solve::Run run{{.tolerance = 1e-9}, wound};
+    ring.solve(run);
+    const auto bound = ring.lower_bound(run.state);
+    expect(bound && bound->cost < 1e-6 && !bound->global, "a small cost is no proof", 0);
+
+    using certificate::semidefinite;
+    expect(semidefinite({0.0, 0.0, 0.0, 0.0, 0.0, 1.0}) && semidefinite({1.0, 1.0, 1.0, 0.0, 0.0, 0.0}), "singular matrices",
+           0);
+    expect(semidefinite({2.0, 0.5, 1.0, 0.1, 0.2, 3.0}) && !semidefinite({0.0, 0.0, 1.0, 0.1, 0.0, 1.0}),
+           "correlated headings", 0);
+}
+
+template <class Call>
+bool refused(Call call) {
+    try {
+        call();
+    } catch (const std::invalid_argument&) {
+        return true;
+    }
+    return false;
+}
+
+void test_wrong_arguments() {
+    solve::Graph graph(3);
+    expect(refused([] { solve::Graph(0); }), "a graph without nodes", 0);
+    for (const solve::Index node : {-1, 3})
+        expect(refused([&] { graph.add_anchor(node, {}); }) && refused([&] { graph.add_relative({{0, node, {}, {}}}); }),
+               "a node that is not there", 0);
+    solve::Run run{{.tolerance = 1e-9}, {0.0}};
+    expect(refused([&] { graph.solve(run); }) && refused([&] { graph.costs(run.state); }), "a short state", 0);
+    Log log;
+    log.controls = {{1.0, 0.0, 1.0}};
+    log.sightings = {{5, 1, {1.0, 0.0, 0.0}}};
+    expect(refused([&] { solve::graph_of(log); }), "a sighting from a pose that is not there", 0);
 }
 
 }  // namespace
@@ -72,4 +133,6 @@ void test_loose() {
 void test_start() {
     for (unsigned seed = 0; seed < 50; ++seed) test_ring(seed);
     test_loose();
+    test_no_proof();
+    test_wrong_arguments();
 }

@@ -200,11 +200,12 @@ VMSLAM_EXPORT(vm_graph_solve) int vm_graph_solve(const LogGraph* graph, double* 
     summary[0] = run.norms.empty() ? 0.0 : run.norms.back(), summary[1] = run.steps();
     return run.converged ? 1 : run.end == solve::End::not_determined ? 2 : 0;
 }
-/// Write a lower bound on the cost of all poses, and the cost at these poses: J, with a kernel that with its weights held.
+/// Write a lower bound on the cost of all poses, the cost at these poses, and whether no poses have a lower one: J, with a kernel
+/// that with its weights held.
 /// Returns 0 where the edges have no constant information, so that there is no proof.
 VMSLAM_EXPORT(vm_graph_proof) int vm_graph_proof(const LogGraph* graph, const double* poses, double* bound) {
     const auto found = graph->graph.lower_bound({poses, 3 * graph->log.poses()});
-    if (found) bound[0] = found->lowest, bound[1] = found->cost;
+    if (found) bound[0] = found->lowest, bound[1] = found->cost, bound[2] = found->global;
     return found.has_value();
 }
 /// Write the covariances (T + 1, 3, 3) at the poses; returns 0 where the edges do not determine the poses.

@@ -117,10 +117,10 @@ class Graph {
   /** What is proven of poses: `status` "global" (no poses have a lower J), "global for its weights" (the same of the cost with the
    *  weights of the kernel held), "not proven" or "not applicable", and the relative `gap` to a lower bound on all costs. */
   proof(poses) {
-    return this.engine.with([poses.flat(), [0, 0]], (x, out) => {
+    return this.engine.with([poses.flat(), [0, 0, 0]], (x, out) => {
       if (!this.engine.exports.vm_graph_proof(this.own, x, out)) return { status: "not applicable", gap: NaN };
-      const [bound, J] = this.engine.view(out, 2), gap = J > 0 ? (J - bound) / J : 0;
-      return { status: !(gap <= 1e-6) ? "not proven" : this.weighted ? "global for its weights" : "global", gap };
+      const [bound, J, global] = this.engine.view(out, 3), gap = J > 0 && !(global && bound === 0) ? (J - bound) / J : 0;
+      return { status: !global ? "not proven" : this.weighted ? "global for its weights" : "global", gap };
     });
   }
   /** The covariance of each pose, by rows, at poses; null where the edges leave a pose free. */

@@ -1,4 +1,7 @@
-// Reads a log in the text format of the book (LNPR). The engine knows no files; `graphslam.save(log, "log.txt")` writes them.
+// Reads a log in the text format of the book (LNPR). The engine knows no files; Python writes them, without the truth:
+//
+//     log = graphslam.load(graphslam.sample_log_path())
+//     graphslam.save(dataclasses.replace(log, true_poses=None, true_landmarks=None), "log.txt")
 //
 // Lines: `delta DT`, `u t NU OMEGA` (leaves pose t), `x t X Y THETA`, `z t ID RANGE BEARING [PSI]`.
 #pragma once
@@ -36,6 +39,7 @@ inline vmslam::Log read_log(const std::string& path) {
             vmslam::LandmarkSighting seen{};
             line >> seen.step >> seen.landmark >> seen.z.range >> seen.z.bearing;
             if (line && !(line >> seen.z.orientation)) log.oriented = false, line.clear();
+            if (line && !(seen.z.range > 0)) throw std::runtime_error(path + " has a range that is not above zero");
             log.sightings.push_back(seen);
         } else {
             line.setstate(std::ios::failbit);

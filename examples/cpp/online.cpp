@@ -40,7 +40,7 @@ int main(int argc, char** argv) try {
         if (!edges.empty() && !system.add(known, edges, {&pose, 1}))
             throw std::runtime_error("step " + std::to_string(t) + " leaves a pose or landmark undetermined");
         const Triple x = system.values({&pose, 1}).front();
-        std::printf("%.12g %.12g %.12g\n", x[0], x[1], x[2]);
+        std::printf("%.12g %.12g %.12g\n", x[0], x[1], edges::wrap(x[2]));
     }
     return 0;
 } catch (const std::exception& error) {

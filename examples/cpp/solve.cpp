@@ -1,4 +1,5 @@
 // Graph SLAM: read a log, solve, and print the poses (x, y, heading) of all steps.
+#include <cmath>
 #include <cstdio>
 #include <exception>
 
@@ -19,13 +20,14 @@ int main(int argc, char** argv) try {
     solve::Run run{{.tolerance = 1e-9}, dead_reckoning(log)};
     graph.solve(run);
 
-    std::fprintf(stderr, "J = %.6g after %d steps%s\n", run.costs.back(), run.steps(),
+    // without a step the edges do not determine the poses, or J is no number
+    std::fprintf(stderr, "J = %.6g after %d steps%s\n", run.costs.empty() ? NAN : run.costs.back(), run.steps(),
                  run.converged ? "" : ", not converged");
     if (const auto bound = graph.lower_bound(run.state))
         std::fprintf(stderr, "no state has a J below %.6g: %s\n", bound->lowest,
-                     bound->global() ? "this is the global minimum" : "there may be a lower minimum");
+                     bound->global ? "this is the global minimum" : "there may be a lower minimum");
     for (std::size_t t = 0; t < log.poses(); ++t)
-        std::printf("%.12g %.12g %.12g\n", run.state[3 * t], run.state[3 * t + 1], run.state[3 * t + 2]);
+        std::printf("%.12g %.12g %.12g\n", run.state[3 * t], run.state[3 * t + 1], edges::wrap(run.state[3 * t + 2]));
     return run.converged ? 0 : 1;
 } catch (const std::exception& error) {
     std::fprintf(stderr, "%s\n", error.what());

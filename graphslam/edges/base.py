@@ -15,13 +15,15 @@ from typing import Any
 import numpy as np
 
 from ..engine import engine
-from ..errors import GraphError
-from ..errors.checks import first, make_read_only
+from ..errors import GraphError, quoted
+from ..errors.checks import first, make_read_only, real_array
 from ..linear.information import BlockSystem
 from ..se2 import Array, turn_matrix
 
 #: the blocks of pairs, for families that do not list their pairs
 _NO_BLOCKS = np.zeros(0, dtype=np.int64)
+#: how information that rotates with a pose is treated
+FRAMES = ("world", "body")
 #: which of the six numbers of a symmetric matrix stands where
 SYMMETRIC = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 
@@ -110,6 +112,46 @@ class ConstantEdges:
     landmarks: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
 
+def node_numbers(owner: object, name: str, nodes: Any) -> np.ndarray:
+    """Nodes (E,) as whole numbers that the engine takes.
+
+    Raises:
+        GraphError: they are something else.
+    """
+    array = np.asarray(nodes)
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        raise GraphError(
+            f"{type(owner).__name__}: {name} must be the numbers of nodes, whole numbers in one row, not {quoted(nodes, 40)}"
+        )
+    return array.astype(np.int64, copy=False)
+
+
+def check_rows(owner: object, **shapes: tuple[int, ...]) -> None:
+    """Make attributes of a frozen dataclass arrays of floating-point numbers, one row for each edge.
+
+    Raises:
+        GraphError: one of them has another shape, or is not finite.
+    """
+    for name, shape in shapes.items():
+        given = getattr(owner, name)
+        try:
+            array = real_array(given)
+        except (TypeError, ValueError, OverflowError):
+            raise GraphError(
+                f"{type(owner).__name__}: {name} must be an array of numbers, not {quoted(given)}"
+            ) from None
+        if array.shape != shape:
+            raise GraphError(
+                f"{type(owner).__name__}: {name} must have the shape {shape}, one row for each of the {shape[0]} edges, not "
+                f"{array.shape}"
+            )
+        if (k := first(~np.isfinite(array).all(axis=tuple(range(1, array.ndim))))) is not None:
+            raise GraphError(
+                f"{type(owner).__name__}: {name} of edge {k} must be finite, not {quoted(array[k].tolist())}"
+            )
+        object.__setattr__(owner, name, array)
+
+
 class EdgeFamily(ABC):
     """Edges of one kind. All of them write e' Omega e into the cost, B' Omega B into Omega and -B' Omega e into xi."""
 
@@ -146,6 +188,22 @@ class EdgeFamily(ABC):
 
         Within a group the nodes do not decrease, and every pair of different nodes has an edge.
         """
+
+    @cached_property
+    def node_range(self) -> tuple[int, int]:
+        """The lowest and the highest node that the edges tie; (0, -1) without edges.
+
+        Raises:
+            GraphError: `cliques` does not return what it should.
+        """
+        given = self.cliques()
+        starts, nodes = (node_numbers(self, "what cliques() returns", part) for part in given)
+        if not len(starts) or starts[0] != 0 or starts[-1] != len(nodes) or (np.diff(starts) < 0).any():
+            raise GraphError(
+                f"{type(self).__name__}: the starts of cliques() must not decrease from 0 to the number of its nodes, "
+                f"{len(nodes)}, but are {quoted(starts.tolist(), 40)}"
+            )
+        return (int(nodes.min()), int(nodes.max())) if len(nodes) else (0, -1)
 
     @abstractmethod
     def linearize(self, state: Array, reference: Array) -> Linearization:
@@ -262,12 +320,25 @@ class PairEdges(EdgeFamily):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (k := first(np.asarray(self.first) == self.second)) is not None:
+        for name in ("first", "second"):
+            object.__setattr__(self, name, node_numbers(self, name, getattr(self, name)))
+        if len(self.first) != len(self.second):
+            sizes = f"{len(self.first)} and {len(self.second)}"
+            raise GraphError(f"{type(self).__name__}: first and second must name as many nodes each, not {sizes}")
+        if (k := first(self.first == self.second)) is not None:
             raise GraphError(f"edge {k} goes from node {self.second[k]} to itself; an edge ties two nodes")
 
     @property
     def count(self) -> int:
         return len(self.first)
+
+    @cached_property
+    def node_range(self) -> tuple[int, int]:
+        """The lowest and the highest node that the edges tie; (0, -1) without edges."""
+        if not self.count:
+            return 0, -1
+        ends = self.first, self.second
+        return min(int(each.min()) for each in ends), max(int(each.max()) for each in ends)
 
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         ends = np.empty((self.count, 2), dtype=np.int64)

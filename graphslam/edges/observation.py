@@ -46,10 +46,10 @@ from ..engine import engine
 from ..errors import GraphError
 from ..models import SensorModel
 from ..se2 import Array, mounted, perpendicular, wrap
-from .base import EngineEdges, Linearization, PairEdges, check_body
+from .base import EngineEdges, Linearization, PairEdges, check_body, check_rows
 from .relative import RobustPointEdges, RobustPoseEdges
 from .robust import SingleEdges, code_and_width
-from .sightings import SightingEdges
+from .sightings import SightingEdges, check_sightings
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +62,10 @@ class ObservationEdges(PairEdges, SightingEdges):
     sightings: Array
     sensor: SensorModel
     noise_at: Array | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        check_sightings(self, len(self.first))
+        super().__post_init__()
 
     @property
     def numbers(self) -> tuple[int, float]:
@@ -144,6 +148,10 @@ class PartialEdges(SingleEdges, PairEdges, EngineEdges):
     measured: Array
     information: Array
     offset: Array
+
+    def __post_init__(self) -> None:
+        check_rows(self, measured=(self.count, 1), information=(self.count, 1, 1))
+        super().__post_init__()
 
     def residuals(self, sensors: Array, landmarks: Array) -> tuple[Array, Array, Array]:
         """e (..., E) of landmarks (..., E, 2) from the places of sensors (E, 3), de/dm (..., E, 2) and de/dtheta (E,).

@@ -27,7 +27,7 @@ from ..engine import engine
 from ..errors import GraphError
 from ..linear.information import BlockSystem
 from ..se2 import Array, difference, perpendicular, transform, wrap
-from .base import ConstantEdges, EdgeFamily, EngineEdges, Linearization
+from .base import ConstantEdges, EdgeFamily, EngineEdges, Linearization, check_rows, node_numbers
 from .robust import SingleEdges, code_and_width
 
 #: the lectures' Omega_0 = 1e6 I
@@ -43,6 +43,9 @@ class AnchorEdges(EngineEdges):
     information: Array
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "nodes", node_numbers(self, "nodes", self.nodes))
+        check_rows(self, values=(self.count, 3), information=(self.count, 3, 3))
         # J depends on the symmetric part only, and code that reads one triangle must find the same
         symmetric = (self.information + np.swapaxes(self.information, 1, 2)) / 2
         object.__setattr__(self, "information", symmetric)
@@ -254,6 +257,12 @@ class PositionEdges(SingleEdges, EngineEdges):
     measured: Array
     information: Array
     levers: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "nodes", node_numbers(self, "nodes", self.nodes))
+        d = 3 if np.shape(self.measured)[1:] == (3,) else 2
+        check_rows(self, measured=(self.count, d), information=(self.count, d, d), levers=(self.count, 2))
+        super().__post_init__()
 
     @property
     def count(self) -> int:

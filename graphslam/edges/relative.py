@@ -23,16 +23,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..engine import engine
+from ..errors.checks import check_choice
 from ..linear.precision import inverses
 from ..models import MotionModel
 from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
-from .base import EngineEdges, Linearization, PairEdges, check_body, linearization
-from .robust import Kernel, SingleEdges, code_and_width
+from .base import FRAMES, EngineEdges, Linearization, PairEdges, check_body, check_rows, linearization
+from .robust import Kernel, SingleEdges, code_and_width, kernel_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +43,14 @@ class _RelativeEdges(PairEdges, EngineEdges):
     measured: Array
     information: Array
     frame: str = field(default="body", kw_only=True)
+
+    #: the numbers of a measurement
+    rows: ClassVar[int] = 3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice("frame", self.frame, FRAMES)
+        check_rows(self, measured=(self.count, self.rows), information=(self.count, self.rows, self.rows))
 
     @property
     def numbers(self) -> tuple[int, float]:
@@ -90,12 +99,19 @@ class RelativePointEdges(_RelativeEdges):
     A landmark without heading uses the first two coordinates of its node; `Graph.linearize` holds the third.
     """
 
+    rows: ClassVar[int] = 2
+
 
 @dataclass(frozen=True, eq=False)
 class RobustRelativeEdges(_RelativeEdges):
-    """Relative edges with a robust kernel on each: ``kernel`` is a `Kernel` with a width, or None."""
+    """Relative edges with a robust kernel on each: ``kernel`` is a `Kernel`, its name, or None."""
 
     kernel: Kernel | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        kernel = kernel_of(self.kernel)
+        object.__setattr__(self, "kernel", None if kernel is None else kernel.of_dimension(self.rows))
 
 
 class RobustPoseEdges(RobustRelativeEdges, RelativePoseEdges):

@@ -218,8 +218,8 @@ class DoubtedEdges(EdgeFamily):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.kernel is not None:
-            object.__setattr__(self, "kernel", self.kernel.of_dimension(self.dimension))
+        kernel = kernel_of(self.kernel)
+        object.__setattr__(self, "kernel", None if kernel is None else kernel.of_dimension(self.dimension))
 
     @property
     @abstractmethod

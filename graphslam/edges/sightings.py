@@ -37,10 +37,11 @@ from typing import Any
 import numpy as np
 
 from ..engine import engine
+from ..errors.checks import check_choice
 from ..linear.precision import inverses
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
-from .base import SYMMETRIC, EngineEdges, Linearization, check_body, linearization
+from .base import FRAMES, SYMMETRIC, EngineEdges, Linearization, check_body, check_rows, linearization, node_numbers
 from .robust import DoubtedEdges, code_and_width
 
 
@@ -80,6 +81,14 @@ class SightingEdges(DoubtedEdges):
         return self.sightings, self.noisy, self.trusted, sensor, *code_and_width(self.kernel)
 
 
+def check_sightings(edges: SightingEdges, count: int) -> None:
+    """Raise `GraphError` unless the sightings, also those for the covariance, are ``count`` rows of two or three numbers."""
+    d = 3 if np.shape(edges.sightings)[1:] == (3,) else 2
+    check_rows(edges, sightings=(count, d))
+    if edges.noise_at is not None:
+        check_rows(edges, noise_at=(count, d))
+
+
 @dataclass(frozen=True, eq=False)
 class LandmarkSightings(SightingEdges, EngineEdges):
     """Sightings grouped by landmark.
@@ -99,6 +108,13 @@ class LandmarkSightings(SightingEdges, EngineEdges):
     sensor: SensorModel
     frame: str = field(default="body", kw_only=True)
     noise_at: Array | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        for name in ("starts", "nodes"):
+            object.__setattr__(self, name, node_numbers(self, name, getattr(self, name)))
+        check_sightings(self, len(self.nodes))
+        check_choice("frame", self.frame, FRAMES)
+        super().__post_init__()
 
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         return self.starts, self.nodes

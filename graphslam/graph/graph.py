@@ -21,10 +21,10 @@ from ..edges import (
     PriorEdges,
     SightingEdges,
 )
-from ..edges.base import EngineEdges
+from ..edges.base import FRAMES, EngineEdges
 from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..engine import engine
-from ..errors import GraphError, OptionError
+from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import array_of, check_choice, check_positive, make_read_only
 from ..identification.declared import Parameters, declared
 from ..identification.robot import AUTO, BOOK, known_robot
@@ -38,7 +38,6 @@ from .landmark_map import LandmarkMap, as_map, estimate_map
 from .tracking import in_frame_of
 
 EDGES = ("virtual", "virtual+motion", "landmark+motion")
-FRAMES = ("world", "body")
 WEIGHTS = ("pairs", "tempered", "marginal")
 
 
@@ -90,6 +89,19 @@ class Graph:
     from_logs: ClassVar[Callable[..., Graph]]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "initial", array_of("initial", self.initial))
+        if self.initial.ndim != 2 or self.initial.shape[1] != 3:
+            raise GraphError(f"initial must have the shape (n, 3), one row for each node, not {self.initial.shape}")
+        last, fixed = len(self.initial) - 1, np.asarray(self.fixed)
+        if len(wrong := fixed[(fixed < 0) | (fixed > last)]):
+            raise GraphError(f"node {wrong[0]} cannot be fixed: the nodes of the graph are 0 to {last}")
+        for family in self.families:
+            if not isinstance(family, EdgeFamily):
+                raise GraphError(f"families must be objects of EdgeFamily, not {quoted(family)}")
+            lowest, highest = family.node_range
+            if lowest < 0 or highest > last:
+                node = lowest if lowest < 0 else highest
+                raise GraphError(f"{type(family).__name__} tie node {node}, but the nodes of the graph are 0 to {last}")
         make_read_only(self, "initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed", "sighting_rows")
 
     def __repr__(self) -> str:
@@ -292,7 +304,8 @@ class Graph:
         """The edges with the `system`, as the engine iterates them (``engine/include/vmslam/solve/objective.hpp``)."""
         factor = self.system.factor_in_engine
         kept = vars(self).get("_objective")
-        # a factor that was given away is another one
+        # a factor that was given away is another one; a family in NumPy may refer to its graph, and the engine's objects are
+        # unknown to the collector of garbage, which would never free the two
         if kept is None or kept[1] is not factor:
             families = tuple(_in_engine(family, self.system) for family in self.families)
             pairs = tuple(f.blocks(self.system) if _is_of_engine(f) else _none() for f in self.families)
@@ -300,7 +313,9 @@ class Graph:
             held = (self.system.blocks_of(fixed), fixed, self.without_heading)
             objective = engine.GraphObjective((families, pairs, self.system.arrays, held, factor), self.prior_cost)
             objective.state_dependent, objective.reweighted = self.state_dependent_information, self.reweighted
-            kept = vars(self)["_objective"] = objective, factor
+            kept = objective, factor
+            if all(_is_of_engine(family) for family in self.families):
+                vars(self)["_objective"] = kept
         return kept[0]
 
     def cost(self, state: Array, reference: Array | None = None) -> float:
@@ -446,8 +461,12 @@ class Graph:
 
 
 def _is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
-    """Whether the engine computes the sums of a family: it is of the engine, and no derived class has sums of its own."""
-    return isinstance(family, EngineEdges) and type(family).accumulate is EngineEdges.accumulate
+    """Whether a family is of the engine, and no derived class has sums, headings or positions of its own."""
+    kind, own = type(family), EngineEdges
+    return isinstance(family, own) and (kind.accumulate, kind.headings, kind.positions) == _OF_ENGINE
+
+
+_OF_ENGINE = EngineEdges.accumulate, EngineEdges.headings, EngineEdges.positions
 
 
 def _in_engine(family: EdgeFamily, system: BlockSystem) -> Any:

@@ -48,6 +48,7 @@ from ..edges import (
     SightingEdges,
     VirtualMotionEdges,
 )
+from ..edges.base import PairEdges
 from ..errors import GraphError
 from ..errors.checks import array_of
 from ..se2 import Array, between, chained, inverse, perpendicular, rotation, turn_matrix
@@ -180,6 +181,8 @@ def _edges_of_nodes(family: EdgeFamily, used: np.ndarray, number: np.ndarray) ->
     """The edges between nodes that are used (n,), with the new number (n,) of each node."""
     if isinstance(family, PriorEdges):
         return replace(family, nodes=number[family.nodes])
+    if not isinstance(family, PairEdges | LandmarkSightings | AnchorEdges | PositionEdges):
+        raise GraphError(f"{type(family).__name__} cannot be divided: only families of edges between two nodes can")
     if isinstance(family, LandmarkSightings):
         ends: tuple[str, ...] = ("nodes",)
         counts = np.bincount(family.group[used[family.nodes]])
@@ -187,10 +190,10 @@ def _edges_of_nodes(family: EdgeFamily, used: np.ndarray, number: np.ndarray) ->
     else:
         ends, others = (("nodes",) if isinstance(family, AnchorEdges | PositionEdges) else ("first", "second")), {}
     here = np.all([used[getattr(family, end)] for end in ends], axis=0)
-    rows = {f.name: getattr(family, f.name) for f in fields(family)}  # type: ignore[arg-type]  # all families are dataclasses
+    rows = {f.name: getattr(family, f.name) for f in fields(family)}  # all families are dataclasses
     kept = {name: row[here] for name, row in rows.items() if isinstance(row, np.ndarray) and len(row) == len(here)}
     kept |= {end: number[kept[end]] for end in ends}
-    return replace(family, **(kept | others))  # type: ignore[type-var]
+    return replace(family, **(kept | others))
 
 
 def filled(graph: Graph, kept: np.ndarray, poses: Array) -> Array:

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..engine import engine
+from ..errors import GraphError
+from ..errors.checks import first as first_at
 from ..se2 import Array
 from .cholesky import Factor, Symbolic, analyze, symmetric
 
@@ -161,8 +163,13 @@ class BlockSystem:
         key = (id(first), id(second))
         if key not in self._slots:
             a, b = (np.ascontiguousarray(nodes, dtype=np.int64) for nodes in (first, second))
+            slots = engine.pair_blocks(self.indptr, self.indices, a, b)
+            if (k := first_at(slots < 0)) is not None:
+                raise GraphError(
+                    f"a family has an edge between the nodes {a[k]} and {b[k]}, but no group of its cliques() has both"
+                )
             # the arrays are kept with the slots, so that their ids cannot pass to other objects
-            self._slots[key] = engine.pair_blocks(self.indptr, self.indices, a, b), first, second
+            self._slots[key] = slots, first, second
         return self._slots[key][0]
 
     def to_sparse(self) -> sp.csc_matrix:

@@ -86,12 +86,17 @@ def _landmark(id: int, value: ArrayLike) -> Array:
     return landmark
 
 
-def finite_floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """A copy of an array of finite numbers of a shape, in which None stands for any length."""
+def _floats(name: str, value: ArrayLike) -> Array:
+    """A copy of an array of floating-point numbers of any shape."""
     try:
-        array = real_array(value).copy()
+        return real_array(value).copy()
     except (TypeError, ValueError, OverflowError) as error:
         raise LogError(f"{name} must be an array of numbers: {shortened(str(error))}") from None
+
+
+def finite_floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """A copy of an array of finite numbers of a shape, in which None stands for any length."""
+    array = _floats(name, value)
     if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
         wanted = ", ".join("any" if want is None else str(want) for want in shape)
         raise LogError(f"{name} must have shape ({wanted}), not {array.shape}")
@@ -221,9 +226,9 @@ class PoseRelations(_Records):
     covariances: Array
 
     def __post_init__(self) -> None:
-        motions, covariances = np.array(self.motions, dtype=float), self.covariances
+        motions, covariances = _floats("the motions of relations", self.motions), self.covariances
         if motions.ndim == 2 and motions.shape[1] == 3 and np.any(open_ := np.isnan(motions[:, 2])):
-            covariances = np.array(_one_for_all(covariances, len(motions)), dtype=float)
+            covariances = _floats("the covariances of relations", _one_for_all(covariances, len(motions)))
             motions[open_, 2] = 0.0
             covariances[open_, 2], covariances[open_, :, 2] = 0.0, 0.0
             covariances[open_, 2, 2] = NO_HEADING
@@ -290,7 +295,10 @@ class AbsolutePositions(_Records):
                 covariances[rows, :size, :size] = checked_covariances(
                     "positions", all_of_them[rows, :size, :size], len(rows), size, rows
                 )
-        levers = finite_floats("the levers of positions", np.broadcast_to(self.levers, (count, 2)), (count, 2))
+        levers = _floats("the levers of positions", self.levers)
+        levers = finite_floats(
+            "the levers of positions", np.tile(levers, (count, 1)) if levers.shape == (2,) else levers, (count, 2)
+        )
         self._set(steps=steps, places=places, covariances=covariances, levers=levers)
 
     @property
@@ -323,7 +331,8 @@ class PartialSightings(_Records):
     bearings: Array
 
     def __post_init__(self) -> None:
-        ranges, bearings = (np.array(each, dtype=float) for each in (self.ranges, self.bearings))
+        ranges = _floats("the ranges of sightings", self.ranges)
+        bearings = _floats("the bearings of sightings", self.bearings)
         count = len(ranges) if ranges.ndim == 1 else 0
         if ranges.shape != (count,) or bearings.shape != (count,):
             raise LogError(f"ranges and bearings must have shape (K,), not {ranges.shape} and {bearings.shape}")

@@ -22,7 +22,7 @@ from ..graph import Graph
 from ..se2 import Array
 from .certificate import GLOBAL, Certificate, prove
 from .initialize import GROWING, starting_state, starts_of_auto
-from .iteration import Run, end_of, factorized, gauss_newton, levenberg_marquardt
+from .iteration import Run, end_of, factorized, gauss_newton, levenberg_marquardt, rounding
 from .starts import descents, lower_by_turns, most_steps
 
 DAMPED = "levenberg-marquardt"
@@ -366,7 +366,10 @@ def _counted(ends: list[End], given: float) -> list[End]:
 
 def _allowed(end: End, given: float) -> bool:
     """Whether an end is not above the cost of the given values, but for rounding."""
-    return end.cost <= given * (1 + 1e-9)
+    if end.cost <= given * (1 + 1e-9):
+        return True
+    # where the given values meet all measurements, both costs are what rounding of the coordinates leaves
+    return end.cost - given <= rounding(end.run.state, end.graph.system)
 
 
 def _best(graph: Graph, ends: list[End]) -> End:

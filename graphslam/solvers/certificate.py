@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ..edges import ConstantEdges
-from ..edges.base import EngineEdges
+from ..edges.base import EngineEdges, check_rows, node_numbers
 from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import first
@@ -168,9 +168,9 @@ def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray,
 
     def problem() -> _Problem:
         taken = engine.ConstantEdges()
-        for each in edges:
-            _add(taken, each)
         nodes = np.concatenate([state, *(each.landmarks for each in edges)])
+        for each in edges:
+            _add(taken, each, len(nodes))
         return _Problem(taken, nodes, fixed, len(state))
 
     begin = time.perf_counter()
@@ -247,7 +247,7 @@ def _of_graph(graph: Graph, state: Array) -> _Problem:
                 landmarks = taken.take(family.in_engine, nodes)
             else:
                 edges = family.constant(nodes)
-                _add(taken, edges)
+                _add(taken, edges, len(nodes) + len(edges.landmarks))
                 landmarks = edges.landmarks
         except GraphError as error:
             reasons.append(str(error))
@@ -260,7 +260,25 @@ def _of_graph(graph: Graph, state: Array) -> _Problem:
     return _Problem(taken, nodes, graph.fixed, graph.num_nodes, structure)
 
 
-def _add(taken: Any, edges: ConstantEdges) -> None:
+def _add(taken: Any, edges: ConstantEdges, nodes: int) -> None:
+    """Add edges between ``nodes`` nodes.
+
+    Raises:
+        GraphError: an edge names another node, an array has another shape or is not finite, or the information of an edge is
+            not symmetric.
+    """
+    for name in ("first", "second"):
+        object.__setattr__(edges, name, node_numbers(edges, name, getattr(edges, name)))
+    count, d = len(edges.first), 2 if edges.turn is None else 3
+    check_rows(edges, start=(count, 2), end=(count, 2), information=(count, d, d))
+    if edges.turn is not None:
+        check_rows(edges, turn=(count,))
+    if len(edges.second) != count or np.any(edges.first < -1) or np.any(edges.second < 0):
+        raise GraphError(
+            "constant() of a family must name two nodes for each edge, of which the first may be -1, the world"
+        )
+    if count and max(edges.first.max(), edges.second.max()) >= nodes:
+        raise GraphError(f"constant() of a family names a node above the last one, {nodes - 1}")
     arrays = edges.first, edges.second, edges.start, edges.end, edges.turn, edges.information
     if not taken.add(*arrays, ROUNDED[0]):
         raise GraphError("the information of an edge is not symmetric")

@@ -20,6 +20,7 @@ from ..edges import (
 )
 from ..edges import motion_edges as make_motion_edges
 from ..errors import GraphError
+from ..errors.checks import first
 from ..graph import Graph
 from ..identification.corrections import (
     controls_at_steps,
@@ -157,6 +158,8 @@ def undetermined(graph: Graph, state: Array, error: FactorizationError) -> Graph
             f"the information matrix of the graph is not finite at {graph.names(np.array([error.node]))}: the numbers there "
             "leave the range of double precision; look for extreme noise, or for a pose that lies on a landmark"
         )
+    if (text := negative_information(graph)) is not None:
+        return GraphError(text)
     v = error.null_vector
     moving = np.flatnonzero(np.abs(v).max(axis=1) > 1e-6 * np.abs(v).max())
     what = _direction(v[moving], state[moving])
@@ -165,6 +168,21 @@ def undetermined(graph: Graph, state: Array, error: FactorizationError) -> Graph
     held = f"the edges there are {edges}" if touching else "no edge is there"
     names = graph.names(moving)
     return GraphError(f"the edges do not determine {names}: nothing holds {what}; {held}. {_remedy(graph)}")
+
+
+def negative_information(graph: Graph) -> str | None:
+    """A sentence about the first edge whose information has a negative eigenvalue, beyond rounding; None for none."""
+    for family in graph.families:
+        W = getattr(family, "information", None)
+        if not isinstance(W, np.ndarray) or W.ndim != 3 or W.shape[1] != W.shape[2] or not np.isfinite(W).all():
+            continue
+        smallest = np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, 0]
+        if (k := first(smallest < -1e-9 * np.abs(W).max(axis=(1, 2)))) is not None:
+            return (
+                f"the information of edge {k} of {type(family).__name__} is not positive semi-definite (eigenvalue "
+                f"{smallest[k]:.3g}), so that J has no lower bound; information is the inverse of a covariance"
+            )
+    return None
 
 
 def _remedy(graph: Graph) -> str:

@@ -18,7 +18,7 @@ from ..errors import GraphError, SlamError
 from ..graph import Graph
 from ..se2 import Array, wrap
 from .auto import best_end
-from .corrected import corrected, finished
+from .corrected import corrected, finished, negative_information
 from .initialize import image_notes, partial_edges, starting_state
 from .iteration import Iteration, Run, gauss_newton, levenberg_marquardt
 from .joint import JointGraph, check_observable
@@ -164,6 +164,8 @@ def minimize(
                 callback(step)
     else:
         run = run_from(starting_state(graph, initialize), method)
+    if cost is not None and cost < 0 and (text := negative_information(graph)) is not None:
+        raise GraphError(text)
     notes = image_notes(graph, run.state) if partial_edges(graph) else ()
     return make_solution(
         graph,

@@ -48,7 +48,16 @@ def rotation_first(graph: Graph) -> Array:
     """
     graph, state = with_cartesian_sightings(graph) or graph, graph.initial.copy()
     held = _held(graph, state)
-    state, unturned, untied = engine.rotation_first(graph.objective, state, held, len(graph.steps))
+    try:
+        state, unturned, untied, unlisted = engine.rotation_first(graph.objective, state, held, len(graph.steps))
+    except ValueError as error:
+        # headings() or positions() of a family in NumPy
+        raise GraphError(f"initialize='rotation-first': {error}") from None
+    if unlisted >= 0:
+        related = graph.names(np.array([unlisted]))
+        raise GraphError(
+            f"headings() or positions() of a family relates {related} to a node that shares no group of cliques()"
+        )
     if len(unturned):
         raise GraphError(
             f"initialize='rotation-first' needs edges that measure relative headings; {graph.names(unturned)} have none"

@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from certified_graphs import ring
 
 from graphslam import (
     Graph,
@@ -397,3 +398,11 @@ def test_the_search_after_the_first_end_is_bounded(hard_logs, monkeypatch):
     assert len(bounded) < len(whole) and sum(bounded) < sum(whole)
     # the other bound is for small graphs
     assert len(steps_of_the_search(1, 1_000_000)) == len(whole)
+
+
+@pytest.mark.parametrize("n", range(4, 20))
+def test_given_values_that_meet_all_measurements_are_converged(n):
+    """J is then what rounding leaves, and the end may be above the given values by that."""
+    graph = ring(n)
+    again = solve(graph.with_initial(solve(graph).state))
+    assert again.converged and again.cost < 1e-28

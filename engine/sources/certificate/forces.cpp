@@ -20,7 +20,7 @@ constexpr double more_shares[] = {0.5, 0.8, 0.95, 0.99};
 void State::set(std::span<const double> values) {
     const std::size_t count = values.size() / 3;
     nodes_.resize(1 + count);
-    // their errors, up to 1e-15, are part of those of places and headings in `force`
+    // the errors of z, up to 1e-15 or rounding of the heading, are part of those of places and headings in `force`
     edges::Rotations axes(count, [&](std::size_t i) { return values[3 * i + 2]; });
     for (std::size_t i = 0; i < count; ++i) {
         const double* const x = values.data() + 3 * i;

@@ -290,7 +290,24 @@ sparse::WidePattern pattern_of(std::span<const Edge> edges, Index nodes) {
     return sparse::pattern_of_groups(nodes, sizes, tied);
 }
 
-Bound lower_bound(std::span<const double> state, std::vector<Edge> edges) {
+bool semidefinite(const edges::Symmetric& w) {
+    // the sign of a c - b b, exactly
+    const auto minor = [](double a, double b, double c) {
+        const Exact one = two_product(a, c), other = two_product(b, b);
+        return one.value != other.value ? one.value - other.value : one.error - other.error;
+    };
+    if (!(w.xx >= 0 && w.yy >= 0 && w.tt >= 0)) return false;
+    if (minor(w.xx, w.xy, w.yy) < 0 || minor(w.xx, w.xt, w.tt) < 0 || minor(w.yy, w.yt, w.tt) < 0) return false;
+    // then a matrix without correlations of the heading is
+    if (w.xt == 0 && w.yt == 0) return true;
+    const double terms[] = {w.xx * w.yy * w.tt, 2 * w.xy * w.yt * w.xt, -w.xx * w.yt * w.yt, -w.yy * w.xt * w.xt,
+                            -w.tt * w.xy * w.xy};
+    double sum = 0.0, size = 0.0;
+    for (const double term : terms) sum += term, size += std::abs(term);
+    return sum >= 16 * roundoff * size;
+}
+
+std::optional<Bound> lower_bound(std::span<const double> state, std::vector<Edge> edges) {
     const auto nodes = static_cast<Index>(state.size() / 3);
     const sparse::WidePattern wide = pattern_of(edges, nodes);
     const std::vector<sparse::Node> rows(wide.rows.begin(), wide.rows.end());
@@ -300,11 +317,16 @@ Bound lower_bound(std::span<const double> state, std::vector<Edge> edges) {
                     analyze(pattern, fill_reducing(pattern), {sparse::Hermitian2::rows, sparse::Hermitian2::columns}, 1)));
     proof.edges = std::move(edges);
     proof.begin(state, std::vector<char>(nodes, 1));
+    // an edge with a split has positive semidefinite information
+    for (std::size_t e = 0; e < proof.edges.size(); ++e)
+        if (proof.curvatures()[e].beta < 0 && !semidefinite(proof.edges[e].information)) return std::nullopt;
     const double cost = proof.cost();
-    if (cost <= proven && proof.zero()) return {cost, cost};
+    if (!(std::isfinite(cost) && cost >= -proof.slack())) return std::nullopt;
+    if (cost <= proven && proof.zero()) return Bound{0.0, cost, true};
     double bound = proof.bound();
     if (!proof.negative().empty()) bound = proof.raised_bound();
-    return {std::clamp(bound, 0.0, cost), cost};
+    const double lowest = std::max(0.0, std::min(bound, cost));
+    return Bound{lowest, cost, cost - lowest <= proven * cost};
 }
 
 }  // namespace vmslam::certificate

@@ -50,7 +50,13 @@ std::vector<HeadingRelation> RelativeEdges::headings() const {
     std::vector<HeadingRelation> out;
     if (!poses_) return out;
     out.reserve(edges_.size());
-    for (const auto& [i, j, z, omega] : edges_) out.push_back({i, j, z.t, omega.tt});
+    for (const auto& [i, j, z, omega] : edges_) {
+        // without the positions, which are not known yet: what is left of the information when they are eliminated
+        const double determinant = omega.xx * omega.yy - omega.xy * omega.xy;
+        const double bound =
+            omega.xt * (omega.yy * omega.xt - omega.xy * omega.yt) + omega.yt * (omega.xx * omega.yt - omega.xy * omega.xt);
+        out.push_back({i, j, z.t, bound == 0 ? omega.tt : std::max(omega.tt - bound / determinant, 0.0)});
+    }
     return out;
 }
 
@@ -99,8 +105,9 @@ double PositionEdges::accumulate(const State& state, System* system, std::span<c
 
 // A relative pose, or point, measured from the origin of the world.
 bool PositionEdges::constant(const double* state, Index, ConstantEdges& out) const {
-    const bool oriented =
-        std::any_of(positions_.begin(), positions_.end(), [](const Position& p) { return p.omega.tt != 0; });
+    const bool oriented = std::any_of(positions_.begin(), positions_.end(), [](const Position& p) {
+        return p.omega.tt != 0 || p.omega.xt != 0 || p.omega.yt != 0;
+    });
     for (const auto& [i, z, omega, lever] : positions_) {
         ConstantEdge edge{-1, i, {z.x, z.y}, {lever.x, lever.y}, z.t, oriented, omega};
         if (kernel_) edge.information = kernel_.weight(edge.squares(state)) * omega;

@@ -3,10 +3,21 @@
 #include "vmslam/numbers/elementary.hpp"
 
 namespace vmslam::edges {
+namespace {
+
+/// Larger angles [rad] are left to the C library.
+constexpr double largest = 1e6;
+
+}  // namespace
 
 RotationsOfLanes rotations(const std::array<double, numbers::lanes>& angles) {
-    const auto [sine, cosine] = numbers::sincos(numbers::load(angles.data()));
     RotationsOfLanes out;
+    const numbers::Lanes x = numbers::load(angles.data());
+    if (numbers::any(numbers::magnitude(x) > largest)) {
+        for (std::size_t k = 0; k < out.size(); ++k) out[k] = Rotation(angles[k]);
+        return out;
+    }
+    const auto [sine, cosine] = numbers::sincos(x);
     for (std::size_t k = 0; k < out.size(); ++k) out[k].c = cosine[k], out[k].s = sine[k];
     return out;
 }

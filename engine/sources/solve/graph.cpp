@@ -1,16 +1,42 @@
 #include "vmslam/solve/graph.hpp"
 
 #include <algorithm>
+#include <cstdlib>
 #include <numeric>
+#include <stdexcept>
 
 #include "vmslam/edges/marginal.hpp"
-#include "vmslam/solve/start.hpp"
 #include "vmslam/sparse/ordering.hpp"
 #include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::solve {
+namespace {
+
+/// Refuse an argument. A module for web pages has no exceptions, and ends.
+void require(bool holds, const char* what) {
+    if (holds) return;
+#ifdef __wasm__
+    std::abort();
+#else
+    throw std::invalid_argument(what);
+#endif
+}
+
+}  // namespace
+
+Graph::Graph(Index nodes) : nodes_(nodes) { require(nodes > 0, "a graph needs at least one node"); }
+
+void Graph::check_node(Index node) const {
+    require(node >= 0 && node < nodes_, "an edge or an anchor names a node that the graph does not have");
+}
+
+void Graph::check_state(std::span<const double> state) const {
+    require(state.size() == 3 * static_cast<std::size_t>(nodes_),
+            "a state must have three numbers for each node of the graph");
+}
 
 void Graph::add_anchor(Index node, const edges::Vector& value, double information) {
+    check_node(node);
     const edges::Symmetric omega{information, 0.0, information, 0.0, 0.0, information};
     members_.push_back({std::make_unique<edges::PositionEdges>(std::vector{edges::Position{node, value, omega}}), {}, {}});
     anchors_.emplace_back(node, value);
@@ -20,6 +46,9 @@ void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Ke
     reweighted = reweighted || kernel;
     Member member;
     for (const edges::RelativeEdge& edge : edges) {
+        check_node(edge.i);
+        check_node(edge.j);
+        require(edge.i != edge.j, "an edge ties two different nodes");
         member.first.push_back(edge.i);
         member.second.push_back(edge.j);
         sizes_.push_back(2);
@@ -31,6 +60,10 @@ void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Ke
 
 void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<const Index> starts,
                        std::span<const Index> nodes) {
+    require(!starts.empty() && starts.front() == 0 && starts.back() == static_cast<Index>(nodes.size()) &&
+                std::is_sorted(starts.begin(), starts.end()),
+            "the starts of groups must not decrease from 0 to the number of their nodes");
+    for (const Index node : nodes) check_node(node);
     for (std::size_t g = 0; g + 1 < starts.size(); ++g) sizes_.push_back(starts[g + 1] - starts[g]);
     grouped_.insert(grouped_.end(), nodes.begin(), nodes.end());
     members_.push_back({std::move(family), {}, {}});
@@ -61,7 +94,7 @@ void Graph::assemble(int threads, const std::function<void(GraphObjective&, Fact
     work(objective, factor);
 }
 
-std::optional<std::vector<double>> Graph::rotation_first(int threads) const {
+Start Graph::rotation_first(int threads) const {
     std::vector<double> state(3 * nodes_, 0.0);
     std::vector<Index> held;
     for (const auto& [node, value] : anchors_) {
@@ -73,15 +106,16 @@ std::optional<std::vector<double>> Graph::rotation_first(int threads) const {
     assemble(threads, [&](GraphObjective& objective, Factor&) {
         start = solve::rotation_first(objective, std::move(state), held, nodes_);
     });
-    if (!start.unturned.empty() || start.untied >= 0) return std::nullopt;
-    return start.state;
+    return start;
 }
 
 void Graph::solve(Run& run, int threads) const {
+    check_state(run.state);
     assemble(threads, [&run](GraphObjective& objective, Factor&) { gauss_newton(objective, run); });
 }
 
 std::optional<certificate::Bound> Graph::lower_bound(std::span<const double> state) const {
+    check_state(state);
     edges::ConstantEdges found;
     for (const Member& m : members_)
         if (!m.family->constant(state.data(), nodes_ + static_cast<Index>(found.landmarks.size()), found))
@@ -92,12 +126,14 @@ std::optional<certificate::Bound> Graph::lower_bound(std::span<const double> sta
 }
 
 std::vector<double> Graph::costs(std::span<const double> state) const {
+    check_state(state);
     std::vector<double> costs;
     for (const Member& m : members_) costs.push_back(m.family->accumulate({state.data(), state.data()}, nullptr, {}));
     return costs;
 }
 
 std::vector<double> Graph::covariances(std::span<const double> state) const {
+    check_state(state);
     std::vector<double> blocks;
     assemble(1, [&](GraphObjective& objective, Factor& factor) {
         objective.linearize(state, state);

@@ -16,6 +16,7 @@ template <class Relation>
 struct Related {
     std::vector<Relation> relations;
     std::vector<Index> pairs;
+    Index unlisted = -1;  ///< the first node of a pair without a block
 
     template <class Relations>
     Related(const GraphObjective& graph, Relations of) {
@@ -26,8 +27,10 @@ struct Related {
             if (m.pairs.size() == found.size())
                 pairs.insert(pairs.end(), m.pairs.begin(), m.pairs.end());
             else
-                for (const Relation& r : found)
-                    pairs.push_back(sparse::block_between(system.start, system.rows, r.first, r.second));
+                for (const Relation& r : found) {
+                    pairs.push_back(sparse::block_or_none(system.start, system.rows, r.first, r.second));
+                    if (pairs.back() < 0 && unlisted < 0) unlisted = r.first;
+                }
         }
     }
 };
@@ -170,9 +173,11 @@ void solve_positions(const Related<PositionRelation>& edges, StartSystem& system
 }  // namespace
 
 Start rotation_first(const GraphObjective& graph, std::vector<double> state, std::span<const Index> held, Index poses) {
-    Start start{std::move(state), {}, -1};
+    Start start{std::move(state), {}};
     StartSystem system(graph, held);
     const Related<HeadingRelation> turns(graph, [](const Family& family) { return family.headings(); });
+    start.unlisted = turns.unlisted;
+    if (!start.found()) return start;
     std::vector<char> known(start.state.size() / 3, 0);
     for (const Index node : held) known[node] = 1;
     std::vector<double> followed = start.state;
@@ -181,9 +186,10 @@ Start rotation_first(const GraphObjective& graph, std::vector<double> state, std
         start.state = std::move(followed);
     else
         solve_headings(turns, system, held, poses, start);
-    if (!start.unturned.empty() || start.untied >= 0) return start;
+    if (!start.found()) return start;
     const Related<PositionRelation> offsets(graph, [&](const Family& f) { return f.positions(start.state.data()); });
-    solve_positions(offsets, system, held, start);
+    start.unlisted = offsets.unlisted;
+    if (start.found()) solve_positions(offsets, system, held, start);
     return start;
 }
 

@@ -69,4 +69,10 @@ Index block_between(std::span<const Index> start, std::span<const Index> rows, I
     return std::lower_bound(low, high, row) - rows.begin();
 }
 
+Index block_or_none(std::span<const Index> start, std::span<const Index> rows, Index first, Index second) {
+    if (std::min(first, second) < 0 || std::max(first, second) + 1 >= static_cast<Index>(start.size())) return -1;
+    const Index block = block_between(start, rows, first, second);
+    return block < start[std::max(first, second) + 1] && rows[block] == std::min(first, second) ? block : -1;
+}
+
 }  // namespace vmslam::sparse

@@ -3,6 +3,7 @@
 
 #include <limits>
 #include <memory>
+#include <optional>
 
 #include "vmslam/certificate/quadratic_bound.hpp"
 #include "vmslam/sparse/factor.hpp"
@@ -116,13 +117,17 @@ inline constexpr double proven = 1e-6;
 /// The pattern that edges give their nodes.
 sparse::WidePattern pattern_of(std::span<const Edge> edges, Index nodes);
 
-/// The cost of a state, and the best lower bound on the cost of all states; at most `proven` of the cost lies between them where
-/// the state is a global minimum for certain.
+/// The cost of a state, a lower bound on the cost of all states, and whether the state is a global minimum: `proven` of its cost
+/// is above the bound at most, or all residuals are zero.
 struct Bound {
     double lowest, cost;
-    bool global() const { return cost - lowest <= proven * cost || cost <= proven; }
+    bool global;
 };
-/// Of edges that are no part of a larger system. `state` has their landmarks, too.
-Bound lower_bound(std::span<const double> state, std::vector<Edge> edges);
+/// Of edges that are no part of a larger system. `state` has their landmarks, too. None where information is not positive
+/// semidefinite for certain, so that the cost may have no lower bound, or where the cost is not finite.
+std::optional<Bound> lower_bound(std::span<const double> state, std::vector<Edge> edges);
+
+/// Whether a symmetric matrix is positive semidefinite for certain, so that rounding cannot have hidden a negative eigenvalue.
+bool semidefinite(const edges::Symmetric& w);
 
 }  // namespace vmslam::certificate

@@ -9,12 +9,16 @@
 #include "vmslam/edges/relative.hpp"
 #include "vmslam/log.hpp"
 #include "vmslam/solve/run.hpp"
+#include "vmslam/solve/start.hpp"
 
 namespace vmslam::solve {
 
+/// Nodes 0 to n - 1 and edges between them. A graph without absolute measurements needs an anchor, which holds it in the world.
+/// Every node that an edge or an anchor names must be one of the n, and every state must have 3 n numbers; other ones throw
+/// std::invalid_argument.
 class Graph {
    public:
-    explicit Graph(Index nodes) : nodes_(nodes) {}
+    explicit Graph(Index nodes);
 
     /// Hold a node near a value: the gauge of a graph without a map.
     void add_anchor(Index node, const edges::Vector& value, double information = 1e6);
@@ -27,13 +31,13 @@ class Graph {
     /// The families have information that depends on the state, or a robust kernel; see `Objective`.
     bool state_dependent = false, reweighted = false;
 
-    /// Initial values by rotation first (`solve/start.hpp`): the anchored nodes at their values, the others from the edges; none
-    /// where these do not determine them.
-    std::optional<std::vector<double>> rotation_first(int threads = 1) const;
+    /// Initial values by rotation first, or why there are none: the anchored nodes at their values, the others from the edges.
+    Start rotation_first(int threads = 1) const;
     /// Minimise J from run.state by `gauss_newton`.
     void solve(Run& run, int threads = 1) const;
-    /// J of a state and a lower bound on J of all states; with a kernel on the cost with its weights held at those of the state.
-    /// None where an edge has no constant information.
+    /// J of a state, a lower bound on J of all states, and whether the state is a global minimum. With a kernel all of these are
+    /// about the cost with its weights held at those of the state: necessary for a global minimum of J, and not sufficient.
+    /// None where an edge has no constant information, or none that is positive semidefinite, or J is not finite.
     std::optional<certificate::Bound> lower_bound(std::span<const double> state) const;
     /// What each call of `add_` contributes to J at a state.
     std::vector<double> costs(std::span<const double> state) const;
@@ -41,6 +45,9 @@ class Graph {
     std::vector<double> covariances(std::span<const double> state) const;
 
    private:
+    void check_node(Index node) const;
+    void check_state(std::span<const double> state) const;
+
     using Factor = sparse::Factor<sparse::Real3>;
     /// Call work with the linear system of the graph.
     void assemble(int threads, const std::function<void(GraphObjective&, Factor&)>& work) const;

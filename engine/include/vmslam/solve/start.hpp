@@ -19,6 +19,9 @@ struct Start {
     std::vector<double> state;
     std::vector<Index> unturned;  ///< poses of which no edge measures the heading; then the state has no meaning
     Index untied = -1;  ///< a node that the edges do not tie to the others; then neither, -1 for none
+    Index unlisted = -1;  ///< a node of a relation that the pattern of the graph does not have; then neither, -1 for none
+
+    bool found() const { return unturned.empty() && untied < 0 && unlisted < 0; }
 };
 
 /// Initial values of the nodes of a graph, the first `poses` of which have headings; `held` nodes keep those of the state.

@@ -20,7 +20,9 @@ WidePattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::sp
 /// The numbers of all blocks in the rows and columns of some nodes.
 std::vector<Index> blocks_of_nodes(std::span<const Index> start, std::span<const Index> rows, std::span<const Index> nodes);
 
-/// The number of the upper block between two nodes.
+/// The number of the upper block between two nodes, or -1 where the pattern has none.
+Index block_or_none(std::span<const Index> start, std::span<const Index> rows, Index first, Index second);
+/// The same for a pair that the pattern has.
 Index block_between(std::span<const Index> start, std::span<const Index> rows, Index first, Index second);
 
 }  // namespace vmslam::sparse
