@@ -29,6 +29,13 @@ FITS = 20
 DENSE = 300
 
 
+def _no_inverse(problem: Problem) -> OptionError:
+    return OptionError(
+        "a motion or a sighting has a covariance without an inverse in floating point: look for a wrong range (the longest "
+        f"is {problem.z[:, 0].max():.3g} m), or raise epsilon of the motion"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Target:
     """-log of the posterior of a trajectory and a map, without constants, with precisions of the sightings integrated out.
@@ -51,7 +58,10 @@ class Target:
         """Return that of a problem."""
         p, n = problem, problem.columns
         W = np.zeros((len(p.C), 3, 3))
-        W[:, :n, :n] = np.linalg.inv(full(p.C)[:, :n, :n])
+        try:
+            W[:, :n, :n] = np.linalg.inv(full(p.C)[:, :n, :n])
+        except np.linalg.LinAlgError:
+            raise _no_inverse(problem) from None
         rows, columns = np.tril_indices(3)
         degrees, exact = options.degrees_of_freedom or 0.0, options.density == "exact"
         in_engine = p.in_engine(p.motions, p.information, W[:, rows, columns], exact=exact, degrees=degrees)
@@ -153,10 +163,7 @@ class System:
         try:
             factor = self.blocks.factorize(damping)
         except FactorizationError:
-            raise OptionError(
-                "a motion or a sighting has a covariance without an inverse in floating point: look for a wrong range (the "
-                f"longest is {self._target.problem.z[:, 0].max():.3g} m), or raise epsilon of the motion"
-            ) from None
+            raise _no_inverse(self._target.problem) from None
         whole = np.zeros(3 * self.blocks.num_nodes)
 
         def solve(b: Array) -> Array:

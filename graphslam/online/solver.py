@@ -191,11 +191,11 @@ class OnlineSolver:
         Raises:
             OptionError: a value is impossible. GraphError: a pose is unknown, final or not determined. Nothing is added then.
         """
-        several, last = np.ndim(first) > 0 or np.ndim(second) > 0, self.step
-        ends = _pairs(first, second)
+        ends, several, last = *_pairs(first, second), self.step
         motions = numbers("motion", motion, (len(ends), 3) if several else (3,)).reshape(-1, 3)
-        if several and np.ndim(covariance) == 3:
-            information = [information_of(P) for P in numbers("covariance", covariance, (len(ends), 3, 3))]
+        given = array_or_none(covariance)
+        if several and given is not None and given.ndim == 3:
+            information = [information_of(P) for P in numbers("covariance", given, (len(ends), 3, 3))]
         else:
             information = [information_of(covariance)] * len(ends)
         for a, b in ends:
@@ -410,18 +410,22 @@ class OnlineSolver:
         return np.where(np.isnan(z) & alone[:, None], 1.0, z)
 
 
-def _pairs(first: ArrayLike, second: ArrayLike) -> list[tuple[int, int]]:
-    """The numbers of poses of several relations.
+def _pairs(first: Any, second: Any) -> tuple[list[tuple[int, int]], bool]:
+    """The numbers of poses of relations, and whether these are lists.
 
     Raises:
         OptionError: these are not as many whole numbers each.
     """
-    each = [np.atleast_1d(np.asarray(ends, dtype=object)) for ends in (first, second)]
-    if each[0].shape != each[1].shape or each[0].ndim != 1:
+    lists = [
+        isinstance(ends, list | tuple) or (isinstance(ends, np.ndarray) and ends.ndim > 0) for ends in (first, second)
+    ]
+    if not any(lists):
+        return [(first, second)], False
+    if not all(lists) or len(first) != len(second):
         raise OptionError(
             f"first and second must be as many pose numbers each, not {quoted(first, 40)} and {quoted(second, 40)}"
         )
-    return list(zip(*(ends.tolist() for ends in each)))
+    return list(zip(first, second)), True
 
 
 def backend_class(backend: str) -> type[Any]:

@@ -50,13 +50,7 @@ std::vector<HeadingRelation> RelativeEdges::headings() const {
     std::vector<HeadingRelation> out;
     if (!poses_) return out;
     out.reserve(edges_.size());
-    for (const auto& [i, j, z, omega] : edges_) {
-        // without the positions, which are not known yet: what is left of the information when they are eliminated
-        const double determinant = omega.xx * omega.yy - omega.xy * omega.xy;
-        const double bound =
-            omega.xt * (omega.yy * omega.xt - omega.xy * omega.yt) + omega.yt * (omega.xx * omega.yt - omega.xy * omega.xt);
-        out.push_back({i, j, z.t, bound == 0 ? omega.tt : std::max(omega.tt - bound / determinant, 0.0)});
-    }
+    for (const auto& [i, j, z, omega] : edges_) out.push_back({i, j, z.t, omega.tt});
     return out;
 }
 
