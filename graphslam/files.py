@@ -30,6 +30,10 @@ _PACKED = {
 
 def check_unpacked(path: Path, head: bytes) -> None:
     """Raise `FormatError` for a file whose first bytes say that it is compressed as a whole."""
+    if path.suffix == ".npz" and head.startswith(b"PK"):
+        raise FormatError(
+            path, None, "this is an archive of NumPy, such as a log of graphslam.save; graphslam.load reads it"
+        )
     for first, program in _PACKED.items():
         if head.startswith(first):
             raise FormatError(path, None, f"the file is compressed as a whole; unpack it first: {program} {path.name}")

@@ -20,9 +20,8 @@ int main(int argc, char** argv) try {
     solve::Run run{{.tolerance = 1e-9}, dead_reckoning(log)};
     graph.solve(run);
 
-    // without a step the edges do not determine the poses, or J is no number
-    std::fprintf(stderr, "J = %.6g after %d steps%s\n", run.costs.empty() ? NAN : run.costs.back(), run.steps(),
-                 run.converged ? "" : ", not converged");
+    std::fprintf(stderr, "J = %.6g after %d steps%s: %s\n", run.costs.empty() ? NAN : run.costs.back(), run.steps(),
+                 run.converged ? "" : ", not converged", solve::describe(run.end));
     if (const auto bound = graph.lower_bound(run.state))
         std::fprintf(stderr, "no state has a J below %.6g: %s\n", bound->lowest,
                      bound->global ? "this is the global minimum" : "there may be a lower minimum");

@@ -40,6 +40,15 @@ class Linearization:
     nodes: tuple[np.ndarray, ...]
     jacobians: tuple[Array, ...]
 
+    def __post_init__(self) -> None:
+        E, d = self.residuals.shape
+        shapes = [self.information.shape, *(B.shape for B in self.jacobians), *(np.shape(node) for node in self.nodes)]
+        if shapes != [(E, d, d), *[(E, d, 3)] * len(self.jacobians), *[(E,)] * len(self.nodes)]:
+            raise GraphError(
+                f"the linearisation of {E} edges with residuals of {d} numbers needs information ({E}, {d}, {d}), and for "
+                f"each end nodes ({E},) and a Jacobian ({E}, {d}, 3), not the shapes {', '.join(map(str, shapes))}"
+            )
+
     @property
     def mahalanobis(self) -> Array:
         """The cost of each edge, e' Omega e; (E,)."""

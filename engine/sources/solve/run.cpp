@@ -6,6 +6,21 @@
 
 namespace vmslam::solve {
 
+const char* describe(End end) {
+    switch (end) {
+        case End::most_steps: return "it has taken all its steps";
+        case End::diverged: return "J is infinite or not a number";
+        case End::cost_settled: return "the last step changed J by less than the tolerance";
+        case End::short_step: return "the last step was shorter than the tolerance, and promised little";
+        case End::small_decrease: return "the last step lowered J by less than the tolerance";
+        case End::rounding_floor: return "the steps are no longer than rounding makes them";
+        case End::no_lower_cost: return "no step lowers J, however short";
+        case End::singular: return "damped steps lead to a state where the edges do not determine all nodes";
+        case End::not_determined: return "the edges do not determine all nodes: some can move without a change of J";
+    }
+    return "";
+}
+
 double inner(std::span<const double> a, std::span<const double> b) {
     double total = 0.0;
     for (std::size_t k = 0; k < a.size(); ++k) total += a[k] * b[k];

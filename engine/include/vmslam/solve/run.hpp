@@ -30,6 +30,9 @@ enum class End {
     not_determined,    ///< Omega has no factor at the last state
 };
 
+/// The end in words.
+const char* describe(End end);
+
 struct Rules {
     double tolerance;              ///< the step norm below which the iteration has converged
     int most_steps = 100;          ///< the most steps to take
