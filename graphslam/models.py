@@ -36,8 +36,11 @@ def sinc(a: ArrayLike) -> Array:
 def sinc_derivative(a: ArrayLike) -> Array:
     """d/da (sin(a) / a) = (cos(a) - sin(a)/a) / a, by its Taylor series where that difference would cancel."""
     a = np.asarray(a, dtype=float)
-    away = np.where(np.abs(a) < 0.3, 1.0, a)
-    return np.where(np.abs(a) < 0.3, sinc_slope_near_zero(a), (np.cos(away) - np.sin(away) / away) / away)
+    near = np.abs(a) < 0.3
+    if near.all():
+        return np.asarray(sinc_slope_near_zero(a))
+    away = np.where(near, 1.0, a)
+    return np.where(near, sinc_slope_near_zero(a), (np.cos(away) - np.sin(away) / away) / away)
 
 
 def sinc_slope_near_zero(a: Any) -> Any:
@@ -147,17 +150,7 @@ class MotionModel(NoiseModel):
     def A(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The derivative df/du of the motion by the control; (..., 3, 2)."""
         pose, control, dt = _broadcast(pose, control, dt)
-        a = control[..., 1] * dt / 2
-        c, s = np.cos(pose[..., 2] + a), np.sin(pose[..., 2] + a)
-        by_nu = dt * sinc(a)
-        # d/d omega = dt/2 d/da of nu dt sinc(a) e^(i (theta + a))
-        half = control[..., 0] * dt * dt / 2
-        along, across = half * sinc_derivative(a), half * sinc(a)
-        jacobian = np.zeros((*c.shape, 3, 2))
-        jacobian[..., 0, 0], jacobian[..., 0, 1] = by_nu * c, along * c - across * s
-        jacobian[..., 1, 0], jacobian[..., 1, 1] = by_nu * s, along * s + across * c
-        jacobian[..., 2, 1] = dt
-        return jacobian
+        return _arc_slopes(pose[..., 2], control, dt)[1]
 
     def M(self, control: ArrayLike, dt: ArrayLike, recorded_dt: ArrayLike | None = None) -> Array:
         """The covariance of the control noise; (..., 2, 2).
@@ -233,9 +226,8 @@ class MotionModel(NoiseModel):
         first, count = starts[:-1], np.diff(starts)
         before = _headings(controls, dt, starts)
         # with the heading it has within its motion, each control starts from the origin: f is affine in (x, y)
-        steps = self.f(before, controls, dt) - before
+        steps, A = _arc_slopes(before[:, 2], controls, dt)
         motions = np.add.reduceat(steps, first, axis=0) if len(first) else np.zeros((0, 3))
-        A = self.A(before, controls, dt)
         left = np.repeat(motions[:, :2], count, axis=0) - steps[:, :2]
         left -= np.column_stack([_sum_before(steps[:, k], first, count) for k in (0, 1)])
         # no control follows the last one of a motion: its lever is zero, without rounding errors
@@ -272,6 +264,22 @@ def _arc(heading: Array, control: Array, dt: Array) -> tuple[Array, Array, Array
     a = control[..., 1] * dt / 2
     chord, along = control[..., 0] * dt * sinc(a), heading + a
     return chord * np.cos(along), chord * np.sin(along), 2 * a
+
+
+def _arc_slopes(heading: Array, control: Array, dt: Array) -> tuple[Array, Array]:
+    """The motion (..., 3) of `_arc`, and its derivative (..., 3, 2) by the control."""
+    a = control[..., 1] * dt / 2
+    c, s, ratio = np.cos(heading + a), np.sin(heading + a), sinc(a)
+    by_nu = dt * ratio
+    # d/d omega = dt/2 d/da of nu dt sinc(a) e^(i (theta + a))
+    half = control[..., 0] * dt * dt / 2
+    along, across = half * sinc_derivative(a), half * ratio
+    jacobian = np.zeros((*c.shape, 3, 2))
+    jacobian[..., 0, 0], jacobian[..., 0, 1] = by_nu * c, along * c - across * s
+    jacobian[..., 1, 0], jacobian[..., 1, 1] = by_nu * s, along * s + across * c
+    jacobian[..., 2, 1] = dt
+    chord = control[..., 0] * dt * ratio
+    return np.stack([chord * c, chord * s, 2 * a], axis=-1), jacobian
 
 
 def _headings(controls: Array, dt: Array, starts: np.ndarray) -> Array:

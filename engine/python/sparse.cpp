@@ -4,6 +4,7 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 
+#include <algorithm>
 #include <limits>
 #include <optional>
 
@@ -29,12 +30,14 @@ void bind_patterns(nb::module_& m) {
     m.def("blocks_of_nodes", [](In<Index> start, In<Index> rows, In<Index> nodes) {
         return array(blocks_of_nodes(span(start), span(rows), span(nodes)));
     });
-    // the block between two nodes each, -1 where the pattern has none
+    // the block between two nodes each, and the first pair that the pattern does not have, or -1
     m.def("pair_blocks", [](In<Index> start, In<Index> rows, In<Index> first, In<Index> second) {
         std::vector<Index> blocks(first.size());
         for (std::size_t e = 0; e < blocks.size(); ++e)
             blocks[e] = block_or_none(span(start), span(rows), first.data()[e], second.data()[e]);
-        return array(std::move(blocks));
+        const auto missing = std::find(blocks.begin(), blocks.end(), -1);
+        const Index at = missing == blocks.end() ? -1 : missing - blocks.begin();
+        return std::pair(array(std::move(blocks)), at);
     });
 }
 

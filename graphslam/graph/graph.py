@@ -307,14 +307,18 @@ class Graph:
         # a factor that was given away is another one; a family in NumPy may refer to its graph, and the engine's objects are
         # unknown to the collector of garbage, which would never free the two
         if kept is None or kept[1] is not factor:
-            families = tuple(_in_engine(family, self.system) for family in self.families)
-            pairs = tuple(f.blocks(self.system) if _is_of_engine(f) else _none() for f in self.families)
+            own = [family if _is_of_engine(family) else None for family in self.families]
+            families = tuple(
+                _python_family(family, self.system) if of_engine is None else of_engine.in_engine
+                for family, of_engine in zip(self.families, own)
+            )
+            pairs = tuple(_none() if family is None else family.blocks(self.system) for family in own)
             fixed = np.ascontiguousarray(self.fixed, dtype=np.int64)
             held = (self.system.blocks_of(fixed), fixed, self.without_heading)
             objective = engine.GraphObjective((families, pairs, self.system.arrays, held, factor), self.prior_cost)
             objective.state_dependent, objective.reweighted = self.state_dependent_information, self.reweighted
             kept = objective, factor
-            if all(_is_of_engine(family) for family in self.families):
+            if None not in own:
                 vars(self)["_objective"] = kept
         return kept[0]
 
@@ -324,6 +328,7 @@ class Graph:
         The priors of the parameters are part of it.
         """
         reference = state if reference is None else reference
+        self._check_states(state, reference)
         return sum(family.cost(state, reference) for family in self.families) + self.prior_cost
 
     @property
@@ -380,6 +385,7 @@ class Graph:
     def linearize(self, state: Array, reference: Array | None = None) -> tuple[BlockSystem, float]:
         """Omega and xi at a state (n, 3), written into `system`, and the cost J."""
         reference = state if reference is None else reference
+        self._check_states(state, reference)
         self.system.clear()
         total = 0.0
         for family in self.families:
@@ -403,6 +409,13 @@ class Graph:
         self.system.values[:] = information
         self._hold()
         return self.system
+
+    def _check_states(self, *states: Array) -> None:
+        for state in states:
+            if getattr(state, "shape", None) != self.initial.shape:
+                raise OptionError(
+                    f"the state must have shape {self.initial.shape}, one row for each node, not {np.shape(state)}"
+                )
 
     def _hold(self) -> None:
         """Take out of the system what does not move: fixed nodes, and the third coordinate of landmarks without one."""
@@ -469,9 +482,8 @@ def _is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
 _OF_ENGINE = EngineEdges.accumulate, EngineEdges.headings, EngineEdges.positions
 
 
-def _in_engine(family: EdgeFamily, system: BlockSystem) -> Any:
-    if _is_of_engine(family):
-        return family.in_engine
+def _python_family(family: EdgeFamily, system: BlockSystem) -> Any:
+    """A family in NumPy as one of the engine."""
 
     def accumulate(state: Array, reference: Array, add: bool) -> float:
         return family.accumulate(state, reference, system if add else None)

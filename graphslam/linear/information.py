@@ -16,7 +16,6 @@ import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError
-from ..errors.checks import first as first_at
 from ..se2 import Array
 from .cholesky import Factor, Symbolic, analyze, symmetric
 
@@ -163,8 +162,8 @@ class BlockSystem:
         key = (id(first), id(second))
         if key not in self._slots:
             a, b = (np.ascontiguousarray(nodes, dtype=np.int64) for nodes in (first, second))
-            slots = engine.pair_blocks(self.indptr, self.indices, a, b)
-            if (k := first_at(slots < 0)) is not None:
+            slots, k = engine.pair_blocks(self.indptr, self.indices, a, b)
+            if k >= 0:
                 raise GraphError(
                     f"a family has an edge between the nodes {a[k]} and {b[k]}, but no group of its cliques() has both"
                 )

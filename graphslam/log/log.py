@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -307,12 +308,14 @@ class Log:
             or self.recorded_dt is not None
         )
 
-    @property
+    @cached_property
     def times(self) -> Array | None:
-        """The time of each pose [s], (T+1,); None without controls."""
+        """The time of each pose [s], (T+1,), read-only; None without controls."""
         if self.dt is None:
             return None
-        return self.start_time + np.concatenate([[0.0], np.cumsum(self.dt)])[self.control_starts]
+        times = self.start_time + np.concatenate([[0.0], np.cumsum(self.dt)])[self.control_starts]
+        times.flags.writeable = False
+        return times
 
     @property
     def covered(self) -> np.ndarray:
