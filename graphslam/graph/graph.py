@@ -248,7 +248,7 @@ class Graph:
                 start = end
             else:
                 families.append(f)
-        return self._with_families(families)
+        return self.with_families(families)
 
     @property
     def measurements(self) -> int:
@@ -257,12 +257,13 @@ class Graph:
 
     def with_wider_kernel(self, factor: float) -> Graph:
         """The same graph with ``factor`` times the width of its kernels. Both write Omega and xi into one `system`."""
-        return self._with_families(
+        return self.with_families(
             replace(f, kernel=f.kernel.scaled(factor**2)) if isinstance(f, DoubtedEdges) and f.kernel else f
             for f in self.families
         )
 
-    def _with_families(self, families: Iterable[EdgeFamily]) -> Graph:
+    def with_families(self, families: Iterable[EdgeFamily]) -> Graph:
+        """The same graph with other edges between the same groups of nodes. Both write Omega and xi into one `system`."""
         changed = replace(self, families=tuple(families))
         vars(changed)["system"] = self.system
         return changed
@@ -341,7 +342,7 @@ class Graph:
         """The same graph with plain squares in place of robust kernels. Both write Omega and xi into one `system`."""
         if not self.reweighted:
             return self
-        return self._with_families(replace(f, kernel=None) if isinstance(f, DoubtedEdges) else f for f in self.families)
+        return self.with_families(replace(f, kernel=None) if isinstance(f, DoubtedEdges) else f for f in self.families)
 
     @property
     def degrees_of_freedom(self) -> int:

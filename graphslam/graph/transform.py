@@ -77,11 +77,13 @@ def without_landmarks(graph: Graph) -> Graph | None:
 
 
 def with_cartesian_sightings(graph: Graph) -> Graph | None:
-    """The graph with the Cartesian residual for its sightings of landmark nodes; None where none of them is polar."""
+    """The graph with the Cartesian residual for its sightings of landmark nodes; None where none of them is polar.
+
+    Both write Omega and xi into one `Graph.system`.
+    """
     if not any(isinstance(family, PolarObservationEdges) for family in graph.families):
         return None
-    families = [f.cartesian if isinstance(f, PolarObservationEdges) else f for f in graph.families]
-    return replace(graph, families=tuple(families))
+    return graph.with_families(f.cartesian if isinstance(f, PolarObservationEdges) else f for f in graph.families)
 
 
 def with_landmark_nodes(graph: Graph) -> Graph | None:
