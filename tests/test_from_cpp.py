@@ -68,6 +68,7 @@ def test_the_minimum_is_proven_as_in_python(programs: Path, log_file: Path) -> N
     said = subprocess.run([programs / "solve", log_file], capture_output=True, text=True).stderr
     expected = solution(load(log_file)).certificate
     assert expected.proven == (load(log_file).sightings.shape[1] == 3)
+    assert re.search(r"^J = \S+ after \d+ steps: the (last|steps)", said), said
     bound = re.search(r"no state has a J below (\S+): (.*)", said)
     assert bound is not None, said
     # the program prints six digits

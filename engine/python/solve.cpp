@@ -217,8 +217,6 @@ void bind_runs(nb::module_& m) {
             return state_array(next.data(), next.size());
         });
     m.def("rounding", [](In<double> state, In<double> diagonal) { return rounding(span(state), span(diagonal)); });
-    // the inner product of two arrays; NumPy would start threads for large ones
-    m.def("inner", [](In<double> a, In<double> b) { return inner(span(a), span(b)); });
 }
 
 void bind(nb::module_& m) {

@@ -1,5 +1,6 @@
 // Elementary functions and random numbers: against the C library, and every lane against the function of one number.
 #include "expect.hpp"
+#include "vmslam/edges/rotations.hpp"
 #include "vmslam/numbers/random.hpp"
 
 namespace {
@@ -36,9 +37,24 @@ void test_lanes(std::uint64_t key, std::uint64_t first) {
     }
 }
 
+/// Also for large angles, infinite ones, and numbers that are no multiple of eight.
+void test_rotations() {
+    std::vector<double> angles{0.0, -0.0, 1e6, 1.1e6, -1e15, HUGE_VAL};
+    for (int k = -60; k < 60; ++k) angles.push_back(k * numbers::pi / 8 + 1e-9 * k);
+    edges::Rotations rotations(angles.size(), [&](std::size_t k) { return angles[k]; });
+    for (std::size_t k = 0; k < angles.size(); ++k) {
+        const edges::Rotation found = rotations[k], expected(angles[k]);
+        const bool same = std::isfinite(angles[k])
+                              ? difference(found.c, expected.c) < 2e-15 && difference(found.s, expected.s) < 2e-15
+                              : std::isnan(found.c) && std::isnan(found.s);
+        expect(same, "rotations of a sequence", static_cast<unsigned>(k));
+    }
+}
+
 }  // namespace
 
 void test_numbers() {
+    test_rotations();
     double sum = 0.0, squares = 0.0;
     constexpr int count = 20'000;
     for (int i = 0; i < count; ++i) {

@@ -164,7 +164,8 @@ def minimize(
                 callback(step)
     else:
         run = run_from(starting_state(graph, initialize), method)
-    if cost is not None and cost < 0 and (text := negative_information(graph)) is not None:
+    cost = graph.cost(run.state) if cost is None else cost
+    if cost < 0 and (text := negative_information(graph)) is not None:
         raise GraphError(text)
     notes = image_notes(graph, run.state) if partial_edges(graph) else ()
     return make_solution(

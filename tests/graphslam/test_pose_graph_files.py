@@ -377,3 +377,10 @@ def test_covariances_in_place_of_information_are_noticed(tmp_path, dialect):
     assert len(caught) == 1
     assert "seems to hold covariances" in graph.notes[0]
     assert ("square root" in graph.notes[0]) == (dialect == "isam")
+
+
+def test_a_log_in_place_of_a_pose_graph():
+    with pytest.raises(
+        FormatError, match=r"sample.npz: this is an archive of NumPy.* graphslam.load reads it"
+    ):
+        Graph.from_g2o(sample_log_path())

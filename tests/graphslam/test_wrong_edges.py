@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from certified_graphs import ring
 
-from graphslam import Graph, GraphError, SensorModel, load, sample_log_path, solve, solve_many
+from graphslam import Graph, GraphError, OptionError, SensorModel, load, sample_log_path, solve, solve_many
 from graphslam.edges import AnchorEdges, ConstantEdges, EdgeFamily, MarginalEdges, RelativePoseEdges
 from graphslam.edges.base import Linearization, PairEdges, Relations
 from graphslam.edges.observation import CartesianObservationEdges, RangeEdges
@@ -87,10 +87,9 @@ def test_information_that_is_negative_is_named() -> None:
         graph = ring(6)
         graph.families[0].measured[:] += 0.05
         graph.families[0].information[4] *= -size
-        with pytest.raises(
-            GraphError, match="information of edge 4 of RelativePoseEdges is not positive semi-definite"
-        ):
-            solve(graph)
+        for initialize in ("auto", "given"):
+            with pytest.raises(GraphError, match="edge 4 of RelativePoseEdges is not positive semi-definite"):
+                solve(graph, initialize=initialize)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +113,26 @@ class Own(PairEdges):
 
     def constant(self, state: np.ndarray) -> ConstantEdges:
         return replace(self.edges.constant(state), **self.hooks.get("constant", {}))
+
+
+@dataclass(frozen=True, eq=False)
+class FixEdges(EdgeFamily):
+    """Measured places of single nodes, with groups whose starts are ``spread`` apart."""
+
+    nodes: np.ndarray
+    measured: np.ndarray
+    spread: int = 1
+
+    @property
+    def count(self) -> int:
+        return len(self.nodes)
+
+    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.arange(self.count + 1) * self.spread, self.nodes
+
+    def linearize(self, state: np.ndarray, _: np.ndarray) -> Linearization:
+        e, W = state[self.nodes, :2] - self.measured, np.tile(np.eye(2), (self.count, 1, 1))
+        return Linearization(e, W, (self.nodes,), (np.broadcast_to(np.eye(2, 3), (self.count, 2, 3)),))
 
 
 def own(**hooks: Any) -> Graph:
@@ -168,35 +187,36 @@ def test_a_wrong_constant_form_of_a_family_in_numpy(wrong: dict[str, Any], words
 
 
 def test_wrong_groups_of_a_family_in_numpy() -> None:
-    pairs = np.sort(np.column_stack([ring(6).families[0].first, ring(6).families[0].second]), axis=1)
-    starts = np.arange(0, 13, 2)
-    with pytest.raises(GraphError, match="no group of its cliques"):
-        solve(own(cliques=(starts[:-1], pairs[:-1].ravel())), initialize="given")
-    for wrong in (starts * 10**7, starts[::-1], starts[:0]):
-        with pytest.raises(GraphError, match=r"starts of cliques\(\) must not decrease"):
-            # those of edges between two nodes are known without it
-            EdgeFamily.node_range.func(own(cliques=(wrong, pairs.ravel())).families[0])
+    graph = ring(6)
+    ends = np.sort(np.column_stack([graph.families[0].first, graph.families[0].second]), axis=1)
+    with pytest.raises(GraphError, match=r"edge between the nodes \d and \d, but no group of its cliques\(\) has both"):
+        solve(own(cliques=(np.arange(0, 11, 2), ends[:-1].ravel())), initialize="given")
+    for spread in (0, 2, -1):
+        with pytest.raises(
+            GraphError, match=r"starts of cliques\(\) must not decrease from 0 to the number of its nodes, 4"
+        ):
+            replace(graph, families=(*graph.families, FixEdges(np.arange(4), np.zeros((4, 2)), spread)))
+
+
+def test_a_linearisation_of_another_shape() -> None:
+    edges = FixEdges(np.arange(4), np.zeros((4, 2))).linearize(np.zeros((6, 3)), np.zeros((6, 3)))
+    with pytest.raises(GraphError, match=r"needs information \(4, 2, 2\), and for each end .* not the shapes \(2, 2\)"):
+        replace(edges, information=np.eye(2))
+    with pytest.raises(GraphError, match=r"a Jacobian \(4, 2, 3\), not the shapes"):
+        replace(edges, jacobians=(np.zeros((4, 3, 2)),))
+
+
+def test_states_of_another_shape() -> None:
+    graph = ring(6)
+    for call in (graph.cost, graph.linearize):
+        with pytest.raises(
+            OptionError, match=r"the state must have shape \(6, 3\), one row for each node, not \(3, 3\)"
+        ):
+            call(np.zeros((3, 3)))
 
 
 def test_edges_of_single_nodes_in_numpy_where_the_search_goes_on() -> None:
     """Growing the graph cannot divide them, so that it is left out."""
-
-    @dataclass(frozen=True, eq=False)
-    class FixEdges(EdgeFamily):
-        nodes: np.ndarray
-        measured: np.ndarray
-
-        @property
-        def count(self) -> int:
-            return len(self.nodes)
-
-        def cliques(self) -> tuple[np.ndarray, np.ndarray]:
-            return np.arange(self.count + 1), self.nodes
-
-        def linearize(self, state: np.ndarray, _: np.ndarray) -> Linearization:
-            e, W = state[self.nodes, :2] - self.measured, np.tile(np.eye(2), (self.count, 1, 1))
-            return Linearization(e, W, (self.nodes,), (np.broadcast_to(np.eye(2, 3), (self.count, 2, 3)),))
-
     graph = Graph.from_log(load(sample_log_path()), edges="landmark+motion")
     places = graph.initial[:160:10, :2] + [7.0, 0.0]
     graph = replace(graph, families=(*graph.families, FixEdges(np.arange(0, 160, 10), places)))
