@@ -380,7 +380,5 @@ def test_covariances_in_place_of_information_are_noticed(tmp_path, dialect):
 
 
 def test_a_log_in_place_of_a_pose_graph():
-    with pytest.raises(
-        FormatError, match=r"sample.npz: this is an archive of NumPy.* graphslam.load reads it"
-    ):
+    with pytest.raises(FormatError, match=r"sample.npz: this is an archive of NumPy.* graphslam.load reads it"):
         Graph.from_g2o(sample_log_path())
