@@ -196,7 +196,9 @@ def _averages(log: Log) -> _Averages:
     ends = _ends(log)
 
     def around(values: Array, window: float) -> Array:
-        return np.array([_means(_summed(each), ends, ends[log.control_starts], window) for each in values.T])
+        # `np.interp` looks up both numbers of a control at once where they are one complex number
+        means = _means(_summed(values[:, 0] + 1j * values[:, 1]), ends, ends[log.control_starts], window)
+        return np.array([means.real, means.imag])
 
     means = np.array([around(log.controls * log.dt[:, None], w) for w in times])
     noises = {}

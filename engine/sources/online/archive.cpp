@@ -8,7 +8,7 @@
 namespace vmslam::online {
 namespace {
 
-constexpr char title[] = "vmslam online 6";
+constexpr char title[] = "vmslam online 7";
 
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
@@ -30,8 +30,8 @@ auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Supernode>
 {
     auto& g = value;
-    return std::tie(g.w, g.r, g.parent, g.child, g.sibling, g.frame, g.marked, g.ascending, g.absolute, g.energy, g.strain,
-                    g.stress, g.nodes, g.relative, g.run_end, g.seen, g.numbers);
+    return std::tie(g.w, g.r, g.wide, g.tall, g.parent, g.child, g.sibling, g.frame, g.marked, g.ascending, g.absolute,
+                    g.energy, g.strain, g.stress, g.nodes, g.row, g.relative, g.run_end, g.seen, g.numbers);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Prior>

@@ -39,27 +39,27 @@ double* at_least(Numbers& numbers, Index size) {
 }  // namespace
 
 const double* Tree::motion(const Graph& graph, const Supernode& group) {
-    const Index pad = group.front().update_pad;
-    double* w = at_least(motion_, 3 * group.r + pad + 1);
-    w = std::fill_n(w, pad, 0.0);
+    const Front front = group.front();
+    std::fill_n(at_least(motion_, front.update_height + 1), front.update_height, 0.0);
+    double* const all = motion_.data() + front.update_pad;
     const Node* const frame = group.frame < 0 ? nullptr : &graph.nodes[group.nodes[group.w + group.frame]];
-    for (Id k = 0; k < group.r; ++k, w += 3) {
+    for (Id k = 0; k < group.r; ++k) {
         const Node& node = graph.nodes[group.nodes[group.w + k]];
         const Seen& then = group.seen[k];
+        double* const w = all + group.begin_of(k);
         if (!frame) {
             const Lever way = turned_back(node.point ? Rotation() : then.axes, node.x[0] - then.x, node.x[1] - then.y);
-            w[0] = way.x, w[1] = way.y, w[2] = node.x[2] - then.angle;
-        } else if (k == group.frame) {
-            w[0] = w[1] = w[2] = 0.0;
-        } else {
+            w[0] = way.x, w[1] = way.y;
+            if (!node.point) w[2] = node.x[2] - then.angle;
+        } else if (k != group.frame) {
             const Lever at = turned_back(frame->axes, node.x[0] - frame->x[0], node.x[1] - frame->x[1]);
             const Lever way = node.point ? turned(group.seen[group.frame].axes, at.x - then.x, at.y - then.y)
                                          : turned_back(then.axes, at.x - then.x, at.y - then.y);
             w[0] = way.x, w[1] = way.y;
-            w[2] = node.point ? 0.0 : node.x[2] - frame->x[2] - then.angle;
+            if (!node.point) w[2] = node.x[2] - frame->x[2] - then.angle;
         }
     }
-    return motion_.data() + pad;
+    return all;
 }
 
 const double* Tree::strain(Supernode& group, const double* w) {
@@ -69,7 +69,7 @@ const double* Tree::strain(Supernode& group, const double* w) {
     double* const pull = at_least(pull_, h + 1);
     std::fill_n(pull, h, 0.0);
     // each block of the lower triangle, and of the upper one, which is not there
-    for (Id j = 0; j < group.r; ++j) {
+    for (Index j = 0; j < front.r; ++j) {
         const double *const x = group.update() + 3 * j * h, *const by = w + 3 * j;
         sparse::Vector<lanes> s0{}, s1{}, s2{};
         for (Index i = sparse::group_of(pad + 3 * j); i < h; i += lanes) {
@@ -85,7 +85,7 @@ const double* Tree::strain(Supernode& group, const double* w) {
         own[2] += sparse::sum<lanes>(s2) - d[2 * h + 2] * by[2];
     }
     group.strain = 0.0;
-    for (Index j = 0; j < 3 * group.r; ++j) group.strain += w[j] * pull[pad + j];
+    for (Index j = 0; j < 3 * front.r; ++j) group.strain += w[j] * pull[pad + j];
     return pull + pad;
 }
 
@@ -93,11 +93,13 @@ void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
     const double* const force = group.force();
     double* const carry = group.carry();
     if (group.frame < 0) {
-        for (Id k = 0; k < 3 * group.r; k += 3) {
-            const Node& node = graph.nodes[group.nodes[group.w + k / 3]];
-            const Rotation turn = node.point ? Rotation() : between(node.axes, group.seen[k / 3].axes);
-            const Lever own = turned_back(turn, force[k] - pull[k], force[k + 1] - pull[k + 1]);
-            carry[k] = own.x, carry[k + 1] = own.y, carry[k + 2] = force[k + 2] - pull[k + 2];
+        for (Id k = 0; k < group.r; ++k) {
+            const Node& node = graph.nodes[group.nodes[group.w + k]];
+            const Rotation turn = node.point ? Rotation() : between(node.axes, group.seen[k].axes);
+            const Id at = group.begin_of(k);
+            const Lever own = turned_back(turn, force[at] - pull[at], force[at + 1] - pull[at + 1]);
+            carry[at] = own.x, carry[at + 1] = own.y;
+            if (!node.point) carry[at + 2] = force[at + 2] - pull[at + 2];
         }
         return;
     }
@@ -108,21 +110,23 @@ void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
         if (k == group.frame) continue;
         const Node& node = graph.nodes[group.nodes[group.w + k]];
         const Seen& then = group.seen[k];
-        const double *const f = force + 3 * k, *const p = pull + 3 * k;
+        const double *const f = force + group.begin_of(k), *const p = pull + group.begin_of(k);
+        double* const to = carry + group.begin_of(k);
         const auto in_frame = [&](const double* v) {
             return node.point ? turned_back(axes_then, v[0], v[1]) : turned(then.axes, v[0], v[1]);
         };
         const Lever before = in_frame(f), change = in_frame(p), now{before.x - change.x, before.y - change.y};
         const Lever own =
             node.point ? turned(frame.axes, now.x, now.y) : turned_back(between(node.axes, frame.axes), now.x, now.y);
-        carry[3 * k] = own.x, carry[3 * k + 1] = own.y, carry[3 * k + 2] = f[2] - p[2];
+        to[0] = own.x, to[1] = own.y;
+        if (!node.point) to[2] = f[2] - p[2];
         const Lever at = turned_back(frame.axes, node.x[0] - frame.x[0], node.x[1] - frame.x[1]);
         x += change.x;
         y += change.y;
-        torque += p[2] - at.x * now.y + at.y * now.x + then.x * before.y - then.y * before.x;
+        torque += (node.point ? 0.0 : p[2]) - at.x * now.y + at.y * now.x + then.x * before.y - then.y * before.x;
     }
-    const double* const f = force + 3 * group.frame;
-    double* const own = carry + 3 * group.frame;
+    const double* const f = force + group.begin_of(group.frame);
+    double* const own = carry + group.begin_of(group.frame);
     own[0] = f[0] + x, own[1] = f[1] + y, own[2] = f[2] + torque;
 }
 
@@ -135,8 +139,8 @@ void Tree::move(Graph& graph, Supernode& group, const double* w) {
     const Front front = group.front();
     double* const a = work(front.height);
     // rows that are not known yet are zero, so that the unused part of the panel does not enter the sums
-    std::memset(a, 0, (front.pad + 3 * group.w) * sizeof(double));
-    std::copy_n(w, 3 * group.r, a + front.pad + 3 * group.w);
+    std::memset(a, 0, (front.pad + 3 * front.w) * sizeof(double));
+    std::copy_n(w, 3 * front.r, a + front.pad + 3 * front.w);
     const double* const y = group.y();
     const auto get = [y](Index j) { return Part{y[3 * j], y[3 * j + 1], y[3 * j + 2]}; };
     sparse::solve_backward<Real3>(front, group.panel(), a, 0, get,
@@ -144,9 +148,9 @@ void Tree::move(Graph& graph, Supernode& group, const double* w) {
     const Node* const frame = group.frame < 0 ? nullptr : &graph.nodes[group.nodes[group.w + group.frame]];
     const Seen* const then = frame ? &group.seen[group.frame] : nullptr;
     const Rotation turn = frame ? between(frame->axes, then->axes) : Rotation();
-    const double* at = a + front.pad;
-    for (const Id number : group.columns()) {
-        Node& node = graph.nodes[number];
+    for (Id q = 0; q < group.w; ++q) {
+        Node& node = graph.nodes[group.nodes[q]];
+        const double* const at = a + front.pad + group.row[q];
         if (node.changed != step) {
             node.changed = step;
             node.kept = node.x;
@@ -168,7 +172,6 @@ void Tree::move(Graph& graph, Supernode& group, const double* w) {
             node.x[2] += at[2];
             node.axes = Rotation(node.x[2]);
         }
-        at += 3;
     }
 }
 
@@ -224,7 +227,7 @@ void Tree::rest(Graph& graph, Id s) {
         const bool alone = group.frame < 0 || k == group.frame;
         group.seen[k] = alone ? value_of(node) : seen_from(graph.nodes[group.nodes[group.w + group.frame]], node);
     }
-    std::fill_n(group.y(), 3 * group.w, 0.0);
+    std::fill_n(group.y(), 3 * group.wide, 0.0);
     group.strain = group.energy = 0.0;
     group.stress = 1.0;
 }
@@ -245,16 +248,17 @@ void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
             group.stress = std::max(group.stress, edge.squares);
             if (now.outdated) found.late.push_back(e);
             const int side = edge.side(group.nodes[q]);
-            for (int p = 0; p < 3; ++p) {
-                at[3 * q + p] += now.pulls.ends[side][p];
-                at[3 * edge.place + p] += now.pulls.ends[1 - side][p];
-            }
+            const auto add = [&](Id row, int end) {
+                for (int p = 0; p < graph.nodes[edge.ends[end]].size(); ++p) at[row + p] += now.pulls.ends[end][p];
+            };
+            add(group.row[q], side);
+            add(edge.place, 1 - side);
         }
     for (Id c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         const double* const carry = child.carry();
         for (Id q = 0; q < child.r; ++q)
-            for (int k = 0; k < 3; ++k) at[3 * child.relative[q] + k] += carry[3 * q + k];
+            for (Id k = 0; k < child.size_of(q); ++k) at[child.relative[q] + k] += carry[child.begin_of(q) + k];
         group.energy = std::max(group.energy, child.energy);
         group.stress = std::max(group.stress, child.stress);
     }
@@ -266,8 +270,8 @@ void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
             y[3 * j + k] = part.v[k];
         }
     });
-    std::copy_n(at + 3 * group.w, 3 * group.r, group.force());
-    std::copy_n(at + 3 * group.w, 3 * group.r, group.carry());
+    std::copy_n(at + 3 * front.w, 3 * front.r, group.force());
+    std::copy_n(at + 3 * front.w, 3 * front.r, group.carry());
     group.energy = std::max(group.energy, square);
     found.predicted += square;
 }
@@ -279,43 +283,49 @@ std::vector<double> Tree::covariance(Graph& graph, std::span<const Id> nodes) {
     for (const Id node : nodes) homes.push_back(graph.nodes[node].home);
     const std::vector<Id> path = upwards(homes);
     // separators of the path lie on it
-    Id columns = 0;
-    for (const Id s : path)
-        for (const Id node : groups[s].columns()) graph.nodes[node].local = columns++;
-    const Index rows = 3 * columns;
+    Id rows = 0;
+    for (const Id s : path) {
+        const Supernode& group = groups[s];
+        for (Id q = 0; q < group.w; ++q) graph.nodes[group.nodes[q]].local = rows + group.row[q];
+        rows += 3 * group.wide;
+    }
     const std::size_t size = 3 * nodes.size();
-    std::vector<double> Y(size * rows, 0.0), covariance(size * size);
-    std::vector<Triple> b(columns, Triple{});
-    const auto part_of = [&](Id node) -> Triple& { return b[graph.nodes[node].local]; };
+    std::vector<double> Y(size * rows, 0.0), covariance(size * size), b(rows, 0.0);
+    const auto numbers_of = [&](Id node) {
+        const Node& of = graph.nodes[node];
+        return std::span(b).subspan(of.local, of.size());
+    };
     for (std::size_t column = 0; column < size; ++column) {
-        const Node& node = graph.nodes[nodes[column / 3]];
-        // a unit vector of the world in the axes of the node
+        const Id number = nodes[column / 3];
+        const Node& node = graph.nodes[number];
+        // a unit vector of the world in the axes of the node; a point has no third number
         const double c = node.point ? 1.0 : node.axes.c, t = node.point ? 0.0 : node.axes.s;
         const int axis = static_cast<int>(column % 3);
-        part_of(nodes[column / 3]) = axis == 0 ? Triple{c, -t, 0.0} : axis == 1 ? Triple{t, c, 0.0} : Triple{0.0, 0.0, 1.0};
+        const Triple unit = axis == 0 ? Triple{c, -t, 0.0} : axis == 1 ? Triple{t, c, 0.0} : Triple{0.0, 0.0, 1.0};
+        std::copy_n(unit.begin(), node.size(), numbers_of(number).begin());
         double* y = Y.data() + column * rows;
         bool begun = false;
         for (const Id s : path) {
             Supernode& group = groups[s];
             begun = begun || s == node.home;
             bool some = false;
-            for (const Id inner : begun ? group.columns() : std::span<const Id>{}) some |= part_of(inner) != Triple{};
+            for (const Id inner : begun ? group.columns() : std::span<const Id>{})
+                some |= std::ranges::any_of(numbers_of(inner), [](double x) { return x != 0.0; });
             if (some) {
                 const Front front = group.front();
                 double* const part = work(front.height);
-                std::memset(part, 0, front.pad * sizeof(double));
-                double* at = part + front.pad;
-                for (const Id inner : group.nodes) at = std::copy_n(part_of(inner).data(), 3, at);
+                std::memset(part, 0, front.height * sizeof(double));
+                double* const at = part + front.pad;
+                for (Id k = 0; k < group.w + group.r; ++k) std::ranges::copy(numbers_of(group.nodes[k]), at + group.row[k]);
                 sparse::solve_forward<Real3>(front, group.panel(), part, 0,
                                              [y](Index j, const Part& solved) { std::copy_n(solved.v, 3, y + 3 * j); });
-                at = part + front.pad + 3 * group.w;
-                for (const Id inner : group.columns()) part_of(inner) = {};
-                for (const Id inner : group.separator()) {
-                    std::copy_n(at, 3, part_of(inner).data());
-                    at += 3;
+                for (const Id inner : group.columns()) std::ranges::fill(numbers_of(inner), 0.0);
+                for (Id k = group.w; k < group.w + group.r; ++k) {
+                    const auto numbers = numbers_of(group.nodes[k]);
+                    std::copy_n(at + group.row[k], numbers.size(), numbers.begin());
                 }
             }
-            y += 3 * group.w;
+            y += 3 * group.wide;
         }
     }
     for (const Id s : path)

@@ -99,7 +99,7 @@ class Kept {
         for (const Id s : top.below) {
             Supernode& group = tree.groups[s];
             places_.push_back({group.parent, group.sibling, group.ascending, group.strain, group.relative, group.run_end,
-                               std::vector<double>(group.carry(), group.carry() + 3 * group.r)});
+                               std::vector<double>(group.carry(), group.carry() + 3 * group.tall)});
         }
         for (Id c = root_; c > 0; c = tree.groups[c].sibling) roots_.push_back(c);
     }
@@ -136,15 +136,12 @@ std::vector<Id> link(Graph& graph, Tree& tree, const Top& top, const Symbolic& s
     std::vector<Id> created;
     for (Id k = 0; k < symbolic.supernodes(); ++k) {
         const Front front = symbolic.front(k);
-        const Id s = tree.create(static_cast<Id>(front.w), static_cast<Id>(front.r));
+        std::vector<Id> nodes;
+        for (Id q = 0; q < front.w; ++q) nodes.push_back(node_at(symbolic.first[k] + q));
+        for (Id q = 0; q < front.r; ++q) nodes.push_back(node_at(symbolic.rows[symbolic.row_start[k] + q]));
+        const Id s = tree.create(graph, std::move(nodes), static_cast<Id>(front.w));
         created.push_back(s);
-        std::vector<Id>& nodes = tree.groups[s].nodes;
-        for (Id q = 0; q < front.w; ++q) {
-            nodes[q] = node_at(symbolic.first[k] + q);
-            graph.nodes[nodes[q]].home = s;
-            graph.nodes[nodes[q]].owned = -1;
-        }
-        for (Id q = 0; q < front.r; ++q) nodes[front.w + q] = node_at(symbolic.rows[symbolic.row_start[k] + q]);
+        for (const Id node : tree.groups[s].columns()) graph.nodes[node].home = s, graph.nodes[node].owned = -1;
     }
     // roots that are neither removed nor below stay
     for (const Id s : top.removed) tree.groups[s].marked = true;

@@ -55,9 +55,7 @@ void OnlineSystem::add_prior(std::span<const Id> nodes, std::span<const Triple> 
 
 /// Put a prior into the tree, where the next elimination of its nodes finds it.
 void OnlineSystem::hang_prior(Prior& prior) {
-    const auto k = static_cast<Id>(prior.members.size());
-    prior.group = tree_.create(0, k);
-    tree_.groups[prior.group].nodes = prior.members;
+    prior.group = tree_.create(graph_, prior.members, 0);
     tree_.groups[prior.group].absolute = !prior.relative;
     write_prior(prior, true);
     tree_.hang(prior.group, 0);
@@ -66,15 +64,18 @@ void OnlineSystem::hang_prior(Prior& prior) {
 /// What the tree has of a prior: the right-hand side, and the information, if it is new.
 void OnlineSystem::write_prior(const Prior& prior, bool renewed) {
     Supernode& group = tree_.groups[prior.group];
-    std::copy(prior.carry.begin(), prior.carry.end(), group.carry());
+    // a prior has three numbers for points, too, of which the last one means nothing
+    const auto put = [&](const double* from, double* to) {
+        for (Id k = 0; k < group.r; ++k) std::copy_n(from + 3 * k, group.size_of(k), to + group.begin_of(k));
+    };
+    put(prior.carry.data(), group.carry());
     if (!renewed) return;
     const Front front = group.front();
-    const auto n = static_cast<Id>(prior.carry.size());
-    for (Id column = 0; column < n; ++column) {
-        double* const to = group.update() + column * front.update_height;
-        std::fill_n(to, front.update_pad, 0.0);
-        std::copy_n(prior.linear.data() + column * n, n, to + front.update_pad);
-    }
+    std::fill_n(group.update(), 3 * front.r * front.update_height, 0.0);
+    for (Id k = 0; k < group.r; ++k)
+        for (Id c = 0; c < group.size_of(k); ++c)
+            put(prior.linear.data() + (3 * k + c) * 3 * group.r,
+                group.update() + (group.begin_of(k) + c) * front.update_height + front.update_pad);
 }
 
 bool OnlineSystem::add(Id known, std::span<const NewEdge> added, std::span<const Id> newest) {

@@ -10,11 +10,19 @@ namespace vmslam::online {
 using sparse::Index;
 using sparse::Real3;
 
-Supernode::Supernode(Id w, Id r) : w(w), r(r), nodes(w + r) {
+Supernode::Supernode(const Graph& graph, std::vector<Id> of, Id w)
+    : w(w), r(static_cast<Id>(of.size()) - w), nodes(std::move(of)), row(nodes.size() + 1), seen(r) {
+    const auto blocks = [&](Id from, Id to, Id begin) {
+        Id end = begin;
+        for (Id k = from; k < to; ++k) row[k] = end, end += graph.nodes[nodes[k]].size();
+        row[to] = end;
+        return (end - begin + 2) / 3;
+    };
+    wide = blocks(0, w, 0);
+    tall = blocks(w, w + r, 3 * wide);
     const Front f = front();
-    numbers = Numbers(3 * (w * f.height + r * f.update_height + w + 2 * r));
-    std::fill_n(y(), 3 * (w + 2 * r), 0.0);
-    seen.resize(r);
+    numbers = Numbers(3 * (wide * f.height + tall * f.update_height + wide + 2 * tall));
+    std::fill_n(y(), 3 * (wide + 2 * tall), 0.0);
 }
 
 void Tree::clear() {
@@ -24,14 +32,14 @@ void Tree::clear() {
     step = 1;
 }
 
-Id Tree::create(Id w, Id r) {
+Id Tree::create(const Graph& graph, std::vector<Id> nodes, Id w) {
     if (free_.empty()) {
-        groups.emplace_back(w, r);
+        groups.emplace_back(graph, std::move(nodes), w);
         return static_cast<Id>(groups.size()) - 1;
     }
     const Id s = free_.back();
     free_.pop_back();
-    groups[s] = Supernode(w, r);
+    groups[s] = Supernode(graph, std::move(nodes), w);
     return s;
 }
 
@@ -86,8 +94,7 @@ std::vector<Id> Tree::upwards(std::span<const Id> homes) {
 
 void Tree::relate_children(Graph& graph, Id s) {
     Supernode& parent = groups[s];
-    Id place = 0;
-    for (const Id node : parent.nodes) graph.nodes[node].local = place++;
+    for (Id k = 0; k < parent.w + parent.r; ++k) graph.nodes[parent.nodes[k]].local = parent.row[k];
     for (Id c = parent.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         child.relative.resize(child.r);
@@ -99,7 +106,7 @@ void Tree::relate_children(Graph& graph, Id s) {
             child.ascending &= k == 0 || child.relative[k] > child.relative[k - 1];
         }
         for (Id k = child.r - 1, end = child.r; k >= 0; --k) {
-            if (k + 1 < child.r && child.relative[k + 1] != child.relative[k] + 1) end = k + 1;
+            if (k + 1 < child.r && child.relative[k + 1] != child.relative[k] + child.size_of(k)) end = k + 1;
             child.run_end[k] = end;
         }
     }
@@ -117,34 +124,38 @@ void Tree::relate_children(Graph& graph, Id s) {
 
 namespace {
 
-/// Add a symmetric block to a diagonal block.
-void add_symmetric(double* t, Index h, const Symmetric& D) {
-    t[0] += D.xx, t[1] += D.xy, t[2] += D.xt;
-    t[h + 1] += D.yy, t[h + 2] += D.yt;
-    t[2 * h + 2] += D.tt;
+/// Add a symmetric block, or for a point its part for the place, to a diagonal block.
+void add_symmetric(double* t, Index h, const Symmetric& D, bool point) {
+    t[0] += D.xx, t[1] += D.xy;
+    t[h + 1] += D.yy;
+    if (!point) t[2] += D.xt, t[h + 2] += D.yt, t[2 * h + 2] += D.tt;
 }
 
-/// Add the update matrix of a child to the node columns `from` to `to` of the front of its parent, whose order may be another
-/// one. Only the lower triangles are there. The first number of the target is that of node `from`.
-void extend(Supernode& child, Id from, Id to, double* target, Index height) {
+/// Add the update matrix of a child to the columns `from` to `to` of the front of its parent, whose order may be another one.
+/// Only the lower triangles are there. The first number of the target is that of column and row `from`.
+void extend(Supernode& child, Index from, Index to, double* target, Index height) {
     const Index h = child.front().update_height;
-    const auto place = [&](Id column, Id row) { return target + 3 * (column - from) * height + 3 * (row - from); };
-    const auto inside = [=](Id column) { return from <= column && column < to; };
+    const auto place = [&](Index column, Index row) { return target + (column - from) * height + (row - from); };
+    const auto inside = [=](Index column) { return from <= column && column < to; };
     for (Id j = 0; j < child.r; ++j) {
-        const double* const source = child.update() + child.front().update_pad + 3 * j * h;
-        const Id own = child.relative[j];
+        const double* const source = child.update() + child.front().update_pad + child.begin_of(j) * h;
+        const Id own = child.relative[j], columns = child.size_of(j);
         if (child.ascending && !inside(own)) continue;
         for (Id i = j; i < child.r;) {
             const Id end = child.run_end[i];
-            Id node = child.relative[i];
-            if (node >= own && inside(own))
-                sparse::add_rows<3>({place(own, node), height}, {source + 3 * i, h}, 3 * (end - i));
+            if (child.relative[i] >= own && inside(own)) {
+                const sparse::Columns to_rows{place(own, child.relative[i]), height};
+                const sparse::ConstColumns from_rows{source + child.begin_of(i), h};
+                const Index rows = child.begin_of(end) - child.begin_of(i);
+                columns == 3 ? sparse::add_rows<3>(to_rows, from_rows, rows) : sparse::add_rows<2>(to_rows, from_rows, rows);
+            }
             // above the diagonal: the blocks are turned
-            for (Id k = i; k < end && node < own; ++k, ++node) {
-                if (!inside(node)) continue;
-                double* const t = place(node, own);
-                for (int c = 0; c < 3; ++c)
-                    for (int r = 0; r < 3; ++r) t[r * height + c] += source[3 * k + r + c * h];
+            for (Id k = i; k < end && child.relative[k] < own; ++k) {
+                if (!inside(child.relative[k])) continue;
+                double* const t = place(child.relative[k], own);
+                const double* const block = source + child.begin_of(k);
+                for (int c = 0; c < columns; ++c)
+                    for (int r = 0; r < child.size_of(k); ++r) t[r * height + c] += block[r + c * h];
             }
             i = end;
         }
@@ -157,24 +168,28 @@ void extend(Supernode& child, Id from, Id to, double* target, Index height) {
 void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
     const Front front = group.front();
     const Index h = front.height;
+    Index used = 0;
     for (Id q = 0; q < group.w; ++q) {
         const Id number = group.nodes[q];
-        double* const column = x + 3 * q * h + front.pad;
-        if (graph.nodes[number].point) column[3 * q + 2 * h + 2] += 1.0;
+        double* const column = x + group.row[q] * h + front.pad;
+        used = group.row[q] + graph.nodes[number].size();
         for (Id e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
             const Edge& edge = graph.edges[e];
             if (edge.taken_out()) continue;
             const int side = edge.side(number);
             const Blocks own = diagonal_blocks(edge);
-            add_symmetric(column + 3 * q, h, side == 0 ? own.first : own.second);
-            if (edge.place < group.w)
-                add_symmetric(x + 3 * edge.place * (h + 1) + front.pad, h, side == 0 ? own.second : own.first);
+            const Node &first = graph.nodes[edge.ends[0]], &second = graph.nodes[edge.ends[1]];
+            add_symmetric(column + group.row[q], h, side == 0 ? own.first : own.second, graph.nodes[number].point);
+            if (edge.place < 3 * group.wide)
+                add_symmetric(x + edge.place * (h + 1) + front.pad, h, side == 0 ? own.second : own.first,
+                              (side == 0 ? second : first).point);
             const auto block = block_between(edge);
-            double* const to = column + 3 * edge.place;
-            for (int k = 0; k < 3; ++k)
-                for (int i = 0; i < 3; ++i) to[side == 0 ? k * h + i : i * h + k] += block[3 * k + i];
+            double* const to = column + edge.place;
+            for (int k = 0; k < first.size(); ++k)
+                for (int i = 0; i < second.size(); ++i) to[side == 0 ? k * h + i : i * h + k] += block[3 * k + i];
         }
     }
+    for (; used < 3 * group.wide; ++used) x[used * (h + 1) + front.pad] = 1.0;
 }
 
 /// Their blocks on the diagonal of the separator.
@@ -183,10 +198,11 @@ void Tree::put_separator_entries(const Graph& graph, const Supernode& group, dou
     for (const Id number : group.columns())
         for (Id e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
             const Edge& edge = graph.edges[e];
-            if (edge.taken_out() || edge.place < group.w) continue;
+            if (edge.taken_out() || edge.place < 3 * group.wide) continue;
             const Blocks own = diagonal_blocks(edge);
-            add_symmetric(update + 3 * (edge.place - group.w) * (front.update_height + 1) + front.update_pad,
-                          front.update_height, edge.side(number) == 0 ? own.second : own.first);
+            const int side = edge.side(number);
+            add_symmetric(update + (edge.place - 3 * group.wide) * (front.update_height + 1) + front.update_pad,
+                          front.update_height, side == 0 ? own.second : own.first, graph.nodes[edge.ends[1 - side]].point);
         }
 }
 
@@ -195,15 +211,19 @@ bool Tree::factorize(Graph& graph, Id s) {
     const Front front = group.front();
     const Index h = front.height;
     double* const x = group.panel();
-    const Index packing = sparse::packing<Real3>(group.w, h);
+    const Index own = 3 * front.w, all = own + 3 * front.r;
+    const Index packing = sparse::packing<Real3>(front.w, h);
     if (packed_.empty() || packed_[0].size() < packing) packed_.assign(1, Numbers(2 * packing));
     const sparse::Panel<Real3> panel{x, front, packed_};
-    std::memset(x, 0, 3 * group.w * h * sizeof(double));
+    std::memset(x, 0, own * h * sizeof(double));
     put_entries(graph, group, x);
-    double* const limits = work(3 * group.w);
-    for (Index k = 0; k < 3 * group.w; ++k)
-        limits[k] = std::max(0.0, pivot_tolerance * graph.nodes[group.nodes[k / 3]].diagonal[k % 3]);
-    for (Id c = group.child; c > 0; c = groups[c].sibling) extend(groups[c], 0, group.w, x + front.pad, h);
+    double* const limits = work(own);
+    std::fill_n(limits, own, 0.0);
+    for (Id q = 0; q < group.w; ++q) {
+        const Node& node = graph.nodes[group.nodes[q]];
+        for (int c = 0; c < node.size(); ++c) limits[group.row[q] + c] = std::max(0.0, pivot_tolerance * node.diagonal[c]);
+    }
+    for (Id c = group.child; c > 0; c = groups[c].sibling) extend(groups[c], 0, own, x + front.pad, h);
     if (panel.factorize(limits) >= 0) return false;
     if (group.r == 0) return true;
     // only the columns are needed before the factorisation, so the update matrix is written by the product and never cleared
@@ -211,12 +231,13 @@ bool Tree::factorize(Graph& graph, Id s) {
     panel.update_matrix(update);
     put_separator_entries(graph, group, update);
     for (Id c = group.child; c > 0; c = groups[c].sibling)
-        extend(groups[c], group.w, group.w + group.r, update + front.update_pad, front.update_height);
+        extend(groups[c], own, all, update + front.update_pad, front.update_height);
     // what is above the diagonal there has no meaning, and enters sums as zero
-    for (Id j = 0; j < 3 * group.r; ++j) {
+    for (Index j = 0; j < 3 * front.r; ++j) {
         double* const column = update + j * front.update_height;
         const Index row = front.update_pad + j;
-        std::fill(column + sparse::group_of(front.update_pad + j / 3 * 3), column + row, 0.0);
+        // the block of a node begins at most two rows above
+        std::fill(column + sparse::group_of(std::max(front.update_pad, row - 2)), column + row, 0.0);
     }
     return true;
 }

@@ -41,6 +41,9 @@ struct Node {
     bool held = false;  ///< a pose with a prior of its own
     bool borrows = false;  ///< whether a first sighting replaces far and turned, which only the pose before has lent
 
+    /// The numbers that the node has in the equations.
+    Id size() const { return point ? 2 : 3; }
+
     /// Put the node at a value. Headings are not wrapped, because increments add up.
     void begin(const Triple& value) {
         x = base = value;
@@ -74,7 +77,7 @@ struct Edge {
     Id ends[2] = {-1, -1};  ///< -1 once the edge was taken out
     Id next[2] = {-1, -1};  ///< the next edge of either end
     Id owner = -1, next_owned = -1;  ///< the end that is eliminated first, and the next edge that this owns
-    Id place = 0;  ///< where the other end stands in the front of the owner
+    Id place = 0;  ///< where the numbers of the other end begin in the front of the owner
     Lever lever{};  ///< where the sensor of a number is on the robot, or the point that a position measures
     Form form = Form::relative;
     bool oriented = true, robust = false, sighting = false;

@@ -1,7 +1,8 @@
 // The elimination tree of an online solution: the Bayes tree of iSAM2 (Kaess et al., IJRR 2012).
 //
 // A supernode is a group of w nodes that are eliminated together, and r nodes, its separator, to which they are tied and which
-// are eliminated later. It keeps
+// are eliminated later. A pose has three numbers in its front and a point two; unit rows fill each of the two parts up to
+// blocks of three, for which the dense work is made. It keeps
 //
 //     panel    the columns of L, L11 over L21, with inverse pivots (`sparse::Front`),
 //     update   U, what the whole subtree adds to Omega of the separator: its edges, less what eliminating its nodes takes,
@@ -39,6 +40,7 @@ struct Seen {
 
 struct Supernode {
     Id w = 0, r = 0;
+    Id wide = 0, tall = 0;  ///< the blocks of three numbers that hold its w and its r nodes
     Id parent = 0, child = 0, sibling = 0;
     Id frame = -1;  ///< the first pose of the separator; -1: none, or the subtree is absolute
     bool marked = false;  ///< false between the calls
@@ -48,19 +50,24 @@ struct Supernode {
     double strain = 0.0;  ///< w' U w
     double stress = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
     std::vector<Id> nodes;  ///< w nodes, then r nodes, both in the order of elimination
-    std::vector<Id> relative, run_end;  ///< where the separator stands in the front of the parent; ends of its runs
+    std::vector<Id> row;  ///< (w + r + 1) where the numbers of each begin in the front, and where those of the last one end
+    std::vector<Id> relative, run_end;  ///< where those of the separator begin in the front of the parent; ends of its runs
     std::vector<Seen> seen;  ///< the separator at the last evaluation
     Numbers numbers;
 
     Supernode() = default;
-    Supernode(Id w, Id r);
+    /// The first w of some nodes are eliminated.
+    Supernode(const Graph& graph, std::vector<Id> nodes, Id w);
 
-    Front front() const { return {{3, 3}, w, r}; }
+    Front front() const { return {{3, 3}, wide, tall}; }
     double* panel() { return numbers.data(); }
-    double* update() { return panel() + 3 * w * front().height; }
-    double* y() { return update() + 3 * r * front().update_height; }
-    double* force() { return y() + 3 * w; }
-    double* carry() { return force() + 3 * r; }
+    double* update() { return panel() + 3 * wide * front().height; }
+    double* y() { return update() + 3 * tall * front().update_height; }
+    double* force() { return y() + 3 * wide; }
+    double* carry() { return force() + 3 * tall; }
+    /// Where the numbers of a node of the separator begin among those of the separator, and how many they are.
+    Id begin_of(Id k) const { return row[w + k] - 3 * wide; }
+    Id size_of(Id k) const { return row[w + k + 1] - row[w + k]; }
     std::span<const Id> columns() const { return {nodes.data(), static_cast<std::size_t>(w)}; }
     std::span<const Id> separator() const { return {nodes.data() + w, static_cast<std::size_t>(r)}; }
 };
@@ -85,7 +92,7 @@ class Tree {
     /// Without supernodes again.
     void clear();
     /// A new supernode; numbers of released ones are used again.
-    Id create(Id w, Id r);
+    Id create(const Graph& graph, std::vector<Id> nodes, Id w);
     void release(Id s);
     /// Take back the last `create`s; there were so many supernodes before.
     void take_back(std::span<const Id> created, std::size_t size_before);
