@@ -196,11 +196,17 @@ def values_at(values: gtsam.Values, ends: Sequence[tuple[int, bool]]) -> list[Co
 def _matrix(k: int, raw: Any, heading: float | None) -> Array:
     """A Jacobian in GTSAM's form; by world coordinates where the pose's heading is given, else in its own axes."""
     try:
-        if np.iscomplexobj(raw):
-            raise TypeError("it is complex")
-        return np.asarray(raw if heading is None else turned(raw, heading), dtype=float, order="F")
+        return _real(raw if heading is None else turned(raw, heading))
     except (TypeError, ValueError, IndexError) as problem:
         raise FactorError(f"Jacobian {k} is no matrix of numbers: {problem}") from problem
+
+
+def _real(raw: Any) -> Array:
+    """Real numbers as an array by columns; NumPy would take the real parts of complex ones with a warning only."""
+    given = np.asarray(raw)
+    if given.dtype.kind == "c":
+        raise TypeError("it is complex")
+    return np.asarray(given, dtype=float, order="F")
 
 
 def turned(by_world: Any, theta: float) -> Any:
@@ -209,7 +215,7 @@ def turned(by_world: Any, theta: float) -> Any:
     if isinstance(by_world, list):
         # for rows of three numbers this is faster than NumPy
         return [[a * c + b * s, b * c - a * s, turn] for a, b, turn in by_world]
-    own = np.array(by_world, dtype=float, order="F")
+    own = _real(by_world).copy(order="F")
     if own.ndim == 2 and own.shape[1] == 3:
         own[:, :2] = own[:, :2] @ np.array([[c, -s], [s, c]])
     return own

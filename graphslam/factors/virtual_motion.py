@@ -62,29 +62,36 @@ class VirtualMotionFactor(Factor):
         covariance = sighted_covariance(x_1[2], z_1.tolist(), sensor) + sighted_covariance(x_2[2], z_2.tolist(), sensor)
         # the landmark in the frame of the robot, by each sighting
         (px, py), (qx, qy) = (in_robot_frame(z, sensor) for z in (z_1, z_2))
-        # the angle from the heading of the first pose to the axes of e in the body frame
+        # the angle from the heading of the first pose to the axes of e in the body frame, and what does not depend on poses
         ahead = phi1 if oriented else -x_1[2]
+        ca, sa = cos(ahead), sin(ahead)
+        ux, uy = ca * px + sa * py, ca * py - sa * px
+        by_place, of_psi = ([-ca, -sa], [sa, -ca]), phi2 - psi2 - phi1 + psi1
 
         def residual(a: Coordinates, b: Coordinates) -> Linearized:
-            ca, sa, cb, sb = cos(a[2]), sin(a[2]), cos(b[2]), sin(b[2])
-            # from each pose to the landmark; a turn of the pose moves that end at right angles
-            ux, uy, vx, vy = ca * px - sa * py, sa * px + ca * py, cb * qx - sb * qy, sb * qx + cb * qy
-            ex, ey = b[0] + vx - a[0] - ux, b[1] + vy - a[1] - uy
-            e, by_a, by_b = [ex, ey], [[-1.0, 0.0, uy], [0.0, -1.0, -ux]], [[1.0, 0.0, -vy], [0.0, 1.0, vx]]
+            # the landmark from both poses and the way between these, in the axes of e; derivatives by GTSAM's
+            # perturbations, each pose's in its own axes
+            axes = a[2] + ahead if body else 0.0
+            c, s, cb, sb = cos(axes), sin(axes), cos(b[2] - axes), sin(b[2] - axes)
+            x, y = b[0] - a[0], b[1] - a[1]
+            wx, wy, vx, vy = c * x + s * y, c * y - s * x, cb * qx - sb * qy, sb * qx + cb * qy
             if body:
-                c, s = cos(a[2] + ahead), sin(a[2] + ahead)
-                e = [c * ex + s * ey, -s * ex + c * ey]
-                by_a = [[-c, -s, c * uy - s * ux + e[1]], [s, -c, -s * uy - c * ux - e[0]]]
-                by_b = [[c, s, s * vx - c * vy], [-s, c, s * vy + c * vx]]
+                e = [wx + vx - ux, wy + vy - uy]
+                by_a = [[*by_place[0], wy + vy], [*by_place[1], -wx - vx]]
+            else:
+                cw, sw = cos(a[2]), sin(a[2])
+                tx, ty = cw * px - sw * py, sw * px + cw * py
+                e, by_a = [wx + vx - tx, wy + vy - ty], [[-cw, sw, ty], [-sw, -cw, -tx]]
+            by_b = [[cb, -sb, -vy], [sb, cb, vx]]
             if oriented:
-                e.append(wrapped(b[2] + phi2 - psi2 - a[2] - phi1 + psi1))
+                e.append(wrapped(b[2] - a[2] + of_psi))
                 by_a.append([0.0, 0.0, -1.0])
                 by_b.append([0.0, 0.0, 1.0])
             return e, (by_a, by_b)
 
         options = {"frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
         arguments = {"z_1": z_1, "z_2": z_2, "sensor": sensor} | options
-        super().__init__([key_1, key_2], [POSE, POSE], residual, arguments, covariance=covariance)
+        super().__init__([key_1, key_2], [POSE, POSE], residual, arguments, covariance=covariance, in_own_axes=True)
 
     def to_between(self) -> gtsam.BetweenFactorPose2:
         """GTSAM's own factor of the same two sightings, with the speed of C++: the relative pose z_12 = T_1 T_2^-1.
