@@ -13,10 +13,10 @@ constexpr char title[] = "vmslam online 7";
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
 {
-    auto& [x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone, held,
-           borrows] = value;
-    return std::tie(x, base, axes, base_axes, kept, diagonal, far, turned, changed, home, edges, owned, local, point, gone,
-                    held, borrows);
+    auto& [x, base, axes, base_axes, kept, diagonal, place_std, heading_std, changed, home, edges, owned, local, point, gone,
+           held, borrows] = value;
+    return std::tie(x, base, axes, base_axes, kept, diagonal, place_std, heading_std, changed, home, edges, owned, local,
+                    point, gone, held, borrows);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Edge>
@@ -31,13 +31,14 @@ auto fields(auto& value)
 {
     auto& g = value;
     return std::tie(g.w, g.r, g.wide, g.tall, g.parent, g.child, g.sibling, g.frame, g.marked, g.ascending, g.absolute,
-                    g.energy, g.strain, g.stress, g.nodes, g.row, g.relative, g.run_end, g.seen, g.numbers);
+                    g.largest_decrease, g.separator_change, g.largest_squares, g.nodes, g.row, g.relative, g.run_end, g.seen,
+                    g.numbers);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Prior>
 {
-    auto& [members, information, rhs, centre, relative, pivot, linear, carry, at, group] = value;
-    return std::tie(members, information, rhs, centre, relative, pivot, linear, carry, at, group);
+    auto& [members, information, rhs, centre, relative, pivot, linear, pull, at, group] = value;
+    return std::tie(members, information, rhs, centre, relative, pivot, linear, pull, at, group);
 }
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Memory>

@@ -146,10 +146,10 @@ void add_diagonal(Graph& graph, const Edge& edge, double sign) {
 bool outdated_other(const Graph& graph, const Edge& edge, const Present& now, double limit) {
     const Node &i = graph.nodes[edge.ends[0]], &j = graph.nodes[edge.ends[1]];
     const Linear& then = edge.linear;
-    const double turn = j.far * (now.s * then.c - now.c * then.s);
+    const double turn = j.place_std * (now.s * then.c - now.c * then.s);
     if (edge.one_ended()) return (edge.omega.xx + edge.omega.yy) * turn * turn > limit;
-    const double a = i.turned * (now.n.x * now.u.x + now.n.y * now.u.y - then.n.x * then.u.x - then.n.y * then.u.y);
-    const double b = (i.far + j.far) * std::hypot(now.n.x - then.n.x, now.n.y - then.n.y);
+    const double a = i.heading_std * (now.n.x * now.u.x + now.n.y * now.u.y - then.n.x * then.u.x - then.n.y * then.u.y);
+    const double b = (i.place_std + j.place_std) * std::hypot(now.n.x - then.n.x, now.n.y - then.n.y);
     const double c = turn * std::hypot(now.n.x, now.n.y);
     return edge.omega.xx * (a * a + b * b + c * c) > limit;
 }
@@ -163,8 +163,8 @@ bool outdated_other(const Graph& graph, const Edge& edge, const Present& now, do
     if (edge.form != Form::relative) [[unlikely]]
         return outdated_other(graph, edge, now, limit);
     const Symmetric& W = edge.omega;
-    const double size = graph.nodes[edge.ends[0]].turned;
-    const double turn = graph.nodes[edge.ends[1]].far * (now.s * edge.linear.c - now.c * edge.linear.s);
+    const double size = graph.nodes[edge.ends[0]].heading_std;
+    const double turn = graph.nodes[edge.ends[1]].place_std * (now.s * edge.linear.c - now.c * edge.linear.s);
     const double a = size * (now.u.x - edge.linear.u.x), b = size * (now.u.y - edge.linear.u.y);
     return W.xx * a * a + 2 * W.xy * a * b + W.yy * b * b + (W.xx + W.yy) * turn * turn > limit;
 }
@@ -187,7 +187,7 @@ Evaluated evaluate(const Graph& graph, Edge& edge, double limit, const Bent& ben
     edge.cost = now.cost;
     edge.squares = now.squares;
     if (outdated(graph, edge, now, limit)) return {pulls(now), change, true};
-    const double size = graph.nodes[edge.ends[0]].turned;
+    const double size = graph.nodes[edge.ends[0]].heading_std;
     const Curvature next = curvature(edge, now, bent);
     const double away = std::abs(next.h.x - edge.linear.h.x) + std::abs(next.h.y - edge.linear.h.y);
     const double moved =

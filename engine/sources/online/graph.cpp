@@ -34,25 +34,25 @@ Form form_of(Kind kind) {
 /// The standard deviations of the nodes of a new edge. A pose without sightings takes those of the pose before it.
 void rescale(const NewEdge& edge, Node& i, Node& j) {
     const bool number = edge.kind == Kind::range || edge.kind == Kind::bearing;
-    double far = 1 / std::sqrt(number ? edge.omega.xx : std::min(edge.omega.xx, edge.omega.yy));
-    double turned = edge.oriented ? 1 / std::sqrt(edge.omega.tt) : infinity;
+    double place_std = 1 / std::sqrt(number ? edge.omega.xx : std::min(edge.omega.xx, edge.omega.yy));
+    double heading_std = edge.oriented ? 1 / std::sqrt(edge.omega.tt) : infinity;
     if (edge.kind == Kind::sighting) {
-        turned = far / std::max(std::hypot(edge.z.x, edge.z.y), far);
-        if (i.borrows) i.far = i.turned = infinity;
+        heading_std = place_std / std::max(std::hypot(edge.z.x, edge.z.y), place_std);
+        if (i.borrows) i.place_std = i.heading_std = infinity;
     }
     if (number) {
         const double away = std::hypot(j.x[0] - i.x[0], j.x[1] - i.x[1]);
-        turned = edge.kind == Kind::bearing ? far : far / std::max(away, far);
-        if (edge.kind == Kind::bearing) far *= away;
+        heading_std = edge.kind == Kind::bearing ? place_std : place_std / std::max(away, place_std);
+        if (edge.kind == Kind::bearing) place_std *= away;
     }
     if (edge.kind == Kind::motion) {
-        if (i.far == infinity) i.far = far, i.turned = turned;
-        j.far = i.far, j.turned = i.turned, j.borrows = true;
+        if (i.place_std == infinity) i.place_std = place_std, i.heading_std = heading_std;
+        j.place_std = i.place_std, j.heading_std = i.heading_std, j.borrows = true;
         return;
     }
     for (Node* const node : {&i, &j}) {
-        node->far = std::min(node->far, far);
-        node->turned = std::min(node->turned, turned);
+        node->place_std = std::min(node->place_std, place_std);
+        node->heading_std = std::min(node->heading_std, heading_std);
         node->borrows = false;
     }
 }

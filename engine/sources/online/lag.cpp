@@ -39,7 +39,7 @@ struct Dense {
             const std::size_t row = 3 * graph.nodes[prior.members[i / 3]].local + i % 3;
             for (std::size_t j = 0; j < 3 * k; ++j)
                 at(row, 3 * graph.nodes[prior.members[j / 3]].local + j % 3) += prior.linear[i * 3 * k + j];
-            rhs[row] += prior.carry[i];
+            rhs[row] += prior.pull[i];
         }
     }
 };

@@ -62,7 +62,7 @@ const double* Tree::motion(const Graph& graph, const Supernode& group) {
     return all;
 }
 
-const double* Tree::strain(Supernode& group, const double* w) {
+const double* Tree::predict(Supernode& group, const double* w) {
     using sparse::lanes, sparse::load, sparse::store;
     const Front front = group.front();
     const Index h = front.update_height, pad = front.update_pad;
@@ -84,22 +84,22 @@ const double* Tree::strain(Supernode& group, const double* w) {
         own[1] += sparse::sum<lanes>(s1) - d[h + 1] * by[1];
         own[2] += sparse::sum<lanes>(s2) - d[2 * h + 2] * by[2];
     }
-    group.strain = 0.0;
-    for (Index j = 0; j < 3 * front.r; ++j) group.strain += w[j] * pull[pad + j];
+    group.separator_change = 0.0;
+    for (Index j = 0; j < 3 * front.r; ++j) group.separator_change += w[j] * pull[pad + j];
     return pull + pad;
 }
 
 void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
-    const double* const force = group.force();
-    double* const carry = group.carry();
+    const double* const pull_then = group.pull_then();
+    double* const pull_now = group.pull_now();
     if (group.frame < 0) {
         for (Id k = 0; k < group.r; ++k) {
             const Node& node = graph.nodes[group.nodes[group.w + k]];
             const Rotation turn = node.point ? Rotation() : between(node.axes, group.seen[k].axes);
             const Id at = group.begin_of(k);
-            const Lever own = turned_back(turn, force[at] - pull[at], force[at + 1] - pull[at + 1]);
-            carry[at] = own.x, carry[at + 1] = own.y;
-            if (!node.point) carry[at + 2] = force[at + 2] - pull[at + 2];
+            const Lever own = turned_back(turn, pull_then[at] - pull[at], pull_then[at + 1] - pull[at + 1]);
+            pull_now[at] = own.x, pull_now[at + 1] = own.y;
+            if (!node.point) pull_now[at + 2] = pull_then[at + 2] - pull[at + 2];
         }
         return;
     }
@@ -110,8 +110,8 @@ void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
         if (k == group.frame) continue;
         const Node& node = graph.nodes[group.nodes[group.w + k]];
         const Seen& then = group.seen[k];
-        const double *const f = force + group.begin_of(k), *const p = pull + group.begin_of(k);
-        double* const to = carry + group.begin_of(k);
+        const double *const f = pull_then + group.begin_of(k), *const p = pull + group.begin_of(k);
+        double* const to = pull_now + group.begin_of(k);
         const auto in_frame = [&](const double* v) {
             return node.point ? turned_back(axes_then, v[0], v[1]) : turned(then.axes, v[0], v[1]);
         };
@@ -125,14 +125,14 @@ void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
         y += change.y;
         torque += (node.point ? 0.0 : p[2]) - at.x * now.y + at.y * now.x + then.x * before.y - then.y * before.x;
     }
-    const double* const f = force + group.begin_of(group.frame);
-    double* const own = carry + group.begin_of(group.frame);
+    const double* const f = pull_then + group.begin_of(group.frame);
+    double* const own = pull_now + group.begin_of(group.frame);
     own[0] = f[0] + x, own[1] = f[1] + y, own[2] = f[2] + torque;
 }
 
 void Tree::follow(const Graph& graph, Id s) {
     Supernode& group = groups[s];
-    if (group.w > 0) follow(graph, group, strain(group, motion(graph, group)));
+    if (group.w > 0) follow(graph, group, predict(group, motion(graph, group)));
 }
 
 void Tree::move(Graph& graph, Supernode& group, const double* w) {
@@ -201,9 +201,9 @@ Tree::Moved Tree::descend(Graph& graph, double least) {
                 continue;
             }
             const double* const w = motion(graph, child);
-            if (s > 0 && child.energy <= least) {
-                const double* const pull = strain(child, w);
-                if (child.strain * child.stress <= least) {
+            if (s > 0 && child.largest_decrease <= least) {
+                const double* const pull = predict(child, w);
+                if (child.separator_change * child.largest_squares <= least) {
                     follow(graph, child, pull);
                     continue;
                 }
@@ -228,8 +228,8 @@ void Tree::rest(Graph& graph, Id s) {
         group.seen[k] = alone ? value_of(node) : seen_from(graph.nodes[group.nodes[group.w + group.frame]], node);
     }
     std::fill_n(group.y(), 3 * group.wide, 0.0);
-    group.strain = group.energy = 0.0;
-    group.stress = 1.0;
+    group.separator_change = group.largest_decrease = 0.0;
+    group.largest_squares = 1.0;
 }
 
 void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
@@ -245,7 +245,7 @@ void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
             if (edge.taken_out()) continue;
             const Evaluated now = online::evaluate(graph, edge, found.limit, found.bent);
             found.change += now.change;
-            group.stress = std::max(group.stress, edge.squares);
+            group.largest_squares = std::max(group.largest_squares, edge.squares);
             if (now.outdated) found.late.push_back(e);
             const int side = edge.side(group.nodes[q]);
             const auto add = [&](Id row, int end) {
@@ -256,11 +256,11 @@ void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
         }
     for (Id c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
-        const double* const carry = child.carry();
+        const double* const pull_now = child.pull_now();
         for (Id q = 0; q < child.r; ++q)
-            for (Id k = 0; k < child.size_of(q); ++k) at[child.relative[q] + k] += carry[child.begin_of(q) + k];
-        group.energy = std::max(group.energy, child.energy);
-        group.stress = std::max(group.stress, child.stress);
+            for (Id k = 0; k < child.size_of(q); ++k) at[child.relative[q] + k] += pull_now[child.begin_of(q) + k];
+        group.largest_decrease = std::max(group.largest_decrease, child.largest_decrease);
+        group.largest_squares = std::max(group.largest_squares, child.largest_squares);
     }
     double square = 0.0;
     double* const y = group.y();
@@ -270,9 +270,9 @@ void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
             y[3 * j + k] = part.v[k];
         }
     });
-    std::copy_n(at + 3 * front.w, 3 * front.r, group.force());
-    std::copy_n(at + 3 * front.w, 3 * front.r, group.carry());
-    group.energy = std::max(group.energy, square);
+    std::copy_n(at + 3 * front.w, 3 * front.r, group.pull_then());
+    std::copy_n(at + 3 * front.w, 3 * front.r, group.pull_now());
+    group.largest_decrease = std::max(group.largest_decrease, square);
     found.predicted += square;
 }
 

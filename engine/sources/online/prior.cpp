@@ -92,7 +92,7 @@ void Prior::evaluate(const Graph& graph, bool renew) {
     std::vector<Triple> x;
     for (const Id member : members) x.push_back(graph.nodes[member].x);
     const Way way(*this, x, point);
-    carry = way.gradient(*this);
+    pull = way.gradient(*this);
     if (!renew) return;
     linear = way.information(*this);
     at = std::move(x);

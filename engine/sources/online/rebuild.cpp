@@ -98,8 +98,8 @@ class Kept {
         for (const Id e : top.edges) edges_.push_back(graph.edges[e]);
         for (const Id s : top.below) {
             Supernode& group = tree.groups[s];
-            places_.push_back({group.parent, group.sibling, group.ascending, group.strain, group.relative, group.run_end,
-                               std::vector<double>(group.carry(), group.carry() + 3 * group.tall)});
+            places_.push_back({group.parent, group.sibling, group.ascending, group.separator_change, group.relative,
+                               group.run_end, std::vector<double>(group.pull_now(), group.pull_now() + 3 * group.tall)});
         }
         for (Id c = root_; c > 0; c = tree.groups[c].sibling) roots_.push_back(c);
     }
@@ -111,10 +111,10 @@ class Kept {
         for (std::size_t k = 0; k < edges_.size(); ++k) graph.edges[top_.edges[k]] = edges_[k];
         for (std::size_t k = 0; k < places_.size(); ++k) {
             Supernode& group = tree.groups[top_.below[k]];
-            std::vector<double> carry;
-            std::tie(group.parent, group.sibling, group.ascending, group.strain, group.relative, group.run_end, carry) =
-                std::move(places_[k]);
-            std::copy(carry.begin(), carry.end(), group.carry());
+            std::vector<double> pull;
+            std::tie(group.parent, group.sibling, group.ascending, group.separator_change, group.relative, group.run_end,
+                     pull) = std::move(places_[k]);
+            std::copy(pull.begin(), pull.end(), group.pull_now());
         }
         tree.groups[0].child = root_;
         for (std::size_t k = 0; k < roots_.size(); ++k)

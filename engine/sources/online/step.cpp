@@ -1,4 +1,10 @@
-// Passes of one step, until the cost falls no further.
+// The passes of a step. A step (`OnlineSystem::add`)
+//
+//     moves the nodes at which its edges end, and those above them in the tree, to the solution,
+//     appends the edges,
+//     eliminates the top of the tree again, with the new nodes (rebuild.cpp),
+//     passes through the tree until the next pass would lower J by less than the tolerance (`advance`),
+//     and where that fails, solves the graph as a batch (batch.cpp), or undoes what it has changed.
 //
 // A pass moves the nodes to the solution from the roots down, evaluates their edges, and solves the tree again on the way up. It
 // leaves out subtrees that are not deformed; see tree.hpp.
@@ -15,14 +21,17 @@ namespace {
 constexpr double settled = 2e-7, finer = 0.3;
 /// What rounding leaves of a prediction where J is zero.
 constexpr double rounding = 1e-15;
-/// Where a pass predicts more than `slow` times the decrease of the pass before, the limit beyond which an edge is linearised
-/// again is multiplied by `stricter`, and by `easier` after every step whose last pass does not.
-constexpr double slow = 0.2, stricter = 0.1, easier = 1.5;
-/// After edges were linearised again, `diverging` takes the place of `slow`. All edges get their second derivatives where the
-/// predicted decrease then grows by the factor `grows` although the end is near: it is below `near` times J, the limit of
-/// edges is below `strict`, and what is left out is below `fine` times the usual. Second derivatives make passes slow along
-/// directions that are hardly determined, so that they are not in the factor otherwise.
-constexpr double diverging = 0.5, grows = 1.5, near = 1e-6, strict = 1e-4, fine = 0.03;
+/// A pass is slow where it predicts more than this part of the decrease that the pass before predicted; after edges were
+/// linearised again, where it predicts more than `diverging` of it.
+constexpr double slow = 0.2, diverging = 0.5;
+/// The limit beyond which an edge is linearised again is multiplied by `stricter` after a slow pass, and by `easier` after every
+/// step whose last pass is not slow.
+constexpr double stricter = 0.1, easier = 1.5;
+/// All edges get their second derivatives after a slow pass if its prediction is larger by the factor `grows` than the one
+/// before, although the end is near: it is below `near` times J, the limit of edges is below `strict`, and what is left out is
+/// below `fine` times the usual. Second derivatives make passes slow along directions that are hardly determined, so that they
+/// are not in the factor otherwise.
+constexpr double grows = 1.5, near = 1e-6, strict = 1e-4, fine = 0.03;
 /// For so many passes second derivatives are convex once exact ones have made Omega indefinite.
 constexpr int held = 3;
 /// By so much the largest ratio of the predictions of two passes falls with each step.

@@ -68,7 +68,7 @@ void OnlineSystem::write_prior(const Prior& prior, bool renewed) {
     const auto put = [&](const double* from, double* to) {
         for (Id k = 0; k < group.r; ++k) std::copy_n(from + 3 * k, group.size_of(k), to + group.begin_of(k));
     };
-    put(prior.carry.data(), group.carry());
+    put(prior.pull.data(), group.pull_now());
     if (!renewed) return;
     const Front front = group.front();
     std::fill_n(group.update(), 3 * front.r * front.update_height, 0.0);
@@ -78,37 +78,57 @@ void OnlineSystem::write_prior(const Prior& prior, bool renewed) {
                 group.update() + (group.begin_of(k) + c) * front.update_height + front.update_pad);
 }
 
+/// What a step changes until an elimination has succeeded, to put it back: nodes from `homes` up to the roots, the new nodes and
+/// edges, and what the system remembers.
+class OnlineSystem::Undo {
+   public:
+    Undo(OnlineSystem& system, std::span<const Id> homes, Id known)
+        : system_(system),
+          known_(known),
+          first_edge_(static_cast<Id>(system.graph_.edges.size())),
+          remembered_(system.memory_, system.ordered_, system.passes, system.converged, system.covariances_ready_) {
+        for (const Id s : system.tree_.upwards(homes))
+            for (const Id node : system.tree_.groups[s].columns()) nodes_.push_back({node, system.graph_.nodes[node]});
+        for (const Prior& prior : system.priors_) of_priors_.push_back(prior.pull);
+    }
+    void operator()() const {
+        system_.graph_.detach(first_edge_);
+        for (const auto& [node, kept] : nodes_) system_.graph_.nodes[node] = kept;
+        for (std::size_t k = 0; k < of_priors_.size(); ++k) {
+            system_.priors_[k].pull = of_priors_[k];
+            system_.write_prior(system_.priors_[k], false);
+        }
+        system_.graph_.nodes.resize(known_);
+        std::tie(system_.memory_, system_.ordered_, system_.passes, system_.converged, system_.covariances_ready_) =
+            remembered_;
+    }
+
+   private:
+    OnlineSystem& system_;
+    Id known_, first_edge_;
+    std::vector<std::pair<Id, Node>> nodes_;
+    std::vector<std::vector<double>> of_priors_;
+    std::tuple<Memory, Id, int, bool, bool> remembered_;
+};
+
 bool OnlineSystem::add(Id known, std::span<const NewEdge> added, std::span<const Id> newest) {
     if (added.empty()) {
         // a known pose from which nothing is seen
         passes = 0;
         return true;
     }
-    const auto first = static_cast<Id>(graph_.edges.size());
-    const auto before = std::tuple(memory_, ordered_, passes, converged, covariances_ready_);
-    // older nodes of the step and those above them are all that changes before an elimination has succeeded
     std::vector<Id> homes;
     for (const NewEdge& edge : added)
         for (const Id end : {edge.first, edge.second})
             if (end < known) homes.push_back(graph_.nodes[end].home);
-    std::vector<std::pair<Id, Node>> nodes;
-    for (const Id s : tree_.upwards(homes))
-        for (const Id node : tree_.groups[s].columns()) nodes.push_back({node, graph_.nodes[node]});
-    std::vector<std::vector<double>> carries;
-    for (const Prior& prior : priors_) carries.push_back(prior.carry);
+    const Undo undo(*this, homes, known);
     tree_.move_paths(graph_, homes);
+    auto e = static_cast<Id>(graph_.edges.size());
     const std::vector<Id> touched = graph_.append(added, known);
     std::vector<Id> fresh;
-    for (auto e = first; e < static_cast<Id>(graph_.edges.size()); ++e) fresh.push_back(e);
+    for (; e < static_cast<Id>(graph_.edges.size()); ++e) fresh.push_back(e);
     if (solve(touched, fresh, newest)) return true;
-    graph_.detach(first);
-    for (const auto& [node, kept] : nodes) graph_.nodes[node] = kept;
-    for (std::size_t k = 0; k < carries.size(); ++k) {
-        priors_[k].carry = carries[k];
-        write_prior(priors_[k], false);
-    }
-    graph_.nodes.resize(known);
-    std::tie(memory_, ordered_, passes, converged, covariances_ready_) = before;
+    undo();
     return false;
 }
 
@@ -150,7 +170,8 @@ bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Id> newes
     for (std::size_t k = 0; k < x.size(); ++k) {
         Node& node = graph_.nodes[k];
         Node anew;
-        anew.far = node.far, anew.turned = node.turned, anew.borrows = node.borrows, anew.edges = node.edges;
+        anew.place_std = node.place_std, anew.heading_std = node.heading_std, anew.borrows = node.borrows,
+        anew.edges = node.edges;
         anew.point = node.point, anew.gone = node.gone, anew.held = node.held;
         anew.begin(x[k]);
         node = anew;

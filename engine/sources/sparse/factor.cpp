@@ -30,7 +30,7 @@ Index Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
     for (Index q = t.entry_start[s]; q < t.entry_start[s + 1]; ++q) {
         const Entry& entry = t.entries[q];
         Block::put(panel.node(entry.column) + panel.row(entry.row), h, values.data() + Block::size * entry.block(),
-                   entry.turned());
+                   entry.transposed());
     }
     double* const limits = limits_.data() + Block::rows * t.first[s];
     for (Step j = 0; j < panel.front.w; ++j)

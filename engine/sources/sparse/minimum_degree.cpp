@@ -15,10 +15,10 @@ namespace {
 /// members are chained, so that the order is written out as the pivots are chosen.
 class QuotientGraph {
    public:
-    QuotientGraph(const Neighbours& graph, Node limit, std::span<const Node> turn)
+    QuotientGraph(const Neighbours& graph, Node limit, std::span<const Node> stage)
         : n_(graph.size()),
           last_(graph.size()),
-          turn_(turn),
+          stage_(stage),
           graph_(graph.list.size() * 3 / 2 + graph.size() + 1),
           start_(graph.start.begin(), graph.start.end() - 1),
           free_(static_cast<Index>(graph.list.size())),
@@ -39,11 +39,11 @@ class QuotientGraph {
           order_(n_) {
         std::copy(graph.list.begin(), graph.list.end(), graph_.begin());
         std::iota(tail_.begin(), tail_.end(), 0);
-        if (!turn.empty()) now_ = *std::min_element(turn.begin(), turn.end());
+        if (!stage.empty()) now_ = *std::min_element(stage.begin(), stage.end());
         for (Node i = 0; i < n_; ++i) {
             length_[i] = graph.degree(i);
             const bool dense = length_[i] > limit;
-            if (!dense && !(length_[i] == 0 && turn_of(i) == now_)) continue;
+            if (!dense && !(length_[i] == 0 && stage_of(i) == now_)) continue;
             order_[dense ? --last_ : done_++] = i;
             weight_[i] = 0;
             alive_[i] = 0;
@@ -57,7 +57,7 @@ class QuotientGraph {
                 length_[i] = static_cast<Node>(q - start_[i]);
             }
             degree_[i] = length_[i];
-            if (turn_of(i) == now_) link(i, degree_[i]);
+            if (stage_of(i) == now_) link(i, degree_[i]);
         }
     }
 
@@ -80,7 +80,7 @@ class QuotientGraph {
     }
 
    private:
-    Node turn_of(Node i) const { return turn_.empty() ? 0 : turn_[i]; }
+    Node stage_of(Node i) const { return stage_.empty() ? 0 : stage_[i]; }
 
     void link(Node i, Node d) {
         degree_[i] = d;
@@ -100,7 +100,7 @@ class QuotientGraph {
         ++now_;
         lowest_ = 0;
         for (Node i = 0; i < n_; ++i)
-            if (weight_[i] > 0 && turn_of(i) == now_) link(i, degree_[i]);
+            if (weight_[i] > 0 && stage_of(i) == now_) link(i, degree_[i]);
     }
 
     Node lowest_degree() {
@@ -148,7 +148,7 @@ class QuotientGraph {
                 reach_ += weight_[i];
                 weight_[i] = -weight_[i];
                 graph_[end_++] = i;
-                if (turn_of(i) == now_) unlink(i);
+                if (stage_of(i) == now_) unlink(i);
             }
         }
         if (elements > 0) free_ = end_;
@@ -201,7 +201,7 @@ class QuotientGraph {
                 graph_[q++] = j;
                 key += j;
             }
-            if (external == 0 && turn_of(i) == now_) {
+            if (external == 0 && stage_of(i) == now_) {
                 const Node w = -weight_[i];
                 pivot_weight_ += w;
                 reach_ -= w;
@@ -234,7 +234,7 @@ class QuotientGraph {
                 for (Index q = start_[i]; q < start_[i] + length_[i]; ++q) mark_[graph_[q]] = stamp_;
                 Node previous = i;
                 for (Node j = sibling_[i]; j >= 0; j = sibling_[j]) {
-                    bool same = length_[j] == length_[i] && elements_[j] == elements_[i] && turn_of(j) == turn_of(i);
+                    bool same = length_[j] == length_[i] && elements_[j] == elements_[i] && stage_of(j) == stage_of(i);
                     for (Index q = start_[j]; same && q < start_[j] + length_[j]; ++q) same = mark_[graph_[q]] == stamp_;
                     if (!same) {
                         previous = j;
@@ -262,7 +262,7 @@ class QuotientGraph {
             weight_[i] = w;
             const Node d = std::max(0, std::min(degree_[i] + reach_ - w, last_ - after - w));
             degree_[i] = d;
-            if (turn_of(i) == now_) {
+            if (stage_of(i) == now_) {
                 link(i, d);
                 lowest_ = std::min(lowest_, d);
             }
@@ -280,7 +280,7 @@ class QuotientGraph {
     }
 
     Node n_, done_ = 0, last_, now_ = 0, lowest_ = 0;
-    std::span<const Node> turn_;
+    std::span<const Node> stage_;
     std::vector<Node> graph_;
     std::vector<Index> start_;
     Index free_;
@@ -306,8 +306,8 @@ Order joined(const Reduced& reduced, const Order& tail) {
 
 }  // namespace
 
-Order minimum_degree(const Neighbours& graph, Node limit, std::span<const Node> turn) {
-    return QuotientGraph(graph, limit, turn).eliminate();
+Order minimum_degree(const Neighbours& graph, Node limit, std::span<const Node> stage) {
+    return QuotientGraph(graph, limit, stage).eliminate();
 }
 
 Order minimum_degree(const Pattern& pattern, Node limit) {
@@ -319,9 +319,9 @@ Order nested_dissection(const Pattern& pattern, Node limit) {
     const Reduced reduced = without_low_degrees(pattern);
     const std::vector<Node> depth = separator_depths(reduced.rest, limit);
     const Node deepest = depth.empty() ? 0 : *std::max_element(depth.begin(), depth.end());
-    std::vector<Node> turn(depth.size());
-    for (std::size_t k = 0; k < depth.size(); ++k) turn[k] = depth[k] >= 0 ? deepest + 1 - depth[k] : 0;
-    return joined(reduced, minimum_degree(reduced.rest, limit, turn));
+    std::vector<Node> stage(depth.size());
+    for (std::size_t k = 0; k < depth.size(); ++k) stage[k] = depth[k] >= 0 ? deepest + 1 - depth[k] : 0;
+    return joined(reduced, minimum_degree(reduced.rest, limit, stage));
 }
 
 Node degree_limit(Node nodes, double dense) {

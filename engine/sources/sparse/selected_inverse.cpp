@@ -184,7 +184,7 @@ SelectedInverse::SelectedInverse(const Factor<Real3>& factor)
 
 std::optional<std::array<double, 9>> SelectedInverse::block(Node i, Node j) const {
     const Symbolic& t = *symbolic_;
-    const bool turned = t.position[i] < t.position[j];
+    const bool transposed = t.position[i] < t.position[j];
     const auto [column, row] = std::minmax(t.position[i], t.position[j]);
     const Node s = t.owner(column);
     const Front front = t.front(s);
@@ -199,7 +199,7 @@ std::optional<std::array<double, 9>> SelectedInverse::block(Node i, Node j) cons
         panels_.data() + t.panel_start[s] + 3 * (column - t.first[s]) * front.height + front.pad + 3 * local;
     std::array<double, 9> block;
     for (int a = 0; a < 3; ++a)
-        for (int b = 0; b < 3; ++b) block[3 * (turned ? b : a) + (turned ? a : b)] = z[b * front.height + a];
+        for (int b = 0; b < 3; ++b) block[3 * (transposed ? b : a) + (transposed ? a : b)] = z[b * front.height + a];
     return block;
 }
 

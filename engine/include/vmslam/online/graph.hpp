@@ -30,16 +30,16 @@ struct Node {
     Rotation axes, base_axes;  ///< of x and of the base
     Triple kept{};       ///< the value before the latest step that changed it
     Triple diagonal{};   ///< the diagonal of Omega, without priors
-    /// The smallest standard deviations of its edges [m, rad], at first of those of the pose before. Changes of Jacobians are
-    /// weighed with these.
-    double far = infinity, turned = infinity;
+    /// The smallest standard deviations of its edges [m, rad], with which changes of Jacobians are weighed. A new pose has those
+    /// of the pose before it until its first sighting.
+    double place_std = infinity, heading_std = infinity;
     Stamp changed = 0;  ///< the latest step that changed x
     Id home = 0;  ///< the supernode in which the node is eliminated; 0: none yet
     Id edges = -1, owned = -1;  ///< the first edge of the node; the first that is assembled where it is eliminated
     Id local = -1;  ///< the number within a part of the graph; -1 between the calls
     bool point = false, gone = false;  ///< gone: marginalised
     bool held = false;  ///< a pose with a prior of its own
-    bool borrows = false;  ///< whether a first sighting replaces far and turned, which only the pose before has lent
+    bool borrows = false;  ///< whether both deviations are those of the pose before, which a first sighting replaces
 
     /// The numbers that the node has in the equations.
     Id size() const { return point ? 2 : 3; }

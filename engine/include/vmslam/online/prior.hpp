@@ -11,7 +11,7 @@
 // What edges between nodes leave is relative: after a long way the heading of the first node is uncertain, and an absolute way
 // is not linear in it. The tree has Lambda_x = J' Lambda J, J = dv/dx, and
 //
-//     carry = J' (b - Lambda v).
+//     pull = J' (b - Lambda v).
 #pragma once
 
 #include <vector>
@@ -27,13 +27,13 @@ struct Prior {
     std::vector<Triple> centre;
     bool relative = false;
     std::vector<double> pivot;  ///< q (2) of a prior that turns with its nodes, otherwise empty
-    std::vector<double> linear, carry;  ///< Lambda_x and `carry` of the tree
+    std::vector<double> linear, pull;  ///< Lambda_x and `pull` of the tree
     std::vector<Triple> at;  ///< the values of the nodes at which Lambda_x was evaluated
     Id group = 0;  ///< the supernode of the prior
 
     /// Turn the information from world axes to those of the centres.
     void turn_to_poses();
-    /// `carry` at the present values of the nodes, and Lambda_x, if it is to be renewed.
+    /// `pull` at the present values of the nodes, and Lambda_x, if it is to be renewed.
     void evaluate(const Graph& graph, bool renew);
     /// v' Lambda v - 2 b' v at the present values of the nodes.
     double cost(const Graph& graph) const;

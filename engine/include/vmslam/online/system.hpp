@@ -17,8 +17,8 @@ struct Memory {
     double predicted = 0.0;  ///< by how much solving the supernodes that were factorised last would lower it
     double limit = 1e-4;     ///< how far an edge in the factor may be from the present one
     Bent bent;
-    int hold = 0;            ///< for how many passes no second derivatives are exact
-    double shrinks = 0.0;    ///< how slowly passes converge
+    int hold = 0;            ///< for how many further passes second derivatives stay convex
+    double shrinks = 0.0;    ///< the largest ratio of the predictions of two passes, one after the other, of late
 };
 
 class OnlineSystem {
@@ -83,13 +83,14 @@ class OnlineSystem {
     bool restore(std::string_view bytes);
 
    private:
+    class Undo;
     enum class Outcome { done, unfinished, indefinite };
 
     /// Passes until the predicted decrease of the cost is below the tolerance.
     bool iterate(std::span<const Id> newest);
     Outcome advance(int& done);
-    /// One pass, but for subtrees with less energy and strain than `least`: the decrease of the cost by the next one, and the
-    /// edges and priors that are to be linearised again.
+    /// One pass, but for subtrees that would change J by less than `least`: the decrease of J by the next one, and the edges and
+    /// priors that are to be linearised again.
     struct Pass {
         double predicted;
         std::vector<Id> late;

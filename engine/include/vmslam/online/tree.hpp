@@ -4,22 +4,22 @@
 // are eliminated later. A pose has three numbers in its front and a point two; unit rows fill each of the two parts up to
 // blocks of three, for which the dense work is made. It keeps
 //
-//     panel    the columns of L, L11 over L21, with inverse pivots (`sparse::Front`),
-//     update   U, what the whole subtree adds to Omega of the separator: its edges, less what eliminating its nodes takes,
-//     y        L11^-1 times the pulls on its nodes, at the last evaluation,
-//     force    what the whole subtree pulled the separator with then,
-//     carry    what it pulls the separator with at the estimate.
+//     panel       the columns of L, L11 over L21, with inverse pivots (`sparse::Front`),
+//     update      U, what the whole subtree adds to Omega of the separator: its edges, less what eliminating its nodes takes,
+//     y           L11^-1 xi of its nodes, at the last evaluation,
+//     pull_then   xi of the separator from the whole subtree, at the last evaluation,
+//     pull_now    the same at the estimate.
 //
-// An edge is assembled where its first end is eliminated, with its parts for both ends. So U and force belong to the subtree as a
-// whole, and J of a subtree does not change when its separator moves as a rigid body. Let w be the motion of the separator since
-// the last evaluation against one of its poses, the `frame`, in the axes that its nodes had then. Then
+// An edge is assembled where its first end is eliminated, with its parts for both ends. So U and the pulls belong to the subtree
+// as a whole, and J of a subtree does not change when its separator moves as a rigid body. Let w be the motion of the separator
+// since the last evaluation against one of its poses, the `frame`, in the axes that its nodes had then. Then
 //
 //     a = L11^-T (y - L21' w)     are the increments of its nodes, which first move along with the frame,
-//     force - U w                 is what it pulls the separator with, turned along with the frame.
+//     pull_then - U w             is pull_now, turned along with the frame.
 //
-// A pass leaves a subtree out as long as its strain w' U w is small: it has no nodes to move and no edges to evaluate.
-// The forces on the frame follow from those on the others, where these are now: forces that did not balance exactly would turn
-// the map, which resists little.
+// A pass leaves a subtree out as long as the change w' U w of J is small: it has no nodes to move and no edges to evaluate.
+// The pull on the frame is computed from the others so that forces and torques sum to zero. Otherwise rounding would rotate the
+// map, whose heading has little information.
 //
 // A supernode with w = 0 is a prior: a dense quadratic on its separator. Supernode 0 is the parent of all roots.
 #pragma once
@@ -46,9 +46,9 @@ struct Supernode {
     bool marked = false;  ///< false between the calls
     bool ascending = true;  ///< whether `relative` ascends
     bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
-    double energy = 0.0;  ///< y' y, by how much solving a supernode lowers the cost: the largest in the subtree
-    double strain = 0.0;  ///< w' U w
-    double stress = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
+    double largest_decrease = 0.0;  ///< y' y, by how much solving a supernode lowers J: the largest in the subtree
+    double separator_change = 0.0;  ///< w' U w, by how much the motion of the separator changes J
+    double largest_squares = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
     std::vector<Id> nodes;  ///< w nodes, then r nodes, both in the order of elimination
     std::vector<Id> row;  ///< (w + r + 1) where the numbers of each begin in the front, and where those of the last one end
     std::vector<Id> relative, run_end;  ///< where those of the separator begin in the front of the parent; ends of its runs
@@ -63,8 +63,8 @@ struct Supernode {
     double* panel() { return numbers.data(); }
     double* update() { return panel() + 3 * wide * front().height; }
     double* y() { return update() + 3 * tall * front().update_height; }
-    double* force() { return y() + 3 * wide; }
-    double* carry() { return force() + 3 * tall; }
+    double* pull_then() { return y() + 3 * wide; }
+    double* pull_now() { return pull_then() + 3 * tall; }
     /// Where the numbers of a node of the separator begin among those of the separator, and how many they are.
     Id begin_of(Id k) const { return row[w + k] - 3 * wide; }
     Id size_of(Id k) const { return row[w + k + 1] - row[w + k]; }
@@ -111,14 +111,14 @@ class Tree {
     /// The same for all supernodes from `homes` up to the roots, and for all.
     void move_paths(Graph& graph, std::span<const Id> homes);
     void move_all(Graph& graph);
-    /// What a subtree pulls its separator with where that is now, and its strain.
+    /// What a subtree pulls its separator with where that is now, and `separator_change`.
     void follow(const Graph& graph, Id s);
     /// Take the present values of the nodes of a supernode as those from which they move, by nothing.
     void rest(Graph& graph, Id s);
     /// Evaluate the edges of a supernode, whose nodes and children are where they are to be, and solve it forward.
     void evaluate(Graph& graph, Id s, Evaluation& found);
 
-    /// Move supernodes to the solution from the roots down, but for subtrees with less energy and strain than `least`.
+    /// Move supernodes to the solution from the roots down, but for subtrees that would change J by less than `least`.
     struct Moved {
         std::vector<Id> supernodes, priors;  ///< parents before their children; the priors below them
     };
@@ -140,7 +140,8 @@ class Tree {
     /// w of a supernode.
     const double* motion(const Graph& graph, const Supernode& group);
     void move(Graph& graph, Supernode& group, const double* w);
-    const double* strain(Supernode& group, const double* w);
+    /// U w, and `separator_change`.
+    const double* predict(Supernode& group, const double* w);
     void follow(const Graph& graph, Supernode& group, const double* pull);
 
     std::vector<Id> free_;

@@ -33,9 +33,9 @@ struct Real3 {
     };
 
     /// A block of the matrix at its place in a panel.
-    static void put(double* t, Step h, const double* v, bool turned) {
+    static void put(double* t, Step h, const double* v, bool transposed) {
         // steps instead of a branch, which cannot be predicted
-        const int down = turned ? 1 : 3, across = 4 - down;
+        const int down = transposed ? 1 : 3, across = 4 - down;
 #pragma GCC unroll 3
         for (int c = 0; c < 3; ++c)
 #pragma GCC unroll 3
@@ -128,8 +128,8 @@ struct Real2 {
         }
     };
 
-    static void put(double* t, Step h, const double* v, bool turned) {
-        const int down = turned ? 1 : 2, across = 3 - down;
+    static void put(double* t, Step h, const double* v, bool transposed) {
+        const int down = transposed ? 1 : 2, across = 3 - down;
         t[0] = v[0], t[1] = v[down];
         t[h] = v[across], t[h + 1] = v[3];
     }
@@ -200,10 +200,10 @@ struct Hermitian2 {
         }
     };
 
-    static void put(double* t, Step h, const std::complex<double>* v, bool turned) {
+    static void put(double* t, Step h, const std::complex<double>* v, bool transposed) {
         for (int c = 0; c < 2; ++c)
             for (int i = 0; i < 2; ++i) {
-                const std::complex<double> a = turned ? std::conj(v[2 * c + i]) : v[2 * i + c];
+                const std::complex<double> a = transposed ? std::conj(v[2 * c + i]) : v[2 * i + c];
                 t[2 * c * h + i] = a.real();
                 t[(2 * c + 1) * h + i] = a.imag();
             }

@@ -41,8 +41,8 @@ struct Reduced {
 };
 Reduced without_low_degrees(const Pattern& pattern);
 
-/// Minimum degree among nodes of the same `turn` (n, empty: all the same), turn after turn.
-Order minimum_degree(const Neighbours& graph, Node limit, std::span<const Node> turn);
+/// Minimum degree among nodes of the same `stage` (n, empty: all the same), stage after stage.
+Order minimum_degree(const Neighbours& graph, Node limit, std::span<const Node> stage);
 
 /// The depth of the separator that each node belongs to, 0 for the first; -1 for nodes in no separator.
 std::vector<Node> separator_depths(const Neighbours& graph, Node limit);

@@ -33,10 +33,10 @@ struct Front {
 
 /// A block of the matrix: its number, whether it enters transposed, and its row and column in the front, in nodes.
 struct Entry {
-    Index block_and_turned;
+    Index block_and_transposed;
     Node row, column;
-    Index block() const { return block_and_turned >> 1; }
-    bool turned() const { return block_and_turned & 1; }
+    Index block() const { return block_and_transposed >> 1; }
+    bool transposed() const { return block_and_transposed & 1; }
 };
 
 /// The structure of L in the order of elimination, for blocks of one shape. Supernodes are numbered in that order.
