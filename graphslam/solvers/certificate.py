@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..edges import ConstantEdges
+from ..edges import ConstantEdges, EdgeFamily
 from ..edges.base import EngineEdges, check_rows, node_numbers
 from ..engine import engine
 from ..errors import GraphError
@@ -120,7 +120,7 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     if len(moved):
         outcome: _Outcome = NOT_PROVEN, 0.0, f"the state moves {graph.names(moved)}, which the graph holds", None
     else:
-        outcome = _outcome(lambda: _of_graph(graph, state), cost, thorough)
+        outcome = _outcome(lambda: _problem(graph.families, state, graph.fixed, graph.system.structure), cost, thorough)
     if graph.reweighted:
         outcome = _for_weights(outcome)
     status, bound, reason, direction = outcome
@@ -156,25 +156,17 @@ def _for_weights(outcome: _Outcome) -> _Outcome:
     )
 
 
-def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
+def prove_edges(edges: Sequence[EdgeFamily], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
     """`prove` for edges that belong to no `Graph`.
 
     Args:
-        edges: their ``landmarks`` follow the rows of the state.
+        edges: their families.
         state: (n, 3) the candidate.
         fixed: the nodes that are held at their rows of the state.
         cost: of the state.
     """
-
-    def problem() -> _Problem:
-        taken = engine.ConstantEdges()
-        nodes = np.concatenate([state, *(each.landmarks for each in edges)])
-        for each in edges:
-            _add(taken, each, len(nodes))
-        return _Problem(taken, nodes, fixed, len(state))
-
     begin = time.perf_counter()
-    return _certificate(_outcome(problem, cost, thorough=True), cost, begin)
+    return _certificate(_outcome(lambda: _problem(edges, state, fixed), cost, thorough=True), cost, begin)
 
 
 #: status, lower bound, reason and direction of a `Certificate`
@@ -237,10 +229,13 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
     return NOT_PROVEN, best, reason, direction
 
 
-def _of_graph(graph: Graph, state: Array) -> _Problem:
+def _problem(
+    families: Sequence[EdgeFamily], state: Array, fixed: np.ndarray, structure: Structure | None = None
+) -> _Problem:
+    """The edges of families at a state (n, 3); ``structure`` is that of the state's nodes, where it is known."""
     reasons: list[str] = []
     taken, nodes = engine.ConstantEdges(), np.array(state, dtype=float)
-    for family in graph.families:
+    for family in families:
         try:
             if isinstance(family, EngineEdges) and type(family).constant is EngineEdges.constant:
                 family.check_constant()
@@ -256,8 +251,7 @@ def _of_graph(graph: Graph, state: Array) -> _Problem:
             nodes = np.concatenate([nodes, landmarks])
     if reasons:
         raise GraphError("; ".join(dict.fromkeys(reasons)))
-    structure = graph.system.structure if len(nodes) == graph.num_nodes else None
-    return _Problem(taken, nodes, graph.fixed, graph.num_nodes, structure)
+    return _Problem(taken, nodes, fixed, len(state), structure if len(nodes) == len(state) else None)
 
 
 def _add(taken: Any, edges: ConstantEdges, nodes: int) -> None:
