@@ -242,15 +242,14 @@ def solve_with_gtsam(
     begin = time.perf_counter()
 
     def run_from(start: Array, _: str = DAMPED, descend: bool = False) -> Run:  # noqa: ARG001  # always lowers J
-        started, run = graph.with_initial(start), Run(start, tolerance, max_iterations)
+        run = Run(start, tolerance, max_iterations)
         try:
             if graph.state_dependent_information:
-                ends = _refrozen(started, tolerance, max_iterations, factors)
+                _refrozen(graph, run, factors)
             else:
-                ends = _optimize(started, made, tolerance, max_iterations)
+                _optimize(graph, made, run)
         except RuntimeError as error:
             raise GraphError(f"gtsam failed: {str(error).strip().splitlines()[0]}") from None
-        run.state, run.step_norms, run.converged = ends
         if run.converged:
             run.reason = f"step norm {run.step_norms[-1]:.1e} below the tolerance {tolerance:g}"
         elif len(run.step_norms) >= max_iterations:
@@ -263,12 +262,8 @@ def solve_with_gtsam(
 
     end = best_end(graph, run_from, DAMPED) if initialize == "auto" else None
     run = run_from(starting_state(graph, initialize)) if end is None else end.run
-    seconds = time.perf_counter() - begin
-    return make_solution(
-        graph, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,
-        seconds=seconds, solver="gtsam", notes=(_contents(made),),
-        certificate=None if end is None else end.known_certificate,
-    )  # fmt: skip
+    seconds, certificate = time.perf_counter() - begin, None if end is None else end.known_certificate
+    return make_solution(graph, run, "gtsam", seconds, notes=(_contents(made),), certificate=certificate)
 
 
 def _with_parameters(graph: Graph, tolerance: float, most: int, initialize: str, factors: str) -> Solution:
@@ -284,10 +279,7 @@ def _with_parameters(graph: Graph, tolerance: float, most: int, initialize: str,
         return solve_jointly(start, state, solve_jointly_with_gtsam, run), run
 
     found, run = best_of_starts(graph, solved, jointly)
-    return make_solution(
-        found, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,
-        seconds=time.perf_counter() - begin, solver="gtsam",
-    )  # fmt: skip
+    return make_solution(found, run, "gtsam", time.perf_counter() - begin)
 
 
 def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
@@ -299,51 +291,44 @@ def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
     return "graph: " + ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds.items())
 
 
-def _optimize(
-    graph: Graph,
-    factors: gtsam.NonlinearFactorGraph,
-    tolerance: float,
-    max_iterations: int,
-    roughly: float = 0.0,
-) -> tuple[Array, list[float], bool]:
-    """Levenberg-Marquardt until it converges: the state, the norm of every step, and whether the end is a minimum.
+def _optimize(graph: Graph, factors: gtsam.NonlinearFactorGraph, run: Run, roughly: float = 0.0) -> None:
+    """Levenberg-Marquardt from ``run.state`` until it converges at a minimum.
 
     A short step alone proves nothing: damping may have shortened it. So the last step is one of Gauss-Newton, and its
     predicted decrease of J must be negligible (`_promises_little`): at most the part ``tolerance`` of J. With ``roughly``
     above 0 that is the part, and a damped step whose predicted decrease is as small is enough.
     """
-    part = roughly or tolerance
-    values = to_values(graph, graph.initial)
-    values.insert(eliminated_landmarks(graph, graph.initial))
+    part = roughly or run.tolerance
+    values = to_values(graph, run.state)
+    values.insert(eliminated_landmarks(graph, run.state))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setVerbosityLM("SILENT")
     parameters.setlambdaUpperBound(1e12)
     # Cholesky refuses cliques whose pivots differ by 2^12 even where they are well determined (Huang 8240)
     parameters.setLinearSolverType("MULTIFRONTAL_QR")
     optimizer: gtsam.NonlinearOptimizer = gtsam.LevenbergMarquardtOptimizer(factors, values, parameters)
-    state = from_values(graph, optimizer.values())
-    norms: list[float] = []
+    run.state, norms = from_values(graph, optimizer.values()), run.step_norms
     polishing, damped = False, 0
-    while len(norms) < max_iterations:
+    while len(norms) < run.max_iterations:
         before = optimizer.error()
         optimizer.iterate()
         moved = from_values(graph, optimizer.values())
-        norms.append(float(np.linalg.norm(difference(moved, state))))
-        state = moved
+        norms.append(float(np.linalg.norm(difference(moved, run.state))))
+        run.state = moved
         stalled = before - optimizer.error() <= 1e-10 * before
-        short = norms[-1] < tolerance and (polishing or (roughly and not stalled))
-        if short and _promises_little(graph, state, factors, optimizer, part):
-            return state, norms, True
+        short = norms[-1] < run.tolerance and (polishing or (roughly and not stalled))
+        if short and _promises_little(graph, moved, factors, optimizer, part):
+            run.converged = True
+            return
         if not polishing and stalled:
             # The remaining decrease is below the rounding error of the cost, so Levenberg-Marquardt refuses to move.
             # Gauss-Newton, which compares no costs, takes the last steps; damping would hide how long they are.
             polishing, damped = True, len(norms)
             optimizer = _undamped(factors, optimizer.values())
         elif polishing:
-            grows = len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], tolerance)
+            grows = len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], run.tolerance)
             if grows or _no_shorter(norms[damped:], WAIT_INSIDE):
                 break
-    return state, norms, False
 
 
 def _undamped(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.GaussNewtonOptimizer:
@@ -376,23 +361,19 @@ def _promises_little(
     return abs(predicted) <= rounding(state, system)
 
 
-def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str) -> tuple[Array, list[float], bool]:
-    """Freeze the information, solve, and freeze it again, until the solution does not change."""
-    state, anderson = graph.initial.copy(), engine.AndersonAcceleration()
-    norms: list[float] = []
-    while len(norms) < max_iterations:
+def _refrozen(graph: Graph, run: Run, factors: str) -> None:
+    """Freeze the information, solve, and freeze it again, from ``run.state`` until the solution does not change."""
+    norms, anderson = run.step_norms, engine.AndersonAcceleration()
+    while len(norms) < run.max_iterations:
         # every freezing changes the inner problem, so there is no use in solving it much more closely than that
-        inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
-        here = graph.with_initial(state)
-        solved, _, settled = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=tolerance)
-        move = difference(solved, state)
+        inner = Run(run.state, max(run.tolerance / 10, 0.1 * norms[-1] if norms else 0.1), run.max_iterations)
+        _optimize(graph, to_gtsam(graph, run.state, factors=factors), inner, roughly=run.tolerance)
+        move = difference(inner.state, run.state)
         norms.append(float(np.linalg.norm(move)))
-        state = anderson.next(state, move)
-        if norms[-1] < tolerance and settled:
-            return state, norms, True
-        if _no_shorter(norms, WAIT):
+        run.state = anderson.next(run.state, move)
+        run.converged = norms[-1] < run.tolerance and inner.converged
+        if run.converged or _no_shorter(norms, WAIT):
             break
-    return state, norms, False
 
 
 def _no_shorter(norms: list[float], last: int) -> bool:

@@ -168,16 +168,5 @@ def minimize(
     if cost < 0 and (text := negative_information(graph)) is not None:
         raise GraphError(text)
     notes = image_notes(graph, run.state) if partial_edges(graph) else ()
-    return make_solution(
-        graph,
-        run.state,
-        step_norms=run.step_norms,
-        costs=run.costs,
-        converged=run.converged,
-        reason=run.reason,
-        seconds=time.perf_counter() - begin,
-        solver="graphslam",
-        cost=cost,
-        notes=notes,
-        certificate=certificate,
-    )
+    seconds = time.perf_counter() - begin
+    return make_solution(graph, run, "graphslam", seconds, cost=cost, notes=notes, certificate=certificate)

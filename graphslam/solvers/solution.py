@@ -30,6 +30,7 @@ from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
 from .corrected import motion_edges
+from .iteration import Run
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -345,50 +346,34 @@ class Solution:
 
 def make_solution(
     graph: Graph,
-    state: Array,
-    *,
-    step_norms: list[float],
-    costs: list[float],
-    converged: bool,
-    reason: str,
-    seconds: float,
+    run: Run,
     solver: str,
+    seconds: float,
+    *,
     notes: tuple[str, ...] = (),
     cost: float | None = None,
     certificate: Certificate | None = None,
 ) -> Solution:
-    """The `Solution` of a graph from the final state (n, 3) of a solver and the record of its steps.
+    """The `Solution` of a graph from the run of a solver.
 
     Its ``cost`` and ``certificate`` are taken over where the solver knows them.
     """
+    state = run.state
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     cost = graph.cost(state) if cost is None else cost
     landmarks: dict[int, Array] = {}
     if len(graph.landmark_ids):
         nodes = state[len(graph.steps) :, : graph.landmark_dimension].copy()
-        if graph.landmark_dimension == 3:
-            nodes[:, 2] = wrap(nodes[:, 2])
+        nodes[:, 2:] = wrap(nodes[:, 2:])
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)
     solution = Solution(
-        poses=poses,
-        estimated=estimated,
-        landmarks=landmarks,
-        cost=cost,
-        costs=np.array([*costs, cost]),
-        iterations=len(step_norms),
-        step_norms=np.array(step_norms),
-        converged=converged,
-        reason=reason,
-        seconds=seconds,
-        solver=solver,
-        state=state,
-        notes=(*graph.notes, *notes),
-        graph=graph,
-    )
+        poses, estimated, landmarks, cost, np.array([*run.costs, cost]), len(run.step_norms), np.array(run.step_norms),
+        run.converged, run.reason, seconds, solver, state, notes=(*graph.notes, *notes), graph=graph,
+    )  # fmt: skip
     if certificate is not None:
         # the value of the cached property, which would repeat the same proof
-        solution.__dict__["certificate"] = certificate.of_run(converged, reason)
+        solution.__dict__["certificate"] = certificate.of_run(run.converged, run.reason)
     return solution
