@@ -321,6 +321,24 @@ def _relations(arrays: tuple[np.ndarray, ...]) -> Relations | None:
 
 
 @dataclass(frozen=True, eq=False)
+class NodeEdges(EdgeFamily):
+    """Edges of single nodes ``nodes`` (E,)."""
+
+    nodes: np.ndarray
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "nodes", node_numbers(self, "nodes", self.nodes))
+
+    @property
+    def count(self) -> int:
+        return len(self.nodes)
+
+    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.arange(self.count + 1), self.nodes
+
+
+@dataclass(frozen=True, eq=False)
 class PairEdges(EdgeFamily):
     """Edges that connect two nodes each, ``first`` (E,) and ``second`` (E,)."""
 

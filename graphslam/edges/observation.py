@@ -47,7 +47,7 @@ from ..errors import GraphError
 from ..models import SensorModel
 from ..se2 import Array, mounted, perpendicular, wrap
 from .base import EngineEdges, Linearization, PairEdges, check_body, check_rows
-from .relative import RobustPointEdges, RobustPoseEdges
+from .relative import DoubtedPointEdges, RelationEdges
 from .robust import SingleEdges, code_and_width
 from .sightings import SightingEdges, check_sightings
 
@@ -83,12 +83,12 @@ class CartesianObservationEdges(ObservationEdges, EngineEdges):
     frame: str = field(default="body", kw_only=True)
 
     @cached_property
-    def relative(self) -> RobustPointEdges | RobustPoseEdges:
+    def relative(self) -> DoubtedPointEdges | RelationEdges:
         """The same edges as landmarks measured in the robot's axes, the trust in their information."""
         measured, covariance = self.sensor.places(self.sightings, noisy=self.noisy)
         information = np.linalg.inv(covariance)
         information = (information + np.swapaxes(information, 1, 2)) / 2 * self.trusted[:, None, None]
-        edges = RobustPoseEdges if self.oriented else RobustPointEdges
+        edges = RelationEdges if self.oriented else DoubtedPointEdges
         return edges(self.first, self.second, measured, information, frame=self.frame, kernel=self.kernel)
 
     @property

@@ -33,7 +33,7 @@ from ..linear.precision import inverses
 from ..models import MotionModel
 from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
 from .base import FRAMES, EngineEdges, Linearization, PairEdges, check_body, check_rows, linearization
-from .robust import Kernel, SingleEdges, code_and_width, kernel_of
+from .robust import SingleEdges, code_and_width
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,31 +103,16 @@ class RelativePointEdges(_RelativeEdges):
 
 
 @dataclass(frozen=True, eq=False)
-class RobustRelativeEdges(_RelativeEdges):
-    """Relative edges with a robust kernel on each: ``kernel`` is a `Kernel`, its name, or None."""
-
-    kernel: Kernel | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        kernel = kernel_of(self.kernel)
-        object.__setattr__(self, "kernel", None if kernel is None else kernel.of_dimension(self.rows))
-
-
-class RobustPoseEdges(RobustRelativeEdges, RelativePoseEdges):
-    """`RelativePoseEdges` with a robust kernel on each."""
-
-
-class RobustPointEdges(RobustRelativeEdges, RelativePointEdges):
-    """`RelativePointEdges` with a robust kernel on each."""
-
-
-@dataclass(frozen=True, eq=False)
 class RelationEdges(SingleEdges, RelativePoseEdges):
     """Measured relations of two poses that may be wrong, such as loop closures: `RelativePoseEdges` in the body frame.
 
     ``kernel`` and ``trust`` are those of `DoubtedEdges`.
     """
+
+
+@dataclass(frozen=True, eq=False)
+class DoubtedPointEdges(SingleEdges, RelativePointEdges):
+    """`RelativePointEdges` that may be wrong, the same for points as `RelationEdges` for poses."""
 
 
 def motion_edges(

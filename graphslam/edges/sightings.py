@@ -137,11 +137,6 @@ class LandmarkSightings(SightingEdges, EngineEdges):
         y[:, : self.sightings.shape[1]] = self.sensor.h_inverse(poses, self.sightings)
         return y, perpendicular(y[:, :2] - poses[:, :2])
 
-    @cached_property
-    def _place(self) -> Array:
-        """The landmark (M, 2 or 3) that each sighting measures, in the frame of the pose."""
-        return self.sensor.h_inverse(np.zeros((len(self.nodes), 3)), self.sightings)
-
 
 @dataclass(frozen=True, eq=False)
 class MarginalEdges(LandmarkSightings):

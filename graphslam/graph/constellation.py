@@ -74,13 +74,7 @@ class Constellations:
         """A map, with the pairs that are not farther apart than twice the reach of the sensor [m]."""
         from scipy.spatial import cKDTree
 
-        ids = np.array(list(landmarks))
-        places, covariances = np.full((len(ids), 3), np.nan), np.zeros((len(ids), 3, 3))
-        for k, j in enumerate(ids.tolist()):
-            places[k, : len(landmarks[j])] = landmarks[j]
-            if j in landmarks.covariances:
-                d = len(landmarks.covariances[j])
-                covariances[k, :d, :d] = landmarks.covariances[j]
+        ids, (places, covariances) = np.array(list(landmarks)), landmarks.arrays(landmarks)
         tree = cKDTree(places[:, :2])
         pairs = tree.query_pairs(2 * reach, output_type="ndarray")
         distances = np.hypot(*(places[pairs[:, 1], :2] - places[pairs[:, 0], :2]).T)

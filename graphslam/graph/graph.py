@@ -262,9 +262,9 @@ class Graph:
             for f in self.families
         )
 
-    def with_families(self, families: Iterable[EdgeFamily]) -> Graph:
-        """The same graph with other edges between the same groups of nodes. Both write Omega and xi into one `system`."""
-        changed = replace(self, families=tuple(families))
+    def with_families(self, families: Iterable[EdgeFamily], **others: Any) -> Graph:
+        """The same graph with other edges between the same groups of nodes, ``others`` changed; both have one `system`."""
+        changed = replace(self, families=tuple(families), **others)
         vars(changed)["system"] = self.system
         return changed
 

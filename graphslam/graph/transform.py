@@ -48,7 +48,7 @@ from ..edges import (
     SightingEdges,
     VirtualMotionEdges,
 )
-from ..edges.base import PairEdges
+from ..edges.base import NodeEdges, PairEdges
 from ..errors import GraphError
 from ..errors.checks import array_of
 from ..se2 import Array, between, chained, inverse, perpendicular, rotation, turn_matrix
@@ -183,14 +183,14 @@ def _edges_of_nodes(family: EdgeFamily, used: np.ndarray, number: np.ndarray) ->
     """The edges between nodes that are used (n,), with the new number (n,) of each node."""
     if isinstance(family, PriorEdges):
         return replace(family, nodes=number[family.nodes])
-    if not isinstance(family, PairEdges | LandmarkSightings | AnchorEdges | PositionEdges):
+    if not isinstance(family, PairEdges | LandmarkSightings | NodeEdges):
         raise GraphError(f"{type(family).__name__} cannot be divided: only families of edges between two nodes can")
     if isinstance(family, LandmarkSightings):
         ends: tuple[str, ...] = ("nodes",)
         counts = np.bincount(family.group[used[family.nodes]])
         others = {"starts": np.concatenate([[0], np.cumsum(counts[counts > 0])])}
     else:
-        ends, others = (("nodes",) if isinstance(family, AnchorEdges | PositionEdges) else ("first", "second")), {}
+        ends, others = (("nodes",) if isinstance(family, NodeEdges) else ("first", "second")), {}
     here = np.all([used[getattr(family, end)] for end in ends], axis=0)
     rows = {f.name: getattr(family, f.name) for f in fields(family)}  # all families are dataclasses
     kept = {name: row[here] for name, row in rows.items() if isinstance(row, np.ndarray) and len(row) == len(here)}
@@ -269,7 +269,10 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         # a polar residual becomes the Cartesian one
         seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
         assert isinstance(seen, CartesianObservationEdges)
-        return _weighted(replace(seen.relative, frame="body", kernel=None), family, state)
+        kind = RelativePoseEdges if seen.oriented else RelativePointEdges
+        return _weighted(
+            kind(seen.first, seen.second, seen.relative.measured, seen.relative.information), family, state
+        )
     if isinstance(family, RelationEdges):
         edges = RelativePoseEdges(family.first, family.second, family.measured, family.weighed)
         return _weighted(edges, family, state)

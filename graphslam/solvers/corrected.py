@@ -67,10 +67,7 @@ def corrected(graph: Graph, values: Array, state: Array, at: Array | None = None
     driven = motion_edges(graph)
     if driven is not None and any(PARAMETERS[name].of_motion for name in here.names):
         changed[driven] = _motions(driven, here, there)
-    families = tuple(changed.get(family, family) for family in graph.families)
-    found = replace(graph, families=families, parameters=here)
-    vars(found)["system"] = graph.system
-    return found
+    return graph.with_families((changed.get(family, family) for family in graph.families), parameters=here)
 
 
 def finished(graph: Graph, values: Array, state: Array) -> Graph:
@@ -84,9 +81,7 @@ def finished(graph: Graph, values: Array, state: Array) -> Graph:
     log, sensor = corrected_log(found.parameters), corrected_sensor(found.parameters)
     if graph.log is not None and not graph.log.has_orientation:
         log = log.without_orientation()
-    finished = replace(found, log=log, sensor=sensor)
-    vars(finished)["system"] = graph.system
-    return finished
+    return found.with_families(found.families, log=log, sensor=sensor)
 
 
 def controls_of(graph: Graph) -> Array:

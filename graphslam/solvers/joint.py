@@ -316,6 +316,4 @@ def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
         measured = between(nodes[driven.first], nodes[driven.second])
         changed[driven] = replace(driven, measured=measured)  # type: ignore[index, assignment]
         _, slopes = motion_slopes(parameters, corrected_controls(parameters), measured[:, :2])
-    found = replace(graph, families=tuple(changed.get(family, family) for family in graph.families))  # type: ignore[call-overload]
-    vars(found)["system"] = graph.system
-    return found, slopes
+    return graph.with_families(changed.get(family, family) for family in graph.families), slopes  # type: ignore[call-overload]

@@ -286,8 +286,8 @@ class Solution:
         risk[self.estimated] = beyond(covariances[self.estimated], metres, radians)
         if graph.map and log is not None and moved is not None and sensor is not None:
             noise = np.linalg.inv(moved.information)
-            drive = Stretch(log.name, moved.measured, noise, log.steps, log.landmarks, log.sightings)
-            risk = 1 - presence(drive, self.poses, graph.map, sensor) * (1 - risk)
+            drive = Stretch(log.name, moved.measured, noise, log.steps, log.landmarks, log.sightings, sensor)
+            risk = 1 - presence(drive, self.poses, graph.map) * (1 - risk)
         return risk
 
     @cached_property
