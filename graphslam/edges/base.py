@@ -16,7 +16,7 @@ import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError, quoted
-from ..errors.checks import first, make_read_only, real_array
+from ..errors.checks import check_choice, first, make_read_only, real_array
 from ..linear.information import BlockSystem
 from ..se2 import Array, turn_matrix
 
@@ -289,7 +289,6 @@ class EngineEdges(EdgeFamily):
 
     def check_constant(self) -> None:
         """Raise `GraphError` unless the edges have a form with constant information; its message says why not."""
-        super().constant(np.zeros((0, 3)))
 
     def constant(self, state: Array) -> ConstantEdges:
         self.check_constant()
@@ -310,10 +309,23 @@ class EngineEdges(EdgeFamily):
         return {name: value for name, value in vars(self).items() if name != "in_engine"}
 
 
-def check_body(frame: str) -> None:
-    """Raise `GraphError` unless edges are in the body frame, in which their information may be constant."""
-    if frame == "world":
-        raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
+@dataclass(frozen=True, eq=False)
+class FramedEdges(EngineEdges):
+    """Edges whose information is constant in the axes of a node, ``frame`` "body", or kept fixed in those of the "world"."""
+
+    frame: str = field(default="body", kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice("frame", self.frame, FRAMES)
+
+    @property
+    def state_dependent_information(self) -> bool:
+        return self.frame == "world"
+
+    def check_constant(self) -> None:
+        if self.frame == "world":
+            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
 
 
 def _relations(arrays: tuple[np.ndarray, ...]) -> Relations | None:

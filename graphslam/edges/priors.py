@@ -53,9 +53,6 @@ class AnchorEdges(NodeEdges, EngineEdges):
         jacobians = np.broadcast_to(np.eye(3), (self.count, 3, 3))
         return Linearization(residuals, self.information, (self.nodes,), (jacobians,))
 
-    def check_constant(self) -> None:
-        pass
-
     def _to_engine(self) -> Any:
         no_lever = np.zeros((self.count, 2))
         return engine.PositionEdges(self.nodes, self.values, self.information, no_lever, *code_and_width(None))
@@ -256,9 +253,6 @@ class PositionEdges(SingleEdges, NodeEdges, EngineEdges):
         if d == 3:
             residuals[:, 2] = wrap(state[self.nodes, 2] - self.measured[:, 2])
         return Linearization(residuals[:, :d], self.weighed, (self.nodes,), (B[:, :d],))
-
-    def check_constant(self) -> None:
-        pass
 
     def _to_engine(self) -> Any:
         kernel = code_and_width(self.kernel)

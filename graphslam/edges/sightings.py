@@ -37,11 +37,10 @@ from typing import Any
 import numpy as np
 
 from ..engine import engine
-from ..errors.checks import check_choice
 from ..linear.precision import inverses
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
-from .base import FRAMES, SYMMETRIC, EngineEdges, Linearization, check_body, check_rows, linearization, node_numbers
+from .base import SYMMETRIC, FramedEdges, Linearization, check_rows, linearization, node_numbers
 from .robust import DoubtedEdges, code_and_width
 
 
@@ -90,7 +89,7 @@ def check_sightings(edges: SightingEdges, count: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class LandmarkSightings(SightingEdges, EngineEdges):
+class LandmarkSightings(SightingEdges, FramedEdges):
     """Sightings grouped by landmark.
 
     Args:
@@ -106,14 +105,12 @@ class LandmarkSightings(SightingEdges, EngineEdges):
     nodes: np.ndarray
     sightings: Array
     sensor: SensorModel
-    frame: str = field(default="body", kw_only=True)
     noise_at: Array | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         for name in ("starts", "nodes"):
             object.__setattr__(self, name, node_numbers(self, name, getattr(self, name)))
         check_sightings(self, len(self.nodes))
-        check_choice("frame", self.frame, FRAMES)
         super().__post_init__()
 
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
@@ -146,10 +143,6 @@ class MarginalEdges(LandmarkSightings):
     def count(self) -> int:
         return len(self.nodes)
 
-    @property
-    def state_dependent_information(self) -> bool:
-        return self.frame == "world"
-
     def linearize(self, state: Array, reference: Array) -> Linearization:
         """The sightings one by one, as edges to their landmark, which is held at m̂; in world axes."""
         e, W, factor, lever, _, _ = self._around_means(state, reference)
@@ -159,9 +152,6 @@ class MarginalEdges(LandmarkSightings):
             # the derivative of the rotation of W
             lever = lever + perpendicular(e[:, :2])
         return linearization((self.nodes,), e, information, (lever,))
-
-    def check_constant(self) -> None:
-        check_body(self.frame)
 
     def kernel_weights(self, state: Array) -> Array:
         _, _, factor, *_ = self._around_means(state, state)

@@ -43,7 +43,7 @@ LEAST_EPSILON = 1e-9
 LEAST = {"epsilon": LEAST_EPSILON, "range_std": 1e-10, "bearing_std": 1e-10, "orientation_std": 1e-10}
 
 #: the model without noise, and one whose variances, 1e-18, vanish beside 1
-_STILL = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
+STILL = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
 _TINY: dict[str, Any] = dict.fromkeys(OF_SENSOR, 1e-9)
 _EXACT = SensorModel(**_TINY)
 
@@ -51,10 +51,10 @@ _EXACT = SensorModel(**_TINY)
 def motion_parts(log: Log, names: Iterable[str] = (*OF_MOTION, "epsilon")) -> dict[str, Array]:
     """C_p (T, 3, 3) of fields of the motion model, for all motions of a log, in the frame each starts from."""
     assert log.controls is not None and log.dt is not None
-    _, A = _STILL.accumulated_slopes(log.controls, log.dt, log.control_starts)
+    _, A = STILL.accumulated_slopes(log.controls, log.dt, log.control_starts)
     identity, parts = np.eye(3), {}
     for name in names:
-        alone = replace(_STILL, **{name: 1.0})
+        alone = replace(STILL, **{name: 1.0})
         if name == "epsilon":
             parts[name] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
         elif name == "slip":
@@ -94,8 +94,6 @@ def sensor_parts(sightings: Array) -> dict[str, Array]:
 
 #: the fields of the motion model whose variances are estimated
 ESTIMATED = ("nn", "on", "oo", "slip", "sigma_omega")
-#: motion without noise of its own
-STILL = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=1e-20)
 #: parameters that differ by less than this are near: what a derivative leaves out of a motion is some 1e-5 of it
 NEAR = {"wheel_scale": 0.006, "turn_scale": 0.006, "turn_rate_bias": 0.002, "curvature_bias": 0.002}
 
@@ -113,7 +111,7 @@ class Odometry:
         self.log, self.times = log, log.times
         self._parts = motion_parts(log, ESTIMATED)
         # the log's own variances of single controls, such as those across a silence of the odometry
-        self._recorded, self._of_gaps = STILL.accumulate(
+        self._recorded, self._of_gaps = replace(STILL, epsilon=1e-20).accumulate(
             log.controls, log.dt, log.control_starts, log.control_variances
         )
         self._evaluated: tuple[Array, Array, Array] | None = None

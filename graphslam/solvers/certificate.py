@@ -121,9 +121,10 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
         outcome: _Outcome = NOT_PROVEN, 0.0, f"the state moves {graph.names(moved)}, which the graph holds", None
     else:
         outcome = _outcome(lambda: _problem(graph.families, state, graph.fixed, graph.system.structure), cost, thorough)
-    if graph.reweighted:
-        outcome = _for_weights(outcome)
     status, bound, reason, direction = outcome
+    # at residuals of zero the kernel's cost is zero, too, and no cost is lower
+    if graph.reweighted and status != NOT_APPLICABLE and not (status == GLOBAL and bound == 0):
+        status, reason = _WEIGHTS.get(status, status), f"with the weights of the kernel held, {reason}"
     if graph.parameters is not None and status in _HELD:
         status, reason = _HELD[status], f"with the parameters held at their values, {reason}"
     return _certificate((status, bound + constant, reason, direction), cost + constant, begin, graph.reweighted)
@@ -138,22 +139,9 @@ def _put_back(graph: Graph, state: Array) -> np.ndarray:
     return graph.fixed[np.any(np.abs(difference(there, given)) > HELD * (1 + np.abs(given)), axis=1)]
 
 
-#: the status of a proof that holds the parameters
+#: the status of a proof that holds the weights of a kernel, and of one that holds the parameters
+_WEIGHTS = {GLOBAL: GLOBAL_WEIGHTS}
 _HELD = {GLOBAL: GLOBAL_HELD, GLOBAL_WEIGHTS: GLOBAL_WEIGHTS_HELD}
-
-
-def _for_weights(outcome: _Outcome) -> _Outcome:
-    """The outcome of a proof about the cost with the weights of a kernel held, as one about the kernel's cost."""
-    status, bound, reason, direction = outcome
-    # at residuals of zero the kernel's cost is zero, too, and no cost is lower
-    if status == NOT_APPLICABLE or (status == GLOBAL and bound == 0):
-        return outcome
-    return (
-        GLOBAL_WEIGHTS if status == GLOBAL else status,
-        bound,
-        f"with the weights of the kernel held, {reason}",
-        direction,
-    )
 
 
 def prove_edges(edges: Sequence[EdgeFamily], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
@@ -202,12 +190,8 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
         return NOT_PROVEN, 0.0, reason, None
     exact = proof.cost
     if max(cost, exact) <= PROVEN and proof.zero:
-        return (
-            GLOBAL,
-            0.0,
-            "the residuals of all edges are zero up to the tolerance of solvers, and no cost is below 0",
-            None,
-        )
+        reason = "the residuals of all edges are zero up to the tolerance of solvers, and no cost is below 0"
+        return GLOBAL, 0.0, reason, None
     if not abs(exact - cost) <= PROVEN * cost + proof.slack:
         return NOT_PROVEN, 0.0, f"the edges in their constant form have the cost {exact:g} instead of {cost:g}", None
     bound, direction = proof.bound(), proof.negative()

@@ -36,7 +36,7 @@ from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_value
 from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph
-from .minimize import FIRST, best_of_starts, solve_jointly
+from .minimize import FIRST, best_of_starts
 from .solution import Solution, make_solution
 
 #: the most steps between two freezings
@@ -274,11 +274,10 @@ def _with_parameters(graph: Graph, tolerance: float, most: int, initialize: str,
         rough = max(FIRST, tolerance)
         return solve_with_gtsam(nodes, tolerance=rough, initialize=initialize, factors=factors).state
 
-    def jointly(start: Graph, state: Array) -> tuple[Graph, Run]:
-        run = Run(state, tolerance, most)
-        return solve_jointly(start, state, solve_jointly_with_gtsam, run), run
+    def begun() -> Run:
+        return Run(graph.initial, tolerance, most)
 
-    found, run = best_of_starts(graph, solved, jointly)
+    found, run = best_of_starts(graph, solved, solve_jointly_with_gtsam, begun)
     return make_solution(found, run, "gtsam", time.perf_counter() - begin)
 
 
