@@ -8,9 +8,9 @@ every step, a damped search keeps it fixed during a step so that the function it
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -197,6 +197,15 @@ class EdgeFamily(ABC):
 
         Within a group the nodes do not decrease, and every pair of different nodes has an edge.
         """
+
+    #: attributes that have no row for each edge, whatever their length is
+    shared: ClassVar[tuple[str, ...]] = ()
+
+    def among(self, chosen: np.ndarray) -> Self:
+        """Some of the edges (E,) bool, or of the sightings that make them, of a family that is a dataclass."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.shared}  # type: ignore[arg-type]
+        of_edges = {name: each for name, each in columns.items() if isinstance(each, np.ndarray)}
+        return replace(self, **{name: each[chosen] for name, each in of_edges.items() if len(each) == len(chosen)})  # type: ignore[type-var]
 
     @cached_property
     def node_range(self) -> tuple[int, int]:

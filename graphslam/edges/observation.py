@@ -139,6 +139,7 @@ class PartialEdges(SingleEdges, PairEdges, EngineEdges):
     measured: Array
     information: Array
     offset: Array
+    shared: ClassVar[tuple[str, ...]] = ("offset",)
 
     def __post_init__(self) -> None:
         check_rows(self, measured=(self.count, 1), information=(self.count, 1, 1))

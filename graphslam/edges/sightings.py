@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -106,6 +106,7 @@ class LandmarkSightings(SightingEdges, FramedEdges):
     sightings: Array
     sensor: SensorModel
     noise_at: Array | None = field(default=None, kw_only=True)
+    shared: ClassVar[tuple[str, ...]] = ("starts",)
 
     def __post_init__(self) -> None:
         for name in ("starts", "nodes"):

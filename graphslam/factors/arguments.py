@@ -10,13 +10,13 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges.base import FRAMES
 from ..errors import OptionError, quoted
 from ..errors.checks import check_choice, check_type
 from ..linear.precision import SMALLEST, check_model, check_size, small_inverse
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 
+FRAMES = ("world", "body")
 #: the largest angle of a sighting in radians, with what printing it to six digits may add
 WHOLE_TURN = 2 * pi + 1e-6
 

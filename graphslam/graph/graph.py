@@ -184,19 +184,17 @@ class Graph:
         if motion is None and sensor is None:
             log, _ = known_robot(log, noise)
         motion, sensor = log.noise_models(motion, sensor)
-        known_map: LandmarkMap | None = None
-        found: tuple[str, ...] = ()
-        if map is not None:
-            known_map = as_map(map)
+        known_map = None if map is None else as_map(map)
+        notes: list[str] = []
+        if known_map is None:
+            log = in_frame_of_positions(log)
+        else:
             edges = edges_for_map(log, edges)
             log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
-        else:
-            log = in_frame_of_positions(log)
-        recorded = log
+            notes += found
         edges = suitable_edges(log) if edges is None else edges
         kernel = suitable_kernel(log) if kernel is None else kernel
-        notes = list(found)
-        parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
+        parameters = declared(estimate, log, motion, sensor, edges, residual, motion_weight)
         held, once = None, edges == "landmark+motion" or (edges == "virtual+motion" and weight == "marginal")
         if parameters is None and once and residual == RESIDUALS[0]:
             held = declared(log.uncertain, log, motion, sensor, edges, residual, motion_weight)
@@ -236,10 +234,7 @@ class Graph:
         return replace(self, initial=values.copy())
 
     def with_trust(self, trust: Array) -> Graph:
-        """The same graph with another trust in the sightings of its edges (M,), or in all its `measurements`.
-
-        Both write Omega and xi into one `system`.
-        """
+        """The same graph with another trust (M,) in the sightings of edges, or all `measurements`; see `with_families`."""
         families, start = list[EdgeFamily](), 0
         for f in self.families:
             if isinstance(f, DoubtedEdges) and start < len(trust):
@@ -267,6 +262,12 @@ class Graph:
         changed = replace(self, families=tuple(families), **others)
         vars(changed)["system"] = self.system
         return changed
+
+    @property
+    def estimated(self) -> Parameters:
+        """The parameters of a graph that has some."""
+        assert self.parameters is not None
+        return self.parameters
 
     def check_no_parameters(self, solver: str) -> None:
         """Raise `GraphError` where the graph has parameters, which this solver cannot estimate."""

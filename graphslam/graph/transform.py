@@ -24,8 +24,8 @@ optimum of the graph Omega and xi are the same with these weights as with the ke
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import TypeVar
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -192,10 +192,8 @@ def _edges_of_nodes(family: EdgeFamily, used: np.ndarray, number: np.ndarray) ->
     else:
         ends, others = (("nodes",) if isinstance(family, NodeEdges) else ("first", "second")), {}
     here = np.all([used[getattr(family, end)] for end in ends], axis=0)
-    rows = {f.name: getattr(family, f.name) for f in fields(family)}  # all families are dataclasses
-    kept = {name: row[here] for name, row in rows.items() if isinstance(row, np.ndarray) and len(row) == len(here)}
-    kept |= {end: number[kept[end]] for end in ends}
-    return replace(family, **(kept | others))
+    renumbered: dict[str, Any] = {end: number[getattr(family, end)[here]] for end in ends}
+    return replace(family.among(here), **(renumbered | others))
 
 
 def filled(graph: Graph, kept: np.ndarray, poses: Array) -> Array:

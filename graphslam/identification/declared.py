@@ -63,12 +63,8 @@ CORRECTIONS = {name: parameter.ideal for name, parameter in PARAMETERS.items() i
 
 def of_sensor_alone(values: Mapping[str, float]) -> dict[str, float]:
     """The values {name: value} that correct a log without controls, too."""
-    return {name: value for name, value in values.items() if not needs_controls(name)}
-
-
-def needs_controls(name: str) -> bool:
-    """Whether a parameter means nothing without controls."""
-    return PARAMETERS[name].of_motion or name == "sensor_delay"
+    # a delay means nothing without controls
+    return {name: value for name, value in values.items() if not PARAMETERS[name].of_motion and name != "sensor_delay"}
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,6 +85,12 @@ def ordinary(log: Log) -> np.ndarray:
     return np.maximum.reduceat(log.control_variances.max(axis=1), log.control_starts[:-1]) == 0
 
 
+def sighting_times(log: Log) -> Array:
+    """The times (M,) of the sightings of a log with controls [s]."""
+    assert log.times is not None
+    return log.times[log.steps]
+
+
 def sensor_parts(sightings: Array) -> dict[str, Array]:
     """C_p (M, n, n) of each field of the sensor model that affects sightings (M, n), n = 2 or 3."""
     least = _EXACT.Q(sightings)

@@ -30,6 +30,7 @@ from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .corrections import corrected_log
 from .declared import ParameterEstimate
+from .odometry import sighting_times
 from .restricted_likelihood import improve_variances, log_likelihood
 from .result import (
     BOOK_NOISE,
@@ -350,9 +351,7 @@ def _begun(log: Log, groups: np.ndarray, sensor: SensorModel, motion: MotionMode
 
 def _episodes(log: Log, pause: float) -> np.ndarray:
     """The number (M,) of the episode of each sighting."""
-    times = log.times
-    assert times is not None
-    t = times[log.steps]
+    t = sighting_times(log)
     order = np.lexsort((np.arange(len(t)), log.landmarks))
     new = np.ones(len(t), dtype=bool)
     new[1:] = (np.diff(log.landmarks[order]) != 0) | (np.diff(t[order]) > pause)
@@ -459,11 +458,9 @@ def _gain(fitted: Unknowns, exact: Unknowns) -> float:
 
 def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:
     """The log with one sighting of each landmark in each interval [s], and which those are, (M,) bool."""
-    times = log.times
-    assert times is not None
     # the numbers of the landmarks: large ids do not fit floating point
     landmarks = np.unique(log.landmarks, return_inverse=True)[1].ravel()
-    slots = np.unique(np.floor(times[log.steps] / max(interval, 1e-9)), return_inverse=True)[1].ravel()
+    slots = np.unique(np.floor(sighting_times(log) / max(interval, 1e-9)), return_inverse=True)[1].ravel()
     _, groups, count = np.unique(landmarks * (len(slots) + 1) + slots, return_inverse=True, return_counts=True)
     order = np.argsort(groups, kind="stable")
     starts = np.concatenate([[0], np.cumsum(count)[:-1]])

@@ -83,11 +83,8 @@ class Isam2Backend(Backend):
         params = _parameters(threshold, skip, factorization) if params is None else params
         # a factor that was removed leaves a slot for the next one
         params.findUnusedFactorSlots = True
-        self._advice = (
-            ""
-            if params.getFactorization() == "QR"
-            else "; factorization='qr' also works where information is very unequal"
-        )
+        advice = "; factorization='qr' also works where information is very unequal"
+        self._advice = "" if params.getFactorization() == "QR" else advice
         self._sensor, self._kernel = sensor, kernel
         self._edges, self._weight, self._residual = edges, weight, residual
         self._isam, self._factorization = gtsam.ISAM2(params), params.getFactorization().lower()

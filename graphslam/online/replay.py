@@ -160,7 +160,7 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         sighted = _no_sightings(graph, d)
     ids = graph.landmark_ids[sighted.second - total]
     seen = sighted.relative
-    measured = _arriving(graph)
+    relations, positions = _arriving(graph)
 
     log, noise = graph.log, np.linalg.inv(motions.information)
     tracker: Tracker | None = None
@@ -168,18 +168,10 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         backend.tracker = tracker = unlocated(known, graph.sensor, graph.initial[0])
 
     def add(step: int, now: np.ndarray) -> None:
-        arriving, doubted = list[Relation](), list[bool]()
+        arriving: list[tuple[Relation, Kernel | None]] = []
         if step:
-            arriving.append((step - 1, step, motions.measured[step - 1], motions.information[step - 1]))
-            doubted.append(False)
-        positions: list[tuple[PositionEdges, int]] = []
-        for edges, row in measured[step]:
-            if isinstance(edges, PositionEdges):
-                positions.append((edges, row))
-            else:
-                ends = int(edges.first[row]), int(edges.second[row])
-                arriving.append((*ends, edges.measured[row], edges.information[row]))
-                doubted.append(edges.kernel is not None)
+            arriving.append(((step - 1, step, motions.measured[step - 1], motions.information[step - 1]), None))
+        arriving += relations[step]
         if tracker is not None:
             if step:
                 tracker.pose = backend.pose
@@ -187,23 +179,25 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
             if len(now) and log is not None:
                 tracker.see(step, now, ids[now], log.sightings[graph.sighting_rows[now]])
         whole = ids[now].tolist(), seen.measured[now], seen.information[now]
-        backend.update(arriving, step, *whole, numbers[step], doubted=doubted)
-        for edges, row in positions:
-            z = edges.measured[row], edges.information[row], edges.levers[row]
-            backend.locate(step, *z, doubted=edges.kernel is not None)
+        doubted = [kernel is not None for _, kernel in arriving]
+        backend.update([relation for relation, _ in arriving], step, *whole, numbers[step], doubted=doubted)
+        for z, kernel in positions[step]:
+            backend.locate(step, *z, doubted=kernel is not None)
 
     return _steps(solver, total, sighted.first, add)
 
 
-def _arriving(graph: Graph) -> dict[int, list[tuple[Any, int]]]:
-    """The relations and positions of a graph, {step: (edges, row) of each}, each at the last step that it needs."""
-    found: dict[int, list[tuple[Any, int]]] = defaultdict(list)
+def _arriving(graph: Graph) -> tuple[dict[int, list[Any]], dict[int, list[Any]]]:
+    """The relations of a graph by the last step that they need, and its positions by their step, each with its kernel."""
+    relations, positions = defaultdict[int, list[Any]](list), defaultdict[int, list[Any]](list)
     for family in graph.families:
-        if isinstance(family, RelationEdges | PositionEdges):
-            last = family.nodes if isinstance(family, PositionEdges) else np.maximum(family.first, family.second)
-            for row, step in enumerate(last.tolist()):
-                found[step].append((family, row))
-    return found
+        if isinstance(family, RelationEdges):
+            for a, b, *z in zip(family.first.tolist(), family.second.tolist(), family.measured, family.information):
+                relations[max(a, b)].append(((a, b, *z), family.kernel))
+        elif isinstance(family, PositionEdges):
+            for step, *z in zip(family.nodes.tolist(), family.measured, family.information, family.levers):
+                positions[step].append((z, family.kernel))
+    return relations, positions
 
 
 def _single_numbers(graph: Graph) -> dict[int, list[tuple[int, Array]]]:
@@ -278,7 +272,7 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     )
     backend: Any = solver._backend
     information = weight * np.linalg.inv(covariances)
-    measured = _arriving(graph)
+    relations, positions = _arriving(graph)
 
     def add(step: int, now: np.ndarray) -> None:
         if step:
@@ -286,13 +280,10 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
         backend.add_sightings(step, log.landmarks[now].tolist(), sightings[now])
         for landmark, z in numbers[step]:
             backend.add_sightings(step, [landmark], z[None])
-        for edges, row in measured[step]:
-            z, known = edges.measured[row], edges.information[row]
-            if isinstance(edges, PositionEdges):
-                backend.add_position(step, z, known, edges.levers[row], edges.kernel)
-            else:
-                ends = int(edges.first[row]), int(edges.second[row])
-                backend.add_relation((*ends, z, known), edges.kernel)
+        for relation, kernel in relations[step]:
+            backend.add_relation(relation, kernel)
+        for z, kernel in positions[step]:
+            backend.add_position(step, *z, kernel)
         backend.update()
 
     return graph, _steps(solver, log.num_poses, log.steps, add)

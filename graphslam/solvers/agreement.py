@@ -58,20 +58,21 @@ DOUBTFUL = 0.05
 
 
 @dataclass(frozen=True)
-class Grown:
-    """The state (n, 3), the trust (R,), 0 or 1, and the number of rounds.
+class Trusted:
+    """A state (n, 3) with the trust (N,) in the measurements, and the number of rounds that led to it.
 
-    ``settled``: no further change was due. ``certain``: nearly all pairs that agree were right.
+    ``settled``: no further change is due, and every measurement is fully trusted or rejected. ``certain``: nearly all pairs
+    that agree were right.
     """
 
     state: Array
     trust: Array
     rounds: int
     settled: bool
-    certain: bool
+    certain: bool = False
 
 
-def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: int, initialize: str) -> Grown:
+def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: int, initialize: str) -> Trusted:
     """Trust in the relations ``edges`` of a graph without kernels and without other measurements that may be wrong.
 
     Args:
@@ -125,7 +126,7 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
             break
         state = end_of(levenberg_marquardt, graph.with_trust(trusted.astype(float)), state, max_iterations=STEPS)
     certain = settled and not careful and float(np.sum(pairs & ~trusted)) <= DOUBTFUL * float(pairs.sum())
-    return Grown(state, trusted.astype(float), rounds, settled, certain)
+    return Trusted(state, trusted.astype(float), rounds, settled, certain)
 
 
 def _ellipsoid(squares: Array, size: Array) -> Array:

@@ -57,8 +57,7 @@ def corrected(graph: Graph, values: Array, state: Array, at: Array | None = None
         state: (n, 3) that predicts the sightings at which the noise of the sensor is evaluated.
         at: (K,) the values of the parameters there; default: ``values``.
     """
-    assert graph.parameters is not None
-    here, there = graph.parameters.at(values), graph.parameters.at(values if at is None else at)
+    here, there = graph.estimated.at(values), graph.estimated.at(values if at is None else at)
     seen = _sightings(graph, here)
     predicted = predictions(_sightings(graph, there), state)
     measured = seen.sightings[:, 0]
@@ -77,8 +76,7 @@ def finished(graph: Graph, values: Array, state: Array) -> Graph:
         LogError: a corrected range would not be above zero.
     """
     found = corrected(graph, values, state)
-    assert found.parameters is not None
-    log, sensor = corrected_log(found.parameters), corrected_sensor(found.parameters)
+    log, sensor = corrected_log(found.estimated), corrected_sensor(found.estimated)
     if graph.log is not None and not graph.log.has_orientation:
         log = log.without_orientation()
     return found.with_families(found.families, log=log, sensor=sensor)
@@ -86,10 +84,10 @@ def finished(graph: Graph, values: Array, state: Array) -> Graph:
 
 def controls_of(graph: Graph) -> Array:
     """The corrected control (M, 2) at the pose of each sighting; zero where no parameter depends on it."""
-    assert graph.parameters is not None and graph.log is not None
-    if "sensor_delay" not in graph.parameters.names:
+    assert graph.log is not None
+    if "sensor_delay" not in graph.estimated.names:
         return np.zeros((len(graph.sighting_rows), 2))
-    return controls_at_steps(graph.parameters)[graph.log.steps[graph.sighting_rows]]
+    return controls_at_steps(graph.estimated)[graph.log.steps[graph.sighting_rows]]
 
 
 def predictions(edges: SightingEdges, state: Array) -> Array:

@@ -7,9 +7,7 @@ optimiser. Therefore edges that share nodes share factors where that leaves the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from itertools import pairwise
-from typing import TypeVar
 
 import gtsam
 import numpy as np
@@ -27,7 +25,6 @@ FACTORS = ("fastest", "per-edge")
 #: the motions of so many consecutive poses, and what these poses see, share a factor
 TOGETHER = 16
 
-_Relative = TypeVar("_Relative", bound=edges.RelativePoseEdges | edges.RelativePointEdges)
 _Part = tuple[edges.RelativePoseEdges | edges.RelativePointEdges, np.ndarray]
 
 
@@ -102,9 +99,9 @@ def _joined(graph: Graph, reference: Array) -> tuple[list[gtsam.NonlinearFactor]
             continue
         near = (relative.first < poses) & ((relative.second == relative.first + 1) | (relative.second >= poses))
         if not near.all():
-            rest.append(_chosen(relative, ~near))
+            rest.append(relative.among(~near))
         if near.any():
-            parts.setdefault(relative.frame, []).append((_chosen(relative, near), np.full(int(near.sum()), robust)))
+            parts.setdefault(relative.frame, []).append((relative.among(near), np.full(int(near.sum()), robust)))
     made: list[gtsam.NonlinearFactor] = []
     for frame, members in parts.items():
         made += _stacked(members, graph, reference, frame, kernel)
@@ -134,14 +131,6 @@ def _stacked(
             keys.tolist(), i, j, measured[rows], information[rows], points=points, frame=frame,
             at=reference[first[rows], 2], edge_kernel=kernel, robust=robust[rows],
         )  # fmt: skip
-
-
-def _chosen(family: _Relative, rows: np.ndarray) -> _Relative:
-    """Some of the edges."""
-    return replace(
-        family, first=family.first[rows], second=family.second[rows], measured=family.measured[rows],
-        information=family.information[rows],
-    )  # fmt: skip
 
 
 def _factors_of(

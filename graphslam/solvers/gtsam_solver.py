@@ -16,6 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import gtsam
@@ -90,9 +91,7 @@ def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
 
 def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph:
     """All factors of a graph frozen at its nodes (n, 3), with the parameters at ``key``."""
-    parameters = graph.parameters
-    assert parameters is not None
-    made = gtsam.NonlinearFactorGraph()
+    parameters, made = graph.estimated, gtsam.NonlinearFactorGraph()
     for family in graph.families:
         if isinstance(family, edges.SightingEdges):
             for factor in _of_sightings(graph, family, nodes, key):
@@ -125,8 +124,7 @@ def _plain(graph: Graph, family: edges.EdgeFamily, nodes: Array) -> Iterator[gts
 
 def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: int) -> Iterator[gtsam.NonlinearFactor]:
     """The factors of sightings, one for each edge."""
-    parameters = graph.parameters
-    assert parameters is not None and graph.log is not None
+    parameters = graph.estimated
     z, noisy, trust, sensor = family.sightings, family.noisy, family.trusted.tolist(), family.sensor
     X = moves(parameters, predictions(family, nodes), controls_of(graph))
     if isinstance(family, edges.VirtualMotionEdges):
@@ -236,8 +234,16 @@ def solve_with_gtsam(
     check_graph(graph)
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
+    begin = time.perf_counter()
     if graph.parameters is not None:
-        return _with_parameters(graph, tolerance, max_iterations, initialize, factors)
+
+        def solved(nodes: Graph) -> Array:
+            rough = max(FIRST, tolerance)
+            return solve_with_gtsam(nodes, tolerance=rough, initialize=initialize, factors=factors).state
+
+        search, begun = solve_jointly_with_gtsam, partial(Run, graph.initial, tolerance, max_iterations)
+        found, run = best_of_starts(graph, solved, search, begun)
+        return make_solution(found, run, "gtsam", time.perf_counter() - begin)
     made = to_gtsam(graph, factors=factors)
     begin = time.perf_counter()
 
@@ -264,21 +270,6 @@ def solve_with_gtsam(
     run = run_from(starting_state(graph, initialize)) if end is None else end.run
     seconds, certificate = time.perf_counter() - begin, None if end is None else end.known_certificate
     return make_solution(graph, run, "gtsam", seconds, notes=(_contents(made),), certificate=certificate)
-
-
-def _with_parameters(graph: Graph, tolerance: float, most: int, initialize: str, factors: str) -> Solution:
-    """The solution of a graph with parameters: the nodes alone first, then all together."""
-    begin = time.perf_counter()
-
-    def solved(nodes: Graph) -> Array:
-        rough = max(FIRST, tolerance)
-        return solve_with_gtsam(nodes, tolerance=rough, initialize=initialize, factors=factors).state
-
-    def begun() -> Run:
-        return Run(graph.initial, tolerance, most)
-
-    found, run = best_of_starts(graph, solved, solve_jointly_with_gtsam, begun)
-    return make_solution(found, run, "gtsam", time.perf_counter() - begin)
 
 
 def _contents(factors: gtsam.NonlinearFactorGraph) -> str:

@@ -47,9 +47,8 @@ class JointGraph:
     state_dependent_information = True
 
     def __init__(self, graph: Graph) -> None:
-        assert graph.parameters is not None
         _check_pairs(sighted_edges(graph))
-        self.graph, self.parameters = graph, graph.parameters
+        self.graph, self.parameters = graph, graph.estimated
         self.reweighted, self.rows = graph.reweighted, -(-len(self.parameters) // 3)
 
     def joined(self, nodes: Array, values: Array) -> Array:
@@ -113,9 +112,7 @@ class JointGraph:
 
     def border(self, graph: Graph, nodes: Array, held: Array, scaled: bool = False) -> Border:
         """C, D and g of `at` a state; ``scaled`` as `Graph.information` scales Omega."""
-        parameters = graph.parameters
-        assert parameters is not None
-        seen, driven = sighted_edges(graph), motion_edges(graph)
+        parameters, seen, driven = graph.estimated, sighted_edges(graph), motion_edges(graph)
         factor = seen.information_per_weight if scaled else 1.0
         predicted = predictions(seen, held)
         border = Border.of_sightings(self._copies, graph, seen, nodes, held, predicted).scaled(factor)
@@ -152,9 +149,7 @@ class Border:
         cls, copies: BlockSystem, graph: Graph, edges: SightingEdges, nodes: Array, held: Array, predicted: Array
     ) -> Border:
         """That of edges from sightings, with the predicted sightings (M, d); ``copies`` has room for Omega and xi."""
-        parameters = graph.parameters
-        assert parameters is not None and graph.log is not None
-        poses, count = len(graph.steps), len(edges.sightings)
+        parameters, poses, count = graph.estimated, len(graph.steps), len(edges.sightings)
         free, at = copied(edges, nodes, poses)
         copies.clear()
         free.accumulate(at, copied(edges, held, poses)[1], copies)
@@ -305,9 +300,7 @@ def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
 
 def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
     """The graph whose measurements are what the nodes predict, and the derivative (T, 3, K) of its motions."""
-    seen, driven = sighted_edges(graph), motion_edges(graph)
-    parameters = graph.parameters
-    assert parameters is not None
+    parameters, seen, driven = graph.estimated, sighted_edges(graph), motion_edges(graph)
     trust = seen.trusted * graph.sighting_weights(nodes)
     exact = replace(seen, sightings=predictions(seen, nodes), kernel=None, trust=trust)  # type: ignore[call-arg]
     changed = {seen: exact}

@@ -57,8 +57,7 @@ def best_of_starts(
     Raises:
         GraphError: the log does not determine the nodes or the parameters.
     """
-    assert graph.parameters is not None
-    names, values = graph.parameters.names, graph.parameters.values
+    names, values = graph.estimated.names, graph.estimated.values
     first = solved(without_parameters(graph))
     starts = [(graph, first)]
     lowest = graph.cost(first)
