@@ -40,6 +40,13 @@ def turn_matrix(theta: ArrayLike) -> Array:
     return matrix
 
 
+def lever_matrix(lever: ArrayLike) -> Array:
+    """[I, t; 0, 1], by which a pose moves what it sees: by t (..., 2) for each radian that it turns; (..., 3, 3)."""
+    matrix = np.zeros((*np.shape(lever)[:-1], 3, 3))
+    matrix[..., [0, 1, 2], [0, 1, 2]], matrix[..., :2, 2] = 1.0, lever
+    return matrix
+
+
 def perpendicular(vector: ArrayLike) -> Array:
     """The vector (-y, x): a quarter turn to the left, the derivative of R(theta) v by theta; shapes (..., 2)."""
     vector = np.asarray(vector, dtype=float)

@@ -18,7 +18,7 @@ from ..engine import engine
 from ..errors import GraphError, quoted
 from ..errors.checks import check_choice, first, make_read_only, real_array
 from ..linear.information import BlockSystem
-from ..se2 import Array, turn_matrix
+from ..se2 import Array, lever_matrix, turn_matrix
 
 #: the blocks of pairs, for families that do not list their pairs
 _NO_BLOCKS = np.zeros(0, dtype=np.int64)
@@ -71,11 +71,7 @@ def linearization(
         levers: u (E, 2) and v (E, 2), one for each end.
         angle: (E,) the direction of the axes in which the result is given; default: world axes.
     """
-    jacobians = []
-    for sign, lever in zip((-1.0, 1.0), levers):
-        B = np.tile(sign * np.eye(3), (len(residuals), 1, 1))
-        B[:, :2, 2] = sign * lever
-        jacobians.append(B)
+    jacobians = [sign * lever_matrix(lever) for sign, lever in zip((-1.0, 1.0), levers)]
     if angle is not None:
         turn = turn_matrix(-angle)
         residuals, jacobians = np.einsum("eij,ej->ei", turn, residuals), [turn @ B for B in jacobians]
@@ -119,6 +115,12 @@ class ConstantEdges:
     turn: Array | None
     information: Array
     landmarks: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def check_nodes(owner: object, *names: str) -> None:
+    """Make attributes of a frozen dataclass `node_numbers`."""
+    for name in names:
+        object.__setattr__(owner, name, node_numbers(owner, name, getattr(owner, name)))
 
 
 def node_numbers(owner: object, name: str, nodes: Any) -> np.ndarray:
@@ -349,7 +351,7 @@ class NodeEdges(EdgeFamily):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "nodes", node_numbers(self, "nodes", self.nodes))
+        check_nodes(self, "nodes")
 
     @property
     def count(self) -> int:
@@ -368,8 +370,7 @@ class PairEdges(EdgeFamily):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("first", "second"):
-            object.__setattr__(self, name, node_numbers(self, name, getattr(self, name)))
+        check_nodes(self, "first", "second")
         if len(self.first) != len(self.second):
             sizes = f"{len(self.first)} and {len(self.second)}"
             raise GraphError(f"{type(self).__name__}: first and second must name as many nodes each, not {sizes}")

@@ -26,7 +26,7 @@ import numpy as np
 from ..engine import engine
 from ..errors import GraphError
 from ..linear.information import BlockSystem
-from ..se2 import Array, difference, perpendicular, transform, turn_matrix, wrap
+from ..se2 import Array, difference, lever_matrix, perpendicular, transform, turn_matrix, wrap
 from .base import ConstantEdges, EdgeFamily, EngineEdges, Linearization, NodeEdges, check_rows
 from .robust import SingleEdges, code_and_width
 
@@ -248,8 +248,7 @@ class PositionEdges(SingleEdges, NodeEdges, EngineEdges):
         points, d = self.points(state), self.dimension
         residuals = np.zeros((self.count, 3))
         residuals[:, :2] = points - self.measured[:, :2]
-        B = np.tile(np.eye(3), (self.count, 1, 1))
-        B[:, :2, 2] = perpendicular(points - state[self.nodes, :2])
+        B = lever_matrix(perpendicular(points - state[self.nodes, :2]))
         if d == 3:
             residuals[:, 2] = wrap(state[self.nodes, 2] - self.measured[:, 2])
         return Linearization(residuals[:, :d], self.weighed, (self.nodes,), (B[:, :d],))

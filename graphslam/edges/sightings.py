@@ -40,7 +40,7 @@ from ..engine import engine
 from ..linear.precision import inverses
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
-from .base import SYMMETRIC, FramedEdges, Linearization, check_rows, linearization, node_numbers
+from .base import SYMMETRIC, FramedEdges, Linearization, check_nodes, check_rows, linearization
 from .robust import DoubtedEdges, code_and_width
 
 
@@ -109,8 +109,7 @@ class LandmarkSightings(SightingEdges, FramedEdges):
     shared: ClassVar[tuple[str, ...]] = ("starts",)
 
     def __post_init__(self) -> None:
-        for name in ("starts", "nodes"):
-            object.__setattr__(self, name, node_numbers(self, name, getattr(self, name)))
+        check_nodes(self, "starts", "nodes")
         check_sightings(self, len(self.nodes))
         super().__post_init__()
 

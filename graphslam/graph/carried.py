@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..models import SensorModel
-from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
+from ..se2 import Array, lever_matrix, perpendicular, rotation, turn_matrix, wrap
 from .landmark_map import LandmarkMap
 from .map_evidence import Weighed, weighed
 from .registration import Match, Points, evenly, linear, padded, those_that_differ
@@ -49,7 +49,7 @@ def noise_of(log: Stretch, rows: np.ndarray, drift: Drift, levers: Array) -> Arr
     """The covariances (K, K, 3, 3) of sightings from one another, by the sensor and the odometry, whose errors they share."""
     at = log.steps[rows]
     _, C, _ = seen_from(drift.poses[at], log.sightings[rows], log.sensor)
-    J = by_pose(levers)
+    J = lever_matrix(levers)
     measured = J[:, None] @ drift.between(at) @ np.swapaxes(J, 1, 2)[None]
     each = np.arange(len(rows))
     measured[each, each] += C
@@ -70,13 +70,6 @@ def of_landmarks(landmarks: LandmarkMap, ids: np.ndarray) -> Array:
     return S.transpose(0, 2, 1, 3)
 
 
-def by_pose(lever: Array) -> Array:
-    """The derivatives (M, 3, 3) of places by the poses from which they are seen."""
-    J = np.tile(np.eye(3), (len(lever), 1, 1))
-    J[:, :2, 2] = lever
-    return J
-
-
 def seen_from(poses: Array, sightings: Array, sensor: SensorModel) -> tuple[Array, Array, Array]:
     """The landmarks (M, 3) of sightings with covariances (M, 3, 3), and their levers (M, 2) about the poses."""
     d = sightings.shape[1]
@@ -88,7 +81,7 @@ def seen_from(poses: Array, sightings: Array, sensor: SensorModel) -> tuple[Arra
 def paired(seen: tuple[Array, Array, Array], drift: Array, ids: np.ndarray, landmarks: LandmarkMap) -> Points:
     """The points of sightings from poses with covariances ``drift`` (M, 3, 3), and their counterparts in a map."""
     y, C, lever = seen
-    J = by_pose(lever)
+    J = lever_matrix(lever)
     unique, which = np.unique(ids, return_inverse=True)
     m, S = landmarks.arrays(unique.tolist())
     whole = np.array([place[:2] for place in landmarks.values()])
@@ -144,10 +137,10 @@ def _smoothed(log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, pose: Arra
     cost = float(e @ np.linalg.solve(R, e))
     for _ in range(STEPS):
         levers = levers_of(points, pose, drift.poses[at])
-        turn, D = turn_matrix(pose[2]), by_pose(levers)
+        turn, D = turn_matrix(pose[2]), lever_matrix(levers)
         noise = D[:, None] @ drift.between(at) @ np.swapaxes(D, 1, 2)[None]
         V = R + padded(turn @ noise @ turn.T, points.known) - np.diag((~points.known).ravel().astype(float))
-        J = by_pose(perpendicular(points.places[:, :2] - pose[:2])) * points.known[:, :, None]
+        J = lever_matrix(perpendicular(points.places[:, :2] - pose[:2])) * points.known[:, :, None]
         J = J.reshape(-1, 3)
         unbent = e - ((turn @ D @ drift.shifts(at)[:, :, None])[..., 0] * points.known).ravel()
         W = np.linalg.solve(V, np.column_stack([J, unbent]))

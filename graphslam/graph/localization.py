@@ -20,8 +20,8 @@ from ..errors import GraphError
 from ..errors.checks import check_type, listed
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, in_frame, perpendicular, turn_matrix
-from .carried import by_pose, paired, points_of, seen_from, smoothed, together
+from ..se2 import Array, between, compose, in_frame, lever_matrix, perpendicular, turn_matrix
+from .carried import paired, points_of, seen_from, smoothed, together
 from .constellation import Constellations, Merged, match, merged, with_alike
 from .landmark_map import LandmarkMap, as_map
 from .map_evidence import Weighed, log_sum
@@ -243,7 +243,7 @@ def _fixes_here(log: Stretch, known: Constellations, landmarks: LandmarkMap) -> 
         drift.go_to(step)
         at = log.steps[rows]
         y, sensed, lever = seen_from(drift.poses[at], log.sightings[rows], log.sensor)
-        J = by_pose(lever)
+        J = lever_matrix(lever)
         seen = merged(y, sensed, J @ drift.covariances[at] @ np.swapaxes(J, 1, 2), at)
         found = match(seen, known)
         best = found[0][0] if found else None
@@ -283,8 +283,7 @@ def carried_back(fix: Fix, log: Stretch, step: int) -> Fix:
     drift.go_to(step)
     back = between(drift.poses[step], np.zeros(3))
     pose = compose(fix.pose, back)
-    x, y = fix.pose[:2] - pose[:2]
-    F, J = np.array([[1, 0, y], [0, 1, -x], [0, 0, 1]]), turn_matrix(pose[2])
+    F, J = lever_matrix(perpendicular(pose[:2] - fix.pose[:2])), turn_matrix(pose[2])
     noise = F @ J @ drift.covariances[step] @ J.T @ F.T
     return replace(
         fix, pose=pose, covariance=F @ fix.covariance @ F.T + noise, step=step + fix.step, agree=rows[fix.agree],

@@ -24,7 +24,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..se2 import Array, difference, perpendicular, rotation, transform, turn_matrix, wrap
+from ..se2 import Array, difference, lever_matrix, perpendicular, rotation, transform, turn_matrix, wrap
 
 #: the probability that a measurement belongs to the landmark that its id says
 RIGHT = 0.8
@@ -181,9 +181,7 @@ def linear(points: Points, poses: Array) -> tuple[Array, Array, Array]:
     W = np.zeros(C.shape)
     W[..., :2, :2] = np.linalg.inv(C[..., :2, :2])
     W[known] = np.linalg.inv(C[known])
-    J = np.tile(np.eye(3), (*moved.shape[:-1], 1, 1))
-    J[..., :2, 2] = perpendicular(moved)
-    return e, W, J
+    return e, W, lever_matrix(perpendicular(moved))
 
 
 def padded(covariances: Array, known: np.ndarray) -> Array:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, rotation, turn_matrix
+from ..se2 import Array, between, compose, lever_matrix, perpendicular, turn_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +99,7 @@ class Drift:
         The errors of an earlier pose s move a later pose t by [[1, 0, y_s - y_t], [0, 1, x_t - x_s], [0, 0, 1]].
         """
         x, own = self.poses[steps], self.covariances[steps]
-        moved = np.tile(np.eye(3), (len(x), len(x), 1, 1))
-        moved[:, :, 0, 2] = x[:, None, 1] - x[None, :, 1]
-        moved[:, :, 1, 2] = x[None, :, 0] - x[:, None, 0]
+        moved = lever_matrix(perpendicular(x[None, :, :2] - x[:, None, :2]))
         # rows are the earlier poses
         upper = own[:, None] @ np.swapaxes(moved, 2, 3)
         later = np.arange(len(x))[:, None] > np.arange(len(x))
@@ -147,6 +145,5 @@ def moved(x: Array, P: Array, motion: Array, noise: Array) -> tuple[Array, Array
     """
     after = compose(x, motion)
     F = np.array([[1, 0, x[1] - after[1]], [0, 1, after[0] - x[0]], [0, 0, 1]])
-    J = np.eye(3)
-    J[:2, :2] = rotation(x[2])
+    J = turn_matrix(x[2])
     return after, F @ P @ F.T + J @ noise @ J.T

@@ -51,7 +51,7 @@ from ..edges import (
 from ..edges.base import NodeEdges, PairEdges
 from ..errors import GraphError
 from ..errors.checks import array_of
-from ..se2 import Array, between, chained, inverse, perpendicular, rotation, turn_matrix
+from ..se2 import Array, between, chained, inverse, lever_matrix, perpendicular, rotation, turn_matrix
 from .graph import Graph
 
 
@@ -308,9 +308,8 @@ def _of_pairs(family: VirtualMotionEdges) -> RelativePoseEdges:
     # at e = 0 the information of the world frame is the same
     own = replace(family, frame="body").covariances(np.zeros((0, 3)))
     factor = family.group_weights[group] * family.trusted[a] * family.trusted[b]
-    J = np.tile(np.eye(3), (len(a), 1, 1))
-    J[:, :2, 2] = np.einsum("eij,ej->ei", rotation(measured[:, 2]), perpendicular(landmark[b, :2]))
-    J = turn_matrix(-landmark[a, 2]) @ J
+    lever = np.einsum("eij,ej->ei", rotation(measured[:, 2]), perpendicular(landmark[b, :2]))
+    J = turn_matrix(-landmark[a, 2]) @ lever_matrix(lever)
     information = np.swapaxes(J, 1, 2) @ np.linalg.inv(own[a] + own[b]) @ J * factor[:, None, None]
     return RelativePoseEdges(family.nodes[a], family.nodes[b], measured, _symmetric(information))
 

@@ -205,10 +205,8 @@ def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[s
     if isinstance(estimate, Mapping):
         pairs = [(str(name), inf if value is None else value) for name, value in estimate.items()]
     else:
-        pairs = []
-        for word in estimate:
-            name, colon, after = str(word).partition(":")
-            pairs.append((name, after if colon else inf))
+        words = [str(word).partition(":") for word in estimate]
+        pairs = [(name, after if colon else inf) for name, colon, after in words]
     found: dict[str, float] = {}
     for written, value in pairs:
         name = written.strip().replace("-", "_")

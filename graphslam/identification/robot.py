@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .corrections import corrected_log
 from .declared import ParameterEstimate
-from .odometry import sighting_times
+from .odometry import OF_SENSOR, sighting_times
 from .restricted_likelihood import improve_variances, log_likelihood
 from .result import (
     BOOK_NOISE,
@@ -197,10 +198,8 @@ def _estimate(
     # exactly, without the rounding of the last step
     last.hold(held)
     motion, seen = last.models
-    seen = replace(
-        seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
-        bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
-    )  # fmt: skip
+    wider: dict[str, Any] = {name: getattr(seen, name) * factor**0.5 for name in OF_SENSOR}
+    seen = replace(seen, **wider)
     parameters = replace(last.parameters, recorded=ids.correct(log))
     free = [k for k, name in enumerate(parameters.names) if name not in held]
     names, means, deviations = (

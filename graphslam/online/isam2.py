@@ -146,11 +146,8 @@ class Isam2Backend(Backend):
         full = [slot for slot in range(factors.size()) if factors.at(slot) is not None]
         slots = {before: now for now, before in enumerate(full)}
         self._slots = {landmark: slots[slot] for landmark, slot in self._slots.items()}
-        left = gtsam.NonlinearFactorGraph()
-        for slot in full:
-            left.add(factors.at(slot))
         self._isam = gtsam.ISAM2(params)
-        self._pass_on(left, values, [])
+        self._pass_on(_without_empty_slots(factors), values, [])
 
     def _pass_on(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, removed: list[int]) -> Any:
         try:
@@ -322,12 +319,7 @@ class Isam2Backend(Backend):
         return dict(zip(self._nodes, estimates))
 
     def covariance(self, poses: Sequence[int], landmarks: Sequence[int]) -> Array:
-        values, factors = self._isam.calculateEstimate(), gtsam.NonlinearFactorGraph()
-        every = self._isam.getFactorsUnsafe()
-        for slot in range(every.size()):
-            # slots of removed factors are empty
-            if every.at(slot) is not None:
-                factors.add(every.at(slot))
+        values, factors = self._isam.calculateEstimate(), _without_empty_slots(self._isam.getFactorsUnsafe())
         keys = [*map(X, poses), *(self._nodes[id] for id in landmarks)]
         try:
             found = gtsam.Marginals(factors, values).jointMarginalCovariance(gtsam.KeyVector(list(dict.fromkeys(keys))))
@@ -339,6 +331,15 @@ class Isam2Backend(Backend):
             is_point = chr(gtsam.symbolChr(key)) == "m" and self.columns == 2
             turns.append(np.eye(2) if is_point else turn_matrix(np.array([values.atPose2(key).theta()]))[0])
         return np.block([[A @ found.at(a, b) @ B.T for b, B in zip(keys, turns)] for a, A in zip(keys, turns)])
+
+
+def _without_empty_slots(factors: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
+    """The factors without the slots of those that were removed."""
+    left = gtsam.NonlinearFactorGraph()
+    for slot in range(factors.size()):
+        if factors.at(slot) is not None:
+            left.add(factors.at(slot))
+    return left
 
 
 def _parameters(threshold: float, skip: int, factorization: str) -> gtsam.ISAM2Params:

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ..edges import ConstantEdges, EdgeFamily
-from ..edges.base import EngineEdges, check_rows, node_numbers
+from ..edges.base import EngineEdges, check_nodes, check_rows
 from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import first
@@ -245,8 +245,7 @@ def _add(taken: Any, edges: ConstantEdges, nodes: int) -> None:
         GraphError: an edge names another node, an array has another shape or is not finite, or the information of an edge is
             not symmetric.
     """
-    for name in ("first", "second"):
-        object.__setattr__(edges, name, node_numbers(edges, name, getattr(edges, name)))
+    check_nodes(edges, "first", "second")
     count, d = len(edges.first), 2 if edges.turn is None else 3
     check_rows(edges, start=(count, 2), end=(count, 2), information=(count, d, d))
     if edges.turn is not None:

@@ -103,11 +103,8 @@ def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph
             ends = zip(family.first.tolist(), family.second.tolist(), family.measured, family.information, behind)
             for i, j, z, information, X in ends:
                 base = factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=nodes[i])
-                noise = noise_model({"kernel": None}, information=information)
-                if family.frame == "world":
-                    turn = turn_matrix(nodes[i, 2])
-                    noise = noise_model({"kernel": None}, information=turn @ information @ turn.T)
-                made.add(_factor_with_parameters(base, noise, key, (nodes[i], nodes[j]), (None, X), parameters.values))
+                at, noise = (nodes[i], nodes[j]), base.noiseModel()
+                made.add(_factor_with_parameters(base, noise, key, at, (None, X), parameters.values))
         else:
             for factor in _plain(graph, family, nodes):
                 made.add(factor)

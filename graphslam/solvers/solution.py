@@ -58,12 +58,11 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
     places[:, 2:] = wrap(places[:, 2:])
     ids = graph.landmark_ids[free - poses].tolist()
     means_of_nodes = dict(zip(graph.landmark_ids.tolist(), places[poses:]))
-    means = means_of_nodes | dict(graph.map or {}) | dict(zip(ids, places[free]))
-    classes = (graph.map.classes if graph.map is not None else {}) | _classes(log)
+    known = LandmarkMap({}) if graph.map is None else graph.map
+    means = means_of_nodes | dict(known) | dict(zip(ids, places[free]))
+    classes = known.classes | _classes(log)
     # landmarks of the graph's map that are no nodes are as they were
-    others = {
-        j: C for j, C in (graph.map.covariances if graph.map is not None else {}).items() if j not in means_of_nodes
-    }
+    others = {j: C for j, C in known.covariances.items() if j not in means_of_nodes}
     if 9 * len(free) * graph.num_nodes > MOST or not len(free):
         covariances = dict(zip(ids, uncertainty.diagonal[free, :d, :d]))
         return LandmarkMap(means, others | covariances, classes=classes)

@@ -71,3 +71,13 @@ def test_interpolation_composes():
     some, later = se2.interpolate(a, b, s), se2.interpolate(a, b, (s + 1) / 2)
     np.testing.assert_allclose(se2.wrap(se2.interpolate(some, b, np.full(100, 0.5)) - later), 0, atol=1e-12)
     np.testing.assert_allclose(se2.wrap(se2.interpolate(a, b, np.ones(100)) - b), 0, atol=1e-12)
+
+
+@given(poses, st.tuples(finite, finite).map(np.array))
+def test_lever_matrix_is_the_derivative_of_what_a_pose_sees(pose, point):
+    def seen(x):
+        return np.append(se2.transform(x, point), x[2])
+
+    lever = se2.perpendicular(se2.transform(pose, point) - pose[:2])
+    columns = [(seen(pose + h) - seen(pose - h)) / 2e-6 for h in 1e-6 * np.eye(3)]
+    np.testing.assert_allclose(se2.lever_matrix(lever), np.stack(columns, axis=1), atol=1e-3)
