@@ -16,7 +16,7 @@ from ..errors import GraphError, OptionError
 from ..errors.checks import check_positive
 from ..linear.precision import check_size, small_inverse
 from ..models import QUICKEST, MotionModel, sinc_slope_near_zero
-from ..se2 import Array, rotation
+from ..se2 import Array, turned_by
 from .arguments import (
     PoseLike,
     check_heading,
@@ -69,7 +69,7 @@ class RelativePoseFactor(Factor):
         self._between = z, omega
         (dx, dy, turned), world = z.tolist(), in_world_frame(arguments["frame"])
         frozen = frozen_at(arguments["at"], needed=world)
-        omega = omega if frozen is None else _turned_information(omega, frozen[2])
+        omega = omega if frozen is None else turned_by(omega, frozen[2])
 
         def residual(a: Coordinates, b: Coordinates) -> Linearized:
             # derivatives by GTSAM's perturbations, each pose's in its own axes
@@ -100,7 +100,7 @@ class RelativePoseFactor(Factor):
         if arguments["frame"] == "world":
             raise OptionError("to_between needs frame='body': GTSAM's factor turns its information with the pose")
         z, omega = self._between
-        noise = noise_model(arguments, information=_turned_information(omega, -z[2]))
+        noise = noise_model(arguments, information=turned_by(omega, -z[2]))
         key_1, key_2 = self.keys()
         return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*z), noise)
 
@@ -189,13 +189,6 @@ def _from_origin(motion: MotionModel, nu: float, omega: float, dt: float) -> tup
     ]
     driven = nu * dt * chord
     return np.array([driven * c, driven * s, 2 * a]), covariance
-
-
-def _turned_information(information: Array, theta: float) -> Array:
-    """The information (3, 3) of a pose in axes turned by -theta."""
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(theta)
-    return turn @ information @ turn.T
 
 
 class RelativeEdgesFactor(Factor):

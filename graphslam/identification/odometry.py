@@ -27,7 +27,7 @@ import numpy as np
 from ..linear.precision import inverses
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, chained, rotation
+from ..se2 import Array, chained, perpendicular, turn_matrix
 from .corrections import controls_at_steps, corrected_controls, motion_slopes
 from .declared import Parameters
 
@@ -186,13 +186,10 @@ def _joined(motions: Array, steps: np.ndarray) -> tuple[Array, Array]:
         total = np.cumsum(values, axis=0) - values
         return total - np.repeat(total[first], count, axis=0)
 
-    turned = rotation(before(motions[:, 2]))
-    ways = np.einsum("eij,ej->ei", turned, motions[:, :2])
+    levers = turn_matrix(before(motions[:, 2]))
+    ways = np.einsum("eij,ej->ei", levers[:, :2, :2], motions[:, :2])
     joined = np.column_stack([np.add.reduceat(ways, first), np.add.reduceat(motions[:, 2], first)])
-    left = np.repeat(joined[:, :2], count, axis=0) - before(ways) - ways
-    levers = np.zeros((len(motions), 3, 3))
-    levers[:, :2, :2], levers[:, 2, 2] = turned, 1.0
-    levers[:, 0, 2], levers[:, 1, 2] = -left[:, 1], left[:, 0]
+    levers[:, :2, 2] = perpendicular(np.repeat(joined[:, :2], count, axis=0) - before(ways) - ways)
     return joined, levers
 
 

@@ -302,8 +302,7 @@ class Unknowns:
         by_pose = by_at.copy()
         by_pose[:, :, 2] += np.einsum("edi,ei->ed", by_at[:, :, :2], back[:, :1] * perpendicular(heading))
         # a parameter has the effect of a move of the pose from which the sighting was made, in its own axes ...
-        by_own = by_at.copy()
-        by_own[:, :, :2] = by_at[:, :, :2] @ rotation(at[:, 2])
+        by_own = by_at @ turn_matrix(at[:, 2])
         slopes = np.einsum("edi,eik->edk", by_own, moves(self.parameters, predicted, speed))
         if "sensor_delay" in self.parameters.names:
             # ... but for the delay, which moves it along the heading of the present pose

@@ -33,7 +33,7 @@ import numpy as np
 from ..edges import RelationEdges
 from ..graph import Graph
 from ..linear.precision import inverses
-from ..se2 import Array, between, compose, inverse, turn_matrix
+from ..se2 import Array, between, compose, inverse, turn_matrix, turned_by
 from .iteration import end_of, levenberg_marquardt, rough
 from .minimize import minimize
 from .starts import dead_reckoning, odometry
@@ -183,7 +183,7 @@ def differences(graph: Graph, edges: RelationEdges) -> tuple[np.ndarray, np.ndar
 
 def _forward(edges: RelationEdges) -> tuple[np.ndarray, np.ndarray, Array, Array]:
     """First and second poses, first < second, the motions (R, 3), and their covariances (R, 3, 3) in the second's axes."""
-    noise = _moved(_headings(-edges.measured[:, 2]), np.linalg.inv(edges.information))
+    noise = turned_by(np.linalg.inv(edges.information), -edges.measured[:, 2])
     back = (edges.first > edges.second)[:, None]
     measured = np.where(back, inverse(edges.measured), edges.measured)
     # z exp(n) is exp(-Ad_z n) z^-1 when turned round
@@ -212,11 +212,7 @@ def _spread(graph: Graph, x: Array) -> Array:
     step, information = odometry(graph, "dead-reckoning")
     noise = np.zeros((len(x), 3, 3))
     noise[1:] = inverses(information[1:], "motion edge", "give it a positive definite information")
-    return np.cumsum(_moved(x, _moved(_headings(-step[:, 2]), noise)), axis=0)
-
-
-def _headings(angles: Array) -> Array:
-    return np.column_stack([np.zeros((len(angles), 2)), angles])
+    return np.cumsum(_moved(x, turned_by(noise, -step[:, 2])), axis=0)
 
 
 def _moved(x: Array, covariances: Array) -> Array:

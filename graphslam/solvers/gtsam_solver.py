@@ -30,7 +30,7 @@ from ..errors.checks import check_count, check_positive
 from ..factors.base import POSE, Factor, noise_model, turned, values_at
 from ..graph import Graph, check_graph
 from ..identification.corrections import corrected_controls, motion_slopes, moves
-from ..se2 import Array, difference, rotation, turn_matrix, wrap
+from ..se2 import Array, difference, turn_matrix, turned_by, wrap
 from .auto import DAMPED, best_end
 from .corrected import controls_of, predictions
 from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_values
@@ -98,8 +98,7 @@ def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph
                 made.add(factor)
         elif isinstance(family, edges.RelativePoseEdges) and not isinstance(family, edges.RelationEdges):
             _, slopes = motion_slopes(parameters, corrected_controls(parameters))
-            behind = -slopes
-            behind[:, :2] = rotation(nodes[family.first, 2]) @ behind[:, :2]
+            behind = turn_matrix(nodes[family.first, 2]) @ -slopes
             ends = zip(family.first.tolist(), family.second.tolist(), family.measured, family.information, behind)
             for i, j, z, information, X in ends:
                 base = factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=nodes[i])
@@ -123,9 +122,10 @@ def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: 
     """The factors of sightings, one for each edge."""
     parameters = graph.estimated
     z, noisy, trust, sensor = family.sightings, family.noisy, family.trusted.tolist(), family.sensor
+    # the moves are in the axes of poses, and are turned into those of the world
     X = moves(parameters, predictions(family, nodes), controls_of(graph))
     if isinstance(family, edges.VirtualMotionEdges):
-        X = _turned(X, nodes[family.nodes, 2])
+        X = turn_matrix(nodes[family.nodes, 2]) @ X
         a, b, group = family.pairs()
         covariance = family.covariances(nodes)
         for one, two, g in zip(a.tolist(), b.tolist(), group.tolist()):
@@ -135,8 +135,7 @@ def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: 
             C = covariance[one] + covariance[two]
             if family.frame == "body" and family.oriented:
                 # from the landmark's axes to those of the first sighting, which comes from direction psi
-                turn = turn_matrix(-z[one, 2])
-                C = turn @ C @ turn.T
+                C = turned_by(C, -z[one, 2])
             kernel = family.kernel and family.kernel.scaled(tempering)
             noise = noise_model({"kernel": kernel, "scale": tempering * trust[one] * trust[two]}, covariance=C)
             yield _factor_with_parameters(base, noise, key, ends, (X[one], X[two]), parameters.values)
@@ -149,7 +148,7 @@ def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: 
         assert isinstance(family, edges.CartesianObservationEdges)
         first, second, frame = family.first, family.second, family.frame
         landmarks = nodes[second]
-    X = _turned(X, nodes[first, 2])
+    X = turn_matrix(nodes[first, 2]) @ X
     at_pose = nodes[first] if frame == "world" else np.zeros((len(z), 3))
     covariance = sensor.landmark_covariance(at_pose, noisy)
     d = z.shape[1]
@@ -158,13 +157,6 @@ def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: 
         noise = noise_model({"kernel": family.kernel, "scale": trust[k]}, covariance=covariance[k])
         at = (nodes[i], landmarks[k][:d])
         yield _factor_with_parameters(other, noise, key, at, (X[k], None), parameters.values)
-
-
-def _turned(X: Array, headings: Array) -> Array:
-    """Moves (M, 3, K) in the axes of poses, in world axes."""
-    X = X.copy()
-    X[:, :2] = rotation(headings) @ X[:, :2]
-    return X
 
 
 def _factor_with_parameters(

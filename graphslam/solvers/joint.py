@@ -33,7 +33,7 @@ from ..identification.corrections import corrected_controls, motion_slopes, move
 from ..identification.declared import PARAMETERS
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
-from ..se2 import Array, between, rotation
+from ..se2 import Array, between, turn_matrix
 from .corrected import controls_of, corrected, motion_edges, predictions, sighted_edges, undetermined
 
 
@@ -154,8 +154,7 @@ class Border:
         copies.clear()
         free.accumulate(at, copied(edges, held, poses)[1], copies)
         moved = np.zeros((len(at), 3, len(parameters)))
-        moved[:count] = moves(parameters, predicted, controls_of(graph))
-        moved[:count, :2] = rotation(at[:count, 2]) @ moved[:count, :2]
+        moved[:count] = turn_matrix(at[:count, 2]) @ moves(parameters, predicted, controls_of(graph))
         weighed = _times(copies, moved)
         mixed = np.zeros((len(nodes), 3, len(parameters)))
         np.add.at(mixed, edges.first if isinstance(edges, ObservationEdges) else edges.nodes, weighed[:count])  # type: ignore[attr-defined]
@@ -168,8 +167,7 @@ class Border:
         """That of motion edges whose measured motions have the derivative slopes (T, 3, K) by the parameters."""
         ends = edges.linearize(nodes, held)
         # a longer measured motion has the effect of a second pose that stays behind
-        behind = -slopes
-        behind[:, :2] = rotation(nodes[edges.first, 2]) @ behind[:, :2]
+        behind = turn_matrix(nodes[edges.first, 2]) @ -slopes
         J = ends.jacobians[1] @ behind
         weighed = ends.information @ J
         mixed = np.zeros((len(nodes), 3, slopes.shape[2]))

@@ -81,3 +81,12 @@ def test_lever_matrix_is_the_derivative_of_what_a_pose_sees(pose, point):
     lever = se2.perpendicular(se2.transform(pose, point) - pose[:2])
     columns = [(seen(pose + h) - seen(pose - h)) / 2e-6 for h in 1e-6 * np.eye(3)]
     np.testing.assert_allclose(se2.lever_matrix(lever), np.stack(columns, axis=1), atol=1e-3)
+
+
+@given(poses, st.integers(0, 2**32 - 1))
+def test_turned_by_keeps_squares_of_turned_vectors(pose, seed):
+    rng = np.random.default_rng(seed)
+    information, vector = rng.standard_normal((3, 3)), rng.standard_normal(3)
+    turned = np.append(se2.transform([0.0, 0.0, pose[2]], vector[:2]), vector[2])
+    there = se2.turned_by(information, pose[2])
+    assert turned @ there @ turned == pytest.approx(vector @ information @ vector, rel=1e-9, abs=1e-9)
