@@ -14,19 +14,10 @@ from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError
 from ..errors.checks import check_positive
-from ..linear.precision import check_size, small_inverse
+from ..linear.precision import check_size, model_of, small_inverse
 from ..models import QUICKEST, MotionModel, sinc_slope_near_zero
 from ..se2 import Array, turned_by
-from .arguments import (
-    PoseLike,
-    check_heading,
-    frozen_at,
-    in_world_frame,
-    motion_of,
-    numbers,
-    pose,
-    positive_definite,
-)
+from .arguments import PoseLike, check_heading, frozen_at, in_world_frame, numbers, pose, positive_definite
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
 
 
@@ -141,7 +132,7 @@ class MotionFactor(RelativePoseFactor):
         kernel: KernelLike = None,
     ) -> None:
         check_positive(dt=dt)
-        motion, u = motion_of(motion), numbers("control", control, (2,))
+        motion, u = model_of(MotionModel, motion), numbers("control", control, (2,))
         nu, omega = u.tolist()
         for name, number in (
             ("dt", float(dt)),

@@ -38,10 +38,7 @@ def without_parameters(graph: Graph) -> Graph:
 
 
 def best_of_starts(
-    graph: Graph,
-    solved: Callable[[Graph], Array],
-    search: Callable[[JointGraph, Run], None],
-    begun: Callable[[], Run],
+    graph: Graph, solved: Callable[[Graph], Array], search: Callable[[JointGraph, Run], None], begun: Callable[[], Run]
 ) -> tuple[Graph, Run]:
     """The graph at the estimated parameters and its run, the lowest one among some starts of the parameters.
 
