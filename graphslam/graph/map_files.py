@@ -362,8 +362,6 @@ _FORMATS: dict[str, tuple[Callable[[Path], Parts], _Writer | None]] = {
     ".csv": (_table, _as_table), ".npz": (_archive, _archived), ".yaml": (_yaml, _as_yaml), ".yml": (_yaml, _as_yaml),
     ".geojson": (_geojson, _as_geojson), ".json": (_geojson, _as_geojson),
 }  # fmt: skip
-#: the endings of files that hold maps
-ENDINGS = tuple(_FORMATS)
 
 
 def _format(path: Path) -> tuple[Callable[[Path], Parts], _Writer | None]:

@@ -30,7 +30,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..edges import (
-    ANCHOR_INFORMATION,
     AnchorEdges,
     CartesianObservationEdges,
     DoubtedEdges,
@@ -52,6 +51,7 @@ from ..edges.base import NodeEdges, PairEdges
 from ..errors import GraphError
 from ..errors.checks import array_of
 from ..se2 import Array, between, chained, inverse, lever_matrix, perpendicular, rotation, turn_matrix
+from .defaults import anchors
 from .graph import Graph
 
 
@@ -116,7 +116,7 @@ def poses_only(graph: Graph, families: list[EdgeFamily]) -> Graph:
     of_landmarks = (RelativePointEdges, LandmarkPriors, PriorEdges, PartialEdges)
     kept = [family for family in families if not isinstance(family, of_landmarks)]
     if graph.map is not None and not any(isinstance(family, PositionEdges) for family in kept):
-        kept.append(AnchorEdges(np.zeros(1, dtype=int), graph.initial[:1].copy(), ANCHOR_INFORMATION[None]))
+        kept += anchors(graph.initial[0], ())
     return replace(
         graph, initial=graph.initial[:count], landmark_ids=graph.landmark_ids[:0], log=None, map=None,
         families=tuple(kept), fixed=graph.fixed[graph.fixed < count],
@@ -129,7 +129,7 @@ def without_positions(graph: Graph) -> Graph:
         return graph
     families = [f for f in graph.families if not isinstance(f, PositionEdges) and type(f) is not AnchorEdges]
     if graph.map is None and not len(graph.fixed):
-        families.insert(0, AnchorEdges(np.zeros(1, dtype=int), graph.initial[:1].copy(), ANCHOR_INFORMATION[None]))
+        families = [*anchors(graph.initial[0], ()), *families]
     return replace(graph, families=tuple(families))
 
 

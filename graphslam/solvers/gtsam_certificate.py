@@ -34,9 +34,6 @@ from .solution import Solution
 #: GTSAM's own factors whose error goes through the logarithm of SE(2)
 LOGARITHM = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2)
 
-#: factors of one kind that are alike: the nodes (K, number of keys), and the descriptions
-_Alike = tuple[np.ndarray, list[FactorDescription]]
-
 
 def edges_of_factors(
     factors: gtsam.NonlinearFactorGraph, values: gtsam.Values
