@@ -19,7 +19,7 @@ MacKay, *Information Theory, Inference, and Learning Algorithms*, chapter 28.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
@@ -56,10 +56,8 @@ class Points:
 
     def among(self, rows: np.ndarray) -> Points:
         """Some of the measurements."""
-        return Points(
-            self.measured[rows], self.covariances[rows], self.places[rows], self.place_covariances[rows], self.ids[rows],
-            self.area,
-        )  # fmt: skip
+        columns = [f.name for f in fields(self) if f.name != "area"]
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     @property
     def oriented(self) -> np.ndarray:

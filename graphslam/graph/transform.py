@@ -89,8 +89,8 @@ def with_cartesian_sightings(graph: Graph) -> Graph | None:
 def with_landmark_nodes(graph: Graph) -> Graph | None:
     """The graph with landmark nodes and Cartesian residuals in place of its edges from sightings; these keep their order.
 
-    Their robust kernels are left out. New landmarks are numbered from 0, and at the origin. None where there are no
-    sightings.
+    A robust kernel of pairs acts on each sighting then. New landmarks are numbered from 0, and at the origin. None where
+    there are no sightings.
     """
     sighted = next((family for family in graph.families if isinstance(family, SightingEdges)), None)
     if sighted is None:
@@ -105,8 +105,9 @@ def with_landmark_nodes(graph: Graph) -> Graph | None:
             "landmark_dimension": sighted.sightings.shape[1],
         }  # fmt: skip
     edges = CartesianObservationEdges(
-        first, second, sighted.sightings, sighted.sensor, trust=sighted.trust, noise_at=sighted.noise_at
-    )
+        first, second, sighted.sightings, sighted.sensor,
+        kernel=sighted.kernel, trust=sighted.trust, noise_at=sighted.noise_at,
+    )  # fmt: skip
     return replace(graph, families=tuple(edges if f is sighted else f for f in graph.families), **parts)
 
 

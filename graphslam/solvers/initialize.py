@@ -158,8 +158,7 @@ def _all_places(graph: Graph, state: Array, count: int, but: set[int]) -> Iterat
     """The places of the landmarks from their single numbers seen by the first poses, except for some landmarks."""
     families = partial_edges(graph)
     for node in sorted(set(np.concatenate([family.second for family in families]).tolist()) - but):
-        rows = [(family, np.flatnonzero((family.second == node) & (family.first < count))) for family in families]
-        yield node, places_of([(f, r) for f, r in rows if len(r)], state)
+        yield node, places_of([f.among((f.second == node) & (f.first < count)) for f in families], state)
 
 
 #: the choices of the option ``initialize``

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges import CartesianObservationEdges, MarginalEdges, SightingEdges
+from ..edges import MarginalEdges, SightingEdges
 from ..errors import OptionError, quoted
 from ..errors.checks import make_read_only
 from ..graph import Graph
@@ -84,14 +84,10 @@ def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:
     sighted = next(family for family in graph.families if isinstance(family, SightingEdges))
     nodes = with_landmark_nodes(graph)
     assert nodes is not None
-    families = tuple(
-        replace(f, kernel=sighted.kernel) if isinstance(f, CartesianObservationEdges) else f for f in nodes.families
-    )
     ids = np.unique(log.landmarks[graph.sighting_rows])
     by_landmark = sighted.starts, sighted.nodes, sighted.sightings, sighted.sensor  # type: ignore[attr-defined]
     marks = MarginalEdges(*by_landmark, kernel=sighted.kernel, trust=sighted.trust).landmarks(state, state)
-    changed = replace(nodes, families=families, landmark_ids=ids, parameters=None, held=None)
-    return changed, np.concatenate([state, marks])
+    return replace(nodes, landmark_ids=ids, parameters=None, held=None), np.concatenate([state, marks])
 
 
 def _classes(log: Log | None) -> dict[int, str | int]:
