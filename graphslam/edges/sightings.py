@@ -122,6 +122,12 @@ class LandmarkSightings(SightingEdges, FramedEdges):
         count = self.sightings.shape[1] * int(np.sum(np.diff(self.starts) - 1))
         return count, count
 
+    @property
+    def marginal(self) -> MarginalEdges:
+        """The same sightings with each landmark eliminated, in the body frame."""
+        by_landmark = self.starts, self.nodes, self.sightings, self.sensor
+        return MarginalEdges(*by_landmark, kernel=self.kernel, trust=self.trust, noise_at=self.noise_at)
+
     @cached_property
     def group(self) -> np.ndarray:
         """The landmark (M,) of each sighting, from 0 to G-1."""

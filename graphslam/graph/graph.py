@@ -16,7 +16,6 @@ from ..edges import (
     EdgeFamily,
     LandmarkPriors,
     LandmarkSightings,
-    MarginalEdges,
     PositionEdges,
     PriorEdges,
     SightingEdges,
@@ -445,9 +444,7 @@ class Graph:
         if family.kernel is None:
             return np.ones(len(family.sightings))
         if isinstance(family, LandmarkSightings):
-            by_landmark = family.starts, family.nodes, family.sightings, family.sensor
-            noise = {"kernel": family.kernel, "trust": family.trust, "noise_at": family.noise_at}
-            squares = MarginalEdges(*by_landmark, **noise).squares(state, state)  # type: ignore[arg-type]
+            squares = family.marginal.squares(state, state)
         else:
             squares = family.linearize(state, state).mahalanobis
         return family.kernel.weight(squares)

@@ -12,7 +12,6 @@ import numpy as np
 from ..edges import (
     EdgeFamily,
     LandmarkSightings,
-    MarginalEdges,
     ObservationEdges,
     RelationEdges,
     RelativePoseEdges,
@@ -99,10 +98,7 @@ def predictions(edges: SightingEdges, state: Array) -> Array:
     predicted = None
     # the places depend on the noise, which depends on the places
     for _ in range(PASSES):
-        means = MarginalEdges(
-            edges.starts, edges.nodes, edges.sightings, edges.sensor, kernel=edges.kernel, trust=edges.trust,
-            noise_at=predicted,
-        ).landmarks(state, state)  # fmt: skip
+        means = replace(edges.marginal, noise_at=predicted).landmarks(state, state)
         places = means[edges.group][:, : edges.sightings.shape[1]]
         before, predicted = predicted, edges.sensor.h(state[edges.nodes], places)
         predicted[:, 0] = np.clip(predicted[:, 0], *(np.abs(edges.sightings[:, 0]) * factor for factor in PLAUSIBLE))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges import MarginalEdges, SightingEdges
+from ..edges import LandmarkSightings, SightingEdges
 from ..errors import OptionError, quoted
 from ..errors.checks import make_read_only
 from ..graph import Graph
@@ -81,12 +81,11 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
 
 def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:
     """The graph with landmark nodes in place of virtual-motion or marginal edges, and a state of all its nodes."""
-    sighted = next(family for family in graph.families if isinstance(family, SightingEdges))
+    sighted = next(family for family in graph.families if isinstance(family, LandmarkSightings))
     nodes = with_landmark_nodes(graph)
     assert nodes is not None
     ids = np.unique(log.landmarks[graph.sighting_rows])
-    by_landmark = sighted.starts, sighted.nodes, sighted.sightings, sighted.sensor  # type: ignore[attr-defined]
-    marks = MarginalEdges(*by_landmark, kernel=sighted.kernel, trust=sighted.trust).landmarks(state, state)
+    marks = replace(sighted.marginal, noise_at=None).landmarks(state, state)
     return replace(nodes, landmark_ids=ids, parameters=None, held=None), np.concatenate([state, marks])
 
 
