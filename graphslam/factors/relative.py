@@ -134,11 +134,8 @@ class MotionFactor(RelativePoseFactor):
         check_positive(dt=dt)
         motion, u = model_of(MotionModel, motion), numbers("control", control, (2,))
         nu, omega = u.tolist()
-        for name, number in (
-            ("dt", float(dt)),
-            ("the distance of control", nu * dt),
-            ("the turn of control", omega * dt),
-        ):
+        sizes = {"dt": float(dt), "the distance of control": nu * dt, "the turn of control": omega * dt}
+        for name, number in sizes.items():
             check_size(name, number)
         if abs(omega) > QUICKEST:
             raise OptionError(
