@@ -40,6 +40,19 @@ def turn_matrix(theta: ArrayLike) -> Array:
     return matrix
 
 
+def turned_by(matrix: ArrayLike, theta: ArrayLike) -> Array:
+    """Covariances or information (..., 3, 3) in the axes of poses with headings (...), in the axes of the poses' parent."""
+    turn = turn_matrix(theta)
+    return turn @ matrix @ np.swapaxes(turn, -1, -2)
+
+
+def lever_matrix(lever: ArrayLike) -> Array:
+    """[I, t; 0, 1], by which a pose moves what it sees: by t (..., 2) for each radian that it turns; (..., 3, 3)."""
+    matrix = np.zeros((*np.shape(lever)[:-1], 3, 3))
+    matrix[..., [0, 1, 2], [0, 1, 2]], matrix[..., :2, 2] = 1.0, lever
+    return matrix
+
+
 def perpendicular(vector: ArrayLike) -> Array:
     """The vector (-y, x): a quarter turn to the left, the derivative of R(theta) v by theta; shapes (..., 2)."""
     vector = np.asarray(vector, dtype=float)

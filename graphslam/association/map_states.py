@@ -298,7 +298,7 @@ def _shifts(
         else:
             V = np.linalg.inv((S[rows, rows] + S[rows, rows].T) / 2)
             shift = V @ score[rows]
-            shift[:2] = shift[:2] @ way.turn
+            shift[:2] = shift[:2] @ way.turn[:2, :2]
         shift[2:] = wrap(shift[2:])
         square = float(shift @ np.linalg.solve(V, shift))
         # one that has moved may have turned or not

@@ -93,7 +93,7 @@ class Calibration:
         whose errors are not known, count alike. The prior of a bias counts once.
         """
         every = (found, *others)
-        noise, motion, sensor = _noise(every), found.motion, found.sensor
+        (means, deviations, disagreements, contradictions), motion, sensor = _noise(every), found.motion, found.sensor
         priors = {name: prior for one in every for name, prior in one.parameters.priors.items()}
         ideal = {name: mean for name, (mean, _) in priors.items()}
         information, pulled = np.zeros((len(priors), len(priors))), np.zeros(len(priors))
@@ -109,7 +109,7 @@ class Calibration:
         covariance = np.linalg.inv(information)
         biases = {name: ideal[name] + change for name, change in zip(priors, (covariance @ pulled).tolist())}
         if others:
-            shared = {name: float(np.exp(2 * mean)) for name, mean in noise.means.items()}
+            shared = {name: float(np.exp(2 * mean)) for name, mean in means.items()}
             motion = with_variances(motion, {n: v for n, v in shared.items() if n not in OF_SENSOR})
             sensor = with_variances(sensor, {n: v for n, v in shared.items() if n in OF_SENSOR})
             place = [biases.get(name, here) for name, here in zip(PLACE, sensor.offset)]
@@ -118,7 +118,7 @@ class Calibration:
             # without rounding, so that the noise file gives the very graph of the estimate
             biases = dict(zip(found.parameters.names, found.parameters.values.tolist()))
         values = vars(motion) | vars(sensor)
-        errors = {name: values[name] * error if error < 1 else np.nan for name, error in noise.errors.items()}
+        errors = {name: values[name] * error if error < 1 else np.nan for name, error in deviations.items()}
         return cls(
             motion=motion, sensor=sensor, **{name: value for name, value in biases.items() if name not in PLACE},
             errors=errors | dict(zip(priors, np.sqrt(np.diag(covariance)).tolist())),
@@ -129,11 +129,11 @@ class Calibration:
             inflation=float(np.exp(np.mean([np.log(one.inflation) for one in every]))),
             source="residuals", logs=tuple(one.log.name for one in every),
             notes=(
-                *noise.notes,
+                *disagreements,
                 *(f"{one.log.name}: {said}" if others else said for one in every for said in one.remarks),
             ),
             doubts=(
-                *noise.doubts,
+                *contradictions,
                 *(f"{one.log.name}: {doubt}" if others else doubt for one in every for doubt in one.doubts),
             ),
         )  # fmt: skip
@@ -175,16 +175,6 @@ class Calibration:
         values = of_sensor_alone(self.corrections) if log.controls is None else self.corrections
         corrected = without_biases(log, motion=self.motion, sensor=self.sensor, **values)
         return corrected.replace(motion=self.motion or log.motion, sensor=self.sensor)
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """Logarithms of standard deviations by name, their errors, and what logs disagree on."""
-
-    means: dict[str, float]
-    errors: dict[str, float]
-    notes: tuple[str, ...]
-    doubts: tuple[str, ...]
 
 
 def calibrate(
@@ -321,8 +311,10 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
     )
 
 
-def _noise(every: Sequence[RobotEstimate]) -> _Noise:
-    """The pooled noise of the estimates, and the numbers on which they differ beyond chance.
+def _noise(every: Sequence[RobotEstimate]) -> tuple[dict[str, float], dict[str, float], list[str], list[str]]:
+    """The pooled noise of the estimates, and sentences on noise and biases on which they differ beyond chance.
+
+    The noise is the logarithms of standard deviations by name, and the errors of these logarithms.
 
     Values of one number from R logs, weighted by their information, scatter by chi-square with R - 1 degrees of freedom.
     Errors of sightings that last make their noise differ from log to log, and so only biases are doubtful.
@@ -352,9 +344,7 @@ def _noise(every: Sequence[RobotEstimate]) -> _Noise:
             (notes if k < len(names) else doubts).append(sentence)
     together = means[: len(names)] + widths.mean(axis=0)
     deviations = np.sum(information[:, : len(names)], axis=0) ** -0.5
-    return _Noise(
-        dict(zip(names, together.tolist())), dict(zip(names, deviations.tolist())), tuple(notes), tuple(doubts)
-    )
+    return dict(zip(names, together.tolist())), dict(zip(names, deviations.tolist())), notes, doubts
 
 
 def _check(logs: tuple[Log, ...], source: str) -> None:

@@ -8,17 +8,17 @@ every step, a damped search keeps it fixed during a step so that the function it
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError, quoted
-from ..errors.checks import first, make_read_only, real_array
+from ..errors.checks import check_choice, first, make_read_only, real_array
 from ..linear.information import BlockSystem
-from ..se2 import Array, turn_matrix
+from ..se2 import Array, lever_matrix, turn_matrix
 
 #: the blocks of pairs, for families that do not list their pairs
 _NO_BLOCKS = np.zeros(0, dtype=np.int64)
@@ -71,11 +71,7 @@ def linearization(
         levers: u (E, 2) and v (E, 2), one for each end.
         angle: (E,) the direction of the axes in which the result is given; default: world axes.
     """
-    jacobians = []
-    for sign, lever in zip((-1.0, 1.0), levers):
-        B = np.tile(sign * np.eye(3), (len(residuals), 1, 1))
-        B[:, :2, 2] = sign * lever
-        jacobians.append(B)
+    jacobians = [sign * lever_matrix(lever) for sign, lever in zip((-1.0, 1.0), levers)]
     if angle is not None:
         turn = turn_matrix(-angle)
         residuals, jacobians = np.einsum("eij,ej->ei", turn, residuals), [turn @ B for B in jacobians]
@@ -119,6 +115,12 @@ class ConstantEdges:
     turn: Array | None
     information: Array
     landmarks: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def check_nodes(owner: object, *names: str) -> None:
+    """Make attributes of a frozen dataclass `node_numbers`."""
+    for name in names:
+        object.__setattr__(owner, name, node_numbers(owner, name, getattr(owner, name)))
 
 
 def node_numbers(owner: object, name: str, nodes: Any) -> np.ndarray:
@@ -197,6 +199,15 @@ class EdgeFamily(ABC):
 
         Within a group the nodes do not decrease, and every pair of different nodes has an edge.
         """
+
+    #: attributes that have no row for each edge, whatever their length is
+    shared: ClassVar[tuple[str, ...]] = ()
+
+    def among(self, chosen: np.ndarray) -> Self:
+        """Some of the edges (E,) bool, or of the sightings that make them, of a family that is a dataclass."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.shared}  # type: ignore[arg-type]
+        of_edges = {name: each for name, each in columns.items() if isinstance(each, np.ndarray)}
+        return replace(self, **{name: each[chosen] for name, each in of_edges.items() if len(each) == len(chosen)})  # type: ignore[type-var]
 
     @cached_property
     def node_range(self) -> tuple[int, int]:
@@ -289,7 +300,6 @@ class EngineEdges(EdgeFamily):
 
     def check_constant(self) -> None:
         """Raise `GraphError` unless the edges have a form with constant information; its message says why not."""
-        super().constant(np.zeros((0, 3)))
 
     def constant(self, state: Array) -> ConstantEdges:
         self.check_constant()
@@ -310,14 +320,45 @@ class EngineEdges(EdgeFamily):
         return {name: value for name, value in vars(self).items() if name != "in_engine"}
 
 
-def check_body(frame: str) -> None:
-    """Raise `GraphError` unless edges are in the body frame, in which their information may be constant."""
-    if frame == "world":
-        raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
+@dataclass(frozen=True, eq=False)
+class FramedEdges(EngineEdges):
+    """Edges whose information is constant in the axes of a node, ``frame`` "body", or kept fixed in those of the "world"."""
+
+    frame: str = field(default="body", kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice("frame", self.frame, FRAMES)
+
+    @property
+    def state_dependent_information(self) -> bool:
+        return self.frame == "world"
+
+    def check_constant(self) -> None:
+        if self.frame == "world":
+            raise GraphError("the information of edges in the world frame depends on the state; use frame='body'")
 
 
 def _relations(arrays: tuple[np.ndarray, ...]) -> Relations | None:
     return Relations(*arrays) if len(arrays[0]) else None
+
+
+@dataclass(frozen=True, eq=False)
+class NodeEdges(EdgeFamily):
+    """Edges of single nodes ``nodes`` (E,)."""
+
+    nodes: np.ndarray
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_nodes(self, "nodes")
+
+    @property
+    def count(self) -> int:
+        return len(self.nodes)
+
+    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.arange(self.count + 1), self.nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,8 +370,7 @@ class PairEdges(EdgeFamily):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("first", "second"):
-            object.__setattr__(self, name, node_numbers(self, name, getattr(self, name)))
+        check_nodes(self, "first", "second")
         if len(self.first) != len(self.second):
             sizes = f"{len(self.first)} and {len(self.second)}"
             raise GraphError(f"{type(self).__name__}: first and second must name as many nodes each, not {sizes}")

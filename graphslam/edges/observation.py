@@ -46,8 +46,8 @@ from ..engine import engine
 from ..errors import GraphError
 from ..models import SensorModel
 from ..se2 import Array, mounted, perpendicular, wrap
-from .base import EngineEdges, Linearization, PairEdges, check_body, check_rows
-from .relative import RobustPointEdges, RobustPoseEdges
+from .base import EngineEdges, FramedEdges, Linearization, PairEdges, check_rows
+from .relative import DoubtedPointEdges, RelationEdges
 from .robust import SingleEdges, code_and_width
 from .sightings import SightingEdges, check_sightings
 
@@ -73,33 +73,24 @@ class ObservationEdges(PairEdges, SightingEdges):
 
 
 @dataclass(frozen=True, eq=False)
-class CartesianObservationEdges(ObservationEdges, EngineEdges):
+class CartesianObservationEdges(ObservationEdges, FramedEdges):
     """Sightings of landmark nodes with the residual in the plane; see `ObservationEdges` for the other arguments.
 
     Args:
         frame: "body" (the robot's axes, constant information) or "world".
     """
 
-    frame: str = field(default="body", kw_only=True)
-
     @cached_property
-    def relative(self) -> RobustPointEdges | RobustPoseEdges:
+    def relative(self) -> DoubtedPointEdges | RelationEdges:
         """The same edges as landmarks measured in the robot's axes, the trust in their information."""
         measured, covariance = self.sensor.places(self.sightings, noisy=self.noisy)
         information = np.linalg.inv(covariance)
         information = (information + np.swapaxes(information, 1, 2)) / 2 * self.trusted[:, None, None]
-        edges = RobustPoseEdges if self.oriented else RobustPointEdges
+        edges = RelationEdges if self.oriented else DoubtedPointEdges
         return edges(self.first, self.second, measured, information, frame=self.frame, kernel=self.kernel)
-
-    @property
-    def state_dependent_information(self) -> bool:
-        return self.relative.state_dependent_information
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
         return self.relative.linearize(state, reference)
-
-    def check_constant(self) -> None:
-        check_body(self.frame)
 
     def _to_engine(self) -> Any:
         return self.relative.in_engine
@@ -148,6 +139,7 @@ class PartialEdges(SingleEdges, PairEdges, EngineEdges):
     measured: Array
     information: Array
     offset: Array
+    shared: ClassVar[tuple[str, ...]] = ("offset",)
 
     def __post_init__(self) -> None:
         check_rows(self, measured=(self.count, 1), information=(self.count, 1, 1))

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import atan2, cos, sin
+from math import atan2
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,8 +26,8 @@ import numpy as np
 from ..engine import engine
 from ..errors import GraphError
 from ..linear.information import BlockSystem
-from ..se2 import Array, difference, perpendicular, transform, wrap
-from .base import ConstantEdges, EdgeFamily, EngineEdges, Linearization, check_rows, node_numbers
+from ..se2 import Array, difference, lever_matrix, perpendicular, transform, turn_matrix, wrap
+from .base import ConstantEdges, EdgeFamily, EngineEdges, Linearization, NodeEdges, check_rows
 from .robust import SingleEdges, code_and_width
 
 #: the lectures' Omega_0 = 1e6 I
@@ -35,35 +35,23 @@ ANCHOR_INFORMATION = 1e6 * np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
-class AnchorEdges(EngineEdges):
+class AnchorEdges(NodeEdges, EngineEdges):
     """Anchors of nodes (E,) at values (E, 3) with information (E, 3, 3), e = x - x̂ with the heading wrapped."""
 
-    nodes: np.ndarray
     values: Array
     information: Array
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "nodes", node_numbers(self, "nodes", self.nodes))
         check_rows(self, values=(self.count, 3), information=(self.count, 3, 3))
         # J depends on the symmetric part only, and code that reads one triangle must find the same
         symmetric = (self.information + np.swapaxes(self.information, 1, 2)) / 2
         object.__setattr__(self, "information", symmetric)
 
-    @property
-    def count(self) -> int:
-        return len(self.nodes)
-
-    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.arange(self.count + 1), self.nodes
-
     def linearize(self, state: Array, reference: Array) -> Linearization:
         residuals = difference(state[self.nodes], self.values)
         jacobians = np.broadcast_to(np.eye(3), (self.count, 3, 3))
         return Linearization(residuals, self.information, (self.nodes,), (jacobians,))
-
-    def check_constant(self) -> None:
-        pass
 
     def _to_engine(self) -> Any:
         no_lever = np.zeros((self.count, 2))
@@ -105,7 +93,7 @@ def freest_turn(values: Array, information: Array) -> Array | None:
 class Way(NamedTuple):
     """The residual v (3K,) of a prior of K nodes, and its Jacobian.
 
-    The Jacobian turns the change of each node's place by ``turn`` (2, 2), and adds along gradient', with ``along`` =
+    The Jacobian turns the change of each node by ``turn`` (3, 3), and adds along gradient', with ``along`` =
     dv/dtheta and ``gradient`` = dtheta/dx (3K,).
     """
 
@@ -126,13 +114,13 @@ class Way(NamedTuple):
         v, n = difference(nodes, values), 3 * len(nodes)
         along, gradient = np.zeros((2, len(nodes), 3))
         if pivot is None:
-            return cls(v.ravel(), np.eye(2), np.zeros(n), np.zeros(n))
+            return cls(v.ravel(), np.eye(3), np.zeros(n), np.zeros(n))
         arms, spread = values[:, :2] - pivot, values[:, :2] - values[:, :2].mean(axis=0)
         across = perpendicular(spread)
         c, s = float(np.sum(spread * nodes[:, :2])), float(np.sum(across * nodes[:, :2]))
         theta = atan2(s, c)
-        turn = np.array([[cos(theta), sin(theta)], [-sin(theta), cos(theta)]])
-        moved = (nodes[:, :2] - pivot) @ turn.T
+        turn = turn_matrix(-theta)
+        moved = (nodes[:, :2] - pivot) @ turn[:2, :2].T
         v[:, :2] = moved - arms + theta * perpendicular(arms)
         along[:, :2] = perpendicular(arms - moved)
         gradient[:, :2] = (c * across - s * spread) / (c * c + s * s)
@@ -140,16 +128,16 @@ class Way(NamedTuple):
 
     def jacobian(self) -> Array:
         """dv/dx (3K, 3K)."""
-        return np.kron(np.eye(len(self.v) // 3), self._turn_of_node) + np.outer(self.along, self.gradient)
+        return np.kron(np.eye(len(self.v) // 3), self.turn) + np.outer(self.along, self.gradient)
 
     def pulled(self, force: Array) -> Array:
         """J' force (3K,)."""
-        turned = force.reshape(-1, 3) @ self._turn_of_node
+        turned = force.reshape(-1, 3) @ self.turn
         return turned.ravel() + self.gradient * float(self.along @ force)
 
     def information(self, omega: Array) -> Array:
         """J' Omega J (3K, 3K), without products of large matrices."""
-        k, turn = len(self.v) // 3, self._turn_of_node
+        k, turn = len(self.v) // 3, self.turn
         turned = np.einsum("ra,irjs,sb->iajb", turn, omega.reshape(k, 3, k, 3), turn, optimize=True).reshape(
             3 * k, 3 * k
         )
@@ -158,12 +146,6 @@ class Way(NamedTuple):
             (pull.reshape(k, 3) @ turn).ravel() + 0.5 * float(self.along @ pull) * self.gradient, self.gradient
         )
         return turned + half + half.T
-
-    @property
-    def _turn_of_node(self) -> Array:
-        turn = np.eye(3)
-        turn[:2, :2] = self.turn
-        return turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,10 +166,6 @@ class PriorEdges(EdgeFamily):
     information: Array
     rhs: Array | None = None
     pivot: Array | None = None
-
-    @cached_property
-    def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.triu_indices(len(self.nodes), 1)
 
     @property
     def count(self) -> int:
@@ -224,8 +202,8 @@ class PriorEdges(EdgeFamily):
             blocks = way.information(self.information).reshape(k, 3, k, 3).transpose(0, 2, 1, 3)
             system.values[system.diagonal_slots[self.nodes]] += blocks[np.arange(k), np.arange(k)]
             if k > 1:
-                i, j = self._pairs
-                system.values[system.slots_of(*self._ends)] += blocks[i, j]
+                i, j, *ends = self._pairs
+                system.values[system.slots_of(*ends)] += blocks[i, j]
             system.xi[self.nodes] += way.pulled((0.0 if self.rhs is None else self.rhs) - pull).reshape(k, 3)
         if self.rhs is None:
             return float(v @ pull)
@@ -237,39 +215,30 @@ class PriorEdges(EdgeFamily):
         return float(np.linalg.lstsq(self.information, self.rhs, rcond=None)[0] @ self.rhs)
 
     @cached_property
-    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """The nodes of each pair; kept, because the system finds its slots by the arrays."""
-        i, j = self._pairs
-        return self.nodes[i], self.nodes[j]
+    def _pairs(self) -> tuple[np.ndarray, ...]:
+        """The places of each pair among the nodes, and its nodes; kept, because the system finds its slots by the arrays."""
+        i, j = np.triu_indices(len(self.nodes), 1)
+        return i, j, self.nodes[i], self.nodes[j]
 
     def _way(self, state: Array) -> Way:
         return Way.of(state[self.nodes], self.values, self.pivot)
 
 
 @dataclass(frozen=True, eq=False)
-class PositionEdges(SingleEdges, EngineEdges):
+class PositionEdges(SingleEdges, NodeEdges, EngineEdges):
     """Places ``measured`` (E, 2 or 3) of points ``levers`` (E, 2) of pose nodes (E,), with information (E, d, d).
 
     ``kernel`` and ``trust`` are those of `DoubtedEdges`.
     """
 
-    nodes: np.ndarray
     measured: Array
     information: Array
     levers: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "nodes", node_numbers(self, "nodes", self.nodes))
         d = 3 if np.shape(self.measured)[1:] == (3,) else 2
         check_rows(self, measured=(self.count, d), information=(self.count, d, d), levers=(self.count, 2))
         super().__post_init__()
-
-    @property
-    def count(self) -> int:
-        return len(self.nodes)
-
-    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.arange(self.count + 1), self.nodes
 
     def points(self, state: Array) -> Array:
         """The points p + R(theta) a (E, 2) at a state (n, 3)."""
@@ -279,14 +248,10 @@ class PositionEdges(SingleEdges, EngineEdges):
         points, d = self.points(state), self.dimension
         residuals = np.zeros((self.count, 3))
         residuals[:, :2] = points - self.measured[:, :2]
-        B = np.tile(np.eye(3), (self.count, 1, 1))
-        B[:, :2, 2] = perpendicular(points - state[self.nodes, :2])
+        B = lever_matrix(perpendicular(points - state[self.nodes, :2]))
         if d == 3:
             residuals[:, 2] = wrap(state[self.nodes, 2] - self.measured[:, 2])
         return Linearization(residuals[:, :d], self.weighed, (self.nodes,), (B[:, :d],))
-
-    def check_constant(self) -> None:
-        pass
 
     def _to_engine(self) -> Any:
         kernel = code_and_width(self.kernel)

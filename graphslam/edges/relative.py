@@ -21,35 +21,32 @@ the frame of x_{t-1} (body, Omega constant).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
 from ..engine import engine
-from ..errors.checks import check_choice
 from ..linear.precision import inverses
 from ..models import MotionModel
 from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
-from .base import FRAMES, EngineEdges, Linearization, PairEdges, check_body, check_rows, linearization
-from .robust import Kernel, SingleEdges, code_and_width, kernel_of
+from .base import FramedEdges, Linearization, PairEdges, check_rows, linearization
+from .robust import SingleEdges, code_and_width
 
 
 @dataclass(frozen=True, eq=False)
-class _RelativeEdges(PairEdges, EngineEdges):
+class _RelativeEdges(PairEdges, FramedEdges):
     """Nodes ``second`` measured (E, d) in the frames of the poses ``first``, with information (E, d, d) there."""
 
     measured: Array
     information: Array
-    frame: str = field(default="body", kw_only=True)
 
     #: the numbers of a measurement
     rows: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_choice("frame", self.frame, FRAMES)
         check_rows(self, measured=(self.count, self.rows), information=(self.count, self.rows, self.rows))
 
     @property
@@ -60,10 +57,6 @@ class _RelativeEdges(PairEdges, EngineEdges):
     def weighed(self) -> Array:
         """The information (E, d, d) that the edges work with."""
         return self.information
-
-    @property
-    def state_dependent_information(self) -> bool:
-        return self.frame == "world"
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
         a, b = state[self.first], state[self.second]
@@ -80,9 +73,6 @@ class _RelativeEdges(PairEdges, EngineEdges):
         turn = turn_matrix(reference[self.first, 2])[:, :d, :d]
         information = turn @ self.weighed @ np.swapaxes(turn, 1, 2)
         return linearization(ends, residuals, information, (perpendicular(reached), still))
-
-    def check_constant(self) -> None:
-        check_body(self.frame)
 
     def _to_engine(self) -> Any:
         edges = self.first, self.second, self.measured, self.weighed
@@ -103,31 +93,16 @@ class RelativePointEdges(_RelativeEdges):
 
 
 @dataclass(frozen=True, eq=False)
-class RobustRelativeEdges(_RelativeEdges):
-    """Relative edges with a robust kernel on each: ``kernel`` is a `Kernel`, its name, or None."""
-
-    kernel: Kernel | None = field(default=None, kw_only=True)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        kernel = kernel_of(self.kernel)
-        object.__setattr__(self, "kernel", None if kernel is None else kernel.of_dimension(self.rows))
-
-
-class RobustPoseEdges(RobustRelativeEdges, RelativePoseEdges):
-    """`RelativePoseEdges` with a robust kernel on each."""
-
-
-class RobustPointEdges(RobustRelativeEdges, RelativePointEdges):
-    """`RelativePointEdges` with a robust kernel on each."""
-
-
-@dataclass(frozen=True, eq=False)
 class RelationEdges(SingleEdges, RelativePoseEdges):
     """Measured relations of two poses that may be wrong, such as loop closures: `RelativePoseEdges` in the body frame.
 
     ``kernel`` and ``trust`` are those of `DoubtedEdges`.
     """
+
+
+@dataclass(frozen=True, eq=False)
+class DoubtedPointEdges(SingleEdges, RelativePointEdges):
+    """`RelativePointEdges` that may be wrong, the same for points as `RelationEdges` for poses."""
 
 
 def motion_edges(

@@ -32,16 +32,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..engine import engine
-from ..errors.checks import check_choice
 from ..linear.precision import inverses
 from ..models import SensorModel
 from ..se2 import Array, perpendicular
-from .base import FRAMES, SYMMETRIC, EngineEdges, Linearization, check_body, check_rows, linearization, node_numbers
+from .base import SYMMETRIC, FramedEdges, Linearization, check_nodes, check_rows, linearization
 from .robust import DoubtedEdges, code_and_width
 
 
@@ -90,7 +89,7 @@ def check_sightings(edges: SightingEdges, count: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class LandmarkSightings(SightingEdges, EngineEdges):
+class LandmarkSightings(SightingEdges, FramedEdges):
     """Sightings grouped by landmark.
 
     Args:
@@ -106,14 +105,12 @@ class LandmarkSightings(SightingEdges, EngineEdges):
     nodes: np.ndarray
     sightings: Array
     sensor: SensorModel
-    frame: str = field(default="body", kw_only=True)
     noise_at: Array | None = field(default=None, kw_only=True)
+    shared: ClassVar[tuple[str, ...]] = ("starts",)
 
     def __post_init__(self) -> None:
-        for name in ("starts", "nodes"):
-            object.__setattr__(self, name, node_numbers(self, name, getattr(self, name)))
+        check_nodes(self, "starts", "nodes")
         check_sightings(self, len(self.nodes))
-        check_choice("frame", self.frame, FRAMES)
         super().__post_init__()
 
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
@@ -124,6 +121,12 @@ class LandmarkSightings(SightingEdges, EngineEdges):
         # the landmark itself takes the numbers of one sighting
         count = self.sightings.shape[1] * int(np.sum(np.diff(self.starts) - 1))
         return count, count
+
+    @property
+    def marginal(self) -> MarginalEdges:
+        """The same sightings with each landmark eliminated, in the body frame."""
+        by_landmark = self.starts, self.nodes, self.sightings, self.sensor
+        return MarginalEdges(*by_landmark, kernel=self.kernel, trust=self.trust, noise_at=self.noise_at)
 
     @cached_property
     def group(self) -> np.ndarray:
@@ -137,11 +140,6 @@ class LandmarkSightings(SightingEdges, EngineEdges):
         y[:, : self.sightings.shape[1]] = self.sensor.h_inverse(poses, self.sightings)
         return y, perpendicular(y[:, :2] - poses[:, :2])
 
-    @cached_property
-    def _place(self) -> Array:
-        """The landmark (M, 2 or 3) that each sighting measures, in the frame of the pose."""
-        return self.sensor.h_inverse(np.zeros((len(self.nodes), 3)), self.sightings)
-
 
 @dataclass(frozen=True, eq=False)
 class MarginalEdges(LandmarkSightings):
@@ -150,10 +148,6 @@ class MarginalEdges(LandmarkSightings):
     @property
     def count(self) -> int:
         return len(self.nodes)
-
-    @property
-    def state_dependent_information(self) -> bool:
-        return self.frame == "world"
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
         """The sightings one by one, as edges to their landmark, which is held at m̂; in world axes."""
@@ -164,9 +158,6 @@ class MarginalEdges(LandmarkSightings):
             # the derivative of the rotation of W
             lever = lever + perpendicular(e[:, :2])
         return linearization((self.nodes,), e, information, (lever,))
-
-    def check_constant(self) -> None:
-        check_body(self.frame)
 
     def kernel_weights(self, state: Array) -> Array:
         _, _, factor, *_ = self._around_means(state, state)

@@ -39,7 +39,7 @@ import numpy as np
 from ..engine import engine
 from ..errors import GraphError
 from ..se2 import Array, difference, perpendicular
-from .base import Linearization, check_body, linearization
+from .base import Linearization, linearization
 from .sightings import LandmarkSightings
 
 #: the most pairs that `VirtualMotionEdges.constant` lists: some 600 MB
@@ -79,7 +79,7 @@ class VirtualMotionEdges(LandmarkSightings):
     @property
     def state_dependent_information(self) -> bool:
         # only with psi and in the body frame do the sightings alone give the information
-        return self.frame == "world" or not self.oriented
+        return super().state_dependent_information or not self.oriented
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """All edges listed: sighting a (E,), sighting b (E,), landmark (E,). Large: for inspection, not for solving."""
@@ -118,7 +118,7 @@ class VirtualMotionEdges(LandmarkSightings):
                 "without psi the information of virtual-motion edges depends on the state; use weight='marginal' or "
                 "edges='landmark+motion'"
             )
-        check_body(self.frame)
+        super().check_constant()
         if (pairs := int(np.sum(np.diff(self.starts) ** 2)) // 2) > MOST_LISTED:
             raise GraphError(f"{pairs} pairs of sightings are too many to list; use weight='marginal'")
 

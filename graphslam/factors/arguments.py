@@ -11,17 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import OptionError, quoted
-from ..errors.checks import check_choice, check_type
-from ..linear.precision import SMALLEST, check_model, check_size, small_inverse
-from ..models import MotionModel, SensorModel
+from ..errors.checks import check_choice
+from ..linear.precision import SMALLEST, check_size, small_inverse
+from ..models import SensorModel
 from ..se2 import Array
 
 FRAMES = ("world", "body")
 #: the largest angle of a sighting in radians, with what printing it to six digits may add
 WHOLE_TURN = 2 * pi + 1e-6
-
-# made once, because making one takes as long as a factor
-_MOTION, _SENSOR = MotionModel(), SensorModel()
 
 PoseLike = ArrayLike | gtsam.Pose2
 
@@ -126,30 +123,6 @@ def sighted_covariance(theta: float, z: Sequence[float], sensor: SensorModel) ->
         return np.array([[xx, xy], [xy, yy]])
     x, y, turn = -length * s * b, length * c * b, b + sensor.orientation_std * sensor.orientation_std
     return np.array([[xx, xy, x], [xy, yy, y], [x, y, turn]])
-
-
-def sensor_of(sensor: Any) -> SensorModel:
-    """The sensor model given, or the book's for None; errors as of `motion_of`."""
-    return _model_of(SensorModel, _SENSOR, sensor=sensor)
-
-
-def motion_of(motion: Any) -> MotionModel:
-    """The motion model given, or the book's for None.
-
-    Raises:
-        OptionError: the argument is neither.
-        GraphError: its numbers are outside of what double precision can hold.
-    """
-    return _model_of(MotionModel, _MOTION, motion=motion)
-
-
-def _model_of(kind: Any, default: Any, **given: Any) -> Any:
-    (model,) = given.values()
-    if model is None:
-        return default
-    check_type(kind, **given)
-    check_model(model)
-    return model
 
 
 def frozen_at(at: Any, needed: bool, rows: int | None = None, *, frame: str = "world") -> Array | None:

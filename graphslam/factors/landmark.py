@@ -14,7 +14,7 @@ from ..edges.robust import kernel_of
 from ..engine import engine
 from ..errors import FactorError, OptionError, quoted
 from ..errors.checks import check_choice
-from ..linear.precision import SMALLEST, check_size
+from ..linear.precision import SMALLEST, check_size, model_of
 from ..models import RESIDUALS, SensorModel
 from ..se2 import Array, rotation, wrap
 from .arguments import (
@@ -25,7 +25,6 @@ from .arguments import (
     in_world_frame,
     numbers,
     positive_definite,
-    sensor_of,
     sighted_covariance,
     sighting,
 )
@@ -85,7 +84,7 @@ class LandmarkFactor(Factor):
             raise OptionError(f"the kernel of a LandmarkFactor needs a width, such as {type(robust).__name__}(5.0)")
         check_choice("weight", weight, WEIGHTS)
         keys = listed_keys("LandmarkFactor", keys)
-        sensor = sensor_of(sensor)
+        sensor = model_of(SensorModel, sensor)
         place = {key: k for k, key in enumerate(dict.fromkeys(keys))}
         node = np.array([place[key] for key in keys], dtype=int)
         z = numbers("sightings", sightings, (2, 3), rows=len(node))
@@ -269,7 +268,7 @@ class ObservationFactor(Factor):
         scale: float = 1.0,
         kernel: KernelLike = None,
     ) -> None:
-        z, sensor = sighting("z", z), sensor_of(sensor)
+        z, sensor = sighting("z", z), model_of(SensorModel, sensor)
         check_choice("residual", residual, RESIDUALS)
         if residual == "polar":
             evaluated, covariance = _polar(z, sensor), sensor.Q(z)
@@ -330,7 +329,7 @@ class InverseObservationFactor(Factor):
         scale: float = 1.0,
         kernel: KernelLike = None,
     ) -> None:
-        z, sensor, world = sighting("z", z), sensor_of(sensor), in_world_frame(frame)
+        z, sensor, world = sighting("z", z), model_of(SensorModel, sensor), in_world_frame(frame)
         frozen, kinds = frozen_at(at, needed=world), [POSE, POSE if len(z) == 3 else POINT]
         # in the robot's axes the covariance is that seen from a pose at the origin
         covariance = sighted_covariance(0.0 if frozen is None else float(frozen[2]), z.tolist(), sensor)

@@ -14,19 +14,10 @@ from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError
 from ..errors.checks import check_positive
-from ..linear.precision import check_size, small_inverse
+from ..linear.precision import check_size, model_of, small_inverse
 from ..models import QUICKEST, MotionModel, sinc_slope_near_zero
-from ..se2 import Array, rotation
-from .arguments import (
-    PoseLike,
-    check_heading,
-    frozen_at,
-    in_world_frame,
-    motion_of,
-    numbers,
-    pose,
-    positive_definite,
-)
+from ..se2 import Array, turned_by
+from .arguments import PoseLike, check_heading, frozen_at, in_world_frame, numbers, pose, positive_definite
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
 
 
@@ -69,7 +60,7 @@ class RelativePoseFactor(Factor):
         self._between = z, omega
         (dx, dy, turned), world = z.tolist(), in_world_frame(arguments["frame"])
         frozen = frozen_at(arguments["at"], needed=world)
-        omega = omega if frozen is None else _turned_information(omega, frozen[2])
+        omega = omega if frozen is None else turned_by(omega, frozen[2])
 
         def residual(a: Coordinates, b: Coordinates) -> Linearized:
             # derivatives by GTSAM's perturbations, each pose's in its own axes
@@ -100,7 +91,7 @@ class RelativePoseFactor(Factor):
         if arguments["frame"] == "world":
             raise OptionError("to_between needs frame='body': GTSAM's factor turns its information with the pose")
         z, omega = self._between
-        noise = noise_model(arguments, information=_turned_information(omega, -z[2]))
+        noise = noise_model(arguments, information=turned_by(omega, -z[2]))
         key_1, key_2 = self.keys()
         return gtsam.BetweenFactorPose2(key_1, key_2, gtsam.Pose2(*z), noise)
 
@@ -141,13 +132,10 @@ class MotionFactor(RelativePoseFactor):
         kernel: KernelLike = None,
     ) -> None:
         check_positive(dt=dt)
-        motion, u = motion_of(motion), numbers("control", control, (2,))
+        motion, u = model_of(MotionModel, motion), numbers("control", control, (2,))
         nu, omega = u.tolist()
-        for name, number in (
-            ("dt", float(dt)),
-            ("the distance of control", nu * dt),
-            ("the turn of control", omega * dt),
-        ):
+        sizes = {"dt": float(dt), "the distance of control": nu * dt, "the turn of control": omega * dt}
+        for name, number in sizes.items():
             check_size(name, number)
         if abs(omega) > QUICKEST:
             raise OptionError(
@@ -189,13 +177,6 @@ def _from_origin(motion: MotionModel, nu: float, omega: float, dt: float) -> tup
     ]
     driven = nu * dt * chord
     return np.array([driven * c, driven * s, 2 * a]), covariance
-
-
-def _turned_information(information: Array, theta: float) -> Array:
-    """The information (3, 3) of a pose in axes turned by -theta."""
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(theta)
-    return turn @ information @ turn.T
 
 
 class RelativeEdgesFactor(Factor):

@@ -8,8 +8,9 @@ import gtsam
 from numpy.typing import ArrayLike
 
 from ..errors import OptionError
+from ..linear.precision import model_of
 from ..models import SensorModel
-from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, sensor_of, sighted_covariance, sighting
+from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, sighted_covariance, sighting
 from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
@@ -50,7 +51,7 @@ class VirtualMotionFactor(Factor):
         scale: float = 1.0,
         kernel: KernelLike = None,
     ) -> None:
-        sensor, body = sensor_of(sensor), not in_world_frame(frame)
+        sensor, body = model_of(SensorModel, sensor), not in_world_frame(frame)
         z_1, z_2 = sighting("z_1", z_1), sighting("z_2", z_2)
         if len(z_1) != len(z_2):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")

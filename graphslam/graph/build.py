@@ -218,13 +218,12 @@ def with_closures(families: Sequence[EdgeFamily], kernel: Kernel | None) -> tupl
             found.append(f)
             continue
         closes = np.abs(f.second - f.first) != 1
-        steps, closures = (
-            (f.first[rows], f.second[rows], f.measured[rows], f.information[rows]) for rows in (~closes, closes)
-        )
         if not closes.all():
-            found.append(RelativePoseEdges(*steps))
+            found.append(f.among(~closes))
         if closes.any():
-            found.append(RelationEdges(*closures, kernel=kernel))
+            closures = f.among(closes)
+            ends, measured = (closures.first, closures.second), (closures.measured, closures.information)
+            found.append(RelationEdges(*ends, *measured, kernel=kernel))
     return tuple(found)
 
 

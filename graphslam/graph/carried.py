@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..models import SensorModel
-from ..se2 import Array, perpendicular, rotation, turn_matrix, wrap
+from ..se2 import Array, lever_matrix, perpendicular, rotation, turn_matrix, wrap
 from .landmark_map import LandmarkMap
 from .map_evidence import Weighed, weighed
 from .registration import Match, Points, evenly, linear, padded, those_that_differ
@@ -33,10 +33,10 @@ ENOUGH, STEPS, SHORTEST = 120, 15, 1 / 64
 STAYS = 1e-6
 
 
-def points_of(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, drift: Drift) -> Points:
+def points_of(log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, drift: Drift) -> Points:
     """The landmarks that sightings ``rows`` see, each with the covariance of the odometry up to it, and those of the map."""
     at = log.steps[rows]
-    seen = seen_from(drift.poses[at], log.sightings[rows], sensor)
+    seen = seen_from(drift.poses[at], log.sightings[rows], log.sensor)
     return paired(seen, drift.covariances[at], log.landmarks[rows], landmarks)
 
 
@@ -45,11 +45,11 @@ def levers_of(points: Points, pose: Array, poses: Array) -> Array:
     return perpendicular((points.places[:, :2] - pose[:2]) @ rotation(pose[2]) - poses[:, :2])
 
 
-def noise_of(log: Stretch, sensor: SensorModel, rows: np.ndarray, drift: Drift, levers: Array) -> Array:
+def noise_of(log: Stretch, rows: np.ndarray, drift: Drift, levers: Array) -> Array:
     """The covariances (K, K, 3, 3) of sightings from one another, by the sensor and the odometry, whose errors they share."""
     at = log.steps[rows]
-    _, C, _ = seen_from(drift.poses[at], log.sightings[rows], sensor)
-    J = by_pose(levers)
+    _, C, _ = seen_from(drift.poses[at], log.sightings[rows], log.sensor)
+    J = lever_matrix(levers)
     measured = J[:, None] @ drift.between(at) @ np.swapaxes(J, 1, 2)[None]
     each = np.arange(len(rows))
     measured[each, each] += C
@@ -70,33 +70,20 @@ def of_landmarks(landmarks: LandmarkMap, ids: np.ndarray) -> Array:
     return S.transpose(0, 2, 1, 3)
 
 
-def by_pose(lever: Array) -> Array:
-    """The derivatives (M, 3, 3) of places by the poses from which they are seen."""
-    J = np.tile(np.eye(3), (len(lever), 1, 1))
-    J[:, :2, 2] = lever
-    return J
-
-
 def seen_from(poses: Array, sightings: Array, sensor: SensorModel) -> tuple[Array, Array, Array]:
     """The landmarks (M, 3) of sightings with covariances (M, 3, 3), and their levers (M, 2) about the poses."""
     d = sightings.shape[1]
     y, C = np.full((len(poses), 3), np.nan), np.zeros((len(poses), 3, 3))
     y[:, :d], C[:, :d, :d] = sensor.places(sightings, poses)
-    lever = y[:, :2] - poses[:, :2]
-    return y, C, np.column_stack([-lever[:, 1], lever[:, 0]])
+    return y, C, perpendicular(y[:, :2] - poses[:, :2])
 
 
 def paired(seen: tuple[Array, Array, Array], drift: Array, ids: np.ndarray, landmarks: LandmarkMap) -> Points:
     """The points of sightings from poses with covariances ``drift`` (M, 3, 3), and their counterparts in a map."""
     y, C, lever = seen
-    J = by_pose(lever)
+    J = lever_matrix(lever)
     unique, which = np.unique(ids, return_inverse=True)
-    m, S = np.full((len(unique), 3), np.nan), np.zeros((len(unique), 3, 3))
-    for k, j in enumerate(unique.tolist()):
-        m[k, : len(landmarks[j])] = landmarks[j]
-        if j in landmarks.covariances:
-            d = len(landmarks[j])
-            S[k, :d, :d] = landmarks.covariances[j]
+    m, S = landmarks.arrays(unique.tolist())
     whole = np.array([place[:2] for place in landmarks.values()])
     reach = 2 * float(np.median(np.hypot(*lever.T)))
     area = float(np.prod(np.ptp(whole, axis=0) + reach))
@@ -104,13 +91,7 @@ def paired(seen: tuple[Array, Array, Array], drift: Array, ids: np.ndarray, land
 
 
 def together(
-    log: Stretch,
-    landmarks: LandmarkMap,
-    sensor: SensorModel,
-    rows: np.ndarray,
-    drift: Drift,
-    points: Points,
-    matches: list[Match],
+    log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, drift: Drift, points: Points, matches: list[Match]
 ) -> list[Weighed]:
     """Hypotheses of sightings ``rows``, which are ``points``, by decreasing joint evidence, each place once."""
     of_map, poses = of_landmarks(landmarks, np.unique(points.ids)), drift.poses[log.steps[rows]]
@@ -118,25 +99,23 @@ def together(
     def judged(match: Match) -> Weighed | None:
         levers = levers_of(points, match.pose, poses)
         try:
-            return weighed(points, match, lambda some: noise_of(log, sensor, rows[some], drift, levers[some]), of_map)
+            return weighed(points, match, lambda some: noise_of(log, rows[some], drift, levers[some]), of_map)
         except np.linalg.LinAlgError:  # noise so different in size that a covariance is singular to double precision
             return None
 
     return [each for _, each in those_that_differ([judged(match) for match in matches])]
 
 
-def smoothed(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, start: Match) -> Match:
+def smoothed(log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, start: Match) -> Match:
     """A match of sightings ``rows`` with pose and covariance smoothed (see the module), as it is where that is singular."""
     try:
-        pose, covariance = _smoothed(log, landmarks, sensor, rows, start.pose)
+        pose, covariance = _smoothed(log, landmarks, rows, start.pose)
     except np.linalg.LinAlgError:
         return start
     return replace(start, pose=pose, covariance=covariance)
 
 
-def _smoothed(
-    log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray, pose: Array
-) -> tuple[Array, Array]:
+def _smoothed(log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, pose: Array) -> tuple[Array, Array]:
     rows = rows[evenly(len(rows), ENOUGH)]
     at, ids = log.steps[rows], np.unique(log.landmarks[rows])
     which = np.searchsorted(ids, log.landmarks[rows])
@@ -146,7 +125,7 @@ def _smoothed(
     def residuals(drift: Drift, pose: Array) -> tuple[Points, Array, Array]:
         """The points, e (3K,), and R + S (3K, 3K)."""
         drift.go_to(int(at[-1]))
-        seen = seen_from(drift.poses[at], log.sightings[rows], sensor)
+        seen = seen_from(drift.poses[at], log.sightings[rows], log.sensor)
         points = paired(seen, np.zeros((len(rows), 3, 3)), log.landmarks[rows], landmarks)
         turn = turn_matrix(pose[2])
         R = S.copy()
@@ -158,10 +137,10 @@ def _smoothed(
     cost = float(e @ np.linalg.solve(R, e))
     for _ in range(STEPS):
         levers = levers_of(points, pose, drift.poses[at])
-        turn, D = turn_matrix(pose[2]), by_pose(levers)
+        turn, D = turn_matrix(pose[2]), lever_matrix(levers)
         noise = D[:, None] @ drift.between(at) @ np.swapaxes(D, 1, 2)[None]
         V = R + padded(turn @ noise @ turn.T, points.known) - np.diag((~points.known).ravel().astype(float))
-        J = by_pose(perpendicular(points.places[:, :2] - pose[:2])) * points.known[:, :, None]
+        J = lever_matrix(perpendicular(points.places[:, :2] - pose[:2])) * points.known[:, :, None]
         J = J.reshape(-1, 3)
         unbent = e - ((turn @ D @ drift.shifts(at)[:, :, None])[..., 0] * points.known).ravel()
         W = np.linalg.solve(V, np.column_stack([J, unbent]))

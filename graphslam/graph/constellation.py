@@ -74,13 +74,7 @@ class Constellations:
         """A map, with the pairs that are not farther apart than twice the reach of the sensor [m]."""
         from scipy.spatial import cKDTree
 
-        ids = np.array(list(landmarks))
-        places, covariances = np.full((len(ids), 3), np.nan), np.zeros((len(ids), 3, 3))
-        for k, j in enumerate(ids.tolist()):
-            places[k, : len(landmarks[j])] = landmarks[j]
-            if j in landmarks.covariances:
-                d = len(landmarks.covariances[j])
-                covariances[k, :d, :d] = landmarks.covariances[j]
+        ids, (places, covariances) = np.array(list(landmarks)), landmarks.arrays(landmarks)
         tree = cKDTree(places[:, :2])
         pairs = tree.query_pairs(2 * reach, output_type="ndarray")
         distances = np.hypot(*(places[pairs[:, 1], :2] - places[pairs[:, 0], :2]).T)
@@ -239,7 +233,7 @@ def _refined(
 ) -> tuple[list[Match | None], np.ndarray]:
     """Hypotheses (H, 3) after Gauss-Newton with the nearest landmark for each measurement, and these partners (H, K)."""
     matches: list[Match | None] = []
-    count = len(landmarks.places)
+    own_ids = np.arange(len(landmarks.places))
     for _ in range(rounds):
         moved = transform(poses[:, None], landmarks.places)
         distance, partner = known.tree.query(moved)
@@ -250,17 +244,10 @@ def _refined(
         np.put_along_axis(again, order[:, 1:], in_order[:, 1:] == in_order[:, :-1], axis=1)
         places = known.places[partner]
         places[again, :2] += 1e6
-        matches = refined(
-            Points(
-                landmarks.places,
-                landmarks.covariances,
-                places,
-                known.covariances[partner],
-                np.arange(count),
-                known.area,
-            ),
-            poses,
+        points = Points(
+            landmarks.places, landmarks.covariances, places, known.covariances[partner], own_ids, known.area
         )
+        matches = refined(points, poses)
         poses = np.array([pose if match is None else match.pose for match, pose in zip(matches, poses)])
     moved = transform(poses[:, None], landmarks.places)
     partners = known.tree.query(moved, k=np.arange(1, min(NEAR, len(known.ids)) + 1))[1]

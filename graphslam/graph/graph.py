@@ -16,7 +16,6 @@ from ..edges import (
     EdgeFamily,
     LandmarkPriors,
     LandmarkSightings,
-    MarginalEdges,
     PositionEdges,
     PriorEdges,
     SightingEdges,
@@ -184,19 +183,17 @@ class Graph:
         if motion is None and sensor is None:
             log, _ = known_robot(log, noise)
         motion, sensor = log.noise_models(motion, sensor)
-        known_map: LandmarkMap | None = None
-        found: tuple[str, ...] = ()
-        if map is not None:
-            known_map = as_map(map)
+        known_map = None if map is None else as_map(map)
+        notes: list[str] = []
+        if known_map is None:
+            log = in_frame_of_positions(log)
+        else:
             edges = edges_for_map(log, edges)
             log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
-        else:
-            log = in_frame_of_positions(log)
-        recorded = log
+            notes += found
         edges = suitable_edges(log) if edges is None else edges
         kernel = suitable_kernel(log) if kernel is None else kernel
-        notes = list(found)
-        parameters = declared(estimate, recorded, motion, sensor, edges, residual, motion_weight)
+        parameters = declared(estimate, log, motion, sensor, edges, residual, motion_weight)
         held, once = None, edges == "landmark+motion" or (edges == "virtual+motion" and weight == "marginal")
         if parameters is None and once and residual == RESIDUALS[0]:
             held = declared(log.uncertain, log, motion, sensor, edges, residual, motion_weight)
@@ -236,10 +233,7 @@ class Graph:
         return replace(self, initial=values.copy())
 
     def with_trust(self, trust: Array) -> Graph:
-        """The same graph with another trust in the sightings of its edges (M,), or in all its `measurements`.
-
-        Both write Omega and xi into one `system`.
-        """
+        """The same graph with another trust (M,) in the sightings of edges, or all `measurements`; see `with_families`."""
         families, start = list[EdgeFamily](), 0
         for f in self.families:
             if isinstance(f, DoubtedEdges) and start < len(trust):
@@ -262,11 +256,17 @@ class Graph:
             for f in self.families
         )
 
-    def with_families(self, families: Iterable[EdgeFamily]) -> Graph:
-        """The same graph with other edges between the same groups of nodes. Both write Omega and xi into one `system`."""
-        changed = replace(self, families=tuple(families))
+    def with_families(self, families: Iterable[EdgeFamily], **others: Any) -> Graph:
+        """The same graph with other edges between the same groups of nodes, ``others`` changed; both have one `system`."""
+        changed = replace(self, families=tuple(families), **others)
         vars(changed)["system"] = self.system
         return changed
+
+    @property
+    def estimated(self) -> Parameters:
+        """The parameters of a graph that has some."""
+        assert self.parameters is not None
+        return self.parameters
 
     def check_no_parameters(self, solver: str) -> None:
         """Raise `GraphError` where the graph has parameters, which this solver cannot estimate."""
@@ -444,9 +444,7 @@ class Graph:
         if family.kernel is None:
             return np.ones(len(family.sightings))
         if isinstance(family, LandmarkSightings):
-            by_landmark = family.starts, family.nodes, family.sightings, family.sensor
-            noise = {"kernel": family.kernel, "trust": family.trust, "noise_at": family.noise_at}
-            squares = MarginalEdges(*by_landmark, **noise).squares(state, state)  # type: ignore[arg-type]
+            squares = family.marginal.squares(state, state)
         else:
             squares = family.linearize(state, state).mahalanobis
         return family.kernel.weight(squares)

@@ -86,15 +86,14 @@ def unlocated(landmarks: LandmarkMap, sensor: SensorModel, pose: Array) -> Track
     return Tracker(landmarks, sensor, pose, np.diag([area, area, np.pi**2 / 3]))
 
 
-def presence(drive: Stretch, poses: Array, landmarks: LandmarkMap, sensor: SensorModel) -> Array:
+def presence(drive: Stretch, poses: Array, landmarks: LandmarkMap) -> Array:
     """The probability (T+1,) that a robot was where its poses (T+1, 3) are, from all sightings of a drive.
 
     Where it was lifted, the motion says nothing. That may have been at any moment since the last sighting before.
     """
     from scipy.special import expit
 
-    tracker = unlocated(landmarks, sensor, poses[0])
-    rows_at = drive.rows_at
+    tracker, rows_at = unlocated(landmarks, drive.sensor, poses[0]), drive.rows_at
     before, gains, still, last = np.zeros(len(poses)), np.zeros(len(poses)), np.ones(len(poses)), 0
     for step, pose in enumerate(poses):
         if step:

@@ -19,7 +19,7 @@ from ..log import Log
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..models import SensorModel
 from ..se2 import Array, wrap
-from .map_files import Content, read_map, write_map
+from .map_files import read_map, write_map
 
 #: how a map is used: as its covariances say, without their correlations between landmarks, or as exact
 USES = ("joint", "own", "fixed")
@@ -109,7 +109,7 @@ class LandmarkMap(dict[int, Array]):
             OptionError: there is no format with this ending.
             FormatError: the file cannot be written.
         """
-        write_map(path_of(path), Content(self, self.covariances, self.classes, self.joint))
+        write_map(path_of(path), self)
 
     def __repr__(self) -> str:
         """One line: sizes, and what is known of the errors."""
@@ -148,6 +148,16 @@ class LandmarkMap(dict[int, Array]):
             return LandmarkMap(means, {j: self.covariances[j] for j in known}, classes=self.classes)
         rows = np.repeat(np.isin(list(self.covariances), known), [len(C) for C in self.covariances.values()])
         return LandmarkMap(means, classes=self.classes, joint=self.joint[np.ix_(rows, rows)], joint_ids=known)
+
+    def arrays(self, ids: Iterable[int]) -> tuple[Array, Array]:
+        """The places (L, 3) of landmarks, headings NaN where unknown, and their covariances (L, 3, 3), zero where exact."""
+        chosen = list(ids)
+        places, covariances = np.full((len(chosen), 3), np.nan), np.zeros((len(chosen), 3, 3))
+        for k, j in enumerate(chosen):
+            places[k, : len(self[j])] = self[j]
+            if j in self.covariances:
+                covariances[k, : len(self[j]), : len(self[j])] = self.covariances[j]
+        return places, covariances
 
     def joint_information(self, ids: Iterable[int], coordinates: int) -> Array:
         """The information (3K, 3K) of landmarks with covariances, ``coordinates`` of each, whatever the others are.

@@ -20,8 +20,8 @@ from ..errors import GraphError
 from ..errors.checks import check_type, listed
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, in_frame, perpendicular, turn_matrix
-from .carried import by_pose, paired, points_of, seen_from, smoothed, together
+from ..se2 import Array, between, compose, in_frame, lever_matrix, perpendicular, turn_matrix
+from .carried import paired, points_of, seen_from, smoothed, together
 from .constellation import Constellations, Merged, match, merged, with_alike
 from .landmark_map import LandmarkMap, as_map
 from .map_evidence import Weighed, log_sum
@@ -110,23 +110,23 @@ def first_fix(
         log: with ids of the map's landmarks, or a `Stretch` of one; sightings of other landmarks are not used. Without ids
             the constellation of the first sightings says where the log begins, see `possible_fixes`.
         landmarks: the map, in any form that `Graph.from_log` takes.
-        motion, sensor: the noise models; default: those of the log, else the book's.
+        motion, sensor: the noise models; default: those of the log, else the book's. A `Stretch` has its own.
 
     Raises:
         GraphError: the log sees no landmark of the map or too few, or no place in the map fits what it sees, or several do;
             the message names the likely cause, or the places and their odds.
     """
-    landmarks, log, sensor = as_map(landmarks), *_stretch(log, motion, sensor)
+    landmarks, log = as_map(landmarks), _stretch(log, motion, sensor)
     if not log.identified:
-        return _sure(log, landmarks, sensor, possible_fixes(log, landmarks, sensor=sensor))
-    fix, points, matches, found = _searched(log, landmarks, sensor, _rows(log, landmarks))
+        return _sure(log, landmarks, possible_fixes(log, landmarks))
+    fix, points, matches, found = _searched(log, landmarks, _rows(log, landmarks))
     if fix is None:
-        raise _no_fix(log, landmarks, sensor, points, matches, found)
+        raise _no_fix(log, landmarks, points, matches, found)
     return fix
 
 
 def _searched(
-    log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, rows: np.ndarray
+    log: Stretch, landmarks: LandmarkMap, rows: np.ndarray
 ) -> tuple[Fix | None, Points, list[Match], list[Weighed]]:
     """The fix by the first sightings ``rows`` that suffice, or None; and what was last tried, one by one and together."""
     count, drift = 1, Drift(log)
@@ -137,7 +137,7 @@ def _searched(
         count = int(np.searchsorted(log.steps[rows], step, side="right"))
         used = rows[:count]
         drift.go_to(step)
-        points = points_of(log, landmarks, sensor, used, drift)
+        points = points_of(log, landmarks, used, drift)
         try:
             matches, found = register(points), list[Weighed]()
         except np.linalg.LinAlgError:
@@ -148,7 +148,7 @@ def _searched(
         whole = count == len(rows)
         # one by one they are surer than together, because they share the errors of the odometry
         if whole or odds_of(matches) > SURE:
-            found = together(log, landmarks, sensor, used, drift, points, matches)
+            found = together(log, landmarks, used, drift, points, matches)
             odds = odds_of(found)
             if odds > (LEAST if whole else SURE):
                 best = found[0]
@@ -156,7 +156,7 @@ def _searched(
                 enough = best.fits > best.contradict and (whole or best.fits > 2 - best.oriented)
                 if best.covariance[2, 2] < OPEN**2 and enough:
                     agree, others = used[best.agree], used[~best.agree]
-                    end = smoothed(log, landmarks, sensor, agree, best)
+                    end = smoothed(log, landmarks, agree, best)
                     return Fix(end.pose, end.covariance, step, agree, others, odds), points, matches, found
         if whole:
             return None, points, matches, found
@@ -185,21 +185,20 @@ def possible_fixes(
     Raises:
         GraphError: the map or the log is empty.
     """
-    landmarks, log, sensor = as_map(landmarks), *_stretch(log, motion, sensor)
+    landmarks, log = as_map(landmarks), _stretch(log, motion, sensor)
     _check_not_empty(log, landmarks)
     known = Constellations.of(landmarks, float(np.quantile(log.sightings[:, 0], 0.98)))
     best = list[Fix]()
     in_order = np.sort(log.steps)
     for begin in range(0, min(WINDOWS * LATER, len(in_order)), LATER):
         step = int(in_order[begin]) if begin else 0
-        fixes = _fixes_here(log.after(step), known, landmarks, sensor)
+        fixes = _fixes_here(log.after(step), known, landmarks)
         # each window is another chance for a place that only looks right
         chances = 1 + begin // LATER
         alike = [fix.odds / (1 + fix.odds) for fix in fixes if fix.odds > ALIKE]
         if fixes and fixes[0].odds > SURE * chances:
-            return [_followed_back(fixes[0], log, step, landmarks, sensor, chances)] + [
-                carried_back(fix, log, step) for fix in fixes[1:]
-            ]
+            first = _followed_back(fixes[0], log, step, landmarks, chances)
+            return [first] + [carried_back(fix, log, step) for fix in fixes[1:]]
         # two places that are alike: other sightings are unlikely to tell them apart
         if len(alike) > 1 and sum(alike) > 1 - 1 / (SURE * chances):
             return [carried_back(fix, log, step) for fix in fixes]
@@ -209,9 +208,9 @@ def possible_fixes(
     return best
 
 
-def _followed_back(fix: Fix, log: Stretch, step: int, landmarks: LandmarkMap, sensor: SensorModel, chances: int) -> Fix:
+def _followed_back(fix: Fix, log: Stretch, step: int, landmarks: LandmarkMap, chances: int) -> Fix:
     """The sure fix of a pose as one of the first pose, corrected by the sightings before it."""
-    tracker, agree, disagree = Tracker(landmarks, sensor, fix.pose, fix.covariance), [], []
+    tracker, agree, disagree = Tracker(landmarks, log.sensor, fix.pose, fix.covariance), [], []
     back = between(log.motions[:step], np.zeros(3))
     B = -turn_matrix(-log.motions[:step, 2])
     B[:, :2, 2] = -perpendicular(back[:, :2])
@@ -232,7 +231,7 @@ def _followed_back(fix: Fix, log: Stretch, step: int, landmarks: LandmarkMap, se
     )  # fmt: skip
 
 
-def _fixes_here(log: Stretch, known: Constellations, landmarks: LandmarkMap, sensor: SensorModel) -> list[Fix]:
+def _fixes_here(log: Stretch, known: Constellations, landmarks: LandmarkMap) -> list[Fix]:
     """The same from the first step of a log on alone."""
     drift, count = Drift(log), BEGIN
     whole = min(LONGEST, len(log.steps))
@@ -243,8 +242,8 @@ def _fixes_here(log: Stretch, known: Constellations, landmarks: LandmarkMap, sen
         rows = order[: int(np.searchsorted(log.steps[order], step, side="right"))]
         drift.go_to(step)
         at = log.steps[rows]
-        y, sensed, lever = seen_from(drift.poses[at], log.sightings[rows], sensor)
-        J = by_pose(lever)
+        y, sensed, lever = seen_from(drift.poses[at], log.sightings[rows], log.sensor)
+        J = lever_matrix(lever)
         seen = merged(y, sensed, J @ drift.covariances[at] @ np.swapaxes(J, 1, 2), at)
         found = match(seen, known)
         best = found[0][0] if found else None
@@ -271,7 +270,7 @@ def _fixes_here(log: Stretch, known: Constellations, landmarks: LandmarkMap, sen
     if sure:
         named = np.full(len(log.steps), UNIDENTIFIED)
         named[rows] = known.ids[found[0][1][seen.which]]
-        one = smoothed(replace(log, landmarks=named), landmarks, sensor, fixes[0].agree, found[0][0])
+        one = smoothed(replace(log, landmarks=named), landmarks, fixes[0].agree, found[0][0])
         fixes[0] = replace(fixes[0], pose=one.pose, covariance=one.covariance)
     return fixes
 
@@ -284,8 +283,7 @@ def carried_back(fix: Fix, log: Stretch, step: int) -> Fix:
     drift.go_to(step)
     back = between(drift.poses[step], np.zeros(3))
     pose = compose(fix.pose, back)
-    x, y = fix.pose[:2] - pose[:2]
-    F, J = np.array([[1, 0, y], [0, 1, -x], [0, 0, 1]]), turn_matrix(pose[2])
+    F, J = lever_matrix(perpendicular(pose[:2] - fix.pose[:2])), turn_matrix(pose[2])
     noise = F @ J @ drift.covariances[step] @ J.T @ F.T
     return replace(
         fix, pose=pose, covariance=F @ fix.covariance @ F.T + noise, step=step + fix.step, agree=rows[fix.agree],
@@ -293,7 +291,7 @@ def carried_back(fix: Fix, log: Stretch, step: int) -> Fix:
     )  # fmt: skip
 
 
-def _sure(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, fixes: list[Fix]) -> Fix:
+def _sure(log: Stretch, landmarks: LandmarkMap, fixes: list[Fix]) -> Fix:
     """The first of the places where a log may begin.
 
     Raises:
@@ -307,7 +305,7 @@ def _sure(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel, fixes: list
     for name, (x, y) in CHANGES.items() if sure < 0.99 else ():
         changed = LandmarkMap({j: place[:2] * (x, y) for j, place in landmarks.items()})
         known = Constellations.of(changed, float(np.quantile(log.sightings[:, 0], 0.98)))
-        others = _fixes_here(log, known, changed, sensor)
+        others = _fixes_here(log, known, changed)
         if others and others[0].odds > SURE:
             raise GraphError(
                 f"{log.name} has sightings without ids, which do not say where in the map it begins; they would with the map "
@@ -340,23 +338,20 @@ def registered(
     return in_frame(matches[0].pose, poses) if matches else poses
 
 
-def _stretch(log: Log | Stretch, motion: MotionModel | None, sensor: SensorModel | None) -> tuple[Stretch, SensorModel]:
-    """The motions and sightings of a log, and the model of its sensor."""
+def _stretch(log: Log | Stretch, motion: MotionModel | None, sensor: SensorModel | None) -> Stretch:
+    """The motions and sightings of a log."""
     check_type(MotionModel, motion=motion)
     check_type(SensorModel, sensor=sensor)
     if isinstance(log, Stretch):
-        return log, sensor or SensorModel()
+        return log
     check_is_log(log)
-    return Stretch.of(log, motion), sensor or log.sensor or SensorModel()
+    return Stretch.of(log, motion, sensor)
 
 
 def _check_not_empty(log: Stretch, landmarks: LandmarkMap) -> None:
-    for missing, name in (
-        (not landmarks, "the map has no landmarks"),
-        (not len(log.steps), f"{log.name} has no sightings"),
-    ):
-        if missing:
-            raise GraphError(f"{name}, so that the robot cannot be found in the map")
+    if not landmarks or not len(log.steps):
+        missing = f"{log.name} has no sightings" if landmarks else "the map has no landmarks"
+        raise GraphError(f"{missing}, so that the robot cannot be found in the map")
 
 
 def _rows(log: Stretch, landmarks: LandmarkMap) -> np.ndarray:
@@ -382,12 +377,7 @@ def odds_of(matches: Sequence[Match], k: int = 0) -> float:
 
 
 def _no_fix(
-    log: Stretch,
-    landmarks: LandmarkMap,
-    sensor: SensorModel,
-    points: Points,
-    matches: list[Match],
-    found: list[Weighed],
+    log: Stretch, landmarks: LandmarkMap, points: Points, matches: list[Match], found: list[Weighed]
 ) -> GraphError:
     """The reason why no place in the map fits, with the likely cause."""
     count = len(np.unique(points.ids))
@@ -398,7 +388,7 @@ def _no_fix(
             "two are needed"
         )
     what = f"{len(points.ids)} sightings of {listed('landmark', np.unique(points.ids).tolist(), most=4)} of the map"
-    cause = _cause(log, landmarks, sensor)
+    cause = _cause(log, landmarks)
     if not cause and matches and matches[0].covariance[2, 2] >= OPEN**2 and odds_of(matches) > LEAST:
         wide = np.degrees(matches[0].covariance[2, 2] ** 0.5)
         return GraphError(
@@ -420,7 +410,7 @@ def _no_fix(
     return GraphError(f"{what} fit no first pose of {log.name}: at the best place {best} of them agree{cause}")
 
 
-def _cause(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel) -> str:
+def _cause(log: Stretch, landmarks: LandmarkMap) -> str:
     """The change with which the map surely fits: a mirrored map or another unit; "" where there is none."""
     rows = _rows(log, landmarks)
     likely, most = "", 0.0
@@ -430,7 +420,7 @@ def _cause(log: Stretch, landmarks: LandmarkMap, sensor: SensorModel) -> str:
             {j: turn @ place[:2] for j, place in landmarks.items()},
             {j: turn @ C[:2, :2] @ turn for j, C in landmarks.covariances.items()},
         )
-        fix = _searched(log, changed, sensor, rows)[0]
+        fix = _searched(log, changed, rows)[0]
         if fix is None or fix.odds <= SURE or len(np.unique(log.landmarks[fix.agree])) <= 2:
             continue
         # in a joined log, whose drives may begin anywhere, a wrong unit may fit some of them

@@ -23,7 +23,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from ..log.table import Table, plain
 from ..log.text_table import PARQUET, TEXT, table_of
 from ..se2 import Array
 
+if TYPE_CHECKING:
+    from .landmark_map import LandmarkMap
+
 VERSION = "graphslam-map-1"
 #: the columns of covariances, in the order of the upper triangle of (3, 3), column by column
 COVARIANCE = ("var_x", "cov_xy", "var_y", "cov_x_heading", "cov_y_heading", "var_heading")
@@ -45,15 +48,6 @@ UPPER = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 #: means, covariances, classes and joint covariance: the arguments of `LandmarkMap`
 Parts = dict[str, Any]
-
-
-class Content(NamedTuple):
-    """What is written: {id: place}, {id: covariance}, {id: class}, and the joint covariance."""
-
-    means: Mapping[int, Array]
-    covariances: Mapping[int, Array]
-    classes: Mapping[int, Any]
-    joint: Array | None = None
 
 
 #: a mapping with id, x, y and more, its line in the file, and what messages call it
@@ -74,13 +68,13 @@ def read_map(path: Path) -> Parts:
     return parts
 
 
-def write_map(path: Path, content: Content) -> None:
+def write_map(path: Path, landmarks: LandmarkMap) -> None:
     """Write a map, see `LandmarkMap.save`."""
     _, writer = _format(path)
     if writer is None:
         raise OptionError(f"{path}: maps are not written as {path.suffix}; use .csv, .npz, .yaml or .geojson")
     with write_whole(path) as temporary:
-        temporary.write_bytes(writer(content))
+        temporary.write_bytes(writer(landmarks))
 
 
 def map_text(
@@ -178,19 +172,17 @@ def _archive(path: Path) -> Parts:
     return parts
 
 
-def _archived(content: Content) -> bytes:
-    means, covariances, classes, joint = content
-    places, C = np.full((len(means), 3), np.nan), np.full((len(means), 3, 3), np.nan)
-    for k, (j, place) in enumerate(means.items()):
-        places[k, : len(place)] = place
-        if j in covariances:
-            C[k, : len(place), : len(place)] = covariances[j]
-    arrays: dict[str, Any] = {"format": VERSION, "ids": np.array(list(means), dtype=np.int64), "places": places}
-    arrays["covariances"] = C
-    if classes:
-        arrays["classes"] = np.array([str(classes.get(j, "")) for j in means])
-    if joint is not None:
-        arrays["joint"] = joint
+def _archived(landmarks: LandmarkMap) -> bytes:
+    places, C = landmarks.arrays(landmarks)
+    exact = np.array([j not in landmarks.covariances for j in landmarks], dtype=bool)
+    unknown = exact[:, None] | np.isnan(places)
+    C[unknown[:, :, None] | unknown[:, None, :]] = np.nan
+    ids = np.array(list(landmarks), dtype=np.int64)
+    arrays: dict[str, Any] = {"format": VERSION, "ids": ids, "places": places, "covariances": C}
+    if landmarks.classes:
+        arrays["classes"] = np.array([str(landmarks.classes.get(j, "")) for j in landmarks])
+    if landmarks.joint is not None:
+        arrays["joint"] = landmarks.joint
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
@@ -227,29 +219,29 @@ def _geojson(path: Path) -> Parts:
     return parts
 
 
-def _as_geojson(content: Content) -> bytes:
+def _as_geojson(landmarks: LandmarkMap) -> bytes:
     features = [
         {"type": "Feature", "id": entry["id"],
          "geometry": {"type": "Point", "coordinates": [entry.pop("x"), entry.pop("y")]}, "properties": entry}
-        for entry in _entries(content)
+        for entry in _entries(landmarks)
     ]  # fmt: skip
     text = ",\n".join(json.dumps(feature) for feature in features)
     head = '{"type": "FeatureCollection", "coordinates": "metres of the plane of the map", "features": [\n'
     return f"{head}{text}\n]}}\n".encode()
 
 
-def _entries(content: Content) -> Iterator[dict[str, Any]]:
-    means, covariances, classes, _ = content
-    for j, place in means.items():
+def _entries(landmarks: LandmarkMap) -> Iterator[dict[str, Any]]:
+    covariances, classes = landmarks.covariances, landmarks.classes
+    for j, place in landmarks.items():
         entry: dict[str, Any] = {"id": j, "x": float(place[0]), "y": float(place[1])}
         entry |= {"heading": float(place[2])} if len(place) == 3 else {}
         entry |= {"class": str(classes[j])} if j in classes else {}
         yield entry | ({"covariance": covariances[j].tolist()} if j in covariances else {})
 
 
-def _as_yaml(content: Content) -> bytes:
+def _as_yaml(landmarks: LandmarkMap) -> bytes:
     # JSON within YAML: no package is needed to write it
-    rows = "\n".join(f"- {json.dumps(entry)}" for entry in _entries(content))
+    rows = "\n".join(f"- {json.dumps(entry)}" for entry in _entries(landmarks))
     # YAML 1.1 takes 1e-07, without a point, for a word
     rows = re.sub(r"(?<=[ \[])(-?\d)e(?=[-+]?\d)", r"\1.0e", rows)
     return f"# metres and radians\ntags:\n{rows}\n".encode()
@@ -359,19 +351,17 @@ def _number(path: Path, line: int | None, where: str, entry: Mapping[str, Any], 
     return float(value)
 
 
-def _as_table(content: Content) -> bytes:
-    return map_text(*content[:3]).encode()
+def _as_table(landmarks: LandmarkMap) -> bytes:
+    return map_text(landmarks, landmarks.covariances, landmarks.classes).encode()
 
 
-_Writer = Callable[[Content], bytes]
+_Writer = Callable[["LandmarkMap"], bytes]
 #: readers and writers by the ending of the file
 _FORMATS: dict[str, tuple[Callable[[Path], Parts], _Writer | None]] = {
     **dict.fromkeys((*TEXT, *PARQUET), (_table, None)),
     ".csv": (_table, _as_table), ".npz": (_archive, _archived), ".yaml": (_yaml, _as_yaml), ".yml": (_yaml, _as_yaml),
     ".geojson": (_geojson, _as_geojson), ".json": (_geojson, _as_geojson),
 }  # fmt: skip
-#: the endings of files that hold maps
-ENDINGS = tuple(_FORMATS)
 
 
 def _format(path: Path) -> tuple[Callable[[Path], Parts], _Writer | None]:

@@ -37,7 +37,7 @@ import numpy as np
 from ..errors import FormatError, named, quoted
 from ..errors.checks import check_choice, first
 from ..files import number, read_text, whole, write_whole
-from ..se2 import Array, compose, inverse, transform, turn_matrix, wrap
+from ..se2 import Array, compose, inverse, transform, turned_by, wrap
 
 DIALECTS = ("g2o", "toro", "isam")
 #: kind of edge -> how many ids it has, and how many numbers it measures
@@ -275,15 +275,10 @@ def _edges(path: Path, kind: str, rows: list[_Edge], edge2: str) -> FileEdges:
         raise FormatError(path, rows[k].line, what)
     if d == 3:
         # the residual of g2o is turned by R(theta_z)' against ours; those of TORO and iSAM are ours
-        information = _in_other_axes(information, np.where(dialects == "g2o", measured[:, 2], 0.0))
+        information = turned_by(information, np.where(dialects == "g2o", measured[:, 2], 0.0))
     if kind in _ANGLES:
         measured[:, _ANGLES[kind]] = wrap(measured[:, _ANGLES[kind]])
     return FileEdges(ids, measured, information)
-
-
-def _in_other_axes(information: Array, angles: Array) -> Array:
-    turn = turn_matrix(angles)
-    return turn @ information @ np.swapaxes(turn, 1, 2)
 
 
 def _initial_values(
@@ -334,7 +329,7 @@ def write_g2o(data: PoseGraphFile, path: Path) -> None:
     for kind, (ids, measured, information) in data.edges.items():
         d = KINDS[kind][1]
         if d == 3:
-            information = _in_other_axes(information, -measured[:, 2])
+            information = turned_by(information, -measured[:, 2])
         upper = information[:, *np.triu_indices(d)]
         out += [f"{_G2O[kind]} {_text(ends)} {_text(z)} {_text(omega)}" for ends, z, omega in zip(ids, measured, upper)]
     with write_whole(path) as temporary:

@@ -19,12 +19,12 @@ MacKay, *Information Theory, Inference, and Learning Algorithms*, chapter 28.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
 
-from ..se2 import Array, difference, perpendicular, rotation, transform, turn_matrix, wrap
+from ..se2 import Array, difference, lever_matrix, perpendicular, rotation, transform, turn_matrix, wrap
 
 #: the probability that a measurement belongs to the landmark that its id says
 RIGHT = 0.8
@@ -56,10 +56,8 @@ class Points:
 
     def among(self, rows: np.ndarray) -> Points:
         """Some of the measurements."""
-        return Points(
-            self.measured[rows], self.covariances[rows], self.places[rows], self.place_covariances[rows], self.ids[rows],
-            self.area,
-        )  # fmt: skip
+        columns = [f.name for f in fields(self) if f.name != "area"]
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     @property
     def oriented(self) -> np.ndarray:
@@ -181,9 +179,7 @@ def linear(points: Points, poses: Array) -> tuple[Array, Array, Array]:
     W = np.zeros(C.shape)
     W[..., :2, :2] = np.linalg.inv(C[..., :2, :2])
     W[known] = np.linalg.inv(C[known])
-    J = np.tile(np.eye(3), (*moved.shape[:-1], 1, 1))
-    J[..., :2, 2] = perpendicular(moved)
-    return e, W, J
+    return e, W, lever_matrix(perpendicular(moved))
 
 
 def padded(covariances: Array, known: np.ndarray) -> Array:

@@ -7,18 +7,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..log import UNIDENTIFIED, Log
-from ..models import MotionModel
-from ..se2 import Array, between, compose, rotation, turn_matrix
+from ..models import MotionModel, SensorModel
+from ..se2 import Array, between, compose, lever_matrix, perpendicular, turn_matrix
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Poses 0 to T of a robot: the motions between them, and what was seen from them.
+    """Poses 0 to T of a robot: the motions between them, and what was seen from them by which sensor.
 
     Attributes:
         name: of the log, for messages.
         motions, noise: (T, 3) and (T, 3, 3), each pose measured from the one before, and the covariance of that.
         steps, landmarks, sightings: (M,), (M,) and (M, 2 or 3), as in a `Log`.
+        sensor: its noise model.
     """
 
     name: str
@@ -27,16 +28,23 @@ class Stretch:
     steps: np.ndarray
     landmarks: np.ndarray
     sightings: Array
+    sensor: SensorModel
 
     @classmethod
-    def of(cls, log: Log, motion: MotionModel | None = None) -> Stretch:
-        """A whole log; without controls its initial poses, taken as exact, are all there is."""
+    def of(cls, log: Log, motion: MotionModel | None = None, sensor: SensorModel | None = None) -> Stretch:
+        """A whole log; without controls its initial poses, taken as exact, are all there is.
+
+        Args:
+            log: the log.
+            motion, sensor: the noise models; default: those of the log, else the book's.
+        """
         if log.controls is None:
             motions = between(log.initial_poses[:-1], log.initial_poses[1:])
             noise = np.zeros((len(motions), 3, 3))
         else:
             motions, noise = log.motions(motion)
-        return cls(log.name, motions, noise, log.steps, log.landmarks, log.sightings)
+        sensor = sensor or log.sensor or SensorModel()
+        return cls(log.name, motions, noise, log.steps, log.landmarks, log.sightings, sensor)
 
     @property
     def num_poses(self) -> int:
@@ -91,9 +99,7 @@ class Drift:
         The errors of an earlier pose s move a later pose t by [[1, 0, y_s - y_t], [0, 1, x_t - x_s], [0, 0, 1]].
         """
         x, own = self.poses[steps], self.covariances[steps]
-        moved = np.tile(np.eye(3), (len(x), len(x), 1, 1))
-        moved[:, :, 0, 2] = x[:, None, 1] - x[None, :, 1]
-        moved[:, :, 1, 2] = x[None, :, 0] - x[:, None, 0]
+        moved = lever_matrix(perpendicular(x[None, :, :2] - x[:, None, :2]))
         # rows are the earlier poses
         upper = own[:, None] @ np.swapaxes(moved, 2, 3)
         later = np.arange(len(x))[:, None] > np.arange(len(x))
@@ -139,6 +145,5 @@ def moved(x: Array, P: Array, motion: Array, noise: Array) -> tuple[Array, Array
     """
     after = compose(x, motion)
     F = np.array([[1, 0, x[1] - after[1]], [0, 1, after[0] - x[0]], [0, 0, 1]])
-    J = np.eye(3)
-    J[:2, :2] = rotation(x[2])
+    J = turn_matrix(x[2])
     return after, F @ P @ F.T + J @ noise @ J.T

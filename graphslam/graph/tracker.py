@@ -94,9 +94,8 @@ class Tracker:
         self.squares: deque[float] = deque(maxlen=WINDOW)
         self._sensor = sensor
         self._ids = np.array(list(landmarks))
-        self._places = np.array([place[:2] for place in landmarks.values()])
-        none = np.zeros((2, 2))
-        self._covariances = np.array([landmarks.covariances.get(j, none)[:2, :2] for j in landmarks])
+        places, covariances = landmarks.arrays(landmarks)
+        self._places, self._covariances = places[:, :2], covariances[:, :2, :2]
         self._number = {j: k for k, j in enumerate(self._ids.tolist())}
         self._area = area_of(self._places)
         self.place(pose, covariance)

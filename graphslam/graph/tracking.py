@@ -94,17 +94,15 @@ def follow(
     Raises:
         GraphError: as `first_fix`.
     """
-    sensor = sensor or log.sensor or SensorModel()
-    drive = Stretch.of(log, motion)
-    fix: Fix | None = first_fix(drive, landmarks, sensor=sensor)
-    assert fix is not None
+    drive = Stretch.of(log, motion, sensor)
+    fix = first_fix(drive, landmarks)
     named = np.where(log.identified, log.landmarks, UNIDENTIFIED)
     result = Followed(named, {0: fix}, {}, np.zeros(len(log.steps), dtype=bool))
     if log.controls is None:
         if not log.identified:
             raise GraphError(f"{log.name} has no controls, and sightings without ids need them in a map")
         return result
-    tracker = Tracker(landmarks, sensor, fix.pose, fix.covariance)
+    tracker = Tracker(landmarks, drive.sensor, fix.pose, fix.covariance)
     rows_at, step, last, tried = drive.rows_at, 0, 0, DOUBT
     while True:
         rows = rows_at[step]
@@ -117,7 +115,7 @@ def follow(
                 tried, last = DOUBT, step if seen.agree.any() else last
             if tracker.doubt >= tried and tracker.since > 0:
                 tried = 2 * tracker.doubt
-                put_down = elsewhere(drive, tracker, landmarks, sensor)
+                put_down = elsewhere(drive, tracker, landmarks)
                 if put_down is not None:
                     since, found, way = put_down
                     result.fixes[since] = found
@@ -134,19 +132,17 @@ def follow(
             return result
         noise = drive.noise[step]
         if noise[0, 0] + noise[1, 1] > NOTHING:
-            fix = sure_fix(drive.after(step + 1), landmarks, sensor)
-            if fix is None:
+            begun_again = sure_fix(drive.after(step + 1), landmarks)
+            if begun_again is None:
                 return result
-            tracker.place(fix.pose, fix.covariance)
+            tracker.place(begun_again.pose, begun_again.covariance)
             last = step + 1
         else:
             tracker.move(drive.motions[step], noise)
         step += 1
 
 
-def elsewhere(
-    drive: Stretch, tracker: Tracker, landmarks: LandmarkMap, sensor: SensorModel
-) -> tuple[int, Fix, float] | None:
+def elsewhere(drive: Stretch, tracker: Tracker, landmarks: LandmarkMap) -> tuple[int, Fix, float] | None:
     """Where a robot is that the sightings of a drive contradict, if that is sure, and at another place than was expected.
 
     Returns:
@@ -154,17 +150,17 @@ def elsewhere(
     """
     since, (x, P) = tracker.since, tracker.expected
     after = drive.after(since)
-    fix = sure_fix(after, landmarks, sensor)
+    fix = sure_fix(after, landmarks)
     if fix is None:
         return None
     # the first contradictions may be clutter, and the robot have been lifted after them
     later = int(after.steps[fix.agree].min())
-    if later and (fix := sure_fix(after.after(later), landmarks, sensor)) is None:
+    if later and (fix := sure_fix(after.after(later), landmarks)) is None:
         return None
     for step in range(later - 1, -1, -1):
         now = np.flatnonzero(after.steps == step)
         back = carried_back(fix, after.after(step), later - step)
-        seen = Tracker(landmarks, sensor, back.pose, back.covariance).see(
+        seen = Tracker(landmarks, drive.sensor, back.pose, back.covariance).see(
             step, now, after.landmarks[now], after.sightings[now]
         )
         if seen.contradict.sum() > seen.agree.sum() or np.trace(back.covariance[:2, :2]) > VAGUE**2:
@@ -179,15 +175,15 @@ def elsewhere(
     return since + later, fix, float(np.hypot(*way[:2]))
 
 
-def sure_fix(drive: Stretch, landmarks: LandmarkMap, sensor: SensorModel) -> Fix | None:
+def sure_fix(drive: Stretch, landmarks: LandmarkMap) -> Fix | None:
     """A sure fix of a stretch; None where there is none."""
     fix: Fix | None
     try:
         if drive.identified:
-            fix = first_fix(drive, landmarks, sensor=sensor)
+            fix = first_fix(drive, landmarks)
         else:
             # without the search for what is wrong with the map
-            fix = next(iter(possible_fixes(drive, landmarks, sensor=sensor)), None)
+            fix = next(iter(possible_fixes(drive, landmarks)), None)
     except GraphError:
         return None
     return fix if fix is not None and fix.odds > SURE and len(fix.agree) > 2 else None

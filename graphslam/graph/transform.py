@@ -24,13 +24,12 @@ optimum of the graph Omega and xi are the same with these weights as with the ke
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import TypeVar
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..edges import (
-    ANCHOR_INFORMATION,
     AnchorEdges,
     CartesianObservationEdges,
     DoubtedEdges,
@@ -48,10 +47,11 @@ from ..edges import (
     SightingEdges,
     VirtualMotionEdges,
 )
-from ..edges.base import PairEdges
+from ..edges.base import NodeEdges, PairEdges
 from ..errors import GraphError
 from ..errors.checks import array_of
-from ..se2 import Array, between, chained, inverse, perpendicular, rotation, turn_matrix
+from ..se2 import Array, between, chained, inverse, lever_matrix, perpendicular, rotation, turn_matrix
+from .defaults import anchors
 from .graph import Graph
 
 
@@ -89,8 +89,8 @@ def with_cartesian_sightings(graph: Graph) -> Graph | None:
 def with_landmark_nodes(graph: Graph) -> Graph | None:
     """The graph with landmark nodes and Cartesian residuals in place of its edges from sightings; these keep their order.
 
-    Their robust kernels are left out. New landmarks are numbered from 0, and at the origin. None where there are no
-    sightings.
+    A robust kernel of pairs acts on each sighting then. New landmarks are numbered from 0, and at the origin. None where
+    there are no sightings.
     """
     sighted = next((family for family in graph.families if isinstance(family, SightingEdges)), None)
     if sighted is None:
@@ -105,8 +105,9 @@ def with_landmark_nodes(graph: Graph) -> Graph | None:
             "landmark_dimension": sighted.sightings.shape[1],
         }  # fmt: skip
     edges = CartesianObservationEdges(
-        first, second, sighted.sightings, sighted.sensor, trust=sighted.trust, noise_at=sighted.noise_at
-    )
+        first, second, sighted.sightings, sighted.sensor,
+        kernel=sighted.kernel, trust=sighted.trust, noise_at=sighted.noise_at,
+    )  # fmt: skip
     return replace(graph, families=tuple(edges if f is sighted else f for f in graph.families), **parts)
 
 
@@ -116,7 +117,7 @@ def poses_only(graph: Graph, families: list[EdgeFamily]) -> Graph:
     of_landmarks = (RelativePointEdges, LandmarkPriors, PriorEdges, PartialEdges)
     kept = [family for family in families if not isinstance(family, of_landmarks)]
     if graph.map is not None and not any(isinstance(family, PositionEdges) for family in kept):
-        kept.append(AnchorEdges(np.zeros(1, dtype=int), graph.initial[:1].copy(), ANCHOR_INFORMATION[None]))
+        kept += anchors(graph.initial[0], ())
     return replace(
         graph, initial=graph.initial[:count], landmark_ids=graph.landmark_ids[:0], log=None, map=None,
         families=tuple(kept), fixed=graph.fixed[graph.fixed < count],
@@ -129,7 +130,7 @@ def without_positions(graph: Graph) -> Graph:
         return graph
     families = [f for f in graph.families if not isinstance(f, PositionEdges) and type(f) is not AnchorEdges]
     if graph.map is None and not len(graph.fixed):
-        families.insert(0, AnchorEdges(np.zeros(1, dtype=int), graph.initial[:1].copy(), ANCHOR_INFORMATION[None]))
+        families = [*anchors(graph.initial[0], ()), *families]
     return replace(graph, families=tuple(families))
 
 
@@ -183,19 +184,17 @@ def _edges_of_nodes(family: EdgeFamily, used: np.ndarray, number: np.ndarray) ->
     """The edges between nodes that are used (n,), with the new number (n,) of each node."""
     if isinstance(family, PriorEdges):
         return replace(family, nodes=number[family.nodes])
-    if not isinstance(family, PairEdges | LandmarkSightings | AnchorEdges | PositionEdges):
+    if not isinstance(family, PairEdges | LandmarkSightings | NodeEdges):
         raise GraphError(f"{type(family).__name__} cannot be divided: only families of edges between two nodes can")
     if isinstance(family, LandmarkSightings):
         ends: tuple[str, ...] = ("nodes",)
         counts = np.bincount(family.group[used[family.nodes]])
         others = {"starts": np.concatenate([[0], np.cumsum(counts[counts > 0])])}
     else:
-        ends, others = (("nodes",) if isinstance(family, AnchorEdges | PositionEdges) else ("first", "second")), {}
+        ends, others = (("nodes",) if isinstance(family, NodeEdges) else ("first", "second")), {}
     here = np.all([used[getattr(family, end)] for end in ends], axis=0)
-    rows = {f.name: getattr(family, f.name) for f in fields(family)}  # all families are dataclasses
-    kept = {name: row[here] for name, row in rows.items() if isinstance(row, np.ndarray) and len(row) == len(here)}
-    kept |= {end: number[kept[end]] for end in ends}
-    return replace(family, **(kept | others))
+    renumbered: dict[str, Any] = {end: number[getattr(family, end)[here]] for end in ends}
+    return replace(family.among(here), **(renumbered | others))
 
 
 def filled(graph: Graph, kept: np.ndarray, poses: Array) -> Array:
@@ -269,7 +268,10 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         # a polar residual becomes the Cartesian one
         seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
         assert isinstance(seen, CartesianObservationEdges)
-        return _weighted(replace(seen.relative, frame="body", kernel=None), family, state)
+        kind = RelativePoseEdges if seen.oriented else RelativePointEdges
+        return _weighted(
+            kind(seen.first, seen.second, seen.relative.measured, seen.relative.information), family, state
+        )
     if isinstance(family, RelationEdges):
         edges = RelativePoseEdges(family.first, family.second, family.measured, family.weighed)
         return _weighted(edges, family, state)
@@ -307,9 +309,8 @@ def _of_pairs(family: VirtualMotionEdges) -> RelativePoseEdges:
     # at e = 0 the information of the world frame is the same
     own = replace(family, frame="body").covariances(np.zeros((0, 3)))
     factor = family.group_weights[group] * family.trusted[a] * family.trusted[b]
-    J = np.tile(np.eye(3), (len(a), 1, 1))
-    J[:, :2, 2] = np.einsum("eij,ej->ei", rotation(measured[:, 2]), perpendicular(landmark[b, :2]))
-    J = turn_matrix(-landmark[a, 2]) @ J
+    lever = np.einsum("eij,ej->ei", rotation(measured[:, 2]), perpendicular(landmark[b, :2]))
+    J = turn_matrix(-landmark[a, 2]) @ lever_matrix(lever)
     information = np.swapaxes(J, 1, 2) @ np.linalg.inv(own[a] + own[b]) @ J * factor[:, None, None]
     return RelativePoseEdges(family.nodes[a], family.nodes[b], measured, _symmetric(information))
 

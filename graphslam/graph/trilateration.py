@@ -7,7 +7,7 @@ Each minimum is a place that they leave: two mirror images for ranges from a str
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -123,7 +123,7 @@ class WaitingNumbers:
 
 def places_of_rows(id: int, rows: Sequence[NumberRow], sensor: SensorModel, poses: Array) -> Places:
     """The places that single numbers of one landmark leave from poses (T, 3)."""
-    return places_of([(each, np.arange(each.count)) for each in edges_of_rows(id, rows, sensor, len(poses))], poses)
+    return places_of(edges_of_rows(id, rows, sensor, len(poses)), poses)
 
 
 def edges_of_rows(
@@ -160,7 +160,7 @@ def placed_single_numbers(
     places, open_ = dict[int, Array](), list[int]()
     for j in np.setdiff1d(partial.landmarks, [*log.landmark_ids, *known]).tolist():
         node = log.num_poses + int(nodes[np.argmax(partial.landmarks == j)])
-        found = places_of([(f, np.flatnonzero(f.second == node)) for f in edges], log.initial_poses)
+        found = places_of([f.among(f.second == node) for f in edges], log.initial_poses)
         if found.determined:
             places[j] = found.places[0]
         else:
@@ -177,16 +177,11 @@ _NONE = np.zeros(0)
 _NO_SIGHTINGS = PartialSightings(steps=_NONE, landmarks=_NONE, ranges=_NONE, bearings=_NONE)
 
 
-def places_of(seen: list[tuple[PartialEdges, np.ndarray]], state: Array) -> Places:
-    """The places of one landmark, given its edges as rows of families, from the poses of a state (n, 3)."""
-    seen = [(family, rows) for family, rows in seen if len(rows)]
-    if not seen:
+def places_of(seen: Iterable[PartialEdges], state: Array) -> Places:
+    """The places of one landmark, given its edges, from the poses of a state (n, 3)."""
+    parts = [family for family in seen if family.count]
+    if not parts:
         return Places(np.zeros((0, 2)), np.zeros(0))
-    parts = [
-        replace(f, first=f.first[rows], second=f.second[rows], measured=f.measured[rows], information=f.weighed[rows],
-                trust=None)
-        for f, rows in seen
-    ]  # fmt: skip
     sensors = [mounted(state[part.first], tuple(part.offset)) for part in parts]
     where = np.concatenate([each[:, :2] for each in sensors])
     extent = float(np.hypot(*(where.max(axis=0) - where.min(axis=0))))
@@ -247,8 +242,8 @@ def _normal(parts: list[PartialEdges], sensors: list[Array], m: Array) -> tuple[
     cost, H, g = np.zeros(len(m)), np.zeros((len(m), 2, 2)), np.zeros((len(m), 2))
     for part, places in zip(parts, sensors):
         e, by_landmark, _ = part.residuals(places, m[:, None, :])
-        squares = e**2 * part.information[:, 0, 0]
-        w = np.broadcast_to(part.information[:, 0, 0], squares.shape)
+        squares = e**2 * part.weighed[:, 0, 0]
+        w = np.broadcast_to(part.weighed[:, 0, 0], squares.shape)
         if part.kernel is not None:
             w = w * part.kernel.weight(squares)
             squares = part.kernel.loss(squares)

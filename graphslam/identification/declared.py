@@ -63,12 +63,8 @@ CORRECTIONS = {name: parameter.ideal for name, parameter in PARAMETERS.items() i
 
 def of_sensor_alone(values: Mapping[str, float]) -> dict[str, float]:
     """The values {name: value} that correct a log without controls, too."""
-    return {name: value for name, value in values.items() if not needs_controls(name)}
-
-
-def needs_controls(name: str) -> bool:
-    """Whether a parameter means nothing without controls."""
-    return PARAMETERS[name].of_motion or name == "sensor_delay"
+    # a delay means nothing without controls
+    return {name: value for name, value in values.items() if not PARAMETERS[name].of_motion and name != "sensor_delay"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,10 +205,8 @@ def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[s
     if isinstance(estimate, Mapping):
         pairs = [(str(name), inf if value is None else value) for name, value in estimate.items()]
     else:
-        pairs = []
-        for word in estimate:
-            name, colon, after = str(word).partition(":")
-            pairs.append((name, after if colon else inf))
+        words = [str(word).partition(":") for word in estimate]
+        pairs = [(name, after if colon else inf) for name, colon, after in words]
     found: dict[str, float] = {}
     for written, value in pairs:
         name = written.strip().replace("-", "_")

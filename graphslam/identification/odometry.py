@@ -27,7 +27,7 @@ import numpy as np
 from ..linear.precision import inverses
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, chained, rotation
+from ..se2 import Array, chained, perpendicular, turn_matrix
 from .corrections import controls_at_steps, corrected_controls, motion_slopes
 from .declared import Parameters
 
@@ -43,7 +43,7 @@ LEAST_EPSILON = 1e-9
 LEAST = {"epsilon": LEAST_EPSILON, "range_std": 1e-10, "bearing_std": 1e-10, "orientation_std": 1e-10}
 
 #: the model without noise, and one whose variances, 1e-18, vanish beside 1
-_STILL = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
+STILL = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
 _TINY: dict[str, Any] = dict.fromkeys(OF_SENSOR, 1e-9)
 _EXACT = SensorModel(**_TINY)
 
@@ -51,10 +51,10 @@ _EXACT = SensorModel(**_TINY)
 def motion_parts(log: Log, names: Iterable[str] = (*OF_MOTION, "epsilon")) -> dict[str, Array]:
     """C_p (T, 3, 3) of fields of the motion model, for all motions of a log, in the frame each starts from."""
     assert log.controls is not None and log.dt is not None
-    _, A = _STILL.accumulated_slopes(log.controls, log.dt, log.control_starts)
+    _, A = STILL.accumulated_slopes(log.controls, log.dt, log.control_starts)
     identity, parts = np.eye(3), {}
     for name in names:
-        alone = replace(_STILL, **{name: 1.0})
+        alone = replace(STILL, **{name: 1.0})
         if name == "epsilon":
             parts[name] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
         elif name == "slip":
@@ -85,6 +85,12 @@ def ordinary(log: Log) -> np.ndarray:
     return np.maximum.reduceat(log.control_variances.max(axis=1), log.control_starts[:-1]) == 0
 
 
+def sighting_times(log: Log) -> Array:
+    """The times (M,) of the sightings of a log with controls [s]."""
+    assert log.times is not None
+    return log.times[log.steps]
+
+
 def sensor_parts(sightings: Array) -> dict[str, Array]:
     """C_p (M, n, n) of each field of the sensor model that affects sightings (M, n), n = 2 or 3."""
     least = _EXACT.Q(sightings)
@@ -94,8 +100,6 @@ def sensor_parts(sightings: Array) -> dict[str, Array]:
 
 #: the fields of the motion model whose variances are estimated
 ESTIMATED = ("nn", "on", "oo", "slip", "sigma_omega")
-#: motion without noise of its own
-STILL = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=1e-20)
 #: parameters that differ by less than this are near: what a derivative leaves out of a motion is some 1e-5 of it
 NEAR = {"wheel_scale": 0.006, "turn_scale": 0.006, "turn_rate_bias": 0.002, "curvature_bias": 0.002}
 
@@ -113,7 +117,7 @@ class Odometry:
         self.log, self.times = log, log.times
         self._parts = motion_parts(log, ESTIMATED)
         # the log's own variances of single controls, such as those across a silence of the odometry
-        self._recorded, self._of_gaps = STILL.accumulate(
+        self._recorded, self._of_gaps = replace(STILL, epsilon=1e-20).accumulate(
             log.controls, log.dt, log.control_starts, log.control_variances
         )
         self._evaluated: tuple[Array, Array, Array] | None = None
@@ -182,13 +186,10 @@ def _joined(motions: Array, steps: np.ndarray) -> tuple[Array, Array]:
         total = np.cumsum(values, axis=0) - values
         return total - np.repeat(total[first], count, axis=0)
 
-    turned = rotation(before(motions[:, 2]))
-    ways = np.einsum("eij,ej->ei", turned, motions[:, :2])
+    levers = turn_matrix(before(motions[:, 2]))
+    ways = np.einsum("eij,ej->ei", levers[:, :2, :2], motions[:, :2])
     joined = np.column_stack([np.add.reduceat(ways, first), np.add.reduceat(motions[:, 2], first)])
-    left = np.repeat(joined[:, :2], count, axis=0) - before(ways) - ways
-    levers = np.zeros((len(motions), 3, 3))
-    levers[:, :2, :2], levers[:, 2, 2] = turned, 1.0
-    levers[:, 0, 2], levers[:, 1, 2] = -left[:, 1], left[:, 0]
+    levers[:, :2, 2] = perpendicular(np.repeat(joined[:, :2], count, axis=0) - before(ways) - ways)
     return joined, levers
 
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .corrections import corrected_log
 from .declared import ParameterEstimate
+from .odometry import OF_SENSOR, sighting_times
 from .restricted_likelihood import improve_variances, log_likelihood
 from .result import (
     BOOK_NOISE,
@@ -196,10 +198,8 @@ def _estimate(
     # exactly, without the rounding of the last step
     last.hold(held)
     motion, seen = last.models
-    seen = replace(
-        seen, range_rate=seen.range_rate * factor**0.5, range_std=seen.range_std * factor**0.5,
-        bearing_std=seen.bearing_std * factor**0.5, orientation_std=seen.orientation_std * factor**0.5,
-    )  # fmt: skip
+    wider: dict[str, Any] = {name: getattr(seen, name) * factor**0.5 for name in OF_SENSOR}
+    seen = replace(seen, **wider)
     parameters = replace(last.parameters, recorded=ids.correct(log))
     free = [k for k, name in enumerate(parameters.names) if name not in held]
     names, means, deviations = (
@@ -350,9 +350,7 @@ def _begun(log: Log, groups: np.ndarray, sensor: SensorModel, motion: MotionMode
 
 def _episodes(log: Log, pause: float) -> np.ndarray:
     """The number (M,) of the episode of each sighting."""
-    times = log.times
-    assert times is not None
-    t = times[log.steps]
+    t = sighting_times(log)
     order = np.lexsort((np.arange(len(t)), log.landmarks))
     new = np.ones(len(t), dtype=bool)
     new[1:] = (np.diff(log.landmarks[order]) != 0) | (np.diff(t[order]) > pause)
@@ -459,11 +457,9 @@ def _gain(fitted: Unknowns, exact: Unknowns) -> float:
 
 def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:
     """The log with one sighting of each landmark in each interval [s], and which those are, (M,) bool."""
-    times = log.times
-    assert times is not None
     # the numbers of the landmarks: large ids do not fit floating point
     landmarks = np.unique(log.landmarks, return_inverse=True)[1].ravel()
-    slots = np.unique(np.floor(times[log.steps] / max(interval, 1e-9)), return_inverse=True)[1].ravel()
+    slots = np.unique(np.floor(sighting_times(log) / max(interval, 1e-9)), return_inverse=True)[1].ravel()
     _, groups, count = np.unique(landmarks * (len(slots) + 1) + slots, return_inverse=True, return_counts=True)
     order = np.argsort(groups, kind="stable")
     starts = np.concatenate([[0], np.cumsum(count)[:-1]])

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..log import UNIDENTIFIED, Log
 from ..se2 import Array
-from .odometry import Edges, ordinary
+from .odometry import Edges, ordinary, sighting_times
 from .unknowns import Unknowns
 
 #: samples of the covariance of the solution
@@ -179,8 +179,6 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     Args:
         used: (M,) bool: the sightings that the solution has used.
     """
-    times = log.times
-    assert times is not None
     # beside a silence of the odometry, a pose follows its sightings, and the covariance of its prediction hides their errors
     reliable = np.ones(log.num_poses, dtype=bool)
     silent = np.flatnonzero(~ordinary(log))
@@ -195,7 +193,7 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     e, errors = edges.residuals / noise, errors / noise[:, :, None]
     far = np.minimum(1.0, FAR / np.maximum(np.abs(e), 1e-9))
     e, errors = e * far, errors * far[:, :, None]
-    t, landmarks = times[log.steps[rows]], log.landmarks[rows]
+    t, landmarks = sighting_times(log)[rows], log.landmarks[rows]
     whole, predicted = np.mean(e**2, axis=0), np.mean(errors**2, axis=(0, 2))
     if not whole.all():
         # sightings that are all alike, whose errors are exactly zero
@@ -239,9 +237,7 @@ def smoothed(rho: Array) -> Array:
 
 def inflation(log: Log, rho: Array) -> float:
     """The factor on the variances with which correlated sightings count as independent, for `smoothed` correlations."""
-    times = log.times
-    assert times is not None
-    t, neighbours = times[log.steps], np.zeros(len(LAGS) - 1)
+    t, neighbours = sighting_times(log), np.zeros(len(LAGS) - 1)
     for j in log.landmark_ids.tolist():
         own = t[log.landmarks == j]
         within = np.array([np.searchsorted(own, own + lag, side="right") for lag in LAGS])

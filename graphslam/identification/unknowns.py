@@ -47,7 +47,7 @@ from ..se2 import (
 )
 from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
-from .odometry import Edges, Odometry, near, sensor_parts, with_variances
+from .odometry import LEAST_EPSILON, STILL, Edges, Odometry, near, sensor_parts, with_variances
 
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
 #: only its quotient with the scale of the wheels is identifiable.
@@ -65,10 +65,6 @@ TYPICAL = {
 SPREAD = 5.0
 #: the most that the logarithm of a variance changes in one step
 LONGEST = 1.5
-#: the variance of a motion in every direction [m², rad²], because A M A' has rank 2
-LEAST_MOTION = 1e-9
-#: motion without noise of its own
-STILL = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0, epsilon=LEAST_MOTION)
 #: degrees of freedom of Student's t: of sightings, among which some are wrong, and of motions
 DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
 #: fitted to Gaussian errors of d numbers, Student's t has so much of their variance: the s² of
@@ -114,7 +110,7 @@ class Unknowns:
         self.odometry: Odometry = start.odometry if start is not None and start.odometry.covers(log) else Odometry(log)
         self._steps = self.odometry.steps(log)
         self.motion_parts, gaps = self.odometry.parts(self._steps)
-        self._least = gaps + LEAST_MOTION * np.eye(3)
+        self._least = gaps + LEAST_EPSILON * np.eye(3)
         self.sensor_parts = sensor_parts(self.sightings)
         self._evaluated: tuple[Array, Array, Array] | None = None
         self.centres = self._centres()
@@ -306,8 +302,7 @@ class Unknowns:
         by_pose = by_at.copy()
         by_pose[:, :, 2] += np.einsum("edi,ei->ed", by_at[:, :, :2], back[:, :1] * perpendicular(heading))
         # a parameter has the effect of a move of the pose from which the sighting was made, in its own axes ...
-        by_own = by_at.copy()
-        by_own[:, :, :2] = by_at[:, :, :2] @ rotation(at[:, 2])
+        by_own = by_at @ turn_matrix(at[:, 2])
         slopes = np.einsum("edi,eik->edk", by_own, moves(self.parameters, predicted, speed))
         if "sensor_delay" in self.parameters.names:
             # ... but for the delay, which moves it along the heading of the present pose

@@ -8,19 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakSet
 
 import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError
-from ..errors.checks import first
+from ..errors.checks import check_type, first
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 
 if TYPE_CHECKING:
     from ..log import Log
+
+Model = TypeVar("Model", MotionModel, SensorModel)
 
 SMALLEST, LARGEST = 1e-20, 1e20
 #: a matrix is singular to double precision where elimination leaves less than this part of a diagonal entry
@@ -72,6 +74,24 @@ def check_model(model: MotionModel | SensorModel) -> None:
         for number in np.atleast_1d(getattr(model, name)).tolist():
             check_size(f"{name} of the noise model", number, least=least if number else 0.0)
     _accepted.add(model)
+
+
+#: the book's models, made once, because making one takes as long as a factor
+_BOOK: dict[type, Any] = {kind: kind() for kind in (MotionModel, SensorModel)}
+
+
+def model_of(kind: type[Model], model: Model | None) -> Model:
+    """The noise model given, or the book's for None.
+
+    Raises:
+        OptionError: the argument is neither.
+        GraphError: its numbers are too large or too small.
+    """
+    if model is None:
+        return _BOOK[kind]
+    check_type(kind, **{kind.__name__.removesuffix("Model").lower(): model})
+    check_model(model)
+    return model
 
 
 def check_size(what: str, numbers: object, *, least: float = 0.0, most: float = LARGEST) -> None:

@@ -15,7 +15,7 @@ from ..edges.robust import Kernel
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_choice
 from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, PositionFactor, RelativePoseFactor
-from ..factors.landmark import WEIGHTS
+from ..graph import WEIGHTS
 from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..models import RESIDUALS, SensorModel
 from ..se2 import Array, between, compose, inverse, turn_matrix
@@ -83,11 +83,8 @@ class Isam2Backend(Backend):
         params = _parameters(threshold, skip, factorization) if params is None else params
         # a factor that was removed leaves a slot for the next one
         params.findUnusedFactorSlots = True
-        self._advice = (
-            ""
-            if params.getFactorization() == "QR"
-            else "; factorization='qr' also works where information is very unequal"
-        )
+        advice = "; factorization='qr' also works where information is very unequal"
+        self._advice = "" if params.getFactorization() == "QR" else advice
         self._sensor, self._kernel = sensor, kernel
         self._edges, self._weight, self._residual = edges, weight, residual
         self._isam, self._factorization = gtsam.ISAM2(params), params.getFactorization().lower()
@@ -149,11 +146,8 @@ class Isam2Backend(Backend):
         full = [slot for slot in range(factors.size()) if factors.at(slot) is not None]
         slots = {before: now for now, before in enumerate(full)}
         self._slots = {landmark: slots[slot] for landmark, slot in self._slots.items()}
-        left = gtsam.NonlinearFactorGraph()
-        for slot in full:
-            left.add(factors.at(slot))
         self._isam = gtsam.ISAM2(params)
-        self._pass_on(left, values, [])
+        self._pass_on(_without_empty_slots(factors), values, [])
 
     def _pass_on(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, removed: list[int]) -> Any:
         try:
@@ -325,12 +319,7 @@ class Isam2Backend(Backend):
         return dict(zip(self._nodes, estimates))
 
     def covariance(self, poses: Sequence[int], landmarks: Sequence[int]) -> Array:
-        values, factors = self._isam.calculateEstimate(), gtsam.NonlinearFactorGraph()
-        every = self._isam.getFactorsUnsafe()
-        for slot in range(every.size()):
-            # slots of removed factors are empty
-            if every.at(slot) is not None:
-                factors.add(every.at(slot))
+        values, factors = self._isam.calculateEstimate(), _without_empty_slots(self._isam.getFactorsUnsafe())
         keys = [*map(X, poses), *(self._nodes[id] for id in landmarks)]
         try:
             found = gtsam.Marginals(factors, values).jointMarginalCovariance(gtsam.KeyVector(list(dict.fromkeys(keys))))
@@ -342,6 +331,15 @@ class Isam2Backend(Backend):
             is_point = chr(gtsam.symbolChr(key)) == "m" and self.columns == 2
             turns.append(np.eye(2) if is_point else turn_matrix(np.array([values.atPose2(key).theta()]))[0])
         return np.block([[A @ found.at(a, b) @ B.T for b, B in zip(keys, turns)] for a, A in zip(keys, turns)])
+
+
+def _without_empty_slots(factors: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
+    """The factors without the slots of those that were removed."""
+    left = gtsam.NonlinearFactorGraph()
+    for slot in range(factors.size()):
+        if factors.at(slot) is not None:
+            left.add(factors.at(slot))
+    return left
 
 
 def _parameters(threshold: float, skip: int, factorization: str) -> gtsam.ISAM2Params:

@@ -140,16 +140,16 @@ class Localizer:
             if len(self._rows) < self._due:
                 return None
             self._due = int(np.ceil(GROWTH * len(self._rows)))
-            fix = sure_fix(self._stretch(), self._landmarks, self._sensor)
+            fix = sure_fix(self._stretch(), self._landmarks)
             return None if fix is None else (0, fix)
         if tracker.doubt < self._tried:
             self._tried = self._tried if tracker.doubt else DOUBT
             return None
         self._tried = int(np.ceil(GROWTH * tracker.doubt))
-        put_down = elsewhere(self._stretch(), tracker, self._landmarks, self._sensor)
+        put_down = elsewhere(self._stretch(), tracker, self._landmarks)
         return None if put_down is None else put_down[:2]
 
     def _stretch(self) -> Stretch:
         steps, ids, sightings = map(np.array, zip(*self._rows))
         motions, noise = np.array(self._motions).reshape(-1, 3), np.array(self._noise).reshape(-1, 3, 3)
-        return Stretch("the drive", motions, noise, steps, ids, sightings)
+        return Stretch("the drive", motions, noise, steps, ids, sightings, self._sensor)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
 from functools import partial
 from itertools import repeat
 from typing import Any
@@ -158,7 +157,7 @@ class OwnBackend(Backend):
             GraphError: a pose or landmark is not determined. Nothing is added then.
         """
         system, poses, columns, waiting = self.system, len(self._poses), self.columns, self._others.waiting
-        known, fresh, added = system.num_nodes, list[int](), list[_Edges]()
+        known, fresh, added = system.num_nodes, list[int](), list[tuple[np.ndarray, ...]]()
         leading: Relation | None = None
         for relation, in_doubt in zip(relations, repeat(True) if doubted is None else doubted):
             first, second, z, omega = relation
@@ -167,7 +166,7 @@ class OwnBackend(Backend):
                 leading = relation
             kind = MOTION if created and first < second else RELATION
             ends = np.array([[self._node(first), self._node(second)]], np.int32)
-            added.append(_Edges(kind, ends, z[None], omega[None], doubted=in_doubt and not created))
+            added.append(_edges(kind, ends, z[None], omega[None], doubted=in_doubt and not created))
         if len(landmarks):
             assert measured is not None and information is not None
             self.columns = measured.shape[1]
@@ -178,7 +177,7 @@ class OwnBackend(Backend):
                     end = self._landmarks[landmark] = system.add_node()
                     fresh.append(landmark)
                 ends[k] = self._node(pose), end
-            added.append(_Edges(SIGHTING, ends, measured, information))
+            added.append(_edges(SIGHTING, ends, measured, information))
         placed, rows = dict[int, tuple[NumberRow, ...]](), list[tuple[int, NumberRow]]()
         if numbers or places or waiting.rows:
             self._others.waiting = still = waiting.copy()
@@ -223,7 +222,7 @@ class OwnBackend(Backend):
     def locate(self, pose: int, measured: Array, information: Array, lever: Array, *, doubted: bool = True) -> None:
         node, system = self._node(pose), self.system
         ends, arms = np.array([[node, node]], np.int32), lever[None]
-        edge = _Edges(POSITION, ends, measured[None], information[None], levers=arms, doubted=doubted)
+        edge = _edges(POSITION, ends, measured[None], information[None], levers=arms, doubted=doubted)
         if not system.add(system.num_nodes, *_joined([edge]), self._poses[-1:]):
             raise GraphError("with this position the graph is not determined, so that nothing was added")
         self._others.located(pose, measured, information, lever)
@@ -292,14 +291,14 @@ class OwnBackend(Backend):
         values = np.zeros((0, 3)) if values is None else values
         self.system.solve_from(list(nodes), np.ascontiguousarray(values), self._poses[-1:])
 
-    def _edges_of_numbers(self, landmark: int, rows: tuple[NumberRow, ...]) -> list[_Edges]:
+    def _edges_of_numbers(self, landmark: int, rows: tuple[NumberRow, ...]) -> list[tuple[np.ndarray, ...]]:
         """Edges of single numbers of a landmark that is a node."""
         found = []
         for each in edges_of_rows(landmark, rows, self._sensor, self.num_poses) if rows else ():
             ends = np.array([(self._node(step), self._landmarks[landmark]) for step in each.first.tolist()], np.int32)
             kind = RANGE if isinstance(each, RangeEdges) else BEARING
             levers = np.tile(each.offset, (each.count, 1))
-            found.append(_Edges(kind, ends, each.measured, each.information, levers=levers))
+            found.append(_edges(kind, ends, each.measured, each.information, levers=levers))
         return found
 
     def _marginalize(self) -> None:
@@ -398,40 +397,29 @@ def _priors_of(known: LandmarkMap, columns: int) -> tuple[list[int], Array, Arra
     return ids, places, information
 
 
-@dataclass(frozen=True)
-class _Edges:
-    """Edges of one kind between nodes (E, 2): measured (E, d) with information (E, d, d); see the engine's `NewEdge`."""
-
-    kind: int
-    ends: np.ndarray
-    measured: Array
-    information: Array
-    levers: Array | None = None
-    doubted: bool = False
+#: the places of the entries of a symmetric matrix (d, d), as in `edges::Symmetric`
+_PACKED = {d: np.tril_indices(d)[::-1] for d in (1, 2, 3)}
 
 
-def _joined(added: list[_Edges]) -> tuple[np.ndarray, ...]:
-    """The arrays of edges for `OnlineSystem.add`."""
-    count = sum(len(each.ends) for each in added)
-    ends, kinds, rows = np.empty((count, 2), np.int32), np.empty(count, np.int8), np.empty(count, np.int8)
-    z, W, levers, doubted = np.zeros((count, 3)), np.zeros((count, 6)), np.zeros((count, 2)), np.zeros(count, np.int8)
-    begin = 0
-    for each in added:
-        part = slice(begin, begin := begin + len(each.ends))
-        d = each.measured.shape[1]
-        ends[part], kinds[part], rows[part], z[part, :d], doubted[part] = (
-            each.ends, each.kind, d, each.measured, each.doubted,
-        )  # fmt: skip
-        W[part, : (1, 3, 6)[d - 1]] = _packed(each.information)
-        if each.levers is not None:
-            levers[part] = each.levers
-    return ends, kinds, rows, z, W, levers, doubted
+def _edges(
+    kind: int, ends: np.ndarray, measured: Array, information: Array, levers: Array | None = None, doubted: bool = False
+) -> tuple[np.ndarray, ...]:
+    """The arrays for `OnlineSystem.add` of edges of one kind between nodes (E, 2); see the engine's `NewEdge`.
+
+    Args:
+        kind: of the edges.
+        ends: the nodes.
+        measured, information: (E, d) and (E, d, d).
+        levers: (E, 2).
+        doubted: whether a robust kernel acts on them.
+    """
+    count, d = measured.shape
+    z, W = np.zeros((count, 3)), np.zeros((count, 6))
+    z[:, :d], W[:, : d * (d + 1) // 2] = measured, information[:, *_PACKED[d]]
+    levers = np.zeros((count, 2)) if levers is None else levers
+    return ends, *(np.full(count, each, np.int8) for each in (kind, d)), z, W, levers, np.full(count, doubted, np.int8)
 
 
-def _packed(information: Array) -> Array:
-    """The entries (..., 1, 3 or 6) of symmetric matrices as in `edges::Symmetric`."""
-    if information.shape[-1] == 1:
-        return information[..., 0]
-    if information.shape[-1] == 2:
-        return information[..., [0, 0, 1], [0, 1, 1]]
-    return information[..., [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+def _joined(added: list[tuple[np.ndarray, ...]]) -> Iterator[np.ndarray]:
+    """The arrays of several kinds of edges, one after the other."""
+    return map(np.concatenate, zip(*added))

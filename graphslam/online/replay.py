@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -31,6 +32,7 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from ..solvers.corrected import motion_edges
 from ..solvers.initialize import image_notes, partial_edges
+from ..solvers.iteration import Run
 from ..solvers.solution import Solution, make_solution
 from .backend import ANYWHERE, Relation
 from .solver import OnlineSolver, backend_options
@@ -94,10 +96,9 @@ def solve_online(
         if id in landmarks:
             state[row, : graph.landmark_dimension] = landmarks[id]
     state[graph.fixed] = graph.initial[graph.fixed]
-    return make_solution(
-        graph, state, step_norms=[], costs=[], converged=solver.converged, reason=reason, seconds=seconds,
-        solver="online" if backend == "own" else backend, notes=image_notes(graph, state) if partial_edges(graph) else (),
-    )  # fmt: skip
+    run = Run(state, 0.0, converged=solver.converged, reason=reason)
+    notes = image_notes(graph, state) if partial_edges(graph) else ()
+    return make_solution(graph, run, "online" if backend == "own" else backend, seconds, notes=notes)
 
 
 def _place_the_rest(solver: OnlineSolver) -> None:
@@ -130,7 +131,7 @@ def _replayed(log: Log | Graph, backend: str, options: dict[str, Any]) -> tuple[
 def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Iterator[OnlineSolver]:
     graph.check_no_parameters("the solver step by step")
     sighted = next((family for family in graph.families if isinstance(family, CartesianObservationEdges)), None)
-    motions, numbers = motion_edges(graph), _NumbersByStep(graph)
+    motions, numbers = motion_edges(graph), _single_numbers(graph)
     if (
         motions is None
         or (sighted is not None and sighted.frame != "body")
@@ -157,11 +158,9 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         backend.begin_with(known.among(graph.landmark_ids.tolist()), d)
     if sighted is None:
         sighted = _no_sightings(graph, d)
-    rows = np.argsort(sighted.first, kind="stable")
-    bounds = np.searchsorted(sighted.first[rows], np.arange(total + 1))
     ids = graph.landmark_ids[sighted.second - total]
     seen = sighted.relative
-    measured = _Arriving.of(graph)
+    relations, positions = _arriving(graph)
 
     log, noise = graph.log, np.linalg.inv(motions.information)
     tracker: Tracker | None = None
@@ -169,18 +168,10 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         backend.tracker = tracker = unlocated(known, graph.sensor, graph.initial[0])
 
     def add(step: int, now: np.ndarray) -> None:
-        arriving, doubted = list[Relation](), list[bool]()
+        arriving: list[tuple[Relation, Kernel | None]] = []
         if step:
-            arriving.append((step - 1, step, motions.measured[step - 1], motions.information[step - 1]))
-            doubted.append(False)
-        positions: list[tuple[PositionEdges, int]] = []
-        for edges, row in measured.at(step):
-            if isinstance(edges, PositionEdges):
-                positions.append((edges, row))
-            else:
-                ends = int(edges.first[row]), int(edges.second[row])
-                arriving.append((*ends, edges.measured[row], edges.information[row]))
-                doubted.append(edges.kernel is not None)
+            arriving.append(((step - 1, step, motions.measured[step - 1], motions.information[step - 1]), None))
+        arriving += relations[step]
         if tracker is not None:
             if step:
                 tracker.pose = backend.pose
@@ -188,56 +179,37 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
             if len(now) and log is not None:
                 tracker.see(step, now, ids[now], log.sightings[graph.sighting_rows[now]])
         whole = ids[now].tolist(), seen.measured[now], seen.information[now]
-        backend.update(arriving, step, *whole, numbers.at(step), doubted=doubted)
-        for edges, row in positions:
-            z = edges.measured[row], edges.information[row], edges.levers[row]
-            backend.locate(step, *z, doubted=edges.kernel is not None)
+        doubted = [kernel is not None for _, kernel in arriving]
+        backend.update([relation for relation, _ in arriving], step, *whole, numbers[step], doubted=doubted)
+        for z, kernel in positions[step]:
+            backend.locate(step, *z, doubted=kernel is not None)
 
-    return _steps(solver, total, add, rows, bounds)
-
-
-class _Arriving:
-    """The relations and positions of a graph, each at the last step that it needs."""
-
-    def __init__(self, families: Sequence[RelationEdges | PositionEdges]) -> None:
-        self._rows: dict[int, list[tuple[RelationEdges | PositionEdges, int]]] = {}
-        for family in families:
-            last = family.nodes if isinstance(family, PositionEdges) else np.maximum(family.first, family.second)
-            for row, step in enumerate(last.tolist()):
-                self._rows.setdefault(step, []).append((family, row))
-
-    @classmethod
-    def of(cls, graph: Graph) -> _Arriving:
-        """Those of a graph whose nodes are all steps."""
-        return cls([family for family in graph.families if isinstance(family, RelationEdges | PositionEdges)])
-
-    def at(self, step: int) -> list[tuple[Any, int]]:
-        """The edges and the rows that arrive at a step."""
-        return self._rows.get(step, [])
+    return _steps(solver, total, sighted.first, add)
 
 
-class _NumbersByStep:
-    """The ranges and bearings alone of a graph: (landmark, (range, bearing)) of a step, one of the two NaN."""
+def _arriving(graph: Graph) -> tuple[dict[int, list[Any]], dict[int, list[Any]]]:
+    """The relations of a graph by the last step that they need, and its positions by their step, each with its kernel."""
+    relations, positions = defaultdict[int, list[Any]](list), defaultdict[int, list[Any]](list)
+    for family in graph.families:
+        if isinstance(family, RelationEdges):
+            for a, b, *z in zip(family.first.tolist(), family.second.tolist(), family.measured, family.information):
+                relations[max(a, b)].append(((a, b, *z), family.kernel))
+        elif isinstance(family, PositionEdges):
+            for step, *z in zip(family.nodes.tolist(), family.measured, family.information, family.levers):
+                positions[step].append((z, family.kernel))
+    return relations, positions
 
-    def __init__(self, graph: Graph) -> None:
-        self._rows: dict[int, list[tuple[int, Array]]] = {}
-        for family in graph.families:
-            if isinstance(family, PartialEdges):
-                column, ids = (
-                    int(isinstance(family, BearingEdges)),
-                    graph.landmark_ids[family.second - len(graph.steps)],
-                )
-                for step, id, value in zip(family.first.tolist(), ids.tolist(), family.measured[:, 0].tolist()):
-                    z = np.full(2, np.nan)
-                    z[column] = value
-                    self._rows.setdefault(step, []).append((id, z))
 
-    def __bool__(self) -> bool:
-        return bool(self._rows)
-
-    def at(self, step: int) -> list[tuple[int, Array]]:
-        """The numbers of a step."""
-        return self._rows.get(step, [])
+def _single_numbers(graph: Graph) -> dict[int, list[tuple[int, Array]]]:
+    """The ranges and bearings alone, {step: (landmark, (range, bearing)) of each}, one of the two NaN."""
+    found: dict[int, list[tuple[int, Array]]] = defaultdict(list)
+    for family in partial_edges(graph):
+        column, ids = int(isinstance(family, BearingEdges)), graph.landmark_ids[family.second - len(graph.steps)]
+        for step, id, value in zip(family.first.tolist(), ids.tolist(), family.measured[:, 0].tolist()):
+            z = np.full(2, np.nan)
+            z[column] = value
+            found[step].append((id, z))
+    return found
 
 
 def _no_sightings(graph: Graph, dimension: int) -> CartesianObservationEdges:
@@ -294,39 +266,35 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
         own = {"start_covariance": np.diag(ANYWHERE), "factorization": "qr"} | own
     if log.partial_sightings is not None:
         own = {"factorization": "qr"} | own
-    numbers = _NumbersByStep(graph)
+    numbers = _single_numbers(graph)
     solver = OnlineSolver(
         graph.trajectory[0], backend="isam2", motion=motion, sensor=graph.sensor, kernel=options["kernel"], **own
     )
     backend: Any = solver._backend
     information = weight * np.linalg.inv(covariances)
-    measured = _Arriving.of(graph)
+    relations, positions = _arriving(graph)
 
     def add(step: int, now: np.ndarray) -> None:
         if step:
             backend.add_relation((step - 1, step, motions[step - 1], information[step - 1]))
         backend.add_sightings(step, log.landmarks[now].tolist(), sightings[now])
-        for landmark, z in numbers.at(step):
+        for landmark, z in numbers[step]:
             backend.add_sightings(step, [landmark], z[None])
-        for edges, row in measured.at(step):
-            z, known = edges.measured[row], edges.information[row]
-            if isinstance(edges, PositionEdges):
-                backend.add_position(step, z, known, edges.levers[row], edges.kernel)
-            else:
-                ends = int(edges.first[row]), int(edges.second[row])
-                backend.add_relation((*ends, z, known), edges.kernel)
+        for relation, kernel in relations[step]:
+            backend.add_relation(relation, kernel)
+        for z, kernel in positions[step]:
+            backend.add_position(step, *z, kernel)
         backend.update()
 
-    order = np.argsort(log.steps, kind="stable")
-    return graph, _steps(
-        solver, log.num_poses, add, order, np.searchsorted(log.steps[order], np.arange(log.num_poses + 1))
-    )
+    return graph, _steps(solver, log.num_poses, log.steps, add)
 
 
 def _steps(
-    solver: OnlineSolver, total: int, add: Callable[[int, np.ndarray], None], rows: np.ndarray, bounds: np.ndarray
+    solver: OnlineSolver, total: int, seen_from: np.ndarray, add: Callable[[int, np.ndarray], None]
 ) -> Iterator[OnlineSolver]:
-    """Add the motion to each step and its sightings, and yield the solver."""
+    """Add the motion to each step and the sightings from there (M,), and yield the solver."""
+    rows = np.argsort(seen_from, kind="stable")
+    bounds = np.searchsorted(seen_from[rows], np.arange(total + 1))
     for step in range(total):
         add(step, rows[bounds[step] : bounds[step + 1]])
         yield solver

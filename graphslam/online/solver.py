@@ -7,7 +7,7 @@ import sys
 from copy import deepcopy
 from functools import partial
 from numbers import Real
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import check_choice, check_count, check_known, check_positive, check_type
+from ..errors.checks import check_choice, check_count, check_known, check_positive
 from ..graph.integrity import beyond, inflation
 from ..graph.landmark_map import as_map
-from ..linear.precision import check_model, inverses
+from ..linear.precision import inverses, model_of
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, transform, wrap
@@ -29,8 +29,6 @@ from .own import OwnBackend
 
 #: the backends
 BACKENDS = ("own", "isam2")
-
-Model = TypeVar("Model", MotionModel, SensorModel)
 
 
 class OnlineSolver:
@@ -77,8 +75,8 @@ class OnlineSolver:
         kind: Any = backend_class(backend)
         known = backend_options(backend)
         check_known(f"the backend {backend}", options, known, f"; its own options are {', '.join(known)}")
-        self.motion = _model("motion", motion, MotionModel)
-        self.sensor = _model("sensor", sensor, SensorModel)
+        self.motion = model_of(MotionModel, motion)
+        self.sensor = model_of(SensorModel, sensor)
         self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
         first = None if start is None else numbers("start", start, (3,))
         self._backend: Backend
@@ -446,10 +444,3 @@ def backend_options(backend: str) -> list[str]:
     """The names of the options that a backend has of its own."""
     parameters = inspect.signature(backend_class(backend)).parameters.values()
     return [each.name for each in parameters if each.kind is each.KEYWORD_ONLY]
-
-
-def _model(name: str, value: Any, kind: type[Model]) -> Model:
-    check_type(kind, **{name: value})
-    model = kind() if value is None else value
-    check_model(model)
-    return model

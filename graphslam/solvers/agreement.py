@@ -33,7 +33,7 @@ import numpy as np
 from ..edges import RelationEdges
 from ..graph import Graph
 from ..linear.precision import inverses
-from ..se2 import Array, between, compose, inverse, turn_matrix
+from ..se2 import Array, between, compose, inverse, turn_matrix, turned_by
 from .iteration import end_of, levenberg_marquardt, rough
 from .minimize import minimize
 from .starts import dead_reckoning, odometry
@@ -58,20 +58,21 @@ DOUBTFUL = 0.05
 
 
 @dataclass(frozen=True)
-class Grown:
-    """The state (n, 3), the trust (R,), 0 or 1, and the number of rounds.
+class Trusted:
+    """A state (n, 3) with the trust (N,) in the measurements, and the number of rounds that led to it.
 
-    ``settled``: no further change was due. ``certain``: nearly all pairs that agree were right.
+    ``settled``: no further change is due, and every measurement is fully trusted or rejected. ``certain``: nearly all pairs
+    that agree were right.
     """
 
     state: Array
     trust: Array
     rounds: int
     settled: bool
-    certain: bool
+    certain: bool = False
 
 
-def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: int, initialize: str) -> Grown:
+def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: int, initialize: str) -> Trusted:
     """Trust in the relations ``edges`` of a graph without kernels and without other measurements that may be wrong.
 
     Args:
@@ -125,7 +126,7 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
             break
         state = end_of(levenberg_marquardt, graph.with_trust(trusted.astype(float)), state, max_iterations=STEPS)
     certain = settled and not careful and float(np.sum(pairs & ~trusted)) <= DOUBTFUL * float(pairs.sum())
-    return Grown(state, trusted.astype(float), rounds, settled, certain)
+    return Trusted(state, trusted.astype(float), rounds, settled, certain)
 
 
 def _ellipsoid(squares: Array, size: Array) -> Array:
@@ -182,7 +183,7 @@ def differences(graph: Graph, edges: RelationEdges) -> tuple[np.ndarray, np.ndar
 
 def _forward(edges: RelationEdges) -> tuple[np.ndarray, np.ndarray, Array, Array]:
     """First and second poses, first < second, the motions (R, 3), and their covariances (R, 3, 3) in the second's axes."""
-    noise = _moved(_headings(-edges.measured[:, 2]), np.linalg.inv(edges.information))
+    noise = turned_by(np.linalg.inv(edges.information), -edges.measured[:, 2])
     back = (edges.first > edges.second)[:, None]
     measured = np.where(back, inverse(edges.measured), edges.measured)
     # z exp(n) is exp(-Ad_z n) z^-1 when turned round
@@ -211,11 +212,7 @@ def _spread(graph: Graph, x: Array) -> Array:
     step, information = odometry(graph, "dead-reckoning")
     noise = np.zeros((len(x), 3, 3))
     noise[1:] = inverses(information[1:], "motion edge", "give it a positive definite information")
-    return np.cumsum(_moved(x, _moved(_headings(-step[:, 2]), noise)), axis=0)
-
-
-def _headings(angles: Array) -> Array:
-    return np.column_stack([np.zeros((len(angles), 2)), angles])
+    return np.cumsum(_moved(x, turned_by(noise, -step[:, 2])), axis=0)
 
 
 def _moved(x: Array, covariances: Array) -> Array:

@@ -13,8 +13,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..edges import ConstantEdges
-from ..edges.base import EngineEdges, check_rows, node_numbers
+from ..edges import ConstantEdges, EdgeFamily
+from ..edges.base import EngineEdges, check_nodes, check_rows
 from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import first
@@ -120,10 +120,11 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     if len(moved):
         outcome: _Outcome = NOT_PROVEN, 0.0, f"the state moves {graph.names(moved)}, which the graph holds", None
     else:
-        outcome = _outcome(lambda: _of_graph(graph, state), cost, thorough)
-    if graph.reweighted:
-        outcome = _for_weights(outcome)
+        outcome = _outcome(lambda: _problem(graph.families, state, graph.fixed, graph.system.structure), cost, thorough)
     status, bound, reason, direction = outcome
+    # at residuals of zero the kernel's cost is zero, too, and no cost is lower
+    if graph.reweighted and status != NOT_APPLICABLE and not (status == GLOBAL and bound == 0):
+        status, reason = _WEIGHTS.get(status, status), f"with the weights of the kernel held, {reason}"
     if graph.parameters is not None and status in _HELD:
         status, reason = _HELD[status], f"with the parameters held at their values, {reason}"
     return _certificate((status, bound + constant, reason, direction), cost + constant, begin, graph.reweighted)
@@ -138,43 +139,22 @@ def _put_back(graph: Graph, state: Array) -> np.ndarray:
     return graph.fixed[np.any(np.abs(difference(there, given)) > HELD * (1 + np.abs(given)), axis=1)]
 
 
-#: the status of a proof that holds the parameters
+#: the status of a proof that holds the weights of a kernel, and of one that holds the parameters
+_WEIGHTS = {GLOBAL: GLOBAL_WEIGHTS}
 _HELD = {GLOBAL: GLOBAL_HELD, GLOBAL_WEIGHTS: GLOBAL_WEIGHTS_HELD}
 
 
-def _for_weights(outcome: _Outcome) -> _Outcome:
-    """The outcome of a proof about the cost with the weights of a kernel held, as one about the kernel's cost."""
-    status, bound, reason, direction = outcome
-    # at residuals of zero the kernel's cost is zero, too, and no cost is lower
-    if status == NOT_APPLICABLE or (status == GLOBAL and bound == 0):
-        return outcome
-    return (
-        GLOBAL_WEIGHTS if status == GLOBAL else status,
-        bound,
-        f"with the weights of the kernel held, {reason}",
-        direction,
-    )
-
-
-def prove_edges(edges: Sequence[ConstantEdges], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
+def prove_edges(edges: Sequence[EdgeFamily], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
     """`prove` for edges that belong to no `Graph`.
 
     Args:
-        edges: their ``landmarks`` follow the rows of the state.
+        edges: their families.
         state: (n, 3) the candidate.
         fixed: the nodes that are held at their rows of the state.
         cost: of the state.
     """
-
-    def problem() -> _Problem:
-        taken = engine.ConstantEdges()
-        nodes = np.concatenate([state, *(each.landmarks for each in edges)])
-        for each in edges:
-            _add(taken, each, len(nodes))
-        return _Problem(taken, nodes, fixed, len(state))
-
     begin = time.perf_counter()
-    return _certificate(_outcome(problem, cost, thorough=True), cost, begin)
+    return _certificate(_outcome(lambda: _problem(edges, state, fixed), cost, thorough=True), cost, begin)
 
 
 #: status, lower bound, reason and direction of a `Certificate`
@@ -210,12 +190,8 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
         return NOT_PROVEN, 0.0, reason, None
     exact = proof.cost
     if max(cost, exact) <= PROVEN and proof.zero:
-        return (
-            GLOBAL,
-            0.0,
-            "the residuals of all edges are zero up to the tolerance of solvers, and no cost is below 0",
-            None,
-        )
+        reason = "the residuals of all edges are zero up to the tolerance of solvers, and no cost is below 0"
+        return GLOBAL, 0.0, reason, None
     if not abs(exact - cost) <= PROVEN * cost + proof.slack:
         return NOT_PROVEN, 0.0, f"the edges in their constant form have the cost {exact:g} instead of {cost:g}", None
     bound, direction = proof.bound(), proof.negative()
@@ -237,10 +213,13 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
     return NOT_PROVEN, best, reason, direction
 
 
-def _of_graph(graph: Graph, state: Array) -> _Problem:
+def _problem(
+    families: Sequence[EdgeFamily], state: Array, fixed: np.ndarray, structure: Structure | None = None
+) -> _Problem:
+    """The edges of families at a state (n, 3); ``structure`` is that of the state's nodes, where it is known."""
     reasons: list[str] = []
     taken, nodes = engine.ConstantEdges(), np.array(state, dtype=float)
-    for family in graph.families:
+    for family in families:
         try:
             if isinstance(family, EngineEdges) and type(family).constant is EngineEdges.constant:
                 family.check_constant()
@@ -256,8 +235,7 @@ def _of_graph(graph: Graph, state: Array) -> _Problem:
             nodes = np.concatenate([nodes, landmarks])
     if reasons:
         raise GraphError("; ".join(dict.fromkeys(reasons)))
-    structure = graph.system.structure if len(nodes) == graph.num_nodes else None
-    return _Problem(taken, nodes, graph.fixed, graph.num_nodes, structure)
+    return _Problem(taken, nodes, fixed, len(state), structure if len(nodes) == len(state) else None)
 
 
 def _add(taken: Any, edges: ConstantEdges, nodes: int) -> None:
@@ -267,8 +245,7 @@ def _add(taken: Any, edges: ConstantEdges, nodes: int) -> None:
         GraphError: an edge names another node, an array has another shape or is not finite, or the information of an edge is
             not symmetric.
     """
-    for name in ("first", "second"):
-        object.__setattr__(edges, name, node_numbers(edges, name, getattr(edges, name)))
+    check_nodes(edges, "first", "second")
     count, d = len(edges.first), 2 if edges.turn is None else 3
     check_rows(edges, start=(count, 2), end=(count, 2), information=(count, d, d))
     if edges.turn is not None:

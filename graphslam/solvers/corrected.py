@@ -12,7 +12,6 @@ import numpy as np
 from ..edges import (
     EdgeFamily,
     LandmarkSightings,
-    MarginalEdges,
     ObservationEdges,
     RelationEdges,
     RelativePoseEdges,
@@ -57,8 +56,7 @@ def corrected(graph: Graph, values: Array, state: Array, at: Array | None = None
         state: (n, 3) that predicts the sightings at which the noise of the sensor is evaluated.
         at: (K,) the values of the parameters there; default: ``values``.
     """
-    assert graph.parameters is not None
-    here, there = graph.parameters.at(values), graph.parameters.at(values if at is None else at)
+    here, there = graph.estimated.at(values), graph.estimated.at(values if at is None else at)
     seen = _sightings(graph, here)
     predicted = predictions(_sightings(graph, there), state)
     measured = seen.sightings[:, 0]
@@ -67,10 +65,7 @@ def corrected(graph: Graph, values: Array, state: Array, at: Array | None = None
     driven = motion_edges(graph)
     if driven is not None and any(PARAMETERS[name].of_motion for name in here.names):
         changed[driven] = _motions(driven, here, there)
-    families = tuple(changed.get(family, family) for family in graph.families)
-    found = replace(graph, families=families, parameters=here)
-    vars(found)["system"] = graph.system
-    return found
+    return graph.with_families((changed.get(family, family) for family in graph.families), parameters=here)
 
 
 def finished(graph: Graph, values: Array, state: Array) -> Graph:
@@ -80,21 +75,18 @@ def finished(graph: Graph, values: Array, state: Array) -> Graph:
         LogError: a corrected range would not be above zero.
     """
     found = corrected(graph, values, state)
-    assert found.parameters is not None
-    log, sensor = corrected_log(found.parameters), corrected_sensor(found.parameters)
+    log, sensor = corrected_log(found.estimated), corrected_sensor(found.estimated)
     if graph.log is not None and not graph.log.has_orientation:
         log = log.without_orientation()
-    finished = replace(found, log=log, sensor=sensor)
-    vars(finished)["system"] = graph.system
-    return finished
+    return found.with_families(found.families, log=log, sensor=sensor)
 
 
 def controls_of(graph: Graph) -> Array:
     """The corrected control (M, 2) at the pose of each sighting; zero where no parameter depends on it."""
-    assert graph.parameters is not None and graph.log is not None
-    if "sensor_delay" not in graph.parameters.names:
+    assert graph.log is not None
+    if "sensor_delay" not in graph.estimated.names:
         return np.zeros((len(graph.sighting_rows), 2))
-    return controls_at_steps(graph.parameters)[graph.log.steps[graph.sighting_rows]]
+    return controls_at_steps(graph.estimated)[graph.log.steps[graph.sighting_rows]]
 
 
 def predictions(edges: SightingEdges, state: Array) -> Array:
@@ -106,10 +98,7 @@ def predictions(edges: SightingEdges, state: Array) -> Array:
     predicted = None
     # the places depend on the noise, which depends on the places
     for _ in range(PASSES):
-        means = MarginalEdges(
-            edges.starts, edges.nodes, edges.sightings, edges.sensor, kernel=edges.kernel, trust=edges.trust,
-            noise_at=predicted,
-        ).landmarks(state, state)  # fmt: skip
+        means = replace(edges.marginal, noise_at=predicted).landmarks(state, state)
         places = means[edges.group][:, : edges.sightings.shape[1]]
         before, predicted = predicted, edges.sensor.h(state[edges.nodes], places)
         predicted[:, 0] = np.clip(predicted[:, 0], *(np.abs(edges.sightings[:, 0]) * factor for factor in PLAUSIBLE))

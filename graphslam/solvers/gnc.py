@@ -46,7 +46,7 @@ from ..errors import GraphError, OptionError
 from ..graph import Graph
 from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
-from .agreement import grown_trust
+from .agreement import Trusted, grown_trust
 from .corrected import corrected, sighted_edges
 from .initialize import partial_edges
 from .iteration import end_of, levenberg_marquardt, rough
@@ -141,18 +141,8 @@ def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
     robust = replace(seen, kernel=Cauchy())
     families = tuple(robust if family is seen else family for family in graph.families)
     found = minimize(replace(graph, families=families), tolerance=rough(graph), initialize=initialize)
-    assert found.graph is not None and found.graph.parameters is not None
-    return corrected(graph, found.graph.parameters.values, found.state).with_initial(found.state)
-
-
-@dataclass(frozen=True)
-class _Sequence:
-    """The end of a sequence of surrogates; ``settled`` where every measurement is fully trusted or rejected."""
-
-    state: Array
-    trust: Array
-    rounds: int
-    settled: bool
+    assert found.graph is not None
+    return corrected(graph, found.graph.estimated.values, found.state).with_initial(found.state)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,14 +193,14 @@ class _Measurements:
             start += family.count
         return squares / self.limits
 
-    def cost(self, sequence: _Sequence) -> float:
+    def cost(self, sequence: Trusted) -> float:
         """The truncated squares of the measurements, and the cost of all other edges."""
         state = sequence.state
         squares = np.minimum(self.squares(state, sequence.trust), 1.0) * self.limits
         return float(squares.sum() + sum(other.cost(state, state) for other in self.others))
 
 
-def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize: str) -> _Sequence:
+def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize: str) -> Trusted:
     """The better of two sequences, one on landmark nodes, one on pair edges."""
     if graph.measurements == 0:
         raise GraphError("graduated non-convexity needs sightings, relations or positions, and this graph has none")
@@ -239,15 +229,15 @@ def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize
     return min(best, other, key=lambda each: (not each.settled, measured.cost(each)))
 
 
-def _of_relations(graph: Graph, measured: _Measurements, max_rounds: int, initialize: str) -> _Sequence:
+def _of_relations(graph: Graph, measured: _Measurements, max_rounds: int, initialize: str) -> Trusted:
     """That of a graph without sightings: from relations that agree, or where that is doubtful the better of two."""
-    found: list[_Sequence] = []
+    found: list[Trusted] = []
     if len(measured.single) == 1 and isinstance(edges := measured.single[0], RelationEdges):
         with suppress(GraphError):  # the odometry alone does not determine the poses
             grown = grown_trust(graph, edges, float(measured.limits[0]), max_rounds, initialize)
-            found.append(_Sequence(grown.state, grown.trust, grown.rounds, grown.settled))
+            found.append(grown)
             if grown.certain:
-                return found[0]
+                return grown
     # the search for the optimum of plain squares would be one among wrong relations
     given = "given" if initialize == "auto" else initialize
     found.append(_sequence(graph, np.arange(len(measured.limits)), measured, max_rounds, given, STEPS_OF_RELATIONS))
@@ -256,7 +246,7 @@ def _of_relations(graph: Graph, measured: _Measurements, max_rounds: int, initia
 
 def _sequence(
     graph: Graph, order: np.ndarray, measured: _Measurements, max_rounds: int, initialize: str, steps: int = STEPS
-) -> _Sequence:
+) -> Trusted:
     """The sequence from plain squares to squares truncated at c²; the edges have the measurements in an order (N,)."""
     trust = np.ones(len(order))
     state = minimize(graph, tolerance=rough(graph), initialize=initialize).state
@@ -271,10 +261,10 @@ def _sequence(
         state = _damped(graph, trust[order], state, steps)
         squares = measured.squares(state, trust)
         mu *= GROWTH
-    return _Sequence(state, trust, rounds, settled)
+    return Trusted(state, trust, rounds, settled)
 
 
-def _from_kernel(graph: Graph, measured: _Measurements, initialize: str) -> _Sequence:
+def _from_kernel(graph: Graph, measured: _Measurements, initialize: str) -> Trusted:
     """The end from the minimum of a robust kernel, for graphs with ranges or bearings alone.
 
     Plain squares put their landmarks so far from where they are that the sequence from there rejects most of them.
@@ -282,10 +272,10 @@ def _from_kernel(graph: Graph, measured: _Measurements, initialize: str) -> _Seq
     robust = tuple(replace(f, kernel=Cauchy()) if isinstance(f, DoubtedEdges) else f for f in graph.families)
     state = minimize(replace(graph, families=robust), tolerance=rough(graph), initialize=initialize).state
     trust = truncated_trust(measured.squares(state, np.ones(len(measured.limits))), 1.0, np.inf)
-    return _settled(graph, _Sequence(state, trust, 0, settled=True), measured)
+    return _settled(graph, Trusted(state, trust, 0, settled=True), measured)
 
 
-def _finished(graph: Graph, sequence: _Sequence, measured: _Measurements) -> _Sequence:
+def _finished(graph: Graph, sequence: Trusted, measured: _Measurements) -> Trusted:
     """The end of another graph's sequence, taken on to the nearest minimum of the truncated squares with landmark nodes."""
     if not sequence.settled:
         return sequence
@@ -293,7 +283,7 @@ def _finished(graph: Graph, sequence: _Sequence, measured: _Measurements) -> _Se
     return _settled(graph, replace(sequence, state=state), measured)
 
 
-def _settled(graph: Graph, sequence: _Sequence, measured: _Measurements) -> _Sequence:
+def _settled(graph: Graph, sequence: Trusted, measured: _Measurements) -> Trusted:
     """The nearest minimum of the truncated squares."""
     state, trust, rounds = sequence.state, sequence.trust, sequence.rounds
     for _ in range(LAST_ROUNDS):

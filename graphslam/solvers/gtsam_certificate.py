@@ -1,4 +1,4 @@
-"""The edges of a GTSAM graph of our factors, in the form that the certificate needs.
+"""Certificates of solutions, and of GTSAM graphs of our factors, whose factors become the edges that the certificate needs.
 
 `certify`: prove for a solution, or for any state of a graph, that no other state has a lower cost.
 """
@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any, cast
 
 import gtsam
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from ..edges import (
     AnchorEdges,
-    ConstantEdges,
+    EdgeFamily,
     MarginalEdges,
     PositionEdges,
     RelativePointEdges,
@@ -31,16 +31,13 @@ from ..se2 import Array
 from .certificate import NOT_APPLICABLE, Certificate, prove, prove_edges
 from .solution import Solution
 
-if TYPE_CHECKING:
-    import gtsam
-
 #: GTSAM's own factors whose error goes through the logarithm of SE(2)
 LOGARITHM = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2)
 
 
-def constant_edges(
+def edges_of_factors(
     factors: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> tuple[list[ConstantEdges], Array, np.ndarray]:
+) -> tuple[list[EdgeFamily], Array, np.ndarray]:
     """The edges of a graph, the state (n, 3) of its values, and the nodes that `gtsam.NonlinearEqualityPose2` holds.
 
     Raises:
@@ -53,7 +50,7 @@ def constant_edges(
     node = {key: k for k, key in enumerate(keys)}
     state = np.array([_value(values, key) for key in keys]).reshape(-1, 3)
     fixed: list[int] = []
-    described: dict[str, list[tuple[list[int], FactorDescription]]] = defaultdict(list)
+    groups: dict[tuple[Any, ...], list[FactorDescription]] = defaultdict(list)
     for factor in listed:
         if isinstance(factor, gtsam.NonlinearEqualityPose2):
             (key,) = factor.keys()
@@ -70,19 +67,19 @@ def constant_edges(
             description = describe(factor)
         except OptionError as error:
             raise GraphError(str(error)) from None
-        arguments = description.arguments
-        if arguments.get("kernel") is not None:
+        a = description.arguments
+        if a.get("kernel") is not None:
             raise GraphError(f"the robust kernel of {description} changes the weights with the state")
-        if arguments.get("frame") == "world":
+        if a.get("frame") == "world":
             raise GraphError(f"the information of {description} is frozen in the world frame; use frame='body'")
-        described[description.kind].append(([node[key] for key in description.keys], description))
-    edges: list[ConstantEdges] = []
-    for kind, group in described.items():
-        if kind not in _EDGES:
-            raise GraphError(f"{kind} has no form with constant information")
-        for each in _EDGES[kind](group, state, len(state) + sum(len(e.landmarks) for e in edges)):
-            edges.append(each)
-    return edges, state, np.array(fixed, dtype=int)
+        if description.kind not in _EDGES:
+            raise GraphError(f"{description.kind} has no form with constant information")
+        sizes = tuple(len(a[name]) for name in ("measured", "z", "z_1") if name in a)
+        groups[description.kind, len(description.keys), sizes, a.get("sensor")].append(description)
+    families: list[EdgeFamily] = []
+    for (kind, *_), alike in groups.items():
+        families += _EDGES[kind](np.array([[node[key] for key in each.keys] for each in alike]), alike)
+    return families, state, np.array(fixed, dtype=int)
 
 
 def _elsewhere(values: gtsam.Values, key: int) -> gtsam.Values:
@@ -102,43 +99,23 @@ def _value(values: gtsam.Values, key: int) -> list[float]:
         return [*values.atPoint2(key), 0.0]
 
 
-_Group = list[tuple[list[int], FactorDescription]]
+def _columns(alike: list[FactorDescription], *names: str) -> list[Array]:
+    """Arguments of factors, one row for each factor."""
+    return [np.array([each.arguments[name] for each in alike]) for name in names]
 
 
-def _anchors(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
-    arguments = [description.arguments for _, description in group]
-    nodes = np.array([keys[0] for keys, _ in group])
-    held, information = (np.array([each[name] for each in arguments]) for name in ("pose", "information"))
-    yield AnchorEdges(nodes, held, information).constant(state)
+def _anchors(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+    yield AnchorEdges(nodes[:, 0], *_columns(alike, "pose", "information"))
 
 
-def _positions(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
-    """Places without headings, and those with them."""
-    for d in (2, 3):
-        alike = [(keys[0], each.arguments) for keys, each in group if len(each.arguments["measured"]) == d]
-        if alike:
-            columns = [np.array([a[name] for _, a in alike]) for name in ("measured", "information", "lever")]
-            yield PositionEdges(np.array([node for node, _ in alike]), *columns).constant(state)
+def _positions(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+    yield PositionEdges(nodes[:, 0], *_columns(alike, "measured", "information", "lever"))
 
 
-def _relative(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
-    first, second = np.array([keys for keys, _ in group]).T
-    measured, information = zip(*(_measured(description) for _, description in group))
+def _relative(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+    measured, information = zip(*map(_measured, alike))
     edges = RelativePoseEdges if len(measured[0]) == 3 else RelativePointEdges
-    yield edges(first, second, np.array(measured), np.array(information)).constant(state)
-
-
-def _many(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
-    for keys, description in group:
-        a, nodes = description.arguments, np.array(keys)
-        if a["edge_kernel"] is not None and (a["robust"] is None or np.any(a["robust"])):
-            raise GraphError(f"the robust kernel of {description} changes the weights with the state")
-        first, second, measured = (np.array(a[name]) for name in ("first", "second", "measured"))
-        to_point = second >= len(keys) - a["points"]
-        for kind, chosen, d in ((RelativePoseEdges, ~to_point, 3), (RelativePointEdges, to_point, 2)):
-            if chosen.any():
-                ends = nodes[first[chosen]], nodes[second[chosen]]
-                yield kind(*ends, measured[chosen, :d], np.array(a["information"])[chosen, :d, :d]).constant(state)
+    yield edges(nodes[:, 0], nodes[:, 1], np.array(measured), np.array(information))
 
 
 def _measured(description: FactorDescription) -> tuple[Array, Array]:
@@ -155,40 +132,38 @@ def _measured(description: FactorDescription) -> tuple[Array, Array]:
     return a["measured"], a["information"]
 
 
-def _sightings(group: _Group, state: Array, begin: int) -> Iterable[ConstantEdges]:
-    """Sightings of landmark nodes with psi, and those without."""
-    for size in (2, 3):
-        alike = [each for each in group if len(each[1].arguments["z"]) == size]
-        if alike:
-            yield from _relative(alike, state, begin)
-
-
-def _virtual(group: _Group, state: Array, _: int) -> Iterable[ConstantEdges]:
-    by_sensor: dict[Any, _Group] = defaultdict(list)
-    for each in group:
-        by_sensor[each[1].arguments["sensor"], len(each[1].arguments["z_1"])].append(each)
-    for (sensor, _size), alike in by_sensor.items():
-        z = np.array([(d.arguments["z_1"], d.arguments["z_2"]) for _, d in alike])
-        nodes = np.array([keys for keys, _ in alike]).ravel()
-        starts = np.arange(0, len(nodes) + 1, 2)
-        edges = VirtualMotionEdges(starts, nodes, z.reshape(len(nodes), -1), sensor).constant(state)
-        edges.information[:] *= np.array([d.arguments["scale"] for _, d in alike])[:, None, None]
-        yield edges
-
-
-def _landmarks(group: _Group, state: Array, begin: int) -> Iterable[ConstantEdges]:
-    for keys, description in group:
+def _many(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+    for own, description in zip(nodes, alike):
         a = description.arguments
-        order = np.argsort(keys, kind="stable") if a["weight"] == "marginal" else np.arange(len(keys))
+        if a["edge_kernel"] is not None and (a["robust"] is None or np.any(a["robust"])):
+            raise GraphError(f"the robust kernel of {description} changes the weights with the state")
+        first, second, measured, information = map(np.array, map(a.get, ("first", "second", "measured", "information")))
+        to_point = second >= len(own) - a["points"]
+        for kind, chosen, d in ((RelativePoseEdges, ~to_point, 3), (RelativePointEdges, to_point, 2)):
+            if chosen.any():
+                ends = own[first[chosen]], own[second[chosen]]
+                yield kind(*ends, measured[chosen, :d], information[chosen, :d, :d])
+
+
+def _virtual(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+    z_1, z_2, scale = _columns(alike, "z_1", "z_2", "scale")
+    # the information of a pair has the product of the trust in its sightings
+    trust = np.repeat(scale**0.5, 2)
+    z, starts = np.stack([z_1, z_2], axis=1), np.arange(0, nodes.size + 1, 2)
+    sensor = alike[0].arguments["sensor"]
+    yield VirtualMotionEdges(starts, nodes.ravel(), z.reshape(nodes.size, -1), sensor, trust=trust)
+
+
+def _landmarks(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
+    for own, description in zip(nodes, alike):
+        a = description.arguments
+        order = np.argsort(own, kind="stable") if a["weight"] == "marginal" else np.arange(len(own))
         trust = None if a["trust"] is None else a["trust"][order]
-        parts = np.array([0, len(keys)]), np.array(keys)[order], a["sightings"][order], a["sensor"]
+        parts = np.array([0, len(own)]), own[order], a["sightings"][order], a["sensor"]
         if a["weight"] == "marginal":
-            edges = MarginalEdges(*parts, trust=trust).constant(state)
-            edges.second[:] = begin
-            begin += 1
+            yield MarginalEdges(*parts, trust=trust)
         else:
-            edges = VirtualMotionEdges(*parts, trust=trust, tempered=a["weight"] == "tempered").constant(state)
-        yield edges
+            yield VirtualMotionEdges(*parts, trust=trust, tempered=a["weight"] == "tempered")
 
 
 def _inverse(covariance: Array) -> Array:
@@ -203,8 +178,8 @@ _EDGES = {
     "RelativeEdgesFactor": _many,
     "MotionFactor": _relative,
     "RelativePointFactor": _relative,
-    "ObservationFactor": _sightings,
-    "InverseObservationFactor": _sightings,
+    "ObservationFactor": _relative,
+    "InverseObservationFactor": _relative,
     "VirtualMotionFactor": _virtual,
     "LandmarkFactor": _landmarks,
 }
@@ -228,7 +203,13 @@ def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | Arra
                 "certify takes a Graph and its solution, or a gtsam.NonlinearFactorGraph and its gtsam.Values, not "
                 f"{quoted(graph, 40)} and {quoted(solution, 40)}"
             )
-        return _certify_factors(graph, solution)
+        begin, values = time.perf_counter(), cast(gtsam.Values, solution)
+        try:
+            edges, state, fixed = edges_of_factors(graph, values)
+        except GraphError as error:
+            return Certificate(NOT_APPLICABLE, np.nan, np.nan, str(error), time.perf_counter() - begin)
+        # no number where the values violate a NonlinearEqualityPose2
+        return prove_edges(edges, state, fixed, 2 * graph.error(values))
     if isinstance(solution, Solution):
         if solution.graph is graph:
             return solution.certificate
@@ -241,15 +222,3 @@ def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | Arra
     if not np.isfinite(state).all():
         raise OptionError("the state must be finite numbers")
     return prove(graph, state)
-
-
-def _certify_factors(factors: Any, values: Any) -> Certificate:
-    # here, so that only those who use GTSAM load it
-
-    begin = time.perf_counter()
-    try:
-        edges, state, fixed = constant_edges(factors, values)
-    except GraphError as error:
-        return Certificate(NOT_APPLICABLE, np.nan, np.nan, str(error), time.perf_counter() - begin)
-    # no number where the values violate a NonlinearEqualityPose2
-    return prove_edges(edges, state, fixed, 2 * factors.error(values))

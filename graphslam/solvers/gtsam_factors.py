@@ -7,9 +7,7 @@ optimiser. Therefore edges that share nodes share factors where that leaves the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from itertools import pairwise
-from typing import TypeVar
 
 import gtsam
 import numpy as np
@@ -27,7 +25,6 @@ FACTORS = ("fastest", "per-edge")
 #: the motions of so many consecutive poses, and what these poses see, share a factor
 TOGETHER = 16
 
-_Relative = TypeVar("_Relative", bound=edges.RelativePoseEdges | edges.RelativePointEdges)
 _Part = tuple[edges.RelativePoseEdges | edges.RelativePointEdges, np.ndarray]
 
 
@@ -59,16 +56,11 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     for factor in joined:
         made.add(factor)
     for node in graph.fixed.tolist():
-        if _is_point(graph, node):
+        if node in graph.without_heading:
             made.add(gtsam.NonlinearEqualityPoint2(node, gtsam.Point2(*graph.initial[node, :2])))
         else:
             made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
     return made
-
-
-def _is_point(graph: Graph, node: int) -> bool:
-    """Whether the value at a node is a `gtsam.Point2`."""
-    return node >= len(graph.steps) and graph.landmark_dimension == 2
 
 
 def _prior_factor(
@@ -107,9 +99,9 @@ def _joined(graph: Graph, reference: Array) -> tuple[list[gtsam.NonlinearFactor]
             continue
         near = (relative.first < poses) & ((relative.second == relative.first + 1) | (relative.second >= poses))
         if not near.all():
-            rest.append(_chosen(relative, ~near))
+            rest.append(relative.among(~near))
         if near.any():
-            parts.setdefault(relative.frame, []).append((_chosen(relative, near), np.full(int(near.sum()), robust)))
+            parts.setdefault(relative.frame, []).append((relative.among(near), np.full(int(near.sum()), robust)))
     made: list[gtsam.NonlinearFactor] = []
     for frame, members in parts.items():
         made += _stacked(members, graph, reference, frame, kernel)
@@ -141,14 +133,6 @@ def _stacked(
         )  # fmt: skip
 
 
-def _chosen(family: _Relative, rows: np.ndarray) -> _Relative:
-    """Some of the edges."""
-    return replace(
-        family, first=family.first[rows], second=family.second[rows], measured=family.measured[rows],
-        information=family.information[rows],
-    )  # fmt: skip
-
-
 def _factors_of(
     family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
 ) -> Iterator[gtsam.NonlinearFactor]:
@@ -160,9 +144,6 @@ def _factors_of(
                 # of the heading alone, beside positions that determine no direction
                 noise = gtsam.noiseModel.Isotropic.Precision(1, information[2, 2])
                 yield gtsam.PoseRotationPrior2D(i, gtsam.Rot2(x[2]), noise)
-    elif isinstance(family, edges.RelationEdges):
-        for i, j, z, information in _rows(family.first, family.second, family.measured, family.weighed):
-            yield factor_types.RelativePoseFactor(i, j, z, information, kernel=family.kernel)
     elif isinstance(family, edges.PositionEdges):
         for i, z, information, lever in _rows(family.nodes, family.measured, family.weighed, family.levers):
             position = factor_types.PositionFactor(i, z, information, lever=lever, kernel=family.kernel)
@@ -170,8 +151,11 @@ def _factors_of(
     elif isinstance(family, edges.PartialEdges):
         yield from factors_of_single_numbers(family)
     elif isinstance(family, edges.RelativePoseEdges):
-        for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
-            yield factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=reference[i])
+        kernel = getattr(family, "kernel", None)
+        for i, j, z, information in _rows(family.first, family.second, family.measured, family.weighed):
+            yield factor_types.RelativePoseFactor(
+                i, j, z, information, frame=family.frame, at=reference[i], kernel=kernel
+            )
     elif isinstance(family, edges.RelativePointEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePointFactor(i, j, z, information)
@@ -288,4 +272,4 @@ def from_values(graph: Graph, values: gtsam.Values) -> Array:
 
 def _count_poses(graph: Graph) -> int:
     """The number of nodes that are `gtsam.Pose2`: poses, and landmarks with a heading."""
-    return graph.num_nodes if graph.landmark_dimension == 3 else len(graph.steps)
+    return graph.num_nodes - len(graph.without_heading)

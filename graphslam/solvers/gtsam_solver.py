@@ -16,6 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import gtsam
@@ -29,14 +30,14 @@ from ..errors.checks import check_count, check_positive
 from ..factors.base import POSE, Factor, noise_model, turned, values_at
 from ..graph import Graph, check_graph
 from ..identification.corrections import corrected_controls, motion_slopes, moves
-from ..se2 import Array, difference, rotation, turn_matrix, wrap
+from ..se2 import Array, difference, turn_matrix, turned_by, wrap
 from .auto import DAMPED, best_end
 from .corrected import controls_of, predictions
 from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_values
 from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph
-from .minimize import FIRST, best_of_starts, solve_jointly
+from .minimize import FIRST, best_of_starts
 from .solution import Solution, make_solution
 
 #: the most steps between two freezings
@@ -90,25 +91,19 @@ def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
 
 def _factors(graph: Graph, nodes: Array, key: int) -> gtsam.NonlinearFactorGraph:
     """All factors of a graph frozen at its nodes (n, 3), with the parameters at ``key``."""
-    parameters = graph.parameters
-    assert parameters is not None
-    made = gtsam.NonlinearFactorGraph()
+    parameters, made = graph.estimated, gtsam.NonlinearFactorGraph()
     for family in graph.families:
         if isinstance(family, edges.SightingEdges):
             for factor in _of_sightings(graph, family, nodes, key):
                 made.add(factor)
         elif isinstance(family, edges.RelativePoseEdges) and not isinstance(family, edges.RelationEdges):
             _, slopes = motion_slopes(parameters, corrected_controls(parameters))
-            behind = -slopes
-            behind[:, :2] = rotation(nodes[family.first, 2]) @ behind[:, :2]
+            behind = turn_matrix(nodes[family.first, 2]) @ -slopes
             ends = zip(family.first.tolist(), family.second.tolist(), family.measured, family.information, behind)
             for i, j, z, information, X in ends:
                 base = factor_types.RelativePoseFactor(i, j, z, information, frame=family.frame, at=nodes[i])
-                noise = noise_model({"kernel": None}, information=information)
-                if family.frame == "world":
-                    turn = turn_matrix(nodes[i, 2])
-                    noise = noise_model({"kernel": None}, information=turn @ information @ turn.T)
-                made.add(_factor_with_parameters(base, noise, key, (nodes[i], nodes[j]), (None, X), parameters.values))
+                at, noise = (nodes[i], nodes[j]), base.noiseModel()
+                made.add(_factor_with_parameters(base, noise, key, at, (None, X), parameters.values))
         else:
             for factor in _plain(graph, family, nodes):
                 made.add(factor)
@@ -125,12 +120,12 @@ def _plain(graph: Graph, family: edges.EdgeFamily, nodes: Array) -> Iterator[gts
 
 def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: int) -> Iterator[gtsam.NonlinearFactor]:
     """The factors of sightings, one for each edge."""
-    parameters = graph.parameters
-    assert parameters is not None and graph.log is not None
+    parameters = graph.estimated
     z, noisy, trust, sensor = family.sightings, family.noisy, family.trusted.tolist(), family.sensor
+    # the moves are in the axes of poses, and are turned into those of the world
     X = moves(parameters, predictions(family, nodes), controls_of(graph))
     if isinstance(family, edges.VirtualMotionEdges):
-        X = _turned(X, nodes[family.nodes, 2])
+        X = turn_matrix(nodes[family.nodes, 2]) @ X
         a, b, group = family.pairs()
         covariance = family.covariances(nodes)
         for one, two, g in zip(a.tolist(), b.tolist(), group.tolist()):
@@ -140,8 +135,7 @@ def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: 
             C = covariance[one] + covariance[two]
             if family.frame == "body" and family.oriented:
                 # from the landmark's axes to those of the first sighting, which comes from direction psi
-                turn = turn_matrix(-z[one, 2])
-                C = turn @ C @ turn.T
+                C = turned_by(C, -z[one, 2])
             kernel = family.kernel and family.kernel.scaled(tempering)
             noise = noise_model({"kernel": kernel, "scale": tempering * trust[one] * trust[two]}, covariance=C)
             yield _factor_with_parameters(base, noise, key, ends, (X[one], X[two]), parameters.values)
@@ -154,7 +148,7 @@ def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: 
         assert isinstance(family, edges.CartesianObservationEdges)
         first, second, frame = family.first, family.second, family.frame
         landmarks = nodes[second]
-    X = _turned(X, nodes[first, 2])
+    X = turn_matrix(nodes[first, 2]) @ X
     at_pose = nodes[first] if frame == "world" else np.zeros((len(z), 3))
     covariance = sensor.landmark_covariance(at_pose, noisy)
     d = z.shape[1]
@@ -163,13 +157,6 @@ def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: 
         noise = noise_model({"kernel": family.kernel, "scale": trust[k]}, covariance=covariance[k])
         at = (nodes[i], landmarks[k][:d])
         yield _factor_with_parameters(other, noise, key, at, (X[k], None), parameters.values)
-
-
-def _turned(X: Array, headings: Array) -> Array:
-    """Moves (M, 3, K) in the axes of poses, in world axes."""
-    X = X.copy()
-    X[:, :2] = rotation(headings) @ X[:, :2]
-    return X
 
 
 def _factor_with_parameters(
@@ -236,21 +223,28 @@ def solve_with_gtsam(
     check_graph(graph)
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
+    begin = time.perf_counter()
     if graph.parameters is not None:
-        return _with_parameters(graph, tolerance, max_iterations, initialize, factors)
+
+        def solved(nodes: Graph) -> Array:
+            rough = max(FIRST, tolerance)
+            return solve_with_gtsam(nodes, tolerance=rough, initialize=initialize, factors=factors).state
+
+        search, begun = solve_jointly_with_gtsam, partial(Run, graph.initial, tolerance, max_iterations)
+        found, run = best_of_starts(graph, solved, search, begun)
+        return make_solution(found, run, "gtsam", time.perf_counter() - begin)
     made = to_gtsam(graph, factors=factors)
     begin = time.perf_counter()
 
     def run_from(start: Array, _: str = DAMPED, descend: bool = False) -> Run:  # noqa: ARG001  # always lowers J
-        started, run = graph.with_initial(start), Run(start, tolerance, max_iterations)
+        run = Run(start, tolerance, max_iterations)
         try:
             if graph.state_dependent_information:
-                ends = _refrozen(started, tolerance, max_iterations, factors)
+                _refrozen(graph, run, factors)
             else:
-                ends = _optimize(started, made, tolerance, max_iterations)
+                _optimize(graph, made, run)
         except RuntimeError as error:
             raise GraphError(f"gtsam failed: {str(error).strip().splitlines()[0]}") from None
-        run.state, run.step_norms, run.converged = ends
         if run.converged:
             run.reason = f"step norm {run.step_norms[-1]:.1e} below the tolerance {tolerance:g}"
         elif len(run.step_norms) >= max_iterations:
@@ -263,31 +257,8 @@ def solve_with_gtsam(
 
     end = best_end(graph, run_from, DAMPED) if initialize == "auto" else None
     run = run_from(starting_state(graph, initialize)) if end is None else end.run
-    seconds = time.perf_counter() - begin
-    return make_solution(
-        graph, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,
-        seconds=seconds, solver="gtsam", notes=(_contents(made),),
-        certificate=None if end is None else end.known_certificate,
-    )  # fmt: skip
-
-
-def _with_parameters(graph: Graph, tolerance: float, most: int, initialize: str, factors: str) -> Solution:
-    """The solution of a graph with parameters: the nodes alone first, then all together."""
-    begin = time.perf_counter()
-
-    def solved(nodes: Graph) -> Array:
-        rough = max(FIRST, tolerance)
-        return solve_with_gtsam(nodes, tolerance=rough, initialize=initialize, factors=factors).state
-
-    def jointly(start: Graph, state: Array) -> tuple[Graph, Run]:
-        run = Run(state, tolerance, most)
-        return solve_jointly(start, state, solve_jointly_with_gtsam, run), run
-
-    found, run = best_of_starts(graph, solved, jointly)
-    return make_solution(
-        found, run.state, step_norms=run.step_norms, costs=[], converged=run.converged, reason=run.reason,
-        seconds=time.perf_counter() - begin, solver="gtsam",
-    )  # fmt: skip
+    seconds, certificate = time.perf_counter() - begin, None if end is None else end.known_certificate
+    return make_solution(graph, run, "gtsam", seconds, notes=(_contents(made),), certificate=certificate)
 
 
 def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
@@ -299,51 +270,44 @@ def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
     return "graph: " + ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds.items())
 
 
-def _optimize(
-    graph: Graph,
-    factors: gtsam.NonlinearFactorGraph,
-    tolerance: float,
-    max_iterations: int,
-    roughly: float = 0.0,
-) -> tuple[Array, list[float], bool]:
-    """Levenberg-Marquardt until it converges: the state, the norm of every step, and whether the end is a minimum.
+def _optimize(graph: Graph, factors: gtsam.NonlinearFactorGraph, run: Run, roughly: float = 0.0) -> None:
+    """Levenberg-Marquardt from ``run.state`` until it converges at a minimum.
 
     A short step alone proves nothing: damping may have shortened it. So the last step is one of Gauss-Newton, and its
     predicted decrease of J must be negligible (`_promises_little`): at most the part ``tolerance`` of J. With ``roughly``
     above 0 that is the part, and a damped step whose predicted decrease is as small is enough.
     """
-    part = roughly or tolerance
-    values = to_values(graph, graph.initial)
-    values.insert(eliminated_landmarks(graph, graph.initial))
+    part = roughly or run.tolerance
+    values = to_values(graph, run.state)
+    values.insert(eliminated_landmarks(graph, run.state))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setVerbosityLM("SILENT")
     parameters.setlambdaUpperBound(1e12)
     # Cholesky refuses cliques whose pivots differ by 2^12 even where they are well determined (Huang 8240)
     parameters.setLinearSolverType("MULTIFRONTAL_QR")
     optimizer: gtsam.NonlinearOptimizer = gtsam.LevenbergMarquardtOptimizer(factors, values, parameters)
-    state = from_values(graph, optimizer.values())
-    norms: list[float] = []
+    run.state, norms = from_values(graph, optimizer.values()), run.step_norms
     polishing, damped = False, 0
-    while len(norms) < max_iterations:
+    while len(norms) < run.max_iterations:
         before = optimizer.error()
         optimizer.iterate()
         moved = from_values(graph, optimizer.values())
-        norms.append(float(np.linalg.norm(difference(moved, state))))
-        state = moved
+        norms.append(float(np.linalg.norm(difference(moved, run.state))))
+        run.state = moved
         stalled = before - optimizer.error() <= 1e-10 * before
-        short = norms[-1] < tolerance and (polishing or (roughly and not stalled))
-        if short and _promises_little(graph, state, factors, optimizer, part):
-            return state, norms, True
+        short = norms[-1] < run.tolerance and (polishing or (roughly and not stalled))
+        if short and _promises_little(graph, moved, factors, optimizer, part):
+            run.converged = True
+            return
         if not polishing and stalled:
             # The remaining decrease is below the rounding error of the cost, so Levenberg-Marquardt refuses to move.
             # Gauss-Newton, which compares no costs, takes the last steps; damping would hide how long they are.
             polishing, damped = True, len(norms)
             optimizer = _undamped(factors, optimizer.values())
         elif polishing:
-            grows = len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], tolerance)
+            grows = len(norms) > 2 and norms[-1] > 1e3 * max(norms[-2], run.tolerance)
             if grows or _no_shorter(norms[damped:], WAIT_INSIDE):
                 break
-    return state, norms, False
 
 
 def _undamped(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.GaussNewtonOptimizer:
@@ -376,23 +340,19 @@ def _promises_little(
     return abs(predicted) <= rounding(state, system)
 
 
-def _refrozen(graph: Graph, tolerance: float, max_iterations: int, factors: str) -> tuple[Array, list[float], bool]:
-    """Freeze the information, solve, and freeze it again, until the solution does not change."""
-    state, anderson = graph.initial.copy(), engine.AndersonAcceleration()
-    norms: list[float] = []
-    while len(norms) < max_iterations:
+def _refrozen(graph: Graph, run: Run, factors: str) -> None:
+    """Freeze the information, solve, and freeze it again, from ``run.state`` until the solution does not change."""
+    norms, anderson = run.step_norms, engine.AndersonAcceleration()
+    while len(norms) < run.max_iterations:
         # every freezing changes the inner problem, so there is no use in solving it much more closely than that
-        inner = max(tolerance / 10, 0.1 * norms[-1] if norms else 0.1)
-        here = graph.with_initial(state)
-        solved, _, settled = _optimize(here, to_gtsam(here, factors=factors), inner, max_iterations, roughly=tolerance)
-        move = difference(solved, state)
+        inner = Run(run.state, max(run.tolerance / 10, 0.1 * norms[-1] if norms else 0.1), run.max_iterations)
+        _optimize(graph, to_gtsam(graph, run.state, factors=factors), inner, roughly=run.tolerance)
+        move = difference(inner.state, run.state)
         norms.append(float(np.linalg.norm(move)))
-        state = anderson.next(state, move)
-        if norms[-1] < tolerance and settled:
-            return state, norms, True
-        if _no_shorter(norms, WAIT):
+        run.state = anderson.next(run.state, move)
+        run.converged = norms[-1] < run.tolerance and inner.converged
+        if run.converged or _no_shorter(norms, WAIT):
             break
-    return state, norms, False
 
 
 def _no_shorter(norms: list[float], last: int) -> bool:

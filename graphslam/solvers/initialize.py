@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 
@@ -157,8 +158,7 @@ def _all_places(graph: Graph, state: Array, count: int, but: set[int]) -> Iterat
     """The places of the landmarks from their single numbers seen by the first poses, except for some landmarks."""
     families = partial_edges(graph)
     for node in sorted(set(np.concatenate([family.second for family in families]).tolist()) - but):
-        rows = [(family, np.flatnonzero((family.second == node) & (family.first < count))) for family in families]
-        yield node, places_of([(f, r) for f, r in rows if len(r)], state)
+        yield node, places_of([f.among((f.second == node) & (f.first < count)) for f in families], state)
 
 
 #: the choices of the option ``initialize``
@@ -191,12 +191,8 @@ def starting_state(graph: Graph, initialize: str) -> Array:
     # positions would bend what is still far from its shape; they put it where it belongs as a whole
     state = _STARTS[initialize](easier)
     held = graph.map is not None or len(graph.fixed)
-    return state if held else into_world(state, graph.families, _with_heading(graph))
-
-
-def _with_heading(graph: Graph) -> int:
-    """The number of nodes that have a heading; they are the first ones."""
-    return graph.num_nodes if graph.landmark_dimension == 3 else len(graph.steps)
+    with_heading = graph.num_nodes - len(graph.without_heading)
+    return state if held else into_world(state, graph.families, with_heading)
 
 
 def cartesian_first(graph: Graph) -> Array:
@@ -236,10 +232,6 @@ def _in_map(graph: Graph, poses: Array) -> Array:
     return registered(poses, family.first, family.sightings, ids, graph.map, family.sensor)
 
 
-def _given(graph: Graph) -> Array:
-    return graph.initial
-
-
 def starts_of_auto(graph: Graph) -> tuple[str, ...]:
     """The starts of `AUTO` for the families of a graph: some are for sightings of landmark nodes."""
     if any(isinstance(family, ObservationEdges | PartialEdges) for family in graph.families):
@@ -256,7 +248,7 @@ def _first_of_auto(graph: Graph) -> Array:
 
 #: what makes the state of each start
 _STARTS: dict[str, Callable[[Graph], Array]] = {
-    "given": _given,
+    "given": attrgetter("initial"),
     "dead-reckoning": dead_reckoning,
     "rotation-first": rotation_first,
     "auto": _first_of_auto,

@@ -33,7 +33,7 @@ from ..identification.corrections import corrected_controls, motion_slopes, move
 from ..identification.declared import PARAMETERS
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
-from ..se2 import Array, between, rotation
+from ..se2 import Array, between, turn_matrix
 from .corrected import controls_of, corrected, motion_edges, predictions, sighted_edges, undetermined
 
 
@@ -47,9 +47,8 @@ class JointGraph:
     state_dependent_information = True
 
     def __init__(self, graph: Graph) -> None:
-        assert graph.parameters is not None
         _check_pairs(sighted_edges(graph))
-        self.graph, self.parameters = graph, graph.parameters
+        self.graph, self.parameters = graph, graph.estimated
         self.reweighted, self.rows = graph.reweighted, -(-len(self.parameters) // 3)
 
     def joined(self, nodes: Array, values: Array) -> Array:
@@ -113,9 +112,7 @@ class JointGraph:
 
     def border(self, graph: Graph, nodes: Array, held: Array, scaled: bool = False) -> Border:
         """C, D and g of `at` a state; ``scaled`` as `Graph.information` scales Omega."""
-        parameters = graph.parameters
-        assert parameters is not None
-        seen, driven = sighted_edges(graph), motion_edges(graph)
+        parameters, seen, driven = graph.estimated, sighted_edges(graph), motion_edges(graph)
         factor = seen.information_per_weight if scaled else 1.0
         predicted = predictions(seen, held)
         border = Border.of_sightings(self._copies, graph, seen, nodes, held, predicted).scaled(factor)
@@ -152,15 +149,12 @@ class Border:
         cls, copies: BlockSystem, graph: Graph, edges: SightingEdges, nodes: Array, held: Array, predicted: Array
     ) -> Border:
         """That of edges from sightings, with the predicted sightings (M, d); ``copies`` has room for Omega and xi."""
-        parameters = graph.parameters
-        assert parameters is not None and graph.log is not None
-        poses, count = len(graph.steps), len(edges.sightings)
+        parameters, poses, count = graph.estimated, len(graph.steps), len(edges.sightings)
         free, at = copied(edges, nodes, poses)
         copies.clear()
         free.accumulate(at, copied(edges, held, poses)[1], copies)
         moved = np.zeros((len(at), 3, len(parameters)))
-        moved[:count] = moves(parameters, predicted, controls_of(graph))
-        moved[:count, :2] = rotation(at[:count, 2]) @ moved[:count, :2]
+        moved[:count] = turn_matrix(at[:count, 2]) @ moves(parameters, predicted, controls_of(graph))
         weighed = _times(copies, moved)
         mixed = np.zeros((len(nodes), 3, len(parameters)))
         np.add.at(mixed, edges.first if isinstance(edges, ObservationEdges) else edges.nodes, weighed[:count])  # type: ignore[attr-defined]
@@ -173,8 +167,7 @@ class Border:
         """That of motion edges whose measured motions have the derivative slopes (T, 3, K) by the parameters."""
         ends = edges.linearize(nodes, held)
         # a longer measured motion has the effect of a second pose that stays behind
-        behind = -slopes
-        behind[:, :2] = rotation(nodes[edges.first, 2]) @ behind[:, :2]
+        behind = turn_matrix(nodes[edges.first, 2]) @ -slopes
         J = ends.jacobians[1] @ behind
         weighed = ends.information @ J
         mixed = np.zeros((len(nodes), 3, slopes.shape[2]))
@@ -305,9 +298,7 @@ def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
 
 def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
     """The graph whose measurements are what the nodes predict, and the derivative (T, 3, K) of its motions."""
-    seen, driven = sighted_edges(graph), motion_edges(graph)
-    parameters = graph.parameters
-    assert parameters is not None
+    parameters, seen, driven = graph.estimated, sighted_edges(graph), motion_edges(graph)
     trust = seen.trusted * graph.sighting_weights(nodes)
     exact = replace(seen, sightings=predictions(seen, nodes), kernel=None, trust=trust)  # type: ignore[call-arg]
     changed = {seen: exact}
@@ -316,6 +307,4 @@ def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
         measured = between(nodes[driven.first], nodes[driven.second])
         changed[driven] = replace(driven, measured=measured)  # type: ignore[index, assignment]
         _, slopes = motion_slopes(parameters, corrected_controls(parameters), measured[:, :2])
-    found = replace(graph, families=tuple(changed.get(family, family) for family in graph.families))  # type: ignore[call-overload]
-    vars(found)["system"] = graph.system
-    return found, slopes
+    return graph.with_families(changed.get(family, family) for family in graph.families), slopes  # type: ignore[call-overload]

@@ -38,7 +38,7 @@ def without_parameters(graph: Graph) -> Graph:
 
 
 def best_of_starts(
-    graph: Graph, solved: Callable[[Graph], Array], jointly: Callable[[Graph, Array], tuple[Graph, Run]]
+    graph: Graph, solved: Callable[[Graph], Array], search: Callable[[JointGraph, Run], None], begun: Callable[[], Run]
 ) -> tuple[Graph, Run]:
     """The graph at the estimated parameters and its run, the lowest one among some starts of the parameters.
 
@@ -48,13 +48,13 @@ def best_of_starts(
     Args:
         graph: with parameters.
         solved: the nodes (n, 3) of a graph without parameters, solved roughly.
-        jointly: nodes and parameters, solved from a graph at the start of its parameters and its nodes (n, 3).
+        search: an iteration of `graphslam.solvers`, for nodes and parameters together.
+        begun: gives a run with its rules.
 
     Raises:
         GraphError: the log does not determine the nodes or the parameters.
     """
-    assert graph.parameters is not None
-    names, values = graph.parameters.names, graph.parameters.values
+    names, values = graph.estimated.names, graph.estimated.values
     first = solved(without_parameters(graph))
     starts = [(graph, first)]
     lowest = graph.cost(first)
@@ -74,7 +74,8 @@ def best_of_starts(
     error: SlamError | None = None
     for start, nodes in starts:
         try:
-            ends.append(jointly(start, nodes))
+            run = begun()
+            ends.append((solve_jointly(start, nodes, search, run), run))
         except SlamError as failure:
             # a wrong start may take a range below zero, or leave a parameter undetermined
             error = error or failure
@@ -146,38 +147,24 @@ def minimize(
         def solved(nodes: Graph) -> Array:
             return minimize(nodes, method=method, tolerance=max(FIRST, tolerance), initialize=initialize).state
 
-        def jointly(start: Graph, state: Array) -> tuple[Graph, Run]:
-            run = Run(state, tolerance, max_iterations, cost_tolerance)
+        def begun() -> Run:
+            run = Run(graph.initial, tolerance, max_iterations, cost_tolerance)
             run.callback = None if callback is None else run.recorded.append
-            return solve_jointly(start, state, METHODS[method], run), run
+            return run
 
-        graph, run = best_of_starts(graph, solved, jointly)
-        if callback is not None:
-            for step in run.recorded:
-                callback(step)
+        graph, run = best_of_starts(graph, solved, METHODS[method], begun)
     elif initialize == "auto":
         end = best_end(graph, run_from, method)
         run, cost = end.run, end.cost if isfinite(end.cost) else None
         certificate = end.known_certificate
-        if callback is not None:
-            for step in run.recorded:
-                callback(step)
     else:
         run = run_from(starting_state(graph, initialize), method)
+    if callback is not None:
+        for step in run.recorded:
+            callback(step)
     cost = graph.cost(run.state) if cost is None else cost
     if cost < 0 and (text := negative_information(graph)) is not None:
         raise GraphError(text)
     notes = image_notes(graph, run.state) if partial_edges(graph) else ()
-    return make_solution(
-        graph,
-        run.state,
-        step_norms=run.step_norms,
-        costs=run.costs,
-        converged=run.converged,
-        reason=run.reason,
-        seconds=time.perf_counter() - begin,
-        solver="graphslam",
-        cost=cost,
-        notes=notes,
-        certificate=certificate,
-    )
+    seconds = time.perf_counter() - begin
+    return make_solution(graph, run, "graphslam", seconds, cost=cost, notes=notes, certificate=certificate)

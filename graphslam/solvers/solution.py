@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges import CartesianObservationEdges, MarginalEdges, SightingEdges
+from ..edges import LandmarkSightings, SightingEdges
 from ..errors import OptionError, quoted
 from ..errors.checks import make_read_only
 from ..graph import Graph
@@ -30,6 +30,7 @@ from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
 from .corrected import motion_edges
+from .iteration import Run
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -57,12 +58,11 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
     places[:, 2:] = wrap(places[:, 2:])
     ids = graph.landmark_ids[free - poses].tolist()
     means_of_nodes = dict(zip(graph.landmark_ids.tolist(), places[poses:]))
-    means = means_of_nodes | dict(graph.map or {}) | dict(zip(ids, places[free]))
-    classes = (graph.map.classes if graph.map is not None else {}) | _classes(log)
+    known = LandmarkMap({}) if graph.map is None else graph.map
+    means = means_of_nodes | dict(known) | dict(zip(ids, places[free]))
+    classes = known.classes | _classes(log)
     # landmarks of the graph's map that are no nodes are as they were
-    others = {
-        j: C for j, C in (graph.map.covariances if graph.map is not None else {}).items() if j not in means_of_nodes
-    }
+    others = {j: C for j, C in known.covariances.items() if j not in means_of_nodes}
     if 9 * len(free) * graph.num_nodes > MOST or not len(free):
         covariances = dict(zip(ids, uncertainty.diagonal[free, :d, :d]))
         return LandmarkMap(means, others | covariances, classes=classes)
@@ -81,17 +81,12 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
 
 def _with_nodes(graph: Graph, log: Log, state: Array) -> tuple[Graph, Array]:
     """The graph with landmark nodes in place of virtual-motion or marginal edges, and a state of all its nodes."""
-    sighted = next(family for family in graph.families if isinstance(family, SightingEdges))
+    sighted = next(family for family in graph.families if isinstance(family, LandmarkSightings))
     nodes = with_landmark_nodes(graph)
     assert nodes is not None
-    families = tuple(
-        replace(f, kernel=sighted.kernel) if isinstance(f, CartesianObservationEdges) else f for f in nodes.families
-    )
     ids = np.unique(log.landmarks[graph.sighting_rows])
-    by_landmark = sighted.starts, sighted.nodes, sighted.sightings, sighted.sensor  # type: ignore[attr-defined]
-    marks = MarginalEdges(*by_landmark, kernel=sighted.kernel, trust=sighted.trust).landmarks(state, state)
-    changed = replace(nodes, families=families, landmark_ids=ids, parameters=None, held=None)
-    return changed, np.concatenate([state, marks])
+    marks = replace(sighted.marginal, noise_at=None).landmarks(state, state)
+    return replace(nodes, landmark_ids=ids, parameters=None, held=None), np.concatenate([state, marks])
 
 
 def _classes(log: Log | None) -> dict[int, str | int]:
@@ -285,8 +280,8 @@ class Solution:
         risk[self.estimated] = beyond(covariances[self.estimated], metres, radians)
         if graph.map and log is not None and moved is not None and sensor is not None:
             noise = np.linalg.inv(moved.information)
-            drive = Stretch(log.name, moved.measured, noise, log.steps, log.landmarks, log.sightings)
-            risk = 1 - presence(drive, self.poses, graph.map, sensor) * (1 - risk)
+            drive = Stretch(log.name, moved.measured, noise, log.steps, log.landmarks, log.sightings, sensor)
+            risk = 1 - presence(drive, self.poses, graph.map) * (1 - risk)
         return risk
 
     @cached_property
@@ -345,50 +340,34 @@ class Solution:
 
 def make_solution(
     graph: Graph,
-    state: Array,
-    *,
-    step_norms: list[float],
-    costs: list[float],
-    converged: bool,
-    reason: str,
-    seconds: float,
+    run: Run,
     solver: str,
+    seconds: float,
+    *,
     notes: tuple[str, ...] = (),
     cost: float | None = None,
     certificate: Certificate | None = None,
 ) -> Solution:
-    """The `Solution` of a graph from the final state (n, 3) of a solver and the record of its steps.
+    """The `Solution` of a graph from the run of a solver.
 
     Its ``cost`` and ``certificate`` are taken over where the solver knows them.
     """
+    state = run.state
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     cost = graph.cost(state) if cost is None else cost
     landmarks: dict[int, Array] = {}
     if len(graph.landmark_ids):
         nodes = state[len(graph.steps) :, : graph.landmark_dimension].copy()
-        if graph.landmark_dimension == 3:
-            nodes[:, 2] = wrap(nodes[:, 2])
+        nodes[:, 2:] = wrap(nodes[:, 2:])
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)
     solution = Solution(
-        poses=poses,
-        estimated=estimated,
-        landmarks=landmarks,
-        cost=cost,
-        costs=np.array([*costs, cost]),
-        iterations=len(step_norms),
-        step_norms=np.array(step_norms),
-        converged=converged,
-        reason=reason,
-        seconds=seconds,
-        solver=solver,
-        state=state,
-        notes=(*graph.notes, *notes),
-        graph=graph,
-    )
+        poses, estimated, landmarks, cost, np.array([*run.costs, cost]), len(run.step_norms), np.array(run.step_norms),
+        run.converged, run.reason, seconds, solver, state, notes=(*graph.notes, *notes), graph=graph,
+    )  # fmt: skip
     if certificate is not None:
         # the value of the cached property, which would repeat the same proof
-        solution.__dict__["certificate"] = certificate.of_run(converged, reason)
+        solution.__dict__["certificate"] = certificate.of_run(run.converged, run.reason)
     return solution

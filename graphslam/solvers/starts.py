@@ -27,7 +27,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -153,14 +152,6 @@ MANY = 300
 STEPS_EACH = 4
 
 
-@dataclass(frozen=True, eq=False)
-class _Tree:
-    """The parent (n,) of each node, a pose with a lower number, and the pose (n, 3) of the node in the axes of its parent."""
-
-    parents: np.ndarray
-    offsets: Array
-
-
 def most_steps(total: int, poses: int) -> float:
     """The most steps of `sequential_start` for ``total`` poses, each counted as the part of the poses that it moves."""
     steps, count = 0.0, 1
@@ -181,28 +172,30 @@ def sequential_start(graph: Graph, poses: int) -> Array:
     Raises:
         GraphError: no chain of motion edges leads through all poses.
     """
-    tree, count, total = _tree(graph), 1, len(graph.steps)
-    state = graph.initial.copy()
-    _place(state, tree, np.flatnonzero(tree.parents[total:] == 0) + total)
+    (parents, offsets), count, total = _tree(graph), 1, len(graph.steps)
+    state, seen_from = graph.initial.copy(), parents[total:]
+
+    def place(nodes: np.ndarray) -> None:
+        """Put nodes where their parents see them."""
+        state[nodes] = compose(state[parents[nodes]], offsets[nodes])
+
+    place(np.flatnonzero(seen_from == 0) + total)
     while count < total:
         before, count = count, _next(count, poses, total)
         for pose in range(before, count):
-            _place(state, tree, np.array([pose]))
-        seen_from = tree.parents[total:]
-        _place(state, tree, np.flatnonzero((seen_from >= before) & (seen_from < count)) + total)
+            place(np.array([pose]))
+        place(np.flatnonzero((seen_from >= before) & (seen_from < count)) + total)
         piece, nodes = first_poses(graph, count)
         with suppress(GraphError):  # more poses may determine what these leave open
             state[nodes] = end_of(gauss_newton, piece, state[nodes], max_iterations=STEPS_EACH)
     return state
 
 
-def _place(state: Array, tree: _Tree, nodes: np.ndarray) -> None:
-    """Set nodes of a state (n, 3) to where their parents see them."""
-    state[nodes] = compose(state[tree.parents[nodes]], tree.offsets[nodes])
+def _tree(graph: Graph) -> tuple[np.ndarray, Array]:
+    """The parent (n,) of each node, a pose with a lower number, and the pose (n, 3) of the node in the axes of its parent.
 
-
-def _tree(graph: Graph) -> _Tree:
-    """Poses follow from the pose before, landmarks from the first pose that sees them."""
+    Poses follow from the pose before, landmarks from the first pose that sees them.
+    """
     graph = with_cartesian_sightings(graph) or graph
     poses, unturned = len(graph.steps), np.zeros_like(graph.initial)
     parents, offsets = np.full(graph.num_nodes, -1), np.zeros((graph.num_nodes, 3))
@@ -220,7 +213,7 @@ def _tree(graph: Graph) -> _Tree:
             offsets[second[at_landmark], columns] = relations.value[backwards][at_landmark]
     # those of a map stay where they are
     parents[graph.mapped] = -1
-    return _Tree(parents, offsets)
+    return parents, offsets
 
 
 #: a turn is tried where it raises the cost of the motion edges by at most this: a factor of exp(-5) in likelihood

@@ -170,8 +170,7 @@ ENOUGH = 30.0
 
 def doubts(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
     """The sentences that apply; empty where nothing speaks against the parameters."""
-    parameters = graph.parameters
-    assert parameters is not None
+    parameters = graph.estimated
     deviations = np.sqrt(np.diag(uncertainty.of_parameters))
     found = (doubt_of_scale(parameters, deviations), doubt_of_turns(graph, state, uncertainty))
     return ". ".join(each for each in found if each)
@@ -203,8 +202,7 @@ def doubt_of_turns(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
     expected cost of all motion edges is the sum of tr(I - C^-1 P). Where they cost much less, the noise of the sightings
     appears as turns of the robot, and a parameter in `BY_TURNS` fits these.
     """
-    assert graph.parameters is not None
-    names = [name for name in graph.parameters.names if name in BY_TURNS]
+    names = [name for name in graph.estimated.names if name in BY_TURNS]
     motions = motion_edges(graph)
     if not names or motions is None:
         return ""

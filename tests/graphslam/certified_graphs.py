@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from graphslam import Graph
-from graphslam.edges import RelativePoseEdges
+from graphslam.edges import ConstantEdges, EdgeFamily, Linearization, RelativePoseEdges
 from graphslam.se2 import between, wrap
 
 
@@ -38,3 +40,23 @@ def ring(n, windings=1):
         pose_ids=np.arange(n),
         fixed=np.zeros(1, dtype=int),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class GivenEdges(EdgeFamily):
+    """A family of which only the constant form is known."""
+
+    edges: ConstantEdges
+
+    @property
+    def count(self) -> int:
+        return len(self.edges.first)
+
+    def cliques(self) -> tuple[np.ndarray, np.ndarray]:
+        raise NotImplementedError
+
+    def linearize(self, state: np.ndarray, reference: np.ndarray) -> Linearization:
+        raise NotImplementedError
+
+    def constant(self, _: np.ndarray) -> ConstantEdges:
+        return self.edges

@@ -147,7 +147,6 @@ def test_the_two_solvers_share_only_their_start():
         "Run",
         "rounding",
         "FIRST",
-        "solve_jointly",
         "PROMISE",
         "best_of_starts",
     }

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from certified_graphs import pose_graph, ring
+from certified_graphs import GivenEdges, pose_graph, ring
 
 from comparisons.datasets import data_folder
 from graphslam import Graph, GraphError, MotionModel, OptionError, certify, load, sample_log_path, simulate, solve
@@ -14,7 +14,7 @@ from graphslam.edges import AnchorEdges, ConstantEdges, RelativePointEdges, Rela
 from graphslam.se2 import between, compose, wrap
 from graphslam.simulation.simulator import SensorFaults
 from graphslam.solvers import auto
-from graphslam.solvers.certificate import _of_graph, prove, prove_edges
+from graphslam.solvers.certificate import _problem, prove, prove_edges
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,8 @@ def test_the_function_stays_below_the_cost_and_touches_it(sample):
         Graph.from_log(sample, weight="marginal", edges="virtual+motion", kernel="none"),
     ):
         state = solve(graph).state
-        problem, parts = _of_graph(graph, state), [family.constant(state) for family in graph.families]
+        problem = _problem(graph.families, state, graph.fixed, graph.system.structure)
+        parts = [family.constant(state) for family in graph.families]
         nodes = np.concatenate([state, *(part.landmarks for part in parts)])
         for share in (0.3, 0.1):
             values, gradient = problem.proof.function_of(share)
@@ -286,11 +287,11 @@ def test_an_edge_from_a_pose_to_itself_is_a_constant():
     graph = ring(5)
     state = solve(graph, initialize="given").state
     edges = graph.families[0].constant(state)
-    alone = prove_edges([edges], state, graph.fixed, graph.cost(state))
+    alone = prove_edges([GivenEdges(edges)], state, graph.fixed, graph.cost(state))
     loop = ConstantEdges(
         np.ones(1, int), np.ones(1, int), np.ones((1, 2)), np.zeros((1, 2)), np.zeros(1), np.diag([2.0, 3.0, 4.0])[None]
     )
-    both = prove_edges([edges, loop], state, graph.fixed, graph.cost(state) + 5.0)
+    both = prove_edges([GivenEdges(edges), GivenEdges(loop)], state, graph.fixed, graph.cost(state) + 5.0)
     assert alone.status == both.status == "global"
     assert both.lower_bound == pytest.approx(alone.lower_bound + 5.0, rel=1e-12)
 

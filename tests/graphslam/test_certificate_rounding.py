@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from certified_graphs import pose_graph, ring
+from certified_graphs import GivenEdges, pose_graph, ring
 
 from graphslam import Graph, certify, solve
 from graphslam.edges import AnchorEdges, RelativePoseEdges
@@ -133,7 +133,7 @@ def test_information_that_is_not_symmetric():
     graph = ring(4)
     edges = graph.families[0].constant(graph.initial)
     edges.information[0, 0, 1] += 0.5
-    proof = prove_edges([edges], graph.initial, graph.fixed, graph.cost(graph.initial))
+    proof = prove_edges([GivenEdges(edges)], graph.initial, graph.fixed, graph.cost(graph.initial))
     assert proof.status == "not applicable" and "not symmetric" in proof.reason
 
 

@@ -143,8 +143,9 @@ def test_a_step_that_damping_shortens_is_no_end(monkeypatch, tolerance):
         return float(np.sum(system.factorize().solve(system.xi) * system.xi)) / cost
 
     monkeypatch.setattr(gtsam_solver.gtsam, "LevenbergMarquardtParams", damped)
-    state, _, converged = gtsam_solver._optimize(graph, to_gtsam(graph), tolerance, 100, roughly=tolerance)
-    assert not converged or promised(state, graph.initial) < 10 * tolerance
+    run = gtsam_solver.Run(graph.initial, tolerance)
+    gtsam_solver._optimize(graph, to_gtsam(graph), run, roughly=tolerance)
+    assert not run.converged or promised(run.state, graph.initial) < 10 * tolerance
     solution = solve_with_gtsam(graph, tolerance=tolerance, initialize="given")
     assert not solution.converged or promised(solution.state, solution.state) < 10 * tolerance
 

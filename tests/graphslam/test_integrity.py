@@ -147,9 +147,9 @@ def test_without_a_map_the_risk_is_against_the_first_pose():
 
 def test_a_drive_that_is_somewhere_else_is_not_there():
     log, known = drive(4)
-    there = Stretch.of(log, MODELS["motion"])
-    right = presence(there, log.true_poses, known, MODELS["sensor"])
-    shifted = presence(there, compose(np.array([1.0, -2.0, 0.5]), log.true_poses), known, MODELS["sensor"])
+    there = Stretch.of(log, **MODELS)
+    right = presence(there, log.true_poses, known)
+    shifted = presence(there, compose(np.array([1.0, -2.0, 0.5]), log.true_poses), known)
     assert right.min() > 0.999 and shifted.max() < 0.001
 
 
@@ -157,9 +157,9 @@ def test_a_lift_is_seen_in_the_probabilities():
     """Nothing tells when it happened between the last sighting before and the first one after it."""
     log, known = drive(5)
     log = log.with_sightings((log.steps < 15) | (log.steps > 25))
-    noise = Stretch.of(log, MODELS["motion"])
+    noise = Stretch.of(log, **MODELS)
     noise.noise[25] = np.diag([1e6, 1e6, 1e3])
-    p = presence(noise, log.true_poses, known, MODELS["sensor"])
+    p = presence(noise, log.true_poses, known)
     last = int(log.steps[log.steps < 15].max())
     assert p[last + 1 : 26] == pytest.approx(np.arange(25 - last, 0, -1) / (26 - last), abs=1e-3)
     assert p[:last].min() > 0.99 and p[30:].min() > 0.99

@@ -71,3 +71,22 @@ def test_interpolation_composes():
     some, later = se2.interpolate(a, b, s), se2.interpolate(a, b, (s + 1) / 2)
     np.testing.assert_allclose(se2.wrap(se2.interpolate(some, b, np.full(100, 0.5)) - later), 0, atol=1e-12)
     np.testing.assert_allclose(se2.wrap(se2.interpolate(a, b, np.ones(100)) - b), 0, atol=1e-12)
+
+
+@given(poses, st.tuples(finite, finite).map(np.array))
+def test_lever_matrix_is_the_derivative_of_what_a_pose_sees(pose, point):
+    def seen(x):
+        return np.append(se2.transform(x, point), x[2])
+
+    lever = se2.perpendicular(se2.transform(pose, point) - pose[:2])
+    columns = [(seen(pose + h) - seen(pose - h)) / 2e-6 for h in 1e-6 * np.eye(3)]
+    np.testing.assert_allclose(se2.lever_matrix(lever), np.stack(columns, axis=1), atol=1e-3)
+
+
+@given(poses, st.integers(0, 2**32 - 1))
+def test_turned_by_keeps_squares_of_turned_vectors(pose, seed):
+    rng = np.random.default_rng(seed)
+    information, vector = rng.standard_normal((3, 3)), rng.standard_normal(3)
+    turned = np.append(se2.transform([0.0, 0.0, pose[2]], vector[:2]), vector[2])
+    there = se2.turned_by(information, pose[2])
+    assert turned @ there @ turned == pytest.approx(vector @ information @ vector, rel=1e-9, abs=1e-9)

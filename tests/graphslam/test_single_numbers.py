@@ -380,3 +380,11 @@ def test_bad_single_numbers_step_by_step() -> None:
     in_map = OnlineSolver(map={1: (3.0, 0.0), 2: (0.0, 3.0)})
     with pytest.raises(OptionError, match="needs the id of its landmark"):
         in_map.observe(None, [[2.0, np.nan]])
+
+
+def test_some_of_two_edges_keep_the_place_of_the_sensor():
+    """The place of the sensor has two numbers, as many as there are edges."""
+    edges = RangeEdges(np.array([0, 1]), np.array([2, 2]), np.ones((2, 1)), np.ones((2, 1, 1)), np.array([0.3, -0.1]))
+    one = edges.among(np.array([True, False]))
+    assert one.count == 1
+    assert one.offset.tolist() == [0.3, -0.1]

@@ -18,7 +18,7 @@ from graphslam.edges import AnchorEdges, ConstantEdges, EdgeFamily, MarginalEdge
 from graphslam.edges.base import Linearization, PairEdges, Relations
 from graphslam.edges.observation import CartesianObservationEdges, RangeEdges
 from graphslam.edges.priors import PositionEdges
-from graphslam.edges.relative import RobustPoseEdges
+from graphslam.edges.relative import RelationEdges
 from graphslam.edges.robust import Huber
 
 FIRST, SECOND, Z, W = np.arange(5), np.arange(1, 6), np.tile([1.0, 0.0, 0.3], (5, 1)), np.tile(np.eye(3), (5, 1, 1))
@@ -63,7 +63,7 @@ def test_other_kinds_of_numbers_are_taken() -> None:
     )
     for each in (lists, small):
         assert solve(replace(graph, families=(each,))).cost == expected.cost
-    named = RobustPoseEdges(edges.first, edges.second, edges.measured, edges.information, kernel="huber")
+    named = RelationEdges(edges.first, edges.second, edges.measured, edges.information, kernel="huber")
     assert named.kernel == Huber().of_dimension(3)
 
 
