@@ -78,10 +78,8 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
             k, f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it needs two different times"
         )
     motions = reader.numbers("dx", "dy", "dtheta")
-    reader.refuse(
-        "dtheta", motions[:, 2], np.abs(motions[:, 2]) > MOST_TURN,
-        "the turn is {:g} rad, beyond 2 pi: is it in degrees?", "degrees/radians",
-    )  # fmt: skip
+    beyond = np.abs(motions[:, 2]) > MOST_TURN
+    reader.refuse("dtheta", motions[:, 2], beyond, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
     rows = np.column_stack([motions, _noise(reader, np.ones(len(ns), dtype=bool)).reshape(-1, 9)])
     order = np.argsort(ns, kind="stable")
     return Timed(table, ns[order], rows[order], reader.described(), ends=ends[order])
@@ -119,10 +117,8 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     if reader.has("theta"):
         # an empty cell: the heading is not known there
         places[:, 2:] = reader.numbers("theta", finite=False)
-        turned = np.nan_to_num(places[:, 2])
-        reader.refuse(
-            "theta", turned, np.abs(turned) > 8 * np.pi, "the heading is {:g} rad: is it in degrees?", "degrees/radians"
-        )
+        beyond = np.abs(places[:, 2]) > 8 * np.pi
+        reader.refuse("theta", places[:, 2], beyond, "the heading is {:g} rad: is it in degrees?")
     covariances = _noise(reader, np.isfinite(places[:, 2]))
     levers = np.zeros((len(ns), 2))
     for column, role in enumerate(("lever_x", "lever_y")):
@@ -138,10 +134,9 @@ def _noise(reader: Reader, oriented: np.ndarray) -> Array:
     d, covariances = 3 if oriented.any() else 2, np.zeros((len(oriented), 3, 3))
     if reader.has("cov_xx"):
         reader.need("cov_xx", "cov_yy", *(("cov_thetatheta",) if d == 3 else ()))
-        entries = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-        for role, (i, j) in zip(COVARIANCES, entries):
+        for role, i, j in zip(COVARIANCES, *np.triu_indices(3)):
             if reader.has(role) and j < d:
-                covariances[:, i, j] = covariances[:, j, i] = reader.numbers(role, finite=j < 2)[:, 0]
+                covariances[:, i, j] = covariances[:, j, i] = reader.numbers(role, finite=bool(j < 2))[:, 0]
     else:
         if reader.has("sigma") and not reader.has("sigma_x"):
             both = reader.numbers("sigma")
