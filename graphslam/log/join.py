@@ -254,7 +254,7 @@ def read_drive(
     moved = odometry_of(table_of(odometry, "odometry"), options)
     seen = sightings_of(table_of(sightings, "sightings"), options)
     read: dict[str, Any] = {
-        kind: _READERS[kind](table_of(table, kind), options) for kind, table in others.items() if table is not None
+        kind: READERS[kind](table_of(table, kind), options) for kind, table in others.items() if table is not None
     }
     landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
     return Drive(
@@ -262,7 +262,8 @@ def read_drive(
     )
 
 
-_READERS = {"truth": truth_of, "relations": relations_of, "positions": positions_of}
+#: the readers of tables that a drive need not have
+READERS = {"truth": truth_of, "relations": relations_of, "positions": positions_of}
 
 
 def from_tables(
