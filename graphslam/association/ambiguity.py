@@ -92,9 +92,13 @@ class CandidatePairs:
     ) -> tuple[np.ndarray, Array, np.ndarray]:
         allowed = np.ones(len(self.residuals), dtype=bool) if allowed is None else allowed
         return engine.grow_hypotheses(
-            np.ascontiguousarray(begin, dtype=np.int64),
-            *(np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.item, self.landmark)),
-            *(np.ascontiguousarray(part) for part in (self.residuals, self.covariance, self.weights, allowed)),
+            begin,
+            self.item,
+            self.landmark,
+            self.residuals,
+            self.covariance,
+            self.weights,
+            allowed,
             gate,
             self.gate,
             grow,
