@@ -79,9 +79,16 @@ def read(path: str | PathLike[str], *, format: str | None = None, **options: Any
     return load(path, format=format, **options)
 
 
-def _is_graph(path: Path) -> bool:
+def _head(path: Path) -> bytes:
+    """The first bytes of a file; none of a folder."""
+    if path.is_dir():
+        return b""
     with path.open("rb") as stream:
-        head = stream.read(4096)
+        return stream.read(4096)
+
+
+def _is_graph(path: Path) -> bool:
+    head = _head(path)
     return is_pose_graph(head) and not any(form.recognises(path, head) for form in FORMATS.values())
 
 
@@ -127,12 +134,9 @@ def _format_of(path: Path, format: str | None) -> Format:
 
 
 def _recognised(path: Path) -> Format:
-    head = b""
-    if not path.is_dir():
-        with path.open("rb") as stream:
-            head = stream.read(4096)
-        if not head.strip():
-            raise FormatError(path, None, "the file is empty; a log has at least one pose and its sightings")
+    head = _head(path)
+    if not path.is_dir() and not head.strip():
+        raise FormatError(path, None, "the file is empty; a log has at least one pose and its sightings")
     for candidate in FORMATS.values():
         if candidate.recognises(path, head):
             return candidate

@@ -34,13 +34,7 @@ from ..errors.checks import singular
 from ..files import number, read_text
 from ..log import Log
 from ..log.join import end_to_end
-from ..log.measurements import (
-    NOT_POSITIVE,
-    AbsolutePositions,
-    PartialSightings,
-    PoseRelations,
-    not_positive,
-)
+from ..log.measurements import NOT_POSITIVE, AbsolutePositions, PartialSightings, PoseRelations, not_positive
 from ..log.rows import ReadOptions
 from ..models import MotionModel, SensorModel, sinc
 from ..se2 import Array, between, difference, wrap

@@ -215,9 +215,7 @@ def _with_poses(log: Log, times: Array) -> Log:
     if log.true_poses is not None:
         true_poses = np.full((len(times), 3), np.nan) if finer.true_path is None else finer.true_path[starts].copy()
         true_poses[kept] = log.true_poses
-    measured: dict[str, Any] = {
-        name: each.moved({end: kept[getattr(each, end)] for end in each.ENDS}) for name, each in log.measured.items()
-    }
+    measured: dict[str, Any] = {name: each.moved(lambda steps: kept[steps]) for name, each in log.measured.items()}
     finer = finer.replace(**dict.fromkeys(MEASURED))
     return replace(
         finer, **measured, control_starts=starts,

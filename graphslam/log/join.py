@@ -187,9 +187,8 @@ class Drive:
     @property
     def streams(self) -> dict[str, Timed]:
         """The streams by the name of their table."""
-        names = ("odometry", "sightings", "truth", "relations", "positions")
-        named: dict[str, Timed | None] = {name: getattr(self, name) for name in names}
-        return {name: stream for name, stream in named.items() if stream is not None}
+        names = ("odometry", "sightings", *READERS)
+        return {name: stream for name in names if (stream := getattr(self, name)) is not None}
 
     def _covered(self) -> list[Doubt]:
         """A doubt where the sightings cover little of the odometry."""
@@ -238,12 +237,7 @@ class Drive:
 
 
 def read_drive(
-    odometry: Any,
-    sightings: Any,
-    *,
-    options: TableOptions | None = None,
-    map: Any = None,
-    **others: Any,
+    odometry: Any, sightings: Any, *, options: TableOptions | None = None, map: Any = None, **others: Any
 ) -> Drive:
     """Read the tables of a drive; the arguments are those of `Log.from_tables`.
 
@@ -446,5 +440,5 @@ def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
 def _shifted(first: Measured | None, second: Measured | None, poses: int) -> Measured | None:
     """The measurements of two logs, the steps of the second counted from ``poses`` on."""
     if second is not None:
-        second = second.moved({end: getattr(second, end) + poses for end in second.ENDS})
+        second = second.moved(lambda steps: steps + poses)
     return joined_rows(first, second)
