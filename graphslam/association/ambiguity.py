@@ -29,7 +29,7 @@ import numpy as np
 from ..engine import engine
 from ..se2 import Array, difference
 from .evidence import log_density
-from .map_solution import MapSolution, Problem
+from .map_solution import MapSolution, Problem, difference_covariance
 from .problem import agree, id_of_each
 
 #: the second pairs that are tried after each seed
@@ -275,10 +275,7 @@ def _pairs(
     chosen = np.unique(np.concatenate([item, other]))
     P = apart.joint_covariance(chosen)
     a, b = np.searchsorted(chosen, item), np.searchsorted(chosen, other)
-    first, second = P[a], P[b]
-    covariance = (first[:, :, a] - first[:, :, b] - second[:, :, a] + second[:, :, b]).copy()
-    here = np.arange(len(a))
-    covariance[here, :, here] += apart.slack_of(item, other)
+    covariance = difference_covariance(P, a, b, apart.slack_of(item, other))
     shown = problem.classes.sums(apart.which, apart.rows, len(apart.labels))
     weights = -problem.densities.new + problem.classes.together(shown[item], shown[other])
     nu = difference(apart.landmarks[item], apart.landmarks[other])
