@@ -19,14 +19,14 @@ import numpy as np
 
 from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import array_of, check_known, check_type
-from ..identification.declared import ParameterEstimate
+from ..identification.declared import ParameterEstimate, parsed
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..log.measurements import MEASURED
 from ..metrics import ate
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
-from .adapting import Competition, Robot, Start, compete, spread, tolerance, wanted
+from .adapting import Competition, Robot, Start, compete, spread, tolerance
 from .ambiguity import Ambiguity, ambiguities, readable
 from .front_end import run_front_end
 from .map_solution import Problem
@@ -242,7 +242,7 @@ def associate(
     log = log.replace(**dict.fromkeys(MEASURED))
     if log.identified or not options.keep_ids:
         log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
-    names, robot = wanted(estimate), Robot(log, motion, sensor)
+    names, robot = parsed(() if estimate is None else estimate), Robot(log, motion, sensor)
     problem = Problem.of(log, motion, sensor, options)
 
     def driven() -> Start:

@@ -154,8 +154,8 @@ def _number_of(letter: str) -> int:
     return ord(letter) - ord("A") + (letter < _LANDMARK)
 
 
-def _robots(path: Path) -> list[int]:
-    return sorted({_number_of(name[0]) for name in _parsed(path).vertices if name[0] != _LANDMARK})
+def _robots(file: _File) -> list[int]:
+    return sorted({_number_of(name[0]) for name in file.vertices if name[0] != _LANDMARK})
 
 
 def _read(path: Path, options: ReadOptions) -> Log:
@@ -163,7 +163,8 @@ def _read(path: Path, options: ReadOptions) -> Log:
 
 
 def _read_robots(path: Path, _: ReadOptions) -> dict[int, Log]:
-    return {robot: _log_of(_parsed(path), robot) for robot in _robots(path)}
+    file = _parsed(path)
+    return {robot: _log_of(file, robot) for robot in _robots(file)}
 
 
 def _log_of(file: _File, robot: int | None) -> Log:
@@ -173,7 +174,7 @@ def _log_of(file: _File, robot: int | None) -> Log:
         if name[0] != _LANDMARK and robot in (None, _number_of(name[0])):
             chains.setdefault(name[0], []).append(name)
     if not chains:
-        raise OptionError(f"{file.path} has no robot {robot}; its robots are {', '.join(map(str, _robots(file.path)))}")
+        raise OptionError(f"{file.path} has no robot {robot}; its robots are {', '.join(map(str, _robots(file)))}")
     every = [name for chain in chains.values() for name in chain]
     step = {name: k for k, name in enumerate(every)}
     odometry, others = _odometry(file, chains)
@@ -411,4 +412,4 @@ def _positions(file: _File, priors: list[_Row], step: dict[str, int]) -> Absolut
     )
 
 
-FORMAT = Format("pyfg", _recognises, _read, robots=_robots, read_robots=_read_robots)
+FORMAT = Format("pyfg", _recognises, _read, robots=lambda path: _robots(_parsed(path)), read_robots=_read_robots)

@@ -138,12 +138,10 @@ def _noise(reader: Reader, oriented: np.ndarray) -> Array:
             if reader.has(role) and j < d:
                 covariances[:, i, j] = covariances[:, j, i] = reader.numbers(role, finite=bool(j < 2))[:, 0]
     else:
-        if reader.has("sigma") and not reader.has("sigma_x"):
-            both = reader.numbers("sigma")
-            deviations = np.column_stack([both, both])
-        else:
-            reader.need("sigma_x", "sigma_y", instead=", and none for cov_xx, cov_yy instead of standard deviations")
-            deviations = reader.numbers("sigma_x", "sigma_y")
+        one = reader.has("sigma") and not reader.has("sigma_x")
+        roles = ("sigma", "sigma") if one else ("sigma_x", "sigma_y")
+        reader.need(*roles, instead=", and none for cov_xx, cov_yy instead of standard deviations")
+        deviations = reader.numbers(*roles)
         if d == 3:
             deviations = np.column_stack([deviations, reader.numbers("sigma_theta", finite=False)])
         for axis, column in enumerate(deviations.T):
@@ -199,30 +197,24 @@ class Drive:
         message = f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"
         return [("covered", message)]
 
-    def _measured(self, origin: int) -> dict[str, Any]:
-        """The streams but for the sightings' ids as `synchronize` takes them, with times from ``origin`` [ns] on."""
-        found = {}
-        for kind, stream in self.streams.items():
-            rows = stream.rows
-            if stream.ends is not None:
-                rows = np.column_stack([seconds(stream.ends, origin), rows])
-            found[kind] = Stream(seconds(stream.times, origin), rows)
-        return found
-
     def log(self, reading: ReadOptions, name: str) -> Log:
         """The log of this drive.
 
         Raises:
             LogError: the clocks do not overlap, or the streams cannot be joined.
         """
+        origin, streams = int(self.odometry.times[0]), dict[str, Any]()
         for kind, stream in self.streams.items():
             if kind != "odometry":
                 check_overlap(self.odometry, stream, kind)
-        origin = int(self.odometry.times[0])
+            rows = stream.rows
+            if stream.ends is not None:
+                rows = np.column_stack([seconds(stream.ends, origin), rows])
+            streams[kind] = Stream(seconds(stream.times, origin), rows)
         remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
         doubts = self._covered() + [doubt for stream in self.streams.values() for doubt in stream.doubts]
         return synchronize(
-            **self._measured(origin),
+            **streams,
             landmarks=self.sightings.ids,
             options=reading,
             truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
@@ -342,12 +334,8 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
     else:
         cause = "they are of different drives, or one clock was not set"
     text = f"{offset:.3f}".rstrip("0").rstrip(".")
-    names = [
-        f"{_name(stream)} ({_interval(*ends)})" for stream, ends in ((odometry, (begin, end)), (other, (first, last)))
-    ]
-    raise LogError(
-        f"the clocks of {' and '.join(names)} do not overlap: {cause}; --clocks {kind}={text} lets both begin together"
-    )
+    names = f"{_name(odometry)} ({_interval(begin, end)}) and {_name(other)} ({_interval(first, last)})"
+    raise LogError(f"the clocks of {names} do not overlap: {cause}; --clocks {kind}={text} lets both begin together")
 
 
 def _name(stream: Timed) -> str:
