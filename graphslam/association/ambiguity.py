@@ -347,19 +347,17 @@ class Ambiguity:
         return f"{begin}: taken by itself, {more}; for the drive as a whole no higher evidence was found"
 
 
-def ambiguities(alternatives: list[Alternative], factor: float) -> tuple[Ambiguity, ...]:
-    """The places for which the evidence is less than a factor times that for the best alternative, the worst first."""
-    best: dict[int, Alternative] = {}
-    for each in alternatives:
-        if each.log_factor < np.log(factor) and (
-            each.back.step not in best or each.log_factor < best[each.back.step].log_factor
-        ):
-            best[each.back.step] = each
-    found = []
-    for step, each in best.items():
-        mine, others = tuple(each.back.landmarks.tolist()), tuple(each.others.tolist())
-        found.append(Ambiguity(step, each.back.last, mine, others, each.back.new, each.log_factor))
-    return tuple(sorted(found, key=lambda doubt: doubt.log_factor))
+def ambiguities(alternatives: list[Alternative], factor: float, ids: np.ndarray) -> tuple[Ambiguity, ...]:
+    """The places for which the evidence is less than a factor times that for the best alternative, the worst first.
+
+    ``ids`` (L,) are those of the labels.
+    """
+    best: dict[int, Ambiguity] = {}
+    for each in sorted(alternatives, key=lambda each: each.log_factor):
+        if each.log_factor < np.log(factor):
+            back, (mine, others) = each.back, (tuple(ids[of].tolist()) for of in (each.back.landmarks, each.others))
+            best.setdefault(back.step, Ambiguity(back.step, back.last, mine, others, back.new, each.log_factor))
+    return tuple(best.values())
 
 
 def readable(log_factor: float) -> str:

@@ -295,15 +295,11 @@ def _report(
     robot, values, end = competition.robot, competition.values, competition.ends[competition.best]
     refined, graph = end.refined, end.refined.solved.graph
     name = np.append(names_of(refined.labels, given.log.landmarks), UNIDENTIFIED)
-    doubtful = (
-        replace(each, landmarks=tuple(name[[*each.landmarks]].tolist()), others=tuple(name[[*each.others]].tolist()))
-        for each in ambiguities(end.alternatives, options.factor)
-    )
     found = Association(
         of=log, ids=name[refined.labels],
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
         settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
-        parameters=robot.estimate, ambiguities=tuple(doubtful),
+        parameters=robot.estimate, ambiguities=ambiguities(end.alternatives, options.factor, name),
         verdict=verdict(competition, Field.of(robot.log, robot.sensor)), evidence=max(values), options=options,
         seconds=seconds, notes=(),
     )  # fmt: skip

@@ -315,6 +315,12 @@ _PLAIN = {
     "sightings": ("range", "bearing", "orientation", "x", "y"),
     "truth": ("x", "y", "theta"),
 }
+#: which of them are enough
+_NEEDS = {
+    "odometry": ({"nu", "omega"}, {"x", "y", "theta"}),
+    "sightings": ({"range", "bearing"}, {"x", "y"}),
+    "truth": ({"x", "y"},),
+}
 #: message types that give each stream, for messages
 _GIVES = {
     "odometry": "nav_msgs/Odometry, geometry_msgs/Twist, TwistStamped and TF do",
@@ -387,7 +393,7 @@ def plan_of(source: str, kind: str, type: str, types: Any, stated: Mapping[str, 
     look = columns.pop("class", "")
     id = columns.pop("id", "") or _id([path for path in inside if path != look])
     look = look or _look([path for path in inside if path != id])
-    if not _enough(kind, columns, places):
+    if not places and not any(need <= columns.keys() for need in _NEEDS[kind]):
         raise FormatError(source, None, f"its messages, {type}, give no {kind}; {_GIVES[kind]}")
     return Plan(
         row,
@@ -451,11 +457,3 @@ def _look(inside: list[str]) -> str:
     """The class of a row; the type of a message says nothing about what was seen."""
     fits = [path for path in inside if matches("class", path) and path.rpartition(".")[2] not in ("type", "kind")]
     return min(fits, key=lambda path: path.count("."), default="")
-
-
-def _enough(kind: str, columns: Mapping[str, str], places: list[str]) -> bool:
-    if kind == "odometry":
-        return {"nu", "omega"} <= columns.keys() or {"x", "y", "theta"} <= columns.keys() or bool(places)
-    if kind == "sightings":
-        return {"range", "bearing"} <= columns.keys() or {"x", "y"} <= columns.keys() or bool(places)
-    return {"x", "y"} <= columns.keys() or bool(places)

@@ -377,13 +377,8 @@ def end_to_end(first: Log, second: Log) -> Log:
         return np.concatenate([np.full((n, 3), np.nan) if each is None else each for each, n in zip(rows, sizes)])
 
     recorded = [each.dt if each.recorded_dt is None else each.recorded_dt for each in (a, b)]
-    truth = with_unknown("true_poses", (poses, b.num_poses))
-    known = [each for each in (a, b) if each.true_poses is not None]
-    path = (
-        with_unknown("true_path", (pieces, len(b.controls) + 1))
-        if all(e.true_path is not None for e in known)
-        else None
-    )
+    # where one of them has true poses and no path, there is none of both
+    has_path = all(each.true_path is not None for each in (a, b) if each.true_poses is not None)
     return a.replace(
         dt=np.concatenate([a.dt, [1.0], b.dt]),
         controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
@@ -395,19 +390,13 @@ def end_to_end(first: Log, second: Log) -> Log:
         sightings=both("sightings"),
         classes=both("classes"),
         initial_poses=both("initial_poses"),
-        true_poses=truth,
-        true_path=path,
+        true_poses=with_unknown("true_poses", (poses, b.num_poses)),
+        true_path=with_unknown("true_path", (pieces, len(b.controls) + 1)) if has_path else None,
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
         **{name: _shifted(getattr(a, name), getattr(b, name), poses) for name in MEASURED},
         notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
         doubts=(*a.doubts, *b.doubts),
-        sessions=(
-            *(a.sessions or (Session(a.name, 0, a.start_time),)),
-            *(
-                replace(each, start=poses + each.start)
-                for each in b.sessions or (Session(b.name, 0, b.start_time),)
-            ),
-        ),
+        sessions=(*_sessions(a), *(replace(each, start=poses + each.start) for each in _sessions(b))),
         name=f"{a.sessions[0].name} and {len(a.sessions)} more" if a.sessions else f"{a.name} and {b.name}",
     )  # fmt: skip
 
@@ -418,6 +407,10 @@ def joined_rows(first: Measured | None, second: Measured | None) -> Measured | N
         return second if first is None else first
     rows = {f.name: np.concatenate([getattr(first, f.name), getattr(second, f.name)]) for f in fields(second)}
     return replace(second, **rows)  # type: ignore[arg-type]
+
+
+def _sessions(log: Log) -> tuple[Session, ...]:
+    return log.sessions or (Session(log.name, 0, log.start_time),)
 
 
 def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:

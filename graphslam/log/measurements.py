@@ -334,10 +334,8 @@ class PartialSightings(_Records):
         if ranges.shape != (count,) or bearings.shape != (count,):
             raise LogError(f"ranges and bearings must have shape (K,), not {ranges.shape} and {bearings.shape}")
         if (k := first(np.isnan(ranges) == np.isnan(bearings))) is not None:
-            which = (
-                "neither range nor bearing" if np.isnan(ranges[k]) else "both range and bearing: it is a whole sighting"
-            )
-            raise LogError(f"partial sighting {k} has {which}")
+            neither, both = "neither range nor bearing", "both range and bearing: it is a whole sighting"
+            raise LogError(f"partial sighting {k} has {neither if np.isnan(ranges[k]) else both}")
         measured = ~np.isnan(ranges)
         if (k := first(measured & ~((ranges > 0) & (ranges < np.inf)))) is not None:
             raise LogError(f"partial sighting {k} has range {ranges[k]:g} m; a range must be finite and above zero")
@@ -405,14 +403,8 @@ MEASURED: dict[str, type[Measured]] = {
 def checked_steps(steps: ArrayLike, poses: int) -> np.ndarray:
     """Increasing steps (K,) int64 of a log with so many poses, or a `LogError`."""
     kept = array_of("steps", steps)
-    if (
-        kept.ndim != 1
-        or len(kept) == 0
-        or np.any(kept % 1)
-        or np.any(np.diff(kept) <= 0)
-        or kept[0] < 0
-        or kept[-1] >= poses
-    ):
+    increasing = kept.ndim == 1 and len(kept) > 0 and not np.any(kept % 1) and np.all(np.diff(kept) > 0)
+    if not increasing or kept[0] < 0 or kept[-1] >= poses:
         raise LogError(f"steps to keep must increase and lie between 0 and {poses - 1}")
     return kept.astype(np.int64)
 

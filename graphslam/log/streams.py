@@ -9,7 +9,7 @@ accumulated exactly.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -318,8 +318,7 @@ def synchronize(
         landmarks=ids,
         sightings=rows,
         classes=classes,
-        relations=_relations(measured.get("relations"), times),
-        positions=_positions(measured.get("positions"), times),
+        **{what: _READERS[what](stream, times) for what, stream in measured.items()},
         initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts],
         true_poses=true_poses,
         true_path=true_path,
@@ -345,21 +344,20 @@ def _inside(what: str, stream: Stream, odometry: Stream, remarks: list[str]) -> 
     return Stream(stream.times[inside], stream.rows[inside])
 
 
-def _relations(stream: Stream | None, times: Array) -> PoseRelations | None:
+def _relations(stream: Stream, times: Array) -> PoseRelations:
     """The relations of a log with poses at ``times`` (T+1,)."""
-    if stream is None:
-        return None
     first, second = (np.searchsorted(times, each) for each in (stream.times, stream.rows[:, 0]))
     covariances = stream.rows[:, 4:].reshape(-1, 3, 3)
     return PoseRelations(first=first, second=second, motions=stream.rows[:, 1:4], covariances=covariances)
 
 
-def _positions(stream: Stream | None, times: Array) -> AbsolutePositions | None:
+def _positions(stream: Stream, times: Array) -> AbsolutePositions:
     """The positions of a log with poses at ``times`` (T+1,)."""
-    if stream is None:
-        return None
     steps, places, covariances, levers = np.searchsorted(times, stream.times), *np.split(stream.rows, [3, 12], axis=1)
     return AbsolutePositions(steps=steps, places=places, covariances=covariances.reshape(-1, 3, 3), levers=levers)
+
+
+_READERS: dict[str, Callable[[Stream, Array], Any]] = {"relations": _relations, "positions": _positions}
 
 
 def _why_none(times: Array, truth: Stream) -> str:
