@@ -220,7 +220,6 @@ class Option:
         alias: a second name on the command line.
         panel: the group in the help of a verb.
         writes: the endings that the name of a file to write may have, () for any; None where nothing is written.
-        needs: what a format of logs must have for it.
         only: "python" for a field that is no option of the command line.
         model: the component that it belongs to ("motion" and "sensor" for the noise models), else "".
         field: its name there.
@@ -244,7 +243,6 @@ class Option:
     alias: str = ""
     panel: str = ""
     writes: tuple[str, ...] | None = None
-    needs: str = ""
     only: str = ""
     model: str = ""
     field: str = ""

@@ -47,14 +47,10 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     """
     path = path_of(path)
     chosen = _format_of(path, format)
-    known = {f.name: f.metadata.get("needs") for f in fields(ReadOptions)}
+    known = [f.name for f in fields(ReadOptions)]
     check_known("load", options, known, f"; its options are format, {', '.join(known)}")
-    for name in options:
-        needs = known[name]
-        if options[name] is not None and needs is not None and not getattr(chosen, needs):
-            raise OptionError(
-                f"{name} does not apply to logs of the format {quoted(chosen.name)} ({path}); leave it out"
-            )
+    if options.get("robot") is not None and chosen.robots is None:
+        raise OptionError(f"robot does not apply to logs of the format {quoted(chosen.name)} ({path}); leave it out")
     reading = ReadOptions(**options)
     log = chosen.read(path, reading)
     if reading.keep_every is None or chosen.separate_times:

@@ -37,13 +37,13 @@ def robot_class(number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """Options of `load`. The metadata "needs" names the attribute of a `io.base.Format` that an option requires.
+    """Options of `load`.
 
     Raises:
         OptionError: an option has an impossible value.
     """
 
-    robot: int | None = option(None, "The robot of a data set that has several.", minimum=0, needs="robots")
+    robot: int | None = option(None, "The robot of a data set that has several.", minimum=0)
     keep_every: float | None = option(
         None, "Also keep a pose at least once in this time, even where nothing was seen.", "s", positive=True,
         default_text="poses only where something was seen",

@@ -153,10 +153,7 @@ class SightingPairs:
         times = np.concatenate([[0.0], np.cumsum(dt)])
         for late in (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0):
             for shift in (-late, late):
-                when = np.clip(times[starts] + shift, 0.0, times[-1])
-                after = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
-                share = (when - times[after - 1]) / dt[after - 1]
-                moved = path[after - 1] + share[..., None] * (path[after] - path[after - 1])
+                moved = np.stack([np.interp(times[starts] + shift, times, column) for column in path.T], axis=-1)
                 message = f"the clock of the sightings is about {late:g} s {'fast' if shift < 0 else 'slow'}"
                 yield "clock", f"{message} (--clocks sightings={shift:g})", moved, self.sightings
 
