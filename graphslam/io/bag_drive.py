@@ -19,7 +19,7 @@ from ..errors.checks import suggestion
 from ..log import Log
 from ..log.drive import Timed, map_of, odometry_of, sightings_of, truth_of
 from ..log.join import READERS, Drive, check_overlap
-from ..log.rows import ReadOptions, TableOptions
+from ..log.rows import AXES, ReadOptions, TableOptions
 from ..log.table import Columns
 from ..log.text_table import table_of
 from ..se2 import Array, wrap
@@ -39,14 +39,6 @@ _DIFFER = 0.2
 MEASURED_TOPICS: dict[str, Callable[..., tuple[Columns, list[str]]]] = {
     "relations": relations_table, "positions": positions_table,
 }  # fmt: skip
-#: from the axes of a sensor to forward, left, up
-_TURNS = {
-    "forward-left": np.eye(3),
-    "forward-right": np.diag([1.0, -1.0, -1.0]),
-    "right-forward": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
-    "left-forward": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]),
-    "optical": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
-}
 
 
 @dataclass(frozen=True)
@@ -290,7 +282,7 @@ def _sightings_table(
         values = collector.columns(names)
         if {"x", "y"} <= set(names):
             x, y = (names.index(name) for name in "xy")
-            values[:, [x, y]] = values[:, [x, y]] @ _TURNS[options.axes][:2, :2].T
+            values[:, [x, y]] = values[:, [x, y]] @ AXES[options.axes][:2, :2].T
         columns |= dict(zip(names, values.T))
         return Columns(collector.source, columns, rows="row"), None
     place = next((each for each in collector.plan.places if _measured(collector, each)), None)
@@ -304,7 +296,7 @@ def _sightings_table(
     offset, turn = None, np.eye(3)
     if _stated(options):
         optical = "optical" in collector.frame and options.axes == TableOptions().axes
-        turn = _TURNS["optical" if optical else options.axes]
+        turn = AXES["optical" if optical else options.axes]
     elif collector.frame not in ("", base):
         mounted = frames.between(base, collector.frame)
         if mounted is None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -259,15 +259,10 @@ def candidates(bag: Bag) -> list[Candidate]:
     """
     found = [Candidate(topic, *_could_be(bag, topic)) for topic in bag.topics]
     best: dict[str, Candidate] = {}
-    for each in found:
+    for each in sorted(found, key=lambda each: (each.score, each.topic.count), reverse=True):
         if each.could_be and each.topic.count > 0 and each.score > 0:
-            other = best.get(each.could_be)
-            if other is None or (each.score, each.topic.count) > (other.score, other.topic.count):
-                best[each.could_be] = each
-    return [
-        Candidate(each.topic, each.could_be, each.score, each.could_be if best.get(each.could_be) is each else "")
-        for each in found
-    ]
+            best.setdefault(each.could_be, each)
+    return [replace(each, chosen=each.could_be) if best.get(each.could_be) is each else each for each in found]
 
 
 def _could_be(bag: Bag, topic: Topic) -> tuple[str, float]:

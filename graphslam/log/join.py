@@ -18,7 +18,7 @@ from ..errors.checks import check_known, check_type, checked_offset, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
 from .cells import Doubt, seconds
-from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
+from .drive import MOST_TURN, MOST_TURNS, Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
 from .rows import ReadOptions, TableOptions
@@ -55,8 +55,6 @@ def datum_note(datum: Array, source: str) -> str:
     )
 
 
-#: relations by which the robot turns more are refused unless the unit is stated [rad]
-MOST_TURN = 2 * np.pi + 1e-6
 #: the coordinates of the noise
 _AXES = ("x", "y", "theta")
 
@@ -78,8 +76,7 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
             k, f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it needs two different times"
         )
     motions = reader.numbers("dx", "dy", "dtheta")
-    beyond = np.abs(motions[:, 2]) > MOST_TURN
-    reader.refuse("dtheta", motions[:, 2], beyond, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
+    reader.refuse("dtheta", motions[:, 2], MOST_TURN, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
     rows = np.column_stack([motions, _noise(reader, np.ones(len(ns), dtype=bool)).reshape(-1, 9)])
     order = np.argsort(ns, kind="stable")
     return Timed(table, ns[order], rows[order], reader.described(), ends=ends[order])
@@ -117,8 +114,7 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     if reader.has("theta"):
         # an empty cell: the heading is not known there
         places[:, 2:] = reader.numbers("theta", finite=False)
-        beyond = np.abs(places[:, 2]) > 8 * np.pi
-        reader.refuse("theta", places[:, 2], beyond, "the heading is {:g} rad: is it in degrees?")
+        reader.refuse("theta", places[:, 2], MOST_TURNS, "the heading is {:g} rad: is it in degrees?")
     covariances = _noise(reader, np.isfinite(places[:, 2]))
     levers = np.zeros((len(ns), 2))
     for column, role in enumerate(("lever_x", "lever_y")):

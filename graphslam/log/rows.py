@@ -159,6 +159,14 @@ LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ANGLES = {"radians": 1.0, "degrees": 3.141592653589793 / 180}
 #: what columns measure, by the name of the option that states their unit: the units, that of a log first
 UNITS_OF = {"time": ("s", "ms", "us", "ns"), "angles": tuple(ANGLES), "lengths": tuple(LENGTHS)}
+#: from the axes of a sensor to forward, left, up
+AXES = {
+    "forward-left": np.eye(3),
+    "forward-right": np.diag([1.0, -1.0, -1.0]),
+    "right-forward": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    "left-forward": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]),
+    "optical": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
+}
 #: the most that a clock is set forward or back, 146 years: nanoseconds and their sums fit into 64 bits
 _MOST_SECONDS = 2**62 / 1e9
 _PER_TABLE = "; one for all tables, or for each: odometry=..,sightings=.."
@@ -194,7 +202,7 @@ class TableOptions:
     )  # fmt: skip
     axes: str = option(
         "forward-left", "Directions of x and y of Cartesian sightings; optical is x right, z forward",
-        choices=("forward-left", "forward-right", "right-forward", "left-forward", "optical"),
+        choices=tuple(AXES),
     )  # fmt: skip
     centre: str = option(
         "sensor", "Where range and bearing, or x and y, of sightings are measured from", choices=("sensor", "robot")
