@@ -252,19 +252,16 @@ def _odometry_table(collector: Collector, use: str | None) -> tuple[Columns, lis
     return _plain_table(collector, plain), []
 
 
-def _plain_table(collector: Collector, names: list[str]) -> Columns:
-    values = collector.columns(names)
-    return Columns(collector.source, {"t": collector.times, **dict(zip(names, values.T))}, rows="message")
+def _plain_table(collector: Collector, names: list[str], place: str = "") -> Columns:
+    """The table of some columns, in whose names the place is left out."""
+    named = dict(zip((name.removeprefix(place) for name in names), collector.columns(names).T))
+    return Columns(collector.source, {"t": collector.times, **named}, rows="message")
 
 
 def _poses_table(collector: Collector) -> Columns:
-    if not collector.plan.places:
-        return _plain_table(collector, list(collector.plan.columns))
-    place = collector.plan.places[0]
-    names = [name for name in collector.plan.columns if name.startswith(f"{place}.") and not name.endswith(".z")]
-    values = collector.columns(names)
-    named = dict(zip((name.removeprefix(f"{place}.") for name in names), values.T))
-    return Columns(collector.source, {"t": collector.times, **named}, rows="message")
+    place = f"{collector.plan.places[0]}." if collector.plan.places else ""
+    names = [name for name in collector.plan.columns if name.startswith(place) and not (place and name.endswith(".z"))]
+    return _plain_table(collector, names, place)
 
 
 def _sightings_table(

@@ -286,9 +286,9 @@ def _split(file: _File, step: dict[str, int], notes: Counter[str]) -> tuple[list
     ranges, seen = [], list[_Row]()
     between_robots = 0
     for row in file.rows["EDGE_RANGE"]:
-        if not row.numbers[0] > 0 or not row.numbers[1] > 0:
-            what, value = ("range", row.numbers[0]) if not row.numbers[0] > 0 else ("variance", row.numbers[1])
-            raise file.error(row.line, f"the {what} is {value:g}, but it must be above zero")
+        for what, value in zip(("range", "variance"), row.numbers):
+            if not value > 0:
+                raise file.error(row.line, f"the {what} is {value:g}, but it must be above zero")
         a, b = sorted(row.names, key=lambda name: name[0] == _LANDMARK)
         if a[0] == _LANDMARK:
             raise file.error(row.line, f"the range is between the landmarks {a} and {b}; one end must be a pose")

@@ -256,17 +256,15 @@ def synchronize(
         truth = in_order("truth", truth, remarks)[0]
     if len(odometry) < 2:
         raise LogError(f"the odometry has {len(odometry)} rows, but motion takes two")
-    inside = (sightings.times >= odometry.times[0]) & (sightings.times <= odometry.times[-1])
-    if not inside.any():
-        raise LogError("no landmark is seen while there is odometry, so the log would have no pose")
-    if not inside.all():
-        remarks.append(f"{np.sum(~inside)} of {len(inside)} sightings are from before or after the odometry: left out")
+    inside = _inside("sightings", odometry, remarks, sightings.times)
     seen = sightings.times[inside]
-    measured = {
-        what: _inside(what, stream, odometry, remarks)
-        for what, stream in (("relations", relations), ("positions", positions))
-        if stream is not None
-    }
+    measured: dict[str, Stream] = {}
+    if relations is not None:
+        kept = _inside("relations", odometry, remarks, relations.times, relations.rows[:, 0])
+        measured["relations"] = Stream(relations.times[kept], relations.rows[kept])
+    if positions is not None:
+        kept = _inside("positions", odometry, remarks, positions.times)
+        measured["positions"] = Stream(positions.times[kept], positions.rows[kept])
     others = [each.times for each in measured.values()]
     if relations is not None:
         others.append(measured["relations"].rows[:, 0])
@@ -331,17 +329,17 @@ def synchronize(
     )
 
 
-def _inside(what: str, stream: Stream, odometry: Stream, remarks: list[str]) -> Stream:
-    """The rows of relations or positions within the time of the odometry, with a remark about the others."""
+def _inside(what: str, odometry: Stream, remarks: list[str], *times: Array) -> np.ndarray:
+    """Which rows (N,) have all their times (N,) within those of the odometry, with a remark about the others."""
     begin, end = odometry.times[0], odometry.times[-1]
-    inside = (stream.times >= begin) & (stream.times <= end)
-    if what == "relations":
-        inside &= (stream.rows[:, 0] >= begin) & (stream.rows[:, 0] <= end)
+    inside = np.all([(each >= begin) & (each <= end) for each in times], axis=0)
     if not inside.any():
+        if what == "sightings":
+            raise LogError("no landmark is seen while there is odometry, so the log would have no pose")
         raise LogError(f"no row of the {what} is within the time of the odometry: is its clock another one?")
     if not inside.all():
         remarks.append(f"{np.sum(~inside)} of {len(inside)} {what} are from before or after the odometry: left out")
-    return Stream(stream.times[inside], stream.rows[inside])
+    return np.asarray(inside)
 
 
 def _relations(stream: Stream, times: Array) -> PoseRelations:
