@@ -106,16 +106,11 @@ class CandidatePairs:
 
 
 def _best(members: np.ndarray, evidence: Array, most: int) -> list[Hypothesis]:
-    found: list[Hypothesis] = []
-    known: set[bytes] = set()
+    found: dict[bytes, Hypothesis] = {}
     for k in np.argsort(-evidence, kind="stable"):
-        key = members[k].tobytes()
-        if np.isfinite(evidence[k]) and key not in known:
-            known.add(key)
-            found.append(Hypothesis(np.flatnonzero(members[k]), float(evidence[k])))
-        if len(found) == most:
-            break
-    return found
+        if np.isfinite(evidence[k]) and len(found) < most:
+            found.setdefault(members[k].tobytes(), Hypothesis(np.flatnonzero(members[k]), float(evidence[k])))
+    return list(found.values())
 
 
 #: the most landmarks of what follows a return that are weighed
@@ -218,11 +213,11 @@ def alternatives(
         return []
     first = {int(j): int(np.argmax((labels == j) & after)) for j in again}
     again = np.array(sorted(again, key=lambda j: first[int(j)])[:MOST_ITEMS])
-    fresh = int(labels.max()) + 1
-    split = np.where(after & np.isin(labels, again), labels + fresh, labels)
-    apart = MapSolution.of(backbone, split, solved.poses) if np.isin(again, before_it).any() else solved
-    if apart is solved:
-        split, fresh = labels, 0
+    fresh, apart = 0, solved
+    if np.isin(again, before_it).any():
+        fresh = int(labels.max()) + 1
+        split = np.where(after & np.isin(labels, again), labels + fresh, labels)
+        apart = MapSolution.of(backbone, split, solved.poses)
     place = {int(label): k for k, label in enumerate(apart.labels)}
     items = np.array([place[int(j) + fresh] for j in again])
     older = np.array([place[int(j)] for j in before_it])

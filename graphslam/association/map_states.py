@@ -177,14 +177,12 @@ def map_states(
         # the node of such a landmark, without sightings, would have no heading
         log = log.without_orientation()
     away: set[int] = set()
-    best: tuple[Solution, dict[int, tuple[Array, float, float]]] | None = None
     tried: list[set[int]] = []
     for _ in range(ROUNDS):
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
         solution = solve(Graph.from_log(renamed, map=used, **options))
         found = _shifts(solution, used, fresh, prior)
-        best = solution, found
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
         if seen and seen <= away:
@@ -194,8 +192,6 @@ def map_states(
             )
         if away in tried:
             break
-    assert best is not None
-    solution, found = best
     moved = {j for j, (_, _, p) in found.items() if p > 0.5}
     places = {**known, **{j: solution.landmarks[j] for j in seen if j not in moved and j in solution.landmarks}}
     views = _views(solution, known, places, log)

@@ -124,9 +124,8 @@ def _of_dates(table: Table, column: int) -> np.ndarray | None:
         try:
             whole, _, fraction = clock.replace(",", ".").partition(".")
             # nanoseconds as numpy has them wrap without a word
-            moment = int(np.datetime64(f"{day}T{whole}", "s").astype(np.int64)) * UNITS["s"] + int(
-                fraction.ljust(9, "0")
-            )
+            instant = int(np.datetime64(f"{day}T{whole}", "s").astype(np.int64))
+            moment = instant * UNITS["s"] + int(fraction.ljust(9, "0"))
         except ValueError as error:
             raise table.error(row, f"{table.title(column)} is no date that exists: {quoted(word)} ({error})") from None
         ahead = 60 * int(hours) + int(hours[0] + minutes) if hours else 0

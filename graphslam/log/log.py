@@ -354,9 +354,8 @@ class Log:
         for drive in self.drives:
             ends = self.control_starts[drive]
             rows = slice(ends[0], ends[-1])
-            drives.append(
-                motion.dead_reckoning(self.initial_poses[drive.start], controls[rows], dt[rows])[ends - ends[0]]
-            )
+            poses = motion.dead_reckoning(self.initial_poses[drive.start], controls[rows], dt[rows])
+            drives.append(poses[ends - ends[0]])
         return np.concatenate(drives)
 
     def motions(self, motion: MotionModel | None = None) -> tuple[Array, Array]:
