@@ -25,7 +25,7 @@ import numpy as np
 from ..graph import Graph
 from ..graph.registration import evenly
 from ..identification.corrections import corrected_log, corrected_sensor
-from ..identification.declared import ParameterEstimate, parsed
+from ..identification.declared import ParameterEstimate
 from ..log import Log
 from ..metrics import ate
 from ..models import MotionModel, SensorModel
@@ -116,8 +116,7 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
 
 
 def fitted(
-    robot: Robot, recorded: Log, sensor: SensorModel, labels: np.ndarray, poses: Array,
-    estimate: Mapping[str, float | None],
+    robot: Robot, recorded: Log, sensor: SensorModel, labels: np.ndarray, poses: Array, estimate: Mapping[str, float],
 ) -> tuple[Robot, Array]:  # fmt: skip
     """The robot with its log corrected by estimated parameters, and the poses that go with them.
 
@@ -142,18 +141,7 @@ def fitted(
     return found, solution.poses
 
 
-def wanted(estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None) -> dict[str, float | None]:
-    """The parameters to estimate, as `Graph.from_log` takes them.
-
-    Raises:
-        OptionError: there is no such parameter, or its prior is impossible.
-    """
-    return {
-        name: None if np.isinf(value) else value for name, value in parsed(() if estimate is None else estimate).items()
-    }
-
-
-def adapted(robot: Robot, refined: Refined, estimate: Mapping[str, float | None], problem: Problem) -> Robot:
+def adapted(robot: Robot, refined: Refined, estimate: Mapping[str, float], problem: Problem) -> Robot:
     """The robot with its slip, where the options ask for it, and with estimated parameters; the same if neither is found.
 
     Parameters and ids are found in turn until the parameters settle, at most `FITS` times.
@@ -236,7 +224,7 @@ def tolerance(solved: MapSolution, field: Field) -> float:
 
 
 def compete(
-    robot: Robot, starts: Iterable[Start | Callable[[], Start]], names: dict[str, float | None], problem: Problem
+    robot: Robot, starts: Iterable[Start | Callable[[], Start]], names: dict[str, float], problem: Problem
 ) -> Competition | None:
     """Compare starts by evidence, the first two in any case; None where all sightings may be clutter.
 

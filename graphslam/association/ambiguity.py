@@ -29,7 +29,7 @@ import numpy as np
 from ..engine import engine
 from ..se2 import Array, difference
 from .evidence import log_density
-from .map_solution import MapSolution, Problem
+from .map_solution import MapSolution, Problem, difference_covariance
 from .problem import agree, id_of_each
 
 #: the second pairs that are tried after each seed
@@ -92,9 +92,13 @@ class CandidatePairs:
     ) -> tuple[np.ndarray, Array, np.ndarray]:
         allowed = np.ones(len(self.residuals), dtype=bool) if allowed is None else allowed
         return engine.grow_hypotheses(
-            np.ascontiguousarray(begin, dtype=np.int64),
-            *(np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.item, self.landmark)),
-            *(np.ascontiguousarray(part) for part in (self.residuals, self.covariance, self.weights, allowed)),
+            begin,
+            self.item,
+            self.landmark,
+            self.residuals,
+            self.covariance,
+            self.weights,
+            allowed,
             gate,
             self.gate,
             grow,
@@ -102,16 +106,11 @@ class CandidatePairs:
 
 
 def _best(members: np.ndarray, evidence: Array, most: int) -> list[Hypothesis]:
-    found: list[Hypothesis] = []
-    known: set[bytes] = set()
+    found: dict[bytes, Hypothesis] = {}
     for k in np.argsort(-evidence, kind="stable"):
-        key = members[k].tobytes()
-        if np.isfinite(evidence[k]) and key not in known:
-            known.add(key)
-            found.append(Hypothesis(np.flatnonzero(members[k]), float(evidence[k])))
-        if len(found) == most:
-            break
-    return found
+        if np.isfinite(evidence[k]) and len(found) < most:
+            found.setdefault(members[k].tobytes(), Hypothesis(np.flatnonzero(members[k]), float(evidence[k])))
+    return list(found.values())
 
 
 #: the most landmarks of what follows a return that are weighed
@@ -214,11 +213,11 @@ def alternatives(
         return []
     first = {int(j): int(np.argmax((labels == j) & after)) for j in again}
     again = np.array(sorted(again, key=lambda j: first[int(j)])[:MOST_ITEMS])
-    fresh = int(labels.max()) + 1
-    split = np.where(after & np.isin(labels, again), labels + fresh, labels)
-    apart = MapSolution.of(backbone, split, solved.poses) if np.isin(again, before_it).any() else solved
-    if apart is solved:
-        split, fresh = labels, 0
+    fresh, apart = 0, solved
+    if np.isin(again, before_it).any():
+        fresh = int(labels.max()) + 1
+        split = np.where(after & np.isin(labels, again), labels + fresh, labels)
+        apart = MapSolution.of(backbone, split, solved.poses)
     place = {int(label): k for k, label in enumerate(apart.labels)}
     items = np.array([place[int(j) + fresh] for j in again])
     older = np.array([place[int(j)] for j in before_it])
@@ -271,10 +270,7 @@ def _pairs(
     chosen = np.unique(np.concatenate([item, other]))
     P = apart.joint_covariance(chosen)
     a, b = np.searchsorted(chosen, item), np.searchsorted(chosen, other)
-    first, second = P[a], P[b]
-    covariance = (first[:, :, a] - first[:, :, b] - second[:, :, a] + second[:, :, b]).copy()
-    here = np.arange(len(a))
-    covariance[here, :, here] += apart.slack_of(item, other)
+    covariance = difference_covariance(P, a, b, apart.slack_of(item, other))
     shown = problem.classes.sums(apart.which, apart.rows, len(apart.labels))
     weights = -problem.densities.new + problem.classes.together(shown[item], shown[other])
     nu = difference(apart.landmarks[item], apart.landmarks[other])
@@ -346,19 +342,17 @@ class Ambiguity:
         return f"{begin}: taken by itself, {more}; for the drive as a whole no higher evidence was found"
 
 
-def ambiguities(alternatives: list[Alternative], factor: float) -> tuple[Ambiguity, ...]:
-    """The places for which the evidence is less than a factor times that for the best alternative, the worst first."""
-    best: dict[int, Alternative] = {}
-    for each in alternatives:
-        if each.log_factor < np.log(factor) and (
-            each.back.step not in best or each.log_factor < best[each.back.step].log_factor
-        ):
-            best[each.back.step] = each
-    found = []
-    for step, each in best.items():
-        mine, others = tuple(each.back.landmarks.tolist()), tuple(each.others.tolist())
-        found.append(Ambiguity(step, each.back.last, mine, others, each.back.new, each.log_factor))
-    return tuple(sorted(found, key=lambda doubt: doubt.log_factor))
+def ambiguities(alternatives: list[Alternative], factor: float, ids: np.ndarray) -> tuple[Ambiguity, ...]:
+    """The places for which the evidence is less than a factor times that for the best alternative, the worst first.
+
+    ``ids`` (L,) are those of the labels.
+    """
+    best: dict[int, Ambiguity] = {}
+    for each in sorted(alternatives, key=lambda each: each.log_factor):
+        if each.log_factor < np.log(factor):
+            back, (mine, others) = each.back, (tuple(ids[of].tolist()) for of in (each.back.landmarks, each.others))
+            best.setdefault(back.step, Ambiguity(back.step, back.last, mine, others, back.new, each.log_factor))
+    return tuple(best.values())
 
 
 def readable(log_factor: float) -> str:

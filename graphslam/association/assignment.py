@@ -21,7 +21,7 @@ from ..log import UNIDENTIFIED, Log
 from ..models import SensorModel
 from ..se2 import Array, difference
 from .evidence import Candidates, gates, log_density, log_volume
-from .map_solution import INDEPENDENT, MapSolution, Places, Problem
+from .map_solution import INDEPENDENT, MapSolution, Places, Problem, difference_covariance
 from .problem import LEAST, AssociationOptions, Classes, Densities, Field
 
 
@@ -223,12 +223,7 @@ def _decided(
     """The merges of one search."""
     if len(item) == 0:
         return []
-    d = nu.shape[1]
-    first, second = P[a], P[b]
-    S = first[:, :, a] - first[:, :, b] - second[:, :, a] + second[:, :, b]
-    here = np.arange(len(a))
-    S[here, :, here] += solved.slack_of(item, other)
-    S = S.reshape(len(a) * d, len(a) * d)
+    S = difference_covariance(P, a, b, solved.slack_of(item, other)).reshape(nu.size, nu.size)
     # at least the noise that the sightings themselves leave, the other landmarks and poses known
     noise = solved.own_covariances[item] + solved.slack_of(item, other)
     candidates, order = Candidates.of(np.unique(item, return_inverse=True)[1], other, nu, S, weights, noise)

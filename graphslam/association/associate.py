@@ -19,14 +19,14 @@ import numpy as np
 
 from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import array_of, check_known, check_type
-from ..identification.declared import ParameterEstimate
+from ..identification.declared import ParameterEstimate, parsed
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..log.measurements import MEASURED
 from ..metrics import ate
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
-from .adapting import Competition, Robot, Start, compete, spread, tolerance, wanted
+from .adapting import Competition, Robot, Start, compete, spread, tolerance
 from .ambiguity import Ambiguity, ambiguities, readable
 from .front_end import run_front_end
 from .map_solution import Problem
@@ -242,7 +242,7 @@ def associate(
     log = log.replace(**dict.fromkeys(MEASURED))
     if log.identified or not options.keep_ids:
         log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
-    names, robot = wanted(estimate), Robot(log, motion, sensor)
+    names, robot = parsed(() if estimate is None else estimate), Robot(log, motion, sensor)
     problem = Problem.of(log, motion, sensor, options)
 
     def driven() -> Start:
@@ -295,15 +295,11 @@ def _report(
     robot, values, end = competition.robot, competition.values, competition.ends[competition.best]
     refined, graph = end.refined, end.refined.solved.graph
     name = np.append(names_of(refined.labels, given.log.landmarks), UNIDENTIFIED)
-    doubtful = (
-        replace(each, landmarks=tuple(name[[*each.landmarks]].tolist()), others=tuple(name[[*each.others]].tolist()))
-        for each in ambiguities(end.alternatives, options.factor)
-    )
     found = Association(
         of=log, ids=name[refined.labels],
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
         settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
-        parameters=robot.estimate, ambiguities=tuple(doubtful),
+        parameters=robot.estimate, ambiguities=ambiguities(end.alternatives, options.factor, name),
         verdict=verdict(competition, Field.of(robot.log, robot.sensor)), evidence=max(values), options=options,
         seconds=seconds, notes=(),
     )  # fmt: skip

@@ -57,8 +57,8 @@ class Visibility:
         limits = np.array(
             [[field.nearest / s, field.farthest * s, np.cos(min(field.bearing * s, np.pi))] for s in (INSIDE, 1.0)]
         )
-        origin = np.asarray(problem.backbone.origin, dtype=float)
-        everywhere = engine.count_views(solved.poses[scans], np.ascontiguousarray(solved.landmarks), origin, limits)
+        origin = np.array(problem.backbone.origin)
+        everywhere = engine.count_views(solved.poses[scans], solved.landmarks, origin, limits)
         inside = _inside(solved.poses[log.steps[solved.rows]], solved.landmarks[solved.which], origin, limits)
         seen = [np.bincount(solved.which, each, len(solved.landmarks)).astype(np.int64) for each in inside]
         return cls(everywhere[0], seen[0], everywhere[1], seen[1])
@@ -145,14 +145,9 @@ class Candidates:
         if len(self.landmarks) == 0:
             return np.full(items, -1), 0.0
         return engine.best_hypothesis(
-            *(np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.starts, self.landmarks)),
-            *(
-                np.ascontiguousarray(part)
-                for part in (self.residuals, self.covariance, self.weights, self.bounds, allowed)
-            ),
-            gates(gate, d, items),
-            most,
-        )
+            self.starts, self.landmarks, self.residuals, self.covariance, self.weights, self.bounds, allowed,
+            gates(gate, d, items), most,
+        )  # fmt: skip
 
     def margins(self, chosen: np.ndarray, evidence: float, gate: float, most: int = MOST) -> Array:
         """For each item (I,) how much worse the best hypothesis without its chosen candidate is; infinite for none."""

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import GraphError
 from ..graph import Graph
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, difference, rotation, wrap
+from ..se2 import Array, between, compose, difference, perpendicular, turn_matrix, wrap
 from ..solvers.solve import solve
 from .assignment import disjoint, merges
 from .evidence import Candidates, gates, log_density
@@ -44,9 +44,8 @@ class LocalMap:
         """The robot moves by a motion (3,) with covariance (3, 3), both in its own axes."""
         before = self.pose
         self.pose = compose(before, motion)
-        P, F, J = self.covariance, np.eye(3), np.eye(3)
-        F[0, 2], F[1, 2] = before[1] - self.pose[1], self.pose[0] - before[0]
-        J[:2, :2] = rotation(before[2])
+        P, F, J = self.covariance, np.eye(3), turn_matrix(before[2])
+        F[:2, 2] = perpendicular(self.pose[:2] - before[:2])
         P[:3] = F @ P[:3]
         P[:, :3] = P[:, :3] @ F.T
         P[:3, :3] += J @ noise @ J.T
@@ -157,14 +156,10 @@ class LocalMap:
         if len(rows) == 0:
             return
         k, d, n = len(rows), self.d, len(self.covariance)
-        y, R = self._places.means[rows], np.eye(d)
-        R[:2, :2] = rotation(self.pose[2])
+        y, R = self._places.means[rows], turn_matrix(self.pose[2])[:d, :d]
         means = y @ R.T
-        by_pose = np.zeros((k, d, 3))
-        by_pose[:, 0, 0] = by_pose[:, 1, 1] = 1.0
-        by_pose[:, 0, 2], by_pose[:, 1, 2] = -means[:, 1], means[:, 0]
-        if d == 3:
-            by_pose[:, 2, 2] = 1.0
+        by_pose = np.tile(np.eye(d, 3), (k, 1, 1))
+        by_pose[:, :2, 2] = perpendicular(means[:, :2])
         means = difference(means + self.pose[:d], np.zeros(d))
         G = by_pose.reshape(k * d, 3)
         P = np.zeros((n + k * d, n + k * d))

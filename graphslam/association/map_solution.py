@@ -17,7 +17,7 @@ from ..graph import Graph
 from ..linear.cholesky import analyze
 from ..log import Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, transform, turn_matrix, wrap
+from ..se2 import Array, difference, transform, turn_matrix, wrap
 from ..solvers.iteration import Run, gauss_newton
 from ..solvers.uncertainty import Uncertainty
 from .problem import AssociationOptions, Classes, Densities, Field, numbered
@@ -49,19 +49,24 @@ def seen_from(pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:
     """Landmarks (n, d) in the axes of poses (3,) or (n, 3), and the derivatives by pose (n, d, 3) and landmark (n, d, d)."""
     n, d = landmarks.shape
     pose = np.broadcast_to(pose, (n, 3))
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    delta = landmarks[:, :2] - pose[:, :2]
-    h = np.empty((n, d))
-    h[:, 0], h[:, 1] = c * delta[:, 0] + s * delta[:, 1], c * delta[:, 1] - s * delta[:, 0]
-    by_pose, by_landmark = np.zeros((n, d, 3)), np.zeros((n, d, d))
-    by_landmark[:, 0, 0] = by_landmark[:, 1, 1] = c
-    by_landmark[:, 0, 1], by_landmark[:, 1, 0] = s, -s
-    by_pose[:, :2, :2] = -by_landmark[:, :2, :2]
+    by_landmark = turn_matrix(-pose[:, 2])[:, :d, :d]
+    h = np.einsum("nij,nj->ni", by_landmark, difference(landmarks, pose[:, :d]))
+    by_pose = np.zeros((n, d, 3))
+    by_pose[:, :, :d] = -by_landmark
     by_pose[:, 0, 2], by_pose[:, 1, 2] = h[:, 1], -h[:, 0]
-    if d == 3:
-        h[:, 2] = wrap(landmarks[:, 2] - pose[:, 2])
-        by_pose[:, 2, 2], by_landmark[:, 2, 2] = -1.0, 1.0
     return h, by_pose, by_landmark
+
+
+def difference_covariance(P: Array, a: np.ndarray, b: np.ndarray, slack: Array) -> Array:
+    """The covariance (C, d, C, d) of the differences of landmarks a (C,) and b (C,), with a slack (C, d, d) of their own.
+
+    P is the covariance (k, d, k, d) of all of them.
+    """
+    first, second = P[a], P[b]
+    covariance = first[:, :, a] - first[:, :, b] - second[:, :, a] + second[:, :, b]
+    each = np.arange(len(a))
+    covariance[each, :, each] += slack
+    return covariance
 
 
 #: the most steps of Gauss-Newton; the values it starts from are nearly right

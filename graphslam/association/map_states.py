@@ -44,6 +44,7 @@ from ..log import Log
 from ..se2 import Array, wrap
 from ..solvers.solution import Solution
 from ..solvers.solve import solve
+from .evidence import log_density
 from .problem import INSIDE, Field
 
 #: standard deviations of the shift [m] and the turn [rad] of a landmark that has moved
@@ -176,14 +177,12 @@ def map_states(
         # the node of such a landmark, without sightings, would have no heading
         log = log.without_orientation()
     away: set[int] = set()
-    best: tuple[Solution, dict[int, tuple[Array, float, float]]] | None = None
     tried: list[set[int]] = []
     for _ in range(ROUNDS):
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
         solution = solve(Graph.from_log(renamed, map=used, **options))
         found = _shifts(solution, used, fresh, prior)
-        best = solution, found
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
         if seen and seen <= away:
@@ -193,8 +192,6 @@ def map_states(
             )
         if away in tried:
             break
-    assert best is not None
-    solution, found = best
     moved = {j for j, (_, _, p) in found.items() if p > 0.5}
     places = {**known, **{j: solution.landmarks[j] for j in seen if j not in moved and j in solution.landmarks}}
     views = _views(solution, known, places, log)
@@ -300,18 +297,13 @@ def _shifts(
             shift = V @ score[rows]
             shift[:2] = shift[:2] @ way.turn[:2, :2]
         shift[2:] = wrap(shift[2:])
-        square = float(shift @ np.linalg.solve(V, shift))
+        density, square = log_density(shift, V)
         # one that has moved may have turned or not
-        turned = [_density(shift, V + np.diag([MOVE, MOVE, turn][: len(shift)]) ** 2) for turn in (0.0, TURN)]
-        gain = log_sum(turned) - np.log(2) - _density(shift, V)
+        turned = [log_density(shift, V + np.diag([MOVE, MOVE, turn][: len(shift)]) ** 2)[0] for turn in (0.0, TURN)]
+        gain = log_sum(turned) - np.log(2) - density
         odds = np.log(prior / (1 - prior)) + gain
-        found[j] = shift, square, float(1 / (1 + np.exp(-np.clip(odds, -700, 700))))
+        found[j] = shift, float(square), float(1 / (1 + np.exp(-np.clip(odds, -700, 700))))
     return found
-
-
-def _density(shift: Array, V: Array) -> float:
-    """log N(shift; 0, V) without its powers of 2 pi."""
-    return -float(shift @ np.linalg.solve(V, shift) + np.linalg.slogdet(V)[1]) / 2
 
 
 def _next(solution: Solution, found: dict[int, tuple[Array, float, float]], away: set[int], *, first: bool) -> set[int]:
@@ -347,13 +339,11 @@ def _views(solution: Solution, known: LandmarkMap, places: Mapping[int, Array], 
     field = Field.of(log, graph.sensor)
     scans = np.unique(log.steps)
     poses, P = solution.poses[scans], solution.covariance()[scans]
-    ahead, left = graph.sensor.offset
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = poses[:, 0] + c * ahead - s * left, poses[:, 1] + s * ahead + c * left
+    eyes = graph.sensor.mount(poses)
     covariances = {**known.covariances, **solution.landmark_covariances}
     found = {}
     for j, place in places.items():
-        way = np.column_stack([place[0] - x, place[1] - y])
+        way = place[:2] - eyes[:, :2]
         ranges = np.maximum(np.hypot(*way.T), 1e-6)
         along = way / ranges[:, None]
         across = np.column_stack([-along[:, 1], along[:, 0]])

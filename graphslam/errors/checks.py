@@ -9,8 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-import sys
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from numbers import Integral, Real
@@ -58,44 +57,44 @@ def _is_real(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, np.timedelta64)
 
 
+def _check(values: Mapping[str, Any], holds: Callable[[Any], bool], wanted: str) -> None:
+    """Raise `OptionError` for the first value that is no real number, or for which a condition does not hold."""
+    for name, value in values.items():
+        try:
+            sound = _is_real(value) and holds(value)
+        except OverflowError:  # a whole number beyond 1e308
+            sound = False
+        if not sound:
+            raise OptionError(f"{name} must be {wanted}, not {quoted(value)}")
+
+
 def check_positive(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a positive finite number."""
-    for name, value in values.items():
-        if not _is_real(value) or not 0 < value <= sys.float_info.max:
-            raise OptionError(f"{name} must be a positive number, not {quoted(value)}")
+    _check(values, lambda value: 0 < float(value) < math.inf, "a positive number")
 
 
 def check_real(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a number, which may be infinite or NaN."""
-    for name, value in values.items():
-        try:
-            known = _is_real(value) and isinstance(float(value), float)
-        except OverflowError:  # a whole number beyond 1e308
-            known = False
-        if not known:
-            raise OptionError(f"{name} must be a number, not {quoted(value)}")
+    _check(values, lambda value: isinstance(float(value), float), "a number")
 
 
 def check_number(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is a finite number."""
-    for name, value in values.items():
-        if not _is_real(value) or isinstance(value, bool) or not abs(value) <= sys.float_info.max:
-            raise OptionError(f"{name} must be a finite number, not {quoted(value)}")
+    _check(values, lambda value: not isinstance(value, bool) and math.isfinite(value), "a finite number")
 
 
 def check_not_negative(**values: float) -> None:
     """Raise `OptionError` unless every keyword's value is zero or above; infinity is allowed."""
+    check_real(**values)
     for name, value in values.items():
-        check_real(**{name: value})
         if not value >= 0:
             raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
 
 
 def check_count(**values: int) -> None:
     """Raise `OptionError` unless every keyword's value is a whole number, 0 or above."""
+    _check(values, lambda value: isinstance(value, Integral) and not isinstance(value, bool), "a whole number")
     for name, value in values.items():
-        if not isinstance(value, Integral) or not _is_real(value) or isinstance(value, bool):
-            raise OptionError(f"{name} must be a whole number, not {quoted(value)}")
         if value < 0:
             raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
 
@@ -221,7 +220,6 @@ class Option:
         alias: a second name on the command line.
         panel: the group in the help of a verb.
         writes: the endings that the name of a file to write may have, () for any; None where nothing is written.
-        needs: what a format of logs must have for it.
         only: "python" for a field that is no option of the command line.
         model: the component that it belongs to ("motion" and "sensor" for the noise models), else "".
         field: its name there.
@@ -245,7 +243,6 @@ class Option:
     alias: str = ""
     panel: str = ""
     writes: tuple[str, ...] | None = None
-    needs: str = ""
     only: str = ""
     model: str = ""
     field: str = ""

@@ -7,7 +7,7 @@ A recipe beside the bag, ``drive.toml`` for ``drive.mcap``, names topics, fields
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,8 @@ from ..errors import FormatError, LogError, named, quoted
 from ..errors.checks import suggestion
 from ..log import Log
 from ..log.drive import Timed, map_of, odometry_of, sightings_of, truth_of
-from ..log.join import Drive, check_overlap, positions_of, relations_of
-from ..log.rows import ReadOptions, TableOptions
+from ..log.join import READERS, Drive, check_overlap
+from ..log.rows import AXES, ReadOptions, TableOptions
 from ..log.table import Columns
 from ..log.text_table import table_of
 from ..se2 import Array, wrap
@@ -35,16 +35,10 @@ _BASES = ("base_link", "base_footprint", "base", "robot", "chassis")
 _TAGS = ("tag*", "*tag36*", "marker*", "fiducial*", "aruco*", "landmark*")
 #: twist and poses of odometry should drive the same distance, within this share
 _DIFFER = 0.2
-#: streams that other sensors measure, from topics that the user names
-MEASURED_TOPICS = ("relations", "positions")
-#: from the axes of a sensor to forward, left, up
-_TURNS = {
-    "forward-left": np.eye(3),
-    "forward-right": np.diag([1.0, -1.0, -1.0]),
-    "right-forward": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
-    "left-forward": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]),
-    "optical": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
-}
+#: streams that other sensors measure, from topics that the user names, and how their tables are made of the messages
+MEASURED_TOPICS: dict[str, Callable[..., tuple[Columns, list[str]]]] = {
+    "relations": relations_table, "positions": positions_table,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -90,18 +84,10 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
                 raise FormatError(
                     path, None, f"no topic gives {kind}: there are {topics or 'no topics'}; name one: --{kind} TOPIC"
                 )
-        measured = {
-            kind: Poses(f"{path}: {choices[kind].topic.name}", kind, choices[kind].topic.type)
-            for kind in MEASURED_TOPICS
-            if kind in choices
-        }
-        collectors = {
-            kind: _collector(bag, choice, recipe.options) for kind, choice in choices.items() if kind not in measured
-        }
+        collectors = {kind: _collector(bag, choice, recipe.options) for kind, choice in choices.items()}
         frames = Frames()
-        by_topic: dict[str, list[Collector | Poses]] = {}
-        every: dict[str, Collector | Poses] = {**collectors, **measured}
-        for kind, each in every.items():
+        by_topic: dict[str, list[Collector]] = {}
+        for kind, each in collectors.items():
             by_topic.setdefault(choices[kind].topic.name, []).append(each)
         static = [topic.name for topic in bag.topics if topic.type in TF and "static" in topic.name]
         for topic, time, message in bag.messages([*by_topic, *static]):
@@ -109,7 +95,7 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
                 collector.add(time, message)
             if topic in static:
                 frames.add(message.transforms, static=True)
-        for kind, each in every.items():
+        for kind, each in collectors.items():
             if len(each) == 0:
                 raise FormatError(path, None, f"{choices[kind].topic.name} has no message that gives {kind}")
         seen = collectors["sightings"]
@@ -117,7 +103,7 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
         if seen.plan.places and frames.between(base, seen.frame) is None and not _stated(recipe.options):
             for _, _, message in bag.messages([t.name for t in bag.topics if t.type in TF and t.name not in static]):
                 frames.add(message.transforms, static=False)
-    drive = _drive(path, recipe, choices, collectors, measured, frames, base)
+    drive = _drive(path, recipe, choices, collectors, frames, base)
     if "positions" in choices or recipe.place("positions", "file") is not None:
         return drive
     unused = [each.topic.name for each in found if each.could_be == "positions" and each.topic.count]
@@ -128,8 +114,8 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
 
 
 def _drive(
-    path: Path, recipe: Recipe, choices: Mapping[str, Choice], collectors: Mapping[str, Collector],
-    measured: Mapping[str, Poses], frames: Frames, base: str,
+    path: Path, recipe: Recipe, choices: Mapping[str, Choice], collectors: Mapping[str, Collector], frames: Frames,
+    base: str,
 ) -> Drive:  # fmt: skip
     # fields are named by path, and times are stamps; open questions are units, clocks and axes
     options = replace(recipe.options, columns=None, time="ns", axes="forward-left")
@@ -147,38 +133,23 @@ def _drive(
                 raise
             notes.append(f"the truth was left out: {error}")
             truth = None
-    every: dict[str, Collector | Poses] = {**collectors, **measured}
-    for kind, each in every.items():
+    for kind, each in collectors.items():
         if each.unstamped > 0:
             which = "its messages have" if each.unstamped == len(each) else "some of its messages have"
             notes.append(f"{kind} {choices[kind].topic.name}: {which} no stamp, the time of their recording was taken")
     named = recipe.place("map", "file")
     landmarks = None if named is None else map_of(table_of(path.parent / named, "map"), recipe.options, sightings.names)
     place = recipe.options.sensor_offset or offset
-    relations, positions = (
-        _stream_of(path, kind, measured.get(kind), recipe, options, frames, base, notes) for kind in MEASURED_TOPICS
-    )
-    return Drive(
-        odometry, sightings, truth, landmarks, place, tuple(notes), recipe.options.truth_offset, relations, positions
-    )
-
-
-def _stream_of(
-    path: Path, kind: str, found: Poses | None, recipe: Recipe, options: TableOptions, frames: Frames, base: str,
-    notes: list[str],
-) -> Timed | None:  # fmt: skip
-    """The relations or the positions, from their topic or from a table beside the bag; None where neither is named."""
-    read = relations_of if kind == "relations" else positions_of
-    if found is None:
-        file = recipe.place(kind, "file")
-        return None if file is None else read(table_of(path.parent / file, kind), recipe.options)
-    numbers = recipe.numbers.get(kind, {})
-    if kind == "relations":
-        table, remarks = relations_table(found, frames, base, numbers.get("std"))
-    else:
-        table, remarks = positions_table(found, frames, base, numbers.get("std"), numbers.get("lever"))
-    notes += remarks
-    return read(table, options)
+    measured: dict[str, Timed] = {}
+    for kind, table_of_poses in MEASURED_TOPICS.items():
+        # from their topic, or from a table beside the bag
+        if isinstance(found := collectors.get(kind), Poses):
+            table, remarks = table_of_poses(found, frames, base, **recipe.numbers.get(kind, {}))
+            measured[kind] = READERS[kind](table, options)
+            notes += remarks
+        elif (file := recipe.place(kind, "file")) is not None:
+            measured[kind] = READERS[kind](table_of(path.parent / file, kind), recipe.options)
+    return Drive(odometry, sightings, truth, landmarks, place, tuple(notes), recipe.options.truth_offset, **measured)
 
 
 def _choices(bag: Bag, found: Sequence[Candidate], recipe: Recipe) -> list[Choice]:
@@ -235,6 +206,8 @@ def _pair(bag: Bag, topic: Topic, kind: str) -> tuple[str, str] | None:
 
 def _collector(bag: Bag, choice: Choice, options: TableOptions) -> Collector:
     source = f"{bag.path}: {choice.topic.name}"
+    if choice.kind in MEASURED_TOPICS:
+        return Poses(source, choice.kind, choice.topic.type)
     stated = options.columns_of(choice.kind)
     plan = plan_of(source, choice.kind, choice.topic.type, bag.types, stated)
     return Collector(source, plan, parent=choice.parent, child=choice.child)
@@ -279,19 +252,16 @@ def _odometry_table(collector: Collector, use: str | None) -> tuple[Columns, lis
     return _plain_table(collector, plain), []
 
 
-def _plain_table(collector: Collector, names: list[str]) -> Columns:
-    values = collector.columns(names)
-    return Columns(collector.source, {"t": collector.times, **dict(zip(names, values.T))}, rows="message")
+def _plain_table(collector: Collector, names: list[str], place: str = "") -> Columns:
+    """The table of some columns, in whose names the place is left out."""
+    named = dict(zip((name.removeprefix(place) for name in names), collector.columns(names).T))
+    return Columns(collector.source, {"t": collector.times, **named}, rows="message")
 
 
 def _poses_table(collector: Collector) -> Columns:
-    if not collector.plan.places:
-        return _plain_table(collector, list(collector.plan.columns))
-    place = collector.plan.places[0]
-    names = [name for name in collector.plan.columns if name.startswith(f"{place}.") and not name.endswith(".z")]
-    values = collector.columns(names)
-    named = dict(zip((name.removeprefix(f"{place}.") for name in names), values.T))
-    return Columns(collector.source, {"t": collector.times, **named}, rows="message")
+    place = f"{collector.plan.places[0]}." if collector.plan.places else ""
+    names = [name for name in collector.plan.columns if name.startswith(place) and not (place and name.endswith(".z"))]
+    return _plain_table(collector, names, place)
 
 
 def _sightings_table(
@@ -309,7 +279,7 @@ def _sightings_table(
         values = collector.columns(names)
         if {"x", "y"} <= set(names):
             x, y = (names.index(name) for name in "xy")
-            values[:, [x, y]] = values[:, [x, y]] @ _TURNS[options.axes][:2, :2].T
+            values[:, [x, y]] = values[:, [x, y]] @ AXES[options.axes][:2, :2].T
         columns |= dict(zip(names, values.T))
         return Columns(collector.source, columns, rows="row"), None
     place = next((each for each in collector.plan.places if _measured(collector, each)), None)
@@ -323,7 +293,7 @@ def _sightings_table(
     offset, turn = None, np.eye(3)
     if _stated(options):
         optical = "optical" in collector.frame and options.axes == TableOptions().axes
-        turn = _TURNS["optical" if optical else options.axes]
+        turn = AXES["optical" if optical else options.axes]
     elif collector.frame not in ("", base):
         mounted = frames.between(base, collector.frame)
         if mounted is None:

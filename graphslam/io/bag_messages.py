@@ -90,6 +90,8 @@ def _same(one: Array, other: Array) -> bool:
 
 
 _NAN = float("nan")
+#: a function that returns the numbers of a row
+Numbers = Callable[[Any], tuple[float, ...]]
 
 
 class Collector:
@@ -99,6 +101,7 @@ class Collector:
         source: bag and topic, for messages.
         plan: which fields become which columns.
         parent, child: of TF, the frames whose transforms are taken; child may be a pattern with *.
+        numbers: the numbers of a row; default: those of the plan's columns.
 
     Attributes:
         source, plan: as given.
@@ -106,7 +109,9 @@ class Collector:
         unstamped: the number of rows that have the time of their recording, because their stamp is 0 or absent.
     """
 
-    def __init__(self, source: str, plan: Plan, *, parent: str = "", child: str = "") -> None:
+    def __init__(
+        self, source: str, plan: Plan, *, parent: str = "", child: str = "", numbers: Numbers | None = None
+    ) -> None:
         self.source, self.plan, self.unstamped = source, plan, 0
         self.frame = self.child = ""
         self._times = array("q")
@@ -115,7 +120,7 @@ class Collector:
         self._looks: list[Any] = []
         self._parent, self._child = clean(parent), re.compile(re.escape(clean(child)).replace(r"\*", ".*") or ".*")
         self._rows = attrgetter(plan.row) if plan.row else None
-        self._get = _values(list(plan.columns.values()))
+        self._get = numbers or _values(list(plan.columns.values()))
         self._id = getter(plan.id) if plan.id else None
         self._look = getter(plan.look) if plan.look else None
         self._of_child = attrgetter(plan.child) if plan.child else None
@@ -180,7 +185,7 @@ def _words(values: list[Any]) -> np.ndarray | None:
     return words if np.any(words != "") else None
 
 
-def _values(paths: list[str]) -> Callable[[Any], tuple[float, ...]]:
+def _values(paths: list[str]) -> Numbers:
     """A function that returns the numbers at some paths of a row; NaN where a list in the path is empty."""
     if not any("[]" in path for path in paths):
         # twice the first path, so that the value is a tuple for one path, too

@@ -30,14 +30,12 @@ from ..log.join import datum_note, local_plane
 from ..log.measurements import not_positive
 from ..log.table import COVARIANCES, Columns
 from ..se2 import Array, between, compose, turn_matrix
-from .bag_messages import Frames, clean, rotation_of
+from .bag_messages import Collector, Frames, rotation_of
+from .bag_topics import Plan
 
-#: the types that are read, and where their poses and covariances are
-POSES = {
-    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose",
-    "nav_msgs/msg/Odometry": "pose",
-    "geometry_msgs/msg/PoseStamped": "",
-}
+#: the types of poses that are read
+_ODOMETRY, _STAMPED = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+POSES = ("geometry_msgs/msg/PoseWithCovarianceStamped", _ODOMETRY, _STAMPED)
 _FIX = "sensor_msgs/msg/NavSatFix"
 #: the time between the poses of relations, the longest pause that one may span [s], and how many times faster than nearly all
 #: others a jump is
@@ -49,17 +47,13 @@ UNKNOWN = 1e4
 _UPPER = ((0, 0), (0, 1), (0, 5), (1, 1), (1, 5), (5, 5))
 
 
-class Poses:
+class Poses(Collector):
     """Collects the messages of a topic of poses, or of fixes.
 
     Args:
         source: bag and topic, for messages.
         kind: relations or positions.
         type: of the messages.
-
-    Attributes:
-        frame, child: names of the frames of the first message.
-        unstamped: the number of messages that have the time of their recording.
 
     Raises:
         FormatError: the type gives no poses.
@@ -70,45 +64,23 @@ class Poses:
         if type not in fits:
             known = ", ".join(each.partition("/msg/")[2] for each in fits)
             raise FormatError(source, None, f"its messages, {type}, give no {kind}; {known} do")
-        self.source, self.kind, self.type, self.unstamped = source, kind, type, 0
-        self.frame = self.child = ""
-        self._times, self._from = array("q"), array("q")
-        self._rows: list[tuple[float, ...]] = []
-
-    def __len__(self) -> int:
-        return len(self._times)
+        plan = Plan("", {}, (), stamp="message", child="child_frame_id" if type == _ODOMETRY else "")
+        super().__init__(source, plan, numbers={_FIX: _of_fix, _STAMPED: _of_stamped}.get(type, _of_pose))
+        self.type = type
+        self._from = array("q")
 
     def add(self, time: int, message: Any) -> None:
         """Take over a message that was recorded at a time [ns]."""
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        if not self._times:
-            self.frame, self.child = clean(message.header.frame_id), clean(getattr(message, "child_frame_id", ""))
-        self.unstamped += stamp == 0
-        self._times.append(stamp or time)
+        super().add(time, message)
         self._from.append(_time_of(message.header.frame_id))
-        if self.type == _FIX:
-            C = message.position_covariance
-            known = message.position_covariance_type if message.status.status >= 0 else -1
-            self._rows.append((message.latitude, message.longitude, message.altitude, C[0], C[1], C[4], known))
-            return
-        inner = message.pose if self.type != "geometry_msgs/msg/PoseStamped" else message
-        at, q = inner.pose.position, inner.pose.orientation
-        speeds = message.twist.covariance if hasattr(message, "twist") else None
-        covariances = [
-            C[6 * i + j] if C is not None else 0.0
-            for C in (getattr(inner, "covariance", None), speeds)
-            for i, j in _UPPER
-        ]
-        self._rows.append((at.x, at.y, q.x, q.y, q.z, q.w, *covariances))
 
     @property
-    def times(self) -> np.ndarray:
-        """The time of each message (N,) [ns]."""
-        return np.array(self._times, dtype=np.int64)
+    def _rows_of_numbers(self) -> Array:
+        return np.array(self._values).reshape(len(self), -1)
 
     def poses(self) -> tuple[Array, Array, Array]:
         """Poses (N, 3), headings NaN where the quaternion is none, and covariances (N, 3, 3) of poses and of speeds."""
-        rows = np.array(self._rows)
+        rows = self._rows_of_numbers
         turns, known = rows[:, 2:6], np.linalg.norm(rows[:, 2:6], axis=1) > 0.5
         headings = np.full(len(rows), np.nan)
         R = rotation_of(turns[known])
@@ -120,7 +92,7 @@ class Poses:
 
     def fixes(self) -> tuple[Array, Array, np.ndarray]:
         """Latitude, longitude [degrees], altitude [m] (N, 3), covariances (N, 2, 2), and their types (N,), -1 for no fix."""
-        rows = np.array(self._rows)
+        rows = self._rows_of_numbers
         C = rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
         return rows[:, :3], C, rows[:, 6].astype(int)
 
@@ -130,6 +102,28 @@ class Poses:
         return np.array(self._from, dtype=np.int64)
 
 
+def _of_fix(message: Any) -> tuple[float, ...]:
+    """Latitude, longitude, altitude, the covariance of both axes, and its type, -1 for no fix."""
+    C = message.position_covariance
+    known = message.position_covariance_type if message.status.status >= 0 else -1
+    return message.latitude, message.longitude, message.altitude, C[0], C[1], C[4], known
+
+
+def _of_pose(message: Any) -> tuple[float, ...]:
+    """Place and quaternion, and the covariances of pose and speeds; zeros where there are none."""
+    C, speeds = message.pose.covariance, message.twist.covariance if hasattr(message, "twist") else np.zeros(36)
+    return *_place(message.pose.pose), *(each[6 * i + j] for each in (C, speeds) for i, j in _UPPER)
+
+
+def _of_stamped(message: Any) -> tuple[float, ...]:
+    return *_place(message.pose), *np.zeros(2 * len(_UPPER))
+
+
+def _place(pose: Any) -> tuple[float, ...]:
+    at, q = pose.position, pose.orientation
+    return at.x, at.y, q.x, q.y, q.z, q.w
+
+
 def _time_of(frame: str) -> int:
     """The time T [ns] of a frame "base_link@T", -1 for others."""
     _, at, time = frame.partition("@")
@@ -137,7 +131,7 @@ def _time_of(frame: str) -> int:
 
 
 def positions_table(
-    found: Poses, frames: Frames, base: str, std: Sequence[float] | None, lever: Sequence[float] | None
+    found: Poses, frames: Frames, base: str, std: Sequence[float] | None = None, lever: Sequence[float] | None = None
 ) -> tuple[Columns, list[str]]:
     """The table of absolute positions, and notes.
 
@@ -220,7 +214,9 @@ def _no_noise(C: Array) -> str:
     return f"the covariances of its messages {which}, which says nothing of their noise; state the standard deviations"
 
 
-def relations_table(found: Poses, frames: Frames, base: str, std: Sequence[float] | None) -> tuple[Columns, list[str]]:
+def relations_table(
+    found: Poses, frames: Frames, base: str, std: Sequence[float] | None = None
+) -> tuple[Columns, list[str]]:
     """The table of relations, and notes.
 
     Args:

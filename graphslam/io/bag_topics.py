@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -259,15 +259,10 @@ def candidates(bag: Bag) -> list[Candidate]:
     """
     found = [Candidate(topic, *_could_be(bag, topic)) for topic in bag.topics]
     best: dict[str, Candidate] = {}
-    for each in found:
+    for each in sorted(found, key=lambda each: (each.score, each.topic.count), reverse=True):
         if each.could_be and each.topic.count > 0 and each.score > 0:
-            other = best.get(each.could_be)
-            if other is None or (each.score, each.topic.count) > (other.score, other.topic.count):
-                best[each.could_be] = each
-    return [
-        Candidate(each.topic, each.could_be, each.score, each.could_be if best.get(each.could_be) is each else "")
-        for each in found
-    ]
+            best.setdefault(each.could_be, each)
+    return [replace(each, chosen=each.could_be) if best.get(each.could_be) is each else each for each in found]
 
 
 def _could_be(bag: Bag, topic: Topic) -> tuple[str, float]:
@@ -314,6 +309,12 @@ _PLAIN = {
     "odometry": ("nu", "omega", "x", "y", "theta"),
     "sightings": ("range", "bearing", "orientation", "x", "y"),
     "truth": ("x", "y", "theta"),
+}
+#: which of them are enough
+_NEEDS = {
+    "odometry": ({"nu", "omega"}, {"x", "y", "theta"}),
+    "sightings": ({"range", "bearing"}, {"x", "y"}),
+    "truth": ({"x", "y"},),
 }
 #: message types that give each stream, for messages
 _GIVES = {
@@ -387,7 +388,7 @@ def plan_of(source: str, kind: str, type: str, types: Any, stated: Mapping[str, 
     look = columns.pop("class", "")
     id = columns.pop("id", "") or _id([path for path in inside if path != look])
     look = look or _look([path for path in inside if path != id])
-    if not _enough(kind, columns, places):
+    if not places and not any(need <= columns.keys() for need in _NEEDS[kind]):
         raise FormatError(source, None, f"its messages, {type}, give no {kind}; {_GIVES[kind]}")
     return Plan(
         row,
@@ -451,11 +452,3 @@ def _look(inside: list[str]) -> str:
     """The class of a row; the type of a message says nothing about what was seen."""
     fits = [path for path in inside if matches("class", path) and path.rpartition(".")[2] not in ("type", "kind")]
     return min(fits, key=lambda path: path.count("."), default="")
-
-
-def _enough(kind: str, columns: Mapping[str, str], places: list[str]) -> bool:
-    if kind == "odometry":
-        return {"nu", "omega"} <= columns.keys() or {"x", "y", "theta"} <= columns.keys() or bool(places)
-    if kind == "sightings":
-        return {"range", "bearing"} <= columns.keys() or {"x", "y"} <= columns.keys() or bool(places)
-    return {"x", "y"} <= columns.keys() or bool(places)

@@ -46,11 +46,6 @@ class Format:
     read_robots: Callable[[Path, ReadOptions], dict[int, Log]] | None = None
     separate_times: bool = False
 
-    @property
-    def several_robots(self) -> bool:
-        """Whether a data set may have several robots."""
-        return self.robots is not None
-
 
 def member(folder: Path, name: str, holds: str) -> Path:
     """The path of a file of a data set.

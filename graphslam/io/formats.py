@@ -47,14 +47,10 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     """
     path = path_of(path)
     chosen = _format_of(path, format)
-    known = {f.name: f.metadata.get("needs") for f in fields(ReadOptions)}
+    known = [f.name for f in fields(ReadOptions)]
     check_known("load", options, known, f"; its options are format, {', '.join(known)}")
-    for name in options:
-        needs = known[name]
-        if options[name] is not None and needs is not None and not getattr(chosen, needs):
-            raise OptionError(
-                f"{name} does not apply to logs of the format {quoted(chosen.name)} ({path}); leave it out"
-            )
+    if options.get("robot") is not None and chosen.robots is None:
+        raise OptionError(f"robot does not apply to logs of the format {quoted(chosen.name)} ({path}); leave it out")
     reading = ReadOptions(**options)
     log = chosen.read(path, reading)
     if reading.keep_every is None or chosen.separate_times:
@@ -79,9 +75,16 @@ def read(path: str | PathLike[str], *, format: str | None = None, **options: Any
     return load(path, format=format, **options)
 
 
-def _is_graph(path: Path) -> bool:
+def _head(path: Path) -> bytes:
+    """The first bytes of a file; none of a folder."""
+    if path.is_dir():
+        return b""
     with path.open("rb") as stream:
-        head = stream.read(4096)
+        return stream.read(4096)
+
+
+def _is_graph(path: Path) -> bool:
+    head = _head(path)
     return is_pose_graph(head) and not any(form.recognises(path, head) for form in FORMATS.values())
 
 
@@ -127,12 +130,9 @@ def _format_of(path: Path, format: str | None) -> Format:
 
 
 def _recognised(path: Path) -> Format:
-    head = b""
-    if not path.is_dir():
-        with path.open("rb") as stream:
-            head = stream.read(4096)
-        if not head.strip():
-            raise FormatError(path, None, "the file is empty; a log has at least one pose and its sightings")
+    head = _head(path)
+    if not path.is_dir() and not head.strip():
+        raise FormatError(path, None, "the file is empty; a log has at least one pose and its sightings")
     for candidate in FORMATS.values():
         if candidate.recognises(path, head):
             return candidate

@@ -99,11 +99,10 @@ def _left_out(content: dict[str, np.ndarray], path: Path, strict: bool) -> tuple
     if sightings.ndim != 2 or sightings.shape[1] not in (2, 3) or sightings.dtype.kind != "f":
         return ()
     names = ("range", "bearing", "orientation")
-    faults = [finite_fault(column, name, "") for column, name in zip(sightings.T, names)] + range_faults(
-        sightings[:, 0]
-    )
+    not_finite = [finite_fault(column, name, "") for column, name in zip(sightings.T, names)]
     kept, notes = sound_rows(
-        len(sightings), "sightings", faults, lambda k, text: FormatError(f"{path}: sighting {k}", None, text), strict=strict,
+        len(sightings), "sightings", [*not_finite, *range_faults(sightings[:, 0])],
+        lambda k, text: FormatError(f"{path}: sighting {k}", None, text), strict=strict,
     )  # fmt: skip
     for name in ("steps", "landmarks", "sightings", "classes"):
         if name in content and content[name].shape[:1] == kept.shape:

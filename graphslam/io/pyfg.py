@@ -34,13 +34,7 @@ from ..errors.checks import singular
 from ..files import number, read_text
 from ..log import Log
 from ..log.join import end_to_end
-from ..log.measurements import (
-    NOT_POSITIVE,
-    AbsolutePositions,
-    PartialSightings,
-    PoseRelations,
-    not_positive,
-)
+from ..log.measurements import NOT_POSITIVE, AbsolutePositions, PartialSightings, PoseRelations, not_positive
 from ..log.rows import ReadOptions
 from ..models import MotionModel, SensorModel, sinc
 from ..se2 import Array, between, difference, wrap
@@ -160,8 +154,8 @@ def _number_of(letter: str) -> int:
     return ord(letter) - ord("A") + (letter < _LANDMARK)
 
 
-def _robots(path: Path) -> list[int]:
-    return sorted({_number_of(name[0]) for name in _parsed(path).vertices if name[0] != _LANDMARK})
+def _robots(file: _File) -> list[int]:
+    return sorted({_number_of(name[0]) for name in file.vertices if name[0] != _LANDMARK})
 
 
 def _read(path: Path, options: ReadOptions) -> Log:
@@ -169,7 +163,8 @@ def _read(path: Path, options: ReadOptions) -> Log:
 
 
 def _read_robots(path: Path, _: ReadOptions) -> dict[int, Log]:
-    return {robot: _log_of(_parsed(path), robot) for robot in _robots(path)}
+    file = _parsed(path)
+    return {robot: _log_of(file, robot) for robot in _robots(file)}
 
 
 def _log_of(file: _File, robot: int | None) -> Log:
@@ -179,7 +174,7 @@ def _log_of(file: _File, robot: int | None) -> Log:
         if name[0] != _LANDMARK and robot in (None, _number_of(name[0])):
             chains.setdefault(name[0], []).append(name)
     if not chains:
-        raise OptionError(f"{file.path} has no robot {robot}; its robots are {', '.join(map(str, _robots(file.path)))}")
+        raise OptionError(f"{file.path} has no robot {robot}; its robots are {', '.join(map(str, _robots(file)))}")
     every = [name for chain in chains.values() for name in chain]
     step = {name: k for k, name in enumerate(every)}
     odometry, others = _odometry(file, chains)
@@ -291,9 +286,9 @@ def _split(file: _File, step: dict[str, int], notes: Counter[str]) -> tuple[list
     ranges, seen = [], list[_Row]()
     between_robots = 0
     for row in file.rows["EDGE_RANGE"]:
-        if not row.numbers[0] > 0 or not row.numbers[1] > 0:
-            what, value = ("range", row.numbers[0]) if not row.numbers[0] > 0 else ("variance", row.numbers[1])
-            raise file.error(row.line, f"the {what} is {value:g}, but it must be above zero")
+        for what, value in zip(("range", "variance"), row.numbers):
+            if not value > 0:
+                raise file.error(row.line, f"the {what} is {value:g}, but it must be above zero")
         a, b = sorted(row.names, key=lambda name: name[0] == _LANDMARK)
         if a[0] == _LANDMARK:
             raise file.error(row.line, f"the range is between the landmarks {a} and {b}; one end must be a pose")
@@ -417,4 +412,4 @@ def _positions(file: _File, priors: list[_Row], step: dict[str, int]) -> Absolut
     )
 
 
-FORMAT = Format("pyfg", _recognises, _read, robots=_robots, read_robots=_read_robots)
+FORMAT = Format("pyfg", _recognises, _read, robots=lambda path: _robots(_parsed(path)), read_robots=_read_robots)

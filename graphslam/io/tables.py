@@ -18,7 +18,7 @@ range = "dist"                  # which column is what, by name or by number fro
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,8 @@ from .toml_file import TomlFile
 
 #: keys of the table of a stream that are not its columns
 _UNITS = ("time", "angles", "lengths")
+#: the types of the options of all tables that are not text alone
+_TYPES = {"strict": (bool,), "sensor_yaw": (float,), **dict.fromkeys((*_UNITS, "columns", "clocks"), (str, dict))}
 _WHERE = ("file", "topic", "child", "parent", "use")
 #: of topics of relations and positions: standard deviations [m, rad] instead of those of the messages, and the point of the
 #: robot that is measured, forward and left [m]
@@ -67,15 +69,10 @@ def read_recipe(path: Path) -> Recipe:
         FormatError: it is not TOML, has an unknown key, or an impossible value; with the line.
     """
     file = TomlFile(path)
-    known = {f.name: f for f in fields(TableOptions)}
+    known = [f.name for f in fields(TableOptions)]
     file.check_keys(file.table, (*known, *TABLES))
-    values: dict[str, Any] = {}
-    for name in known:
-        if name in file.table:
-            values[name] = _value(file, name)
-    units: dict[str, dict[str, str]] = {
-        name: {"": values[name]} for name in _UNITS if isinstance(values.get(name), str)
-    }
+    values: dict[str, Any] = {name: _value(file, name) for name in known if name in file.table}
+    units: dict[str, dict[str, str]] = {n: {"": values[n]} for n in _UNITS if isinstance(values.get(n), str)}
     of_tables = {name: values.pop(name) for name in ("columns", "clocks") if name in values}
     stated = file.attempt(lambda: TableOptions(**of_tables))
     columns: dict[str, dict[str, Any]] = {table: dict(stated.columns_of(table)) for table in TABLES}
@@ -121,25 +118,17 @@ def _value(file: TomlFile, name: str) -> Any:
         if len(value) != 2 or not all(type(number) in (int, float) for number in value):
             raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
         return tuple(file.value({name: number}, name, float) for number in value)
-    if name == "strict":
-        return file.value(file.table, name, bool)
-    if name == "sensor_yaw":
-        return file.value(file.table, name, float)
-    if name in (*_UNITS, "columns", "clocks"):
-        return file.value(file.table, name, str, dict)
-    return file.value(file.table, name, str)
+    return file.value(file.table, name, *_TYPES.get(name, (str,)))
 
 
 def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
     """The recipe with options of the command line or of Python, which take precedence; None is not given."""
     given = {name: value for name, value in changes.items() if value is not None}
-    old = {f.name: getattr(recipe.options, f.name) for f in fields(TableOptions)}
+    known = [f.name for f in fields(TableOptions)]
     for name in given:
-        if name not in old:
-            raise OptionError(f"there is no option {quoted(name)} of tables; they are {', '.join(old)}")
-    defaults = {f.name: f.default for f in fields(TableOptions) if f.default is not MISSING}
-    kept = {name: value for name, value in old.items() if value != defaults[name]}
-    return replace(recipe, options=TableOptions(**kept | given))
+        if name not in known:
+            raise OptionError(f"there is no option {quoted(name)} of tables; they are {', '.join(known)}")
+    return replace(recipe, options=replace(recipe.options, **given))
 
 
 RECIPE = "import.toml"

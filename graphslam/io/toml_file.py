@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from bisect import bisect_left
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -61,22 +62,15 @@ class TomlFile:
     def line_of(self, key: str) -> int | None:
         """The line on which the statement begins that sets a key, "table.key" or "tables[1].key"; None if there is none.
 
-        The first lines that have the key are found by bisection, among the numbers of lines that are valid by themselves.
+        The first lines that have the key are found by bisection.
         """
         path, lines = re.findall(r"[^.\[\]]+", key), self.text.split("\n")
         if not _holds(self.table, path):
             return None
-        without, having = 0, len(lines)
-        while True:
-            middle = max((without + having) // 2, without + 1)
-            for end in (*range(middle, having), *range(middle - 1, without, -1)):
-                if (content := _parsed(lines[:end])) is not None:
-                    break
-            else:
-                # one statement, perhaps below comments
-                begins = (k for k in range(without, having) if lines[k].strip() and lines[k].lstrip()[0] != "#")
-                return next(begins) + 1
-            without, having = (without, end) if _holds(content, path) else (end, having)
+        end = bisect_left(range(len(lines)), True, key=lambda end: _holds(_whole(lines, end)[0], path))
+        # one statement, perhaps below comments
+        begin = _whole(lines, end - 1)[1]
+        return next(k for k in range(begin, end) if lines[k].strip() and lines[k].lstrip()[0] != "#") + 1
 
     def check_keys(self, table: Mapping[str, Any], known: Collection[str], where: str = "") -> None:
         """Raise `FormatError` for the first key that is not known; the message names the nearest one that is.
@@ -125,11 +119,12 @@ class TomlFile:
             raise self.error(f"{where}.{name}" if where else name, str(error)) from None
 
 
-def _parsed(lines: Sequence[str]) -> dict[str, Any] | None:
-    """The content of some lines; None where a statement goes on below them."""
-    with suppress(tomllib.TOMLDecodeError):
-        return tomllib.loads("\n".join(lines))
-    return None
+def _whole(lines: Sequence[str], end: int) -> tuple[dict[str, Any], int]:
+    """The content of the whole statements among the first lines up to ``end``, and the number of lines that these take."""
+    while True:
+        with suppress(tomllib.TOMLDecodeError):
+            return tomllib.loads("\n".join(lines[:end])), end
+        end -= 1
 
 
 def _holds(value: Any, path: Sequence[str]) -> bool:

@@ -20,7 +20,7 @@ from ..errors import LogError, decimals, named, quoted, shortened
 from ..errors.checks import first
 from ..models import sinc
 from ..se2 import Array, between
-from .rows import MOST_CLASSES, NO_CLASS, NO_ID, UNIDENTIFIED, Fault
+from .rows import MOST_CLASSES, NO_CLASS, UNIDENTIFIED, Fault, without_no_id
 from .table import Table
 from .text_table import MISSING
 
@@ -52,16 +52,13 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     try:
         values = table.numbers([column])[:, 0]
     except LogError:
-        if (dates := _of_dates(table, column)) is None:
-            word = str(table.words(column)[0])
-            if not _is_number(word):
-                raise table.error(
-                    0,
-                    f"the time {table.title(column)} should be a number, or a date with the time of day as in "
-                    f"2026-11-22T10:00:00.5Z, not {quoted(word)}",
-                ) from None
+        if (dates := _of_dates(table, column)) is not None:
+            return dates
+        word = str(table.words(column)[0])
+        if _is_number(word):
             raise
-        return dates
+        message = "should be a number, or a date with the time of day as in 2026-11-22T10:00:00.5Z"
+        raise table.error(0, f"the time {table.title(column)} {message}, not {quoted(word)}") from None
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
         raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
     factor = UNITS[unit or by_size(values)]
@@ -127,9 +124,8 @@ def _of_dates(table: Table, column: int) -> np.ndarray | None:
         try:
             whole, _, fraction = clock.replace(",", ".").partition(".")
             # nanoseconds as numpy has them wrap without a word
-            moment = int(np.datetime64(f"{day}T{whole}", "s").astype(np.int64)) * UNITS["s"] + int(
-                fraction.ljust(9, "0")
-            )
+            instant = int(np.datetime64(f"{day}T{whole}", "s").astype(np.int64))
+            moment = instant * UNITS["s"] + int(fraction.ljust(9, "0"))
         except ValueError as error:
             raise table.error(row, f"{table.title(column)} is no date that exists: {quoted(word)} ({error})") from None
         ahead = 60 * int(hours) + int(hours[0] + minutes) if hours else 0
@@ -236,10 +232,7 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
     notes: tuple[str, ...] = ()
     if empty.any():
         notes = (f"{table.source}: {empty.sum()} of {len(table)} rows have no id",)
-    if np.any(none := ids == NO_ID):
-        ids[none] = UNIDENTIFIED
-        have = "row has" if none.sum() == 1 else "rows have"
-        notes = (*notes, f"{table.source}: {none.sum():,} of {len(table):,} {have} the id -1, taken as no id")
+    notes += tuple(f"{table.source}: {note}" for note in without_no_id(ids, "row"))
     if names:
         listed = named(f"{number} = {name}" for name, number in names.items())
         notes = (*notes, f"{table.source}: landmarks have names, ids count them: {listed}")
@@ -258,16 +251,7 @@ def id_fault(table: Table, column: int, values: np.ndarray) -> Fault:
 
 
 def _whole(table: Table, column: int, values: Array) -> np.ndarray:
-    """The whole numbers (N,) of a column of ids whose floating-point numbers are ``values``; 0 where it is NaN.
-
-    Raises:
-        LogError: a number does not fit into 64 bits, where the smallest one stands for `UNIDENTIFIED`.
-    """
-    if (k := first(np.abs(values) >= 2.0**63)) is not None:
-        raise table.error(
-            k,
-            f"the id {table.title(column)} is {values[k]:g}, but ids are words, or whole numbers of less than 64 bits",
-        )
+    """The whole numbers (N,) of a column of ids whose floating-point numbers are ``values``; 0 where it is NaN."""
     whole = np.where(np.isnan(values), 0.0, values).astype(np.int64)
     large = np.flatnonzero(np.abs(values) >= 2.0**53)
     if large.size:

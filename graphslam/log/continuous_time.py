@@ -21,7 +21,7 @@ from ..models import MotionModel, additional_variances
 from ..se2 import Array, between, compose, difference
 from .log import Log
 from .measurements import MEASURED
-from .streams import Stream, pieces_of, truth_at
+from .streams import Stream, filled, truth_at
 
 #: rounding of sums of durations, as a part of an interval
 _TIE = 1e-6
@@ -162,17 +162,10 @@ def with_poses_every(log: Log, seconds: float) -> Log:
     if log.controls is None or log.dt is None:
         raise LogError(f"{log.name} has no controls, so there is nothing between its poses to keep")
     # without the start time, which may be so large that fractions of a second are lost
-    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
-    old = ends[log.control_starts]
-    lasting = np.diff(old)
-    parts = pieces_of(lasting, seconds)
+    old = np.concatenate([[0.0], np.cumsum(log.dt)])[log.control_starts]
     # between two sessions there is nothing to keep
-    parts[[each.start - 1 for each in log.sessions[1:]]] = 1
-    if np.all(parts == 1):
-        return log
-    motion = np.repeat(np.arange(len(parts)), parts)
-    part = np.arange(len(motion)) - np.repeat(np.cumsum(parts) - parts, parts)
-    return _with_poses(log, np.append(old[motion] + part * (lasting / parts)[motion], old[-1]))
+    times = filled(old, seconds, [each.start - 1 for each in log.sessions[1:]])
+    return log if len(times) == len(old) else _with_poses(log, times)
 
 
 def with_poses_at(log: Log, times: Array) -> Log:
@@ -222,9 +215,7 @@ def _with_poses(log: Log, times: Array) -> Log:
     if log.true_poses is not None:
         true_poses = np.full((len(times), 3), np.nan) if finer.true_path is None else finer.true_path[starts].copy()
         true_poses[kept] = log.true_poses
-    measured: dict[str, Any] = {
-        name: each.moved({end: kept[getattr(each, end)] for end in each.ENDS}) for name, each in log.measured.items()
-    }
+    measured: dict[str, Any] = {name: each.moved(lambda steps: kept[steps]) for name, each in log.measured.items()}
     finer = finer.replace(**dict.fromkeys(MEASURED))
     return replace(
         finer, **measured, control_starts=starts,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import LogError, named, quoted
-from ..errors.checks import first
+from ..errors.checks import checked_offset, first
 from ..models import FARTHEST, FASTEST, LONGEST, QUICKEST
 from ..se2 import Array
 from .cells import (
@@ -30,8 +30,19 @@ from .cells import (
     repeated_times,
     time_faults,
 )
-from .rows import ANGLES, LENGTHS, UNIDENTIFIED, Fault, TableOptions, finite_fault, range_faults, sound_rows
-from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Kept, Table, find, unit_of
+from .rows import (
+    ANGLES,
+    AXES,
+    LENGTHS,
+    UNIDENTIFIED,
+    UNITS_OF,
+    Fault,
+    TableOptions,
+    finite_fault,
+    range_faults,
+    sound_rows,
+)
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Kept, Table, find
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
@@ -55,6 +66,8 @@ ORDERS: dict[str, dict[int, tuple[str, ...]]] = {
     "relations": {8: ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS)},
     "positions": {4: ("t", "x", "y", "sigma")},
 }
+#: bearings and turns beyond the first angle, and headings beyond the second, are probably in degrees [rad]
+MOST_TURN, MOST_TURNS = 2 * np.pi + 1e-6, 8 * np.pi
 #: poses that move sideways for a larger share of their way are no poses of a robot with wheels
 _SIDEWAYS = 0.3
 
@@ -123,7 +136,7 @@ class Reader:
         for role in self.used:
             chosen, unit = self.found[role], ""
             if role in MEASURES:
-                unit = self._unit(role) or {"time": "s", "angle": "radians", "length": "m"}[MEASURES[role]]
+                unit = self._unit(role) or UNITS_OF[MEASURES[role]][0]
                 unit += "/s" if role in ("nu", "omega") else ""
             name = self.table.names[chosen.column] if self.table.names else f"column {chosen.column + 1}"
             parts.append((role if name == role else f"{role} = {name}") + (f" [{unit}]" if unit else ""))
@@ -134,8 +147,9 @@ class Reader:
         return self._unit(role) is not None
 
     def _unit(self, role: str) -> str | None:
-        kinds = {"time": "time", "angle": "angles", "length": "lengths"}
-        return unit_of(role, self.found[role], self.options.unit(kinds[MEASURES[role]], self.kind))
+        """The unit of a column: the stated one, else that of its name where it is one of this measure."""
+        measure, named = MEASURES[role], self.found[role].unit
+        return self.options.unit(measure, self.kind) or (named if named in UNITS_OF[measure] else None)
 
     def leave_out(self, *roles: str) -> Table:
         """The table without the rows in which a number of these columns, a time, an id or a range cannot be.
@@ -194,15 +208,10 @@ class Reader:
         if finite and bad.any():
             row, column = np.argwhere(bad)[0]
             title = self.table.title(self.found[roles[column]].column)
-            value = values[row, column]
-            raise self.table.error(
-                int(row), f"{title} is {'empty or NaN' if np.isnan(value) else value}; remove the row, or repair it"
-            )
+            raise self.table.error(int(row), finite_fault(values[:, column], title).message(row))
         for k, role in enumerate(roles):
             if role in MEASURES:
-                values[:, k] *= (ANGLES | LENGTHS)[
-                    self._unit(role) or ("radians" if MEASURES[role] == "angle" else "m")
-                ]
+                values[:, k] *= (ANGLES | LENGTHS)[self._unit(role) or UNITS_OF[MEASURES[role]][0]]
         return values
 
     def single_number(self) -> str | None:
@@ -228,28 +237,31 @@ class Reader:
         if self.has("theta"):
             return np.column_stack([position, self.numbers("theta", finite=finite)])
         if self.has("qz", "qw"):
-            roles = [role for role in ("qx", "qy", "qz", "qw") if role in self.found]
-            given = self.numbers(*roles, finite=finite)
-            quaternions = np.zeros((len(given), 4))
-            quaternions[:, [("qx", "qy", "qz", "qw").index(role) for role in roles]] = given
+            quaternions = np.zeros((len(position), 4))
+            for k, role in enumerate(_POSE[3:]):
+                if self.has(role):
+                    quaternions[:, k] = self.numbers(role, finite=finite)[:, 0]
             known = np.isfinite(quaternions).all(axis=1)
-            angles = np.full(len(given), np.nan)
             # rows keep their numbers in messages
             quaternions[~known] = (0, 0, 0, 1)
-            angles[known] = checked_heading(self.table, quaternions)[known]
-            return np.column_stack([position, angles])
+            return np.column_stack([position, np.where(known, checked_heading(self.table, quaternions), np.nan)])
         return position
 
-    def refuse(self, role: str, values: Array, wrong: np.ndarray, message: str, option: str) -> None:
-        """Raise an error where values look like another unit, unless their unit is stated."""
-        if not self.stated(role) and (k := first(wrong)) is not None:
-            unit, own = option.split("/")
-            name = "angles" if unit == "degrees" else "lengths"
-            raise self.table.error(
-                k,
-                message.format(values[k])
-                + f" Then add --{name} {self.kind}={unit}; if not, add --{name} {self.kind}={own}",
-            )
+    def refuse(self, role: str, values: Array, limit: float, message: str, measure: str = "") -> None:
+        """Raise an error for the first value beyond a limit, which is probably in another unit, unless that is stated.
+
+        ``measure`` is that of the role, if none is given.
+        """
+        if not self.stated(role) and (k := first(np.abs(values) > limit)) is not None:
+            measure = measure or MEASURES[role]
+            likely, own = {"angles": "degrees", "lengths": "mm"}[measure], UNITS_OF[measure][0]
+            advice = f"Then add --{measure} {self.kind}={likely}; if not, add --{measure} {self.kind}={own}"
+            raise self.table.error(k, f"{message.format(values[k])} {advice}")
+
+    def refuse_many(self, role: str, values: Array, limit: float, message: str, measure: str = "") -> None:
+        """`refuse` values of which more than one in twenty is above what robots reach; single ones may be outliers."""
+        if len(values) and np.quantile(values, 0.95) > limit:
+            self.refuse(role, values, limit, message, measure)
 
 
 def odometry_of(table: Table, options: TableOptions) -> Timed:
@@ -287,13 +299,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         doubts += sideways
     else:
         speed, turn = np.abs(rows).T
-        if np.quantile(speed, 0.95) > FASTEST:
-            reader.refuse("nu", speed, speed > FASTEST, "the speed is {:g} m/s: is it in mm/s?", "mm/m")
-        if np.quantile(turn, 0.95) > QUICKEST:
-            reader.refuse(
-                "omega", turn, turn > QUICKEST, "the turn rate is {:g} rad/s: is it in degrees per second?",
-                "degrees/radians",
-            )  # fmt: skip
+        reader.refuse_many("nu", speed, FASTEST, "the speed is {:g} m/s: is it in mm/s?")
+        reader.refuse_many("omega", turn, QUICKEST, "the turn rate is {:g} rad/s: is it in degrees per second?")
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 
@@ -304,15 +311,10 @@ def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.n
     poses, ns = poses[last], ns[last]
     dt = np.diff(ns) / 1e9
     controls, sideways = controls_between(poses, dt)
-    turns = np.abs(controls[:-1, 1])
-    if len(turns) and np.quantile(turns, 0.95) > QUICKEST:
-        reader.refuse(
-            "theta" if reader.has("theta") else "x", turns, turns > QUICKEST,
-            "the headings turn by {:g} rad/s: are they in degrees?", "degrees/radians",
-        )  # fmt: skip
-    speed = np.abs(controls[:-1, 0])
-    if len(speed) and np.quantile(speed, 0.95) > FASTEST:
-        reader.refuse("x", speed, speed > FASTEST, "the poses move by {:g} m/s: are they in mm?", "mm/m")
+    speed, turn = np.abs(controls[:-1]).T
+    heading = "theta" if reader.has("theta") else "x"
+    reader.refuse_many(heading, turn, QUICKEST, "the headings turn by {:g} rad/s: are they in degrees?", "angles")
+    reader.refuse_many("x", speed, FASTEST, "the poses move by {:g} m/s: are they in mm?")
     doubts: tuple[Doubt, ...] = ()
     if sideways > _SIDEWAYS:
         message = (
@@ -333,16 +335,17 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     """
     reader = Reader("sightings", table, options)
     reader.need("t")
-    third = ("x", "z") if options.axes == "optical" else ("x", "y")
+    plane = ("x", "z") if options.axes == "optical" else ("x", "y")
     cartesian = reader.has("x", "y") and not reader.has("range")
-    measured = third if cartesian else ("range", "bearing")
+    measured = plane if cartesian else ("range", "bearing")
     # ids before range and bearing: columns in another order show first there
     table = reader.leave_out("id", *measured, "orientation")
     ns = reader.times()
     found = _ids(reader)
     single = reader.single_number()
     if cartesian:
-        rows = _polar(reader.numbers(*third), options.axes)
+        turn = AXES[options.axes][:2, ["xyz".index(axis) for axis in plane]]
+        rows = _polar(reader.numbers(*plane) @ turn.T)
     elif single:
         rows = np.full((len(table), 2), np.nan)
         rows[:, ("range", "bearing").index(single)] = reader.numbers(single)[:, 0]
@@ -353,18 +356,12 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         reader.need("range", "bearing", instead=instead)
         rows = reader.numbers("range", "bearing", finite=reader.has("orientation"))
     if reader.has("bearing"):
-        reader.refuse(
-            "bearing", rows[:, 1], np.abs(rows[:, 1]) > 2 * np.pi + 1e-6,
-            "the bearing is {:g} rad, beyond 2 pi: is it in degrees?", "degrees/radians",
-        )  # fmt: skip
+        reader.refuse("bearing", rows[:, 1], MOST_TURN, "the bearing is {:g} rad, beyond 2 pi: is it in degrees?")
     if np.nanmedian([*rows[:, 0], 0.0]) > FARTHEST:
         role = "range" if reader.has("range") else "x"
-        reader.refuse(role, rows[:, 0], rows[:, 0] > FARTHEST, "the range is {:g} m: is it in mm?", "mm/m")
+        reader.refuse(role, rows[:, 0], FARTHEST, "the range is {:g} m: is it in mm?")
     sign = -1.0 if options.bearings == "clockwise" else 1.0
-    if sign < 0:
-        rows[:, 1] *= -1
-    if options.sensor_yaw:
-        rows[:, 1] += options.sensor_yaw
+    rows[:, 1] = sign * rows[:, 1] + (options.sensor_yaw or 0.0)
     if reader.has("orientation"):
         rows = np.column_stack([rows, sign * reader.numbers("orientation")])
     if options.centre == "robot" and any(options.sensor_offset or ()):
@@ -374,7 +371,8 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
                 "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset: give it as "
                 "the sensor measured it, with --centre sensor",
             )
-        rows[:, :2] = _moved(rows[:, :2], np.array(options.sensor_offset))
+        from_centre = rows[:, :1] * np.column_stack([np.cos(rows[:, 1]), np.sin(rows[:, 1])])
+        rows[:, :2] = _polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))
     ns, order, more = ordered(reader, ns)
     ids, rows = found.numbers[order], rows[order]
     doubts = repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
@@ -385,21 +383,10 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
 
 
-def _polar(places: Array, axes: str) -> Array:
-    """Range and bearing (N, 2) of places (N, 2) in the given axes."""
-    x, y = places.T
-    forward, left = {
-        "forward-left": (x, y), "forward-right": (x, -y), "right-forward": (y, -x), "left-forward": (y, x),
-        "optical": (y, -x),
-    }[axes]  # fmt: skip
+def _polar(places: Array) -> Array:
+    """Range and bearing (N, 2) of places (N, 2), forward and left."""
+    forward, left = places.T
     return np.column_stack([np.hypot(forward, left), np.arctan2(left, forward)])
-
-
-def _moved(rows: Array, offset: Array) -> Array:
-    """Range and bearing (N, 2) from the robot's centre, as from a sensor at an offset."""
-    x = rows[:, 0] * np.cos(rows[:, 1]) - offset[0]
-    y = rows[:, 0] * np.sin(rows[:, 1]) - offset[1]
-    return np.column_stack([np.hypot(x, y), np.arctan2(y, x)])
 
 
 def _ids(reader: Reader) -> Ids:
@@ -427,10 +414,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     if not known.all():
         notes = (f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out",)
     if rows.shape[1] == 3 and not reader.has("qz"):
-        reader.refuse(
-            "theta", rows[:, 2], np.abs(rows[:, 2]) > 8 * np.pi, "the heading is {:g} rad: is it in degrees?",
-            "degrees/radians",
-        )  # fmt: skip
+        reader.refuse("theta", rows[:, 2], MOST_TURNS, "the heading is {:g} rad: is it in degrees?")
     kept = np.flatnonzero(known)
     ns, order, more = ordered(reader, ns[kept], kept)
     rows = rows[kept][order]

@@ -18,7 +18,7 @@ from ..errors.checks import check_known, check_type, checked_offset, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
 from .cells import Doubt, seconds
-from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
+from .drive import MOST_TURN, MOST_TURNS, Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
 from .rows import ReadOptions, TableOptions
@@ -55,8 +55,6 @@ def datum_note(datum: Array, source: str) -> str:
     )
 
 
-#: relations by which the robot turns more are refused unless the unit is stated [rad]
-MOST_TURN = 2 * np.pi + 1e-6
 #: the coordinates of the noise
 _AXES = ("x", "y", "theta")
 
@@ -78,10 +76,7 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
             k, f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it needs two different times"
         )
     motions = reader.numbers("dx", "dy", "dtheta")
-    reader.refuse(
-        "dtheta", motions[:, 2], np.abs(motions[:, 2]) > MOST_TURN,
-        "the turn is {:g} rad, beyond 2 pi: is it in degrees?", "degrees/radians",
-    )  # fmt: skip
+    reader.refuse("dtheta", motions[:, 2], MOST_TURN, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
     rows = np.column_stack([motions, _noise(reader, np.ones(len(ns), dtype=bool)).reshape(-1, 9)])
     order = np.argsort(ns, kind="stable")
     return Timed(table, ns[order], rows[order], reader.described(), ends=ends[order])
@@ -119,10 +114,7 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     if reader.has("theta"):
         # an empty cell: the heading is not known there
         places[:, 2:] = reader.numbers("theta", finite=False)
-        turned = np.nan_to_num(places[:, 2])
-        reader.refuse(
-            "theta", turned, np.abs(turned) > 8 * np.pi, "the heading is {:g} rad: is it in degrees?", "degrees/radians"
-        )
+        reader.refuse("theta", places[:, 2], MOST_TURNS, "the heading is {:g} rad: is it in degrees?")
     covariances = _noise(reader, np.isfinite(places[:, 2]))
     levers = np.zeros((len(ns), 2))
     for column, role in enumerate(("lever_x", "lever_y")):
@@ -138,17 +130,14 @@ def _noise(reader: Reader, oriented: np.ndarray) -> Array:
     d, covariances = 3 if oriented.any() else 2, np.zeros((len(oriented), 3, 3))
     if reader.has("cov_xx"):
         reader.need("cov_xx", "cov_yy", *(("cov_thetatheta",) if d == 3 else ()))
-        entries = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-        for role, (i, j) in zip(COVARIANCES, entries):
+        for role, i, j in zip(COVARIANCES, *np.triu_indices(3)):
             if reader.has(role) and j < d:
-                covariances[:, i, j] = covariances[:, j, i] = reader.numbers(role, finite=j < 2)[:, 0]
+                covariances[:, i, j] = covariances[:, j, i] = reader.numbers(role, finite=bool(j < 2))[:, 0]
     else:
-        if reader.has("sigma") and not reader.has("sigma_x"):
-            both = reader.numbers("sigma")
-            deviations = np.column_stack([both, both])
-        else:
-            reader.need("sigma_x", "sigma_y", instead=", and none for cov_xx, cov_yy instead of standard deviations")
-            deviations = reader.numbers("sigma_x", "sigma_y")
+        one = reader.has("sigma") and not reader.has("sigma_x")
+        roles = ("sigma", "sigma") if one else ("sigma_x", "sigma_y")
+        reader.need(*roles, instead=", and none for cov_xx, cov_yy instead of standard deviations")
+        deviations = reader.numbers(*roles)
         if d == 3:
             deviations = np.column_stack([deviations, reader.numbers("sigma_theta", finite=False)])
         for axis, column in enumerate(deviations.T):
@@ -192,9 +181,8 @@ class Drive:
     @property
     def streams(self) -> dict[str, Timed]:
         """The streams by the name of their table."""
-        names = ("odometry", "sightings", "truth", "relations", "positions")
-        named: dict[str, Timed | None] = {name: getattr(self, name) for name in names}
-        return {name: stream for name, stream in named.items() if stream is not None}
+        names = ("odometry", "sightings", *READERS)
+        return {name: stream for name in names if (stream := getattr(self, name)) is not None}
 
     def _covered(self) -> list[Doubt]:
         """A doubt where the sightings cover little of the odometry."""
@@ -205,30 +193,24 @@ class Drive:
         message = f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"
         return [("covered", message)]
 
-    def _measured(self, origin: int) -> dict[str, Any]:
-        """The streams but for the sightings' ids as `synchronize` takes them, with times from ``origin`` [ns] on."""
-        found = {}
-        for kind, stream in self.streams.items():
-            rows = stream.rows
-            if stream.ends is not None:
-                rows = np.column_stack([seconds(stream.ends, origin), rows])
-            found[kind] = Stream(seconds(stream.times, origin), rows)
-        return found
-
     def log(self, reading: ReadOptions, name: str) -> Log:
         """The log of this drive.
 
         Raises:
             LogError: the clocks do not overlap, or the streams cannot be joined.
         """
+        origin, streams = int(self.odometry.times[0]), dict[str, Any]()
         for kind, stream in self.streams.items():
             if kind != "odometry":
                 check_overlap(self.odometry, stream, kind)
-        origin = int(self.odometry.times[0])
+            rows = stream.rows
+            if stream.ends is not None:
+                rows = np.column_stack([seconds(stream.ends, origin), rows])
+            streams[kind] = Stream(seconds(stream.times, origin), rows)
         remarks = [note for stream in self.streams.values() for note in (*stream.table.notes, *stream.notes)]
         doubts = self._covered() + [doubt for stream in self.streams.values() for doubt in stream.doubts]
         return synchronize(
-            **self._measured(origin),
+            **streams,
             landmarks=self.sightings.ids,
             options=reading,
             truth_offset=(0.0, 0.0) if self.truth_offset is None else checked_offset("truth_offset", self.truth_offset),
@@ -243,12 +225,7 @@ class Drive:
 
 
 def read_drive(
-    odometry: Any,
-    sightings: Any,
-    *,
-    options: TableOptions | None = None,
-    map: Any = None,
-    **others: Any,
+    odometry: Any, sightings: Any, *, options: TableOptions | None = None, map: Any = None, **others: Any
 ) -> Drive:
     """Read the tables of a drive; the arguments are those of `Log.from_tables`.
 
@@ -259,7 +236,7 @@ def read_drive(
     moved = odometry_of(table_of(odometry, "odometry"), options)
     seen = sightings_of(table_of(sightings, "sightings"), options)
     read: dict[str, Any] = {
-        kind: _READERS[kind](table_of(table, kind), options) for kind, table in others.items() if table is not None
+        kind: READERS[kind](table_of(table, kind), options) for kind, table in others.items() if table is not None
     }
     landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
     return Drive(
@@ -267,7 +244,8 @@ def read_drive(
     )
 
 
-_READERS = {"truth": truth_of, "relations": relations_of, "positions": positions_of}
+#: the readers of tables that a drive need not have
+READERS = {"truth": truth_of, "relations": relations_of, "positions": positions_of}
 
 
 def from_tables(
@@ -352,12 +330,8 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
     else:
         cause = "they are of different drives, or one clock was not set"
     text = f"{offset:.3f}".rstrip("0").rstrip(".")
-    names = [
-        f"{_name(stream)} ({_interval(*ends)})" for stream, ends in ((odometry, (begin, end)), (other, (first, last)))
-    ]
-    raise LogError(
-        f"the clocks of {' and '.join(names)} do not overlap: {cause}; --clocks {kind}={text} lets both begin together"
-    )
+    names = f"{_name(odometry)} ({_interval(begin, end)}) and {_name(other)} ({_interval(first, last)})"
+    raise LogError(f"the clocks of {names} do not overlap: {cause}; --clocks {kind}={text} lets both begin together")
 
 
 def _name(stream: Timed) -> str:
@@ -399,13 +373,8 @@ def end_to_end(first: Log, second: Log) -> Log:
         return np.concatenate([np.full((n, 3), np.nan) if each is None else each for each, n in zip(rows, sizes)])
 
     recorded = [each.dt if each.recorded_dt is None else each.recorded_dt for each in (a, b)]
-    truth = with_unknown("true_poses", (poses, b.num_poses))
-    known = [each for each in (a, b) if each.true_poses is not None]
-    path = (
-        with_unknown("true_path", (pieces, len(b.controls) + 1))
-        if all(e.true_path is not None for e in known)
-        else None
-    )
+    # where one of them has true poses and no path, there is none of both
+    has_path = all(each.true_path is not None for each in (a, b) if each.true_poses is not None)
     return a.replace(
         dt=np.concatenate([a.dt, [1.0], b.dt]),
         controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
@@ -417,19 +386,13 @@ def end_to_end(first: Log, second: Log) -> Log:
         sightings=both("sightings"),
         classes=both("classes"),
         initial_poses=both("initial_poses"),
-        true_poses=truth,
-        true_path=path,
+        true_poses=with_unknown("true_poses", (poses, b.num_poses)),
+        true_path=with_unknown("true_path", (pieces, len(b.controls) + 1)) if has_path else None,
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
         **{name: _shifted(getattr(a, name), getattr(b, name), poses) for name in MEASURED},
         notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
         doubts=(*a.doubts, *b.doubts),
-        sessions=(
-            *(a.sessions or (Session(a.name, 0, a.start_time),)),
-            *(
-                replace(each, start=poses + each.start)
-                for each in b.sessions or (Session(b.name, 0, b.start_time),)
-            ),
-        ),
+        sessions=(*_sessions(a), *(replace(each, start=poses + each.start) for each in _sessions(b))),
         name=f"{a.sessions[0].name} and {len(a.sessions)} more" if a.sessions else f"{a.name} and {b.name}",
     )  # fmt: skip
 
@@ -442,6 +405,10 @@ def joined_rows(first: Measured | None, second: Measured | None) -> Measured | N
     return replace(second, **rows)  # type: ignore[arg-type]
 
 
+def _sessions(log: Log) -> tuple[Session, ...]:
+    return log.sessions or (Session(log.name, 0, log.start_time),)
+
+
 def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
     """Remarks about a log, with its name; those about logs that were joined have it already."""
     yield from remarks if log.sessions else (f"{log.name}: {remark}" for remark in remarks)
@@ -450,5 +417,5 @@ def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
 def _shifted(first: Measured | None, second: Measured | None, poses: int) -> Measured | None:
     """The measurements of two logs, the steps of the second counted from ``poses`` on."""
     if second is not None:
-        second = second.moved({end: getattr(second, end) + poses for end in second.ENDS})
+        second = second.moved(lambda steps: steps + poses)
     return joined_rows(first, second)

@@ -33,7 +33,7 @@ from .measurements import (
     same,
     whole_numbers,
 )
-from .rows import NO_CLASS, NO_ID, UNIDENTIFIED
+from .rows import NO_CLASS, NO_ID, UNIDENTIFIED, without_no_id
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -213,11 +213,8 @@ class Log:
             raise LogError(
                 f"sighting {k + 1} runs backwards, from step {steps[k]} to {steps[k + 1]}: sort sightings by step"
             )
-        if np.any(none := landmarks == NO_ID):
-            landmarks[none] = UNIDENTIFIED
-            have = "sighting has" if none.sum() == 1 else "sightings have"
-            notes = (*self.notes, f"{none.sum():,} of {len(none):,} {have} the id -1, taken as no id")
-            object.__setattr__(self, "notes", notes)
+        if note := without_no_id(landmarks, "sighting"):
+            object.__setattr__(self, "notes", (*self.notes, *note))
         classes = None if self.classes is None else checked_classes(self.classes, len(sightings))
         return {"steps": steps, "landmarks": landmarks, "sightings": sightings, "classes": classes}
 
@@ -357,9 +354,8 @@ class Log:
         for drive in self.drives:
             ends = self.control_starts[drive]
             rows = slice(ends[0], ends[-1])
-            drives.append(
-                motion.dead_reckoning(self.initial_poses[drive.start], controls[rows], dt[rows])[ends - ends[0]]
-            )
+            poses = motion.dead_reckoning(self.initial_poses[drive.start], controls[rows], dt[rows])
+            drives.append(poses[ends - ends[0]])
         return np.concatenate(drives)
 
     def motions(self, motion: MotionModel | None = None) -> tuple[Array, Array]:

@@ -8,8 +8,8 @@ The arguments of a `Log` as arrays: shapes, types and impossible values are refu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -172,11 +172,11 @@ class _Records:
     def within(self, steps: np.ndarray) -> Self:
         """The rows whose steps are all among increasing ``steps``, with the places of these in them as new steps."""
         kept = self.among(np.all([np.isin(getattr(self, end), steps) for end in self.ENDS], axis=0))
-        return kept.moved({end: np.searchsorted(steps, getattr(kept, end)) for end in self.ENDS})
+        return kept.moved(lambda own: np.searchsorted(steps, own))
 
-    def moved(self, ends: dict[str, np.ndarray]) -> Self:
-        """The same with other steps."""
-        return type(self)(**{f.name: ends.get(f.name, getattr(self, f.name)) for f in fields(self)})  # type: ignore[arg-type]
+    def moved(self, step: Callable[[np.ndarray], np.ndarray]) -> Self:
+        """The same with other steps, a function of its own."""
+        return replace(self, **{end: step(getattr(self, end)) for end in self.ENDS})  # type: ignore[type-var]
 
     def equals(self, other: object) -> bool:
         """Whether the other holds exactly the same numbers."""
@@ -283,22 +283,19 @@ class AbsolutePositions(_Records):
         d = 3 if shape[-1:] == (3,) else 2
         if measured.any() and d == 2:
             raise LogError("positions with headings need covariances (N, 3, 3), of x, y and heading")
-        all_of_them = (
-            np.broadcast_to(_one_for_all(self.covariances, count), (count, d, d)) if shape[-2:] == (d, d) else None
-        )
-        if all_of_them is None or shape[:-2] not in ((), (count,)):
+        if shape not in ((d, d), (count, d, d)):
             raise LogError(
                 f"the covariances of positions must have shape ({count}, 2, 2) or ({count}, 3, 3), not {shape}"
             )
+        all_of_them = np.broadcast_to(self.covariances, (count, d, d))
         for rows, size in ((np.flatnonzero(~measured), 2), (np.flatnonzero(measured), 3)):
             if len(rows):
                 covariances[rows, :size, :size] = checked_covariances(
                     "positions", all_of_them[rows, :size, :size], len(rows), size, rows
                 )
         levers = _floats("the levers of positions", self.levers)
-        levers = finite_floats(
-            "the levers of positions", np.tile(levers, (count, 1)) if levers.shape == (2,) else levers, (count, 2)
-        )
+        one = levers.shape == (2,)
+        levers = finite_floats("the levers of positions", np.tile(levers, (count, 1)) if one else levers, (count, 2))
         self._set(steps=steps, places=places, covariances=covariances, levers=levers)
 
     @property
@@ -337,10 +334,8 @@ class PartialSightings(_Records):
         if ranges.shape != (count,) or bearings.shape != (count,):
             raise LogError(f"ranges and bearings must have shape (K,), not {ranges.shape} and {bearings.shape}")
         if (k := first(np.isnan(ranges) == np.isnan(bearings))) is not None:
-            which = (
-                "neither range nor bearing" if np.isnan(ranges[k]) else "both range and bearing: it is a whole sighting"
-            )
-            raise LogError(f"partial sighting {k} has {which}")
+            neither, both = "neither range nor bearing", "both range and bearing: it is a whole sighting"
+            raise LogError(f"partial sighting {k} has {neither if np.isnan(ranges[k]) else both}")
         measured = ~np.isnan(ranges)
         if (k := first(measured & ~((ranges > 0) & (ranges < np.inf)))) is not None:
             raise LogError(f"partial sighting {k} has range {ranges[k]:g} m; a range must be finite and above zero")
@@ -408,14 +403,8 @@ MEASURED: dict[str, type[Measured]] = {
 def checked_steps(steps: ArrayLike, poses: int) -> np.ndarray:
     """Increasing steps (K,) int64 of a log with so many poses, or a `LogError`."""
     kept = array_of("steps", steps)
-    if (
-        kept.ndim != 1
-        or len(kept) == 0
-        or np.any(kept % 1)
-        or np.any(np.diff(kept) <= 0)
-        or kept[0] < 0
-        or kept[-1] >= poses
-    ):
+    increasing = kept.ndim == 1 and len(kept) > 0 and not np.any(kept % 1) and np.all(np.diff(kept) > 0)
+    if not increasing or kept[0] < 0 or kept[-1] >= poses:
         raise LogError(f"steps to keep must increase and lie between 0 and {poses - 1}")
     return kept.astype(np.int64)
 

@@ -37,13 +37,13 @@ def robot_class(number: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """Options of `load`. The metadata "needs" names the property of a `io.base.Format` that an option requires.
+    """Options of `load`.
 
     Raises:
         OptionError: an option has an impossible value.
     """
 
-    robot: int | None = option(None, "The robot of a data set that has several.", minimum=0, needs="several_robots")
+    robot: int | None = option(None, "The robot of a data set that has several.", minimum=0)
     keep_every: float | None = option(
         None, "Also keep a pose at least once in this time, even where nothing was seen.", "s", positive=True,
         default_text="poses only where something was seen",
@@ -55,6 +55,15 @@ class ReadOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
+
+
+def without_no_id(ids: np.ndarray, noun: str) -> tuple[str, ...]:
+    """Replace the ids `NO_ID` of an array by `UNIDENTIFIED`; a note on them, which calls the rows a ``noun``."""
+    none = ids == NO_ID
+    if not (count := np.count_nonzero(none)):
+        return ()
+    ids[none] = UNIDENTIFIED
+    return (f"{count:,} of {len(ids):,} {noun}{' has' if count == 1 else 's have'} the id -1, taken as no id",)
 
 
 @dataclass(frozen=True)
@@ -101,16 +110,12 @@ def sound_rows(
         if not (count := int(np.count_nonzero(new))):
             continue
         first = int(np.argmax(new))
-        message, share = (
-            fault.message(first),
-            f"{count:,} of {total:,} {noun} {'has' if count == 1 else 'have'} {fault.what}",
-        )
+        share = f"{count:,} of {total:,} {noun} {'has' if count == 1 else 'have'} {fault.what}"
         if strict or total - np.count_nonzero(kept & ~new) > MOST_LEFT_OUT * total:
             also = f"; {share}" if count > 1 else ""
-            raise error(first, message + also)
+            raise error(first, fault.message(first) + also)
         kept &= ~new
-        failed = error(first, "")
-        line = getattr(failed, "line", None)
+        line = getattr(error(first, ""), "line", None)
         place = f"row {first + 1}" if line is None else f"line {line}"
         place = place if count == 1 else f"the first in {place}"
         notes.append(f"{source}: {share}: left out ({place})" if source else f"{share}: left out ({place})")
@@ -152,7 +157,16 @@ TABLES = {
 #: metres and radians of each unit
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ANGLES = {"radians": 1.0, "degrees": 3.141592653589793 / 180}
-_CHOICES = {"time": ("s", "ms", "us", "ns"), "angles": tuple(ANGLES), "lengths": tuple(LENGTHS)}
+#: what columns measure, by the name of the option that states their unit: the units, that of a log first
+UNITS_OF = {"time": ("s", "ms", "us", "ns"), "angles": tuple(ANGLES), "lengths": tuple(LENGTHS)}
+#: from the axes of a sensor to forward, left, up
+AXES = {
+    "forward-left": np.eye(3),
+    "forward-right": np.diag([1.0, -1.0, -1.0]),
+    "right-forward": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    "left-forward": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]),
+    "optical": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
+}
 #: the most that a clock is set forward or back, 146 years: nanoseconds and their sums fit into 64 bits
 _MOST_SECONDS = 2**62 / 1e9
 _PER_TABLE = "; one for all tables, or for each: odometry=..,sightings=.."
@@ -188,7 +202,7 @@ class TableOptions:
     )  # fmt: skip
     axes: str = option(
         "forward-left", "Directions of x and y of Cartesian sightings; optical is x right, z forward",
-        choices=("forward-left", "forward-right", "right-forward", "left-forward", "optical"),
+        choices=tuple(AXES),
     )  # fmt: skip
     centre: str = option(
         "sensor", "Where range and bearing, or x and y, of sightings are measured from", choices=("sensor", "robot")
@@ -215,7 +229,7 @@ class TableOptions:
     )
 
     def __post_init__(self) -> None:
-        for name, choices in _CHOICES.items():
+        for name, choices in UNITS_OF.items():
             for unit in self.by_table(name).values():
                 check_choice(name, unit, choices)
         for f in fields(self):
@@ -260,41 +274,23 @@ class TableOptions:
     def by_table(self, name: str) -> dict[str, Any]:
         """The option "time", "angles", "lengths" or "clocks" as {table: value}; "" stands for all tables."""
         value: Any = getattr(self, name)
-        if value is None:
-            return {}
-        if isinstance(value, Mapping):
-            entries = dict(value)
-        elif not isinstance(value, str):
-            raise OptionError(f"{name} must be text or a mapping, not {quoted(value)}")
-        elif "=" not in value:
-            entries = {"": value}
-        else:
-            entries = _entries(name, value)
+        entries = {"": value} if isinstance(value, str) and "=" not in value else _entries(name, value)
         for table in entries:
             check_table(name, table, ("", *TABLES) if name != "clocks" else TABLES)
         return entries
 
     def _columns(self) -> dict[str, dict[str, str | int]]:
-        value: Any = self.columns
-        if isinstance(value, Mapping):
-            entries = {}
-            for table, columns in value.items():
-                if not isinstance(columns, Mapping):
-                    raise OptionError(
-                        f"columns: {quoted(table)} should be a mapping {{what: column}}, not {quoted(columns)}"
-                    )
-                entries[table] = dict(columns)
-        elif not isinstance(value, str | None):
-            raise OptionError(f"columns must be text or a mapping, not {quoted(value)}")
-        else:
-            entries = {}
-            for key, column in _entries("columns", value or "").items():
-                table, dot, role = key.partition(".")
-                if not dot:
-                    raise OptionError(
-                        f"columns: {quoted(key)} should name a table, too, such as odometry.{key}={column}"
-                    )
-                entries.setdefault(table, {})[role] = column
+        entries: dict[str, dict[str, str | int]] = {}
+        for key, value in _entries("columns", self.columns).items():
+            table, dot, role = key.partition(".") if isinstance(self.columns, str) else (key, "", "")
+            if dot:
+                entries.setdefault(table, {})[role] = value
+            elif isinstance(value, Mapping):
+                entries[table] = dict(value)
+            elif isinstance(self.columns, str):
+                raise OptionError(f"columns: {quoted(key)} should name a table, too, such as odometry.{key}={value}")
+            else:
+                raise OptionError(f"columns: {quoted(key)} should be a mapping {{what: column}}, not {quoted(value)}")
         for table, columns in entries.items():
             check_table("columns", table, TABLES)
             for role, column in columns.items():
@@ -314,12 +310,16 @@ def check_table(option: str, table: str, known: Collection[str] = tuple(TABLES))
         )
 
 
-def _entries(option: str, text: str) -> dict[str, str]:
-    """{"a": "1", "b": "2"} of "a=1,b=2"."""
+def _entries(option: str, value: Any) -> dict[str, Any]:
+    """{"a": "1", "b": "2"} of "a=1,b=2", or a copy of a mapping; empty for None."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    if not isinstance(value, str | None):
+        raise OptionError(f"{option} must be text or a mapping, not {quoted(value)}")
     entries = {}
-    for part in filter(None, (part.strip() for part in text.split(","))):
-        key, equals, value = part.partition("=")
-        if not equals or not value.strip():
+    for part in filter(None, (part.strip() for part in (value or "").split(","))):
+        key, equals, text = part.partition("=")
+        if not equals or not text.strip():
             raise OptionError(f"{option}: {quoted(part)} should be NAME=VALUE")
-        entries[key.strip()] = value.strip()
+        entries[key.strip()] = text.strip()
     return entries

@@ -9,7 +9,7 @@ accumulated exactly.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -130,22 +130,19 @@ def bridge(
     share = np.where(bridged, silence / lasting, 0.0)
     speed, turn_rate = np.sqrt(np.mean(recorded**2, axis=0))
     turn_rate = np.minimum(turn_rate, np.pi / silence)
-    variances = (
-        share[:, None] * np.column_stack([np.full(len(share), speed), turn_rate, np.full(len(share), speed)]) ** 2
-    )
+    way = np.full(len(share), speed)
+    variances = share[:, None] * np.column_stack([way, turn_rate, way]) ** 2
     left = FADING / lasting * (np.exp(-begin / FADING) - np.exp(-(begin + lasting) / FADING))
     return controls * np.where(bridged, left, 1.0)[:, None], variances
 
 
 def gap_note(gaps: list[float]) -> str:
     """The note about bridged gaps [s]."""
-    return f"{_lengths(gaps)}: bridged, with the noise of a robot that moved and turned at will at its usual speeds"
-
-
-def _lengths(gaps: list[float]) -> str:
-    shortest, longest = decimals(min(gaps), 1), decimals(max(gaps), 1)
-    lengths = longest if shortest == longest else f"{shortest} to {longest}"
-    return f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of {lengths} s in the odometry"
+    lengths = " to ".join(dict.fromkeys((decimals(min(gaps), 1), decimals(max(gaps), 1))))
+    return (
+        f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of {lengths} s in the odometry: bridged, with the noise of a robot "
+        "that moved and turned at will at its usual speeds"
+    )
 
 
 def truth_at(times: Array, truth: Stream) -> Array:
@@ -182,19 +179,26 @@ def poses_at(times: Array, at: Array, poses: Array, longest: float, same: float 
     return found
 
 
-def pieces_of(durations: Array, most: float) -> np.ndarray:
-    """Into how many pieces each duration (N,) [s] is divided, so that no piece lasts longer than ``most``.
+def filled(times: Array, most: float, whole: Sequence[int] = ()) -> Array:
+    """Increasing times (N,) [s] with others inserted, so that neighbours are at most ``most`` apart.
+
+    Args:
+        whole: intervals in which nothing is inserted, by the number of the time that begins them.
 
     Raises:
         OptionError: there would be more than `MOST_POSES`.
     """
+    durations = np.diff(times)
     with np.errstate(over="ignore"):
         pieces = np.maximum(1.0, np.ceil(durations / most - 1e-9))
     if pieces.sum() - len(pieces) > MOST_POSES:
         raise OptionError(
             f"keep_every = {most:g} s would make {pieces.sum():.3g} poses, more than {MOST_POSES:,}; choose a longer time"
         )
-    return pieces.astype(np.int64)
+    pieces[[*whole]] = 1
+    of = np.repeat(np.arange(len(pieces)), pieces.astype(np.int64))
+    part = np.arange(len(of)) - (np.cumsum(pieces) - pieces)[of]
+    return np.append(times[of] + part * (durations / pieces)[of], times[-1])
 
 
 #: a note tells where more than this part of the time of the odometry has no pose, because nothing was seen
@@ -252,47 +256,41 @@ def synchronize(
         truth = in_order("truth", truth, remarks)[0]
     if len(odometry) < 2:
         raise LogError(f"the odometry has {len(odometry)} rows, but motion takes two")
-    inside = (sightings.times >= odometry.times[0]) & (sightings.times <= odometry.times[-1])
-    if not inside.any():
-        raise LogError("no landmark is seen while there is odometry, so the log would have no pose")
-    if not inside.all():
-        remarks.append(f"{np.sum(~inside)} of {len(inside)} sightings are from before or after the odometry: left out")
+    inside = _inside("sightings", odometry, remarks, sightings.times)
     seen = sightings.times[inside]
-    measured = {
-        what: _inside(what, stream, odometry, remarks)
-        for what, stream in (("relations", relations), ("positions", positions))
-        if stream is not None
-    }
-    others = [each.times for each in measured.values()] + [
-        each.rows[:, 0] for what, each in measured.items() if what == "relations"
-    ]
+    measured: dict[str, Stream] = {}
+    if relations is not None:
+        kept = _inside("relations", odometry, remarks, relations.times, relations.rows[:, 0])
+        measured["relations"] = Stream(relations.times[kept], relations.rows[kept])
+    if positions is not None:
+        kept = _inside("positions", odometry, remarks, positions.times)
+        measured["positions"] = Stream(positions.times[kept], positions.rows[kept])
+    others = [each.times for each in measured.values()]
+    if relations is not None:
+        others.append(measured["relations"].rows[:, 0])
     times = distinct(np.sort(np.concatenate([seen, *others]), kind="stable"))
     if options is not None and options.keep_every is not None:
-        times = _filled(times, options.keep_every)
+        times = filled(times, options.keep_every)
     controls, dt, recorded_dt, starts, variances, gaps = divide(odometry, times)
     if gaps:
         remarks.append(gap_note(gaps))
         warnings.warn(f"{name}: {remarks[-1]}", UserWarning, stacklevel=3)
     before, after = times[0] - odometry.times[0], odometry.times[-1] - times[-1]
     if before + after > UNUSED * (odometry.times[-1] - odometry.times[0]):
-        what = "measurement" if others else "sighting"
+        what, how = ("measurement", "measured") if others else ("sighting", "seen")
         ends = ((before, f"before the first {what}"), (after, f"after the last {what}"))
         unseen = " and ".join(f"{decimals(lasting, 1)} s {where}" for lasting, where in ends if lasting > 0)
-        remarks.append(
-            f"the odometry of {unseen} is left out: poses are where something was {'measured' if others else 'seen'}"
-        )
-    true_poses = None if truth is None else truth_at(times, truth)
-    if truth is not None and true_poses is not None:
-        covered = np.isfinite(true_poses[:, 0])
-        if not covered.any():
-            true_poses = None
-            remarks.append("the truth covers no pose" + _why_not_covered(times, truth))
-        elif not covered.all():
-            remarks.append(f"the truth covers {covered.sum()} of {len(covered)} poses")
-    true_path = None
-    if true_poses is not None and truth is not None:
-        true_path = truth_at(times[0] + np.concatenate([[0.0], np.cumsum(dt)]), truth)
-        true_path[starts] = true_poses
+        remarks.append(f"the odometry of {unseen} is left out: poses are where something was {how}")
+    true_poses = true_path = None
+    if truth is not None:
+        at_poses = truth_at(times, truth)
+        covered = np.isfinite(at_poses[:, 0])
+        if covered.any():
+            true_poses, true_path = at_poses, truth_at(times[0] + np.concatenate([[0.0], np.cumsum(dt)]), truth)
+            true_path[starts] = true_poses
+        if not covered.all():
+            few = f"{covered.sum()} of {len(covered)} poses" if covered.any() else "no pose" + _why_none(times, truth)
+            remarks.append(f"the truth covers {few}")
     if start is None:
         start = np.zeros(3)
         if true_poses is not None and not np.isnan(true_poses[0]).any():
@@ -303,10 +301,9 @@ def synchronize(
     if (alone := np.isnan(rows[:, :2]).any(axis=1)).any():
         have = "has" if np.sum(alone) == 1 else "have"
         remarks.append(f"{np.sum(alone)} of {len(alone)} sightings {have} a range or a bearing alone")
-        measured_alone = PartialSightings(
+        models["partial_sightings"] = PartialSightings(
             steps=steps[alone], landmarks=ids[alone], ranges=rows[alone, 0], bearings=rows[alone, 1]
         )
-        models["partial_sightings"] = measured_alone
         steps, ids, rows = steps[~alone], ids[~alone], rows[~alone]
         classes = None if classes is None else classes[~alone]
     return Log(
@@ -319,8 +316,7 @@ def synchronize(
         landmarks=ids,
         sightings=rows,
         classes=classes,
-        relations=_relations(measured.get("relations"), times),
-        positions=_positions(measured.get("positions"), times),
+        **{what: _READERS[what](stream, times) for what, stream in measured.items()},
         initial_poses=MotionModel().dead_reckoning(start, controls, dt)[starts],
         true_poses=true_poses,
         true_path=true_path,
@@ -333,37 +329,36 @@ def synchronize(
     )
 
 
-def _inside(what: str, stream: Stream, odometry: Stream, remarks: list[str]) -> Stream:
-    """The rows of relations or positions within the time of the odometry, with a remark about the others."""
+def _inside(what: str, odometry: Stream, remarks: list[str], *times: Array) -> np.ndarray:
+    """Which rows (N,) have all their times (N,) within those of the odometry, with a remark about the others."""
     begin, end = odometry.times[0], odometry.times[-1]
-    inside = (stream.times >= begin) & (stream.times <= end)
-    if what == "relations":
-        inside &= (stream.rows[:, 0] >= begin) & (stream.rows[:, 0] <= end)
+    inside = np.all([(each >= begin) & (each <= end) for each in times], axis=0)
     if not inside.any():
+        if what == "sightings":
+            raise LogError("no landmark is seen while there is odometry, so the log would have no pose")
         raise LogError(f"no row of the {what} is within the time of the odometry: is its clock another one?")
     if not inside.all():
         remarks.append(f"{np.sum(~inside)} of {len(inside)} {what} are from before or after the odometry: left out")
-    return Stream(stream.times[inside], stream.rows[inside])
+    return np.asarray(inside)
 
 
-def _relations(stream: Stream | None, times: Array) -> PoseRelations | None:
+def _relations(stream: Stream, times: Array) -> PoseRelations:
     """The relations of a log with poses at ``times`` (T+1,)."""
-    if stream is None:
-        return None
     first, second = (np.searchsorted(times, each) for each in (stream.times, stream.rows[:, 0]))
     covariances = stream.rows[:, 4:].reshape(-1, 3, 3)
     return PoseRelations(first=first, second=second, motions=stream.rows[:, 1:4], covariances=covariances)
 
 
-def _positions(stream: Stream | None, times: Array) -> AbsolutePositions | None:
+def _positions(stream: Stream, times: Array) -> AbsolutePositions:
     """The positions of a log with poses at ``times`` (T+1,)."""
-    if stream is None:
-        return None
     steps, places, covariances, levers = np.searchsorted(times, stream.times), *np.split(stream.rows, [3, 12], axis=1)
     return AbsolutePositions(steps=steps, places=places, covariances=covariances.reshape(-1, 3, 3), levers=levers)
 
 
-def _why_not_covered(times: Array, truth: Stream) -> str:
+_READERS: dict[str, Callable[[Stream, Array], Any]] = {"relations": _relations, "positions": _positions}
+
+
+def _why_none(times: Array, truth: Stream) -> str:
     """The cause why `truth_at` finds nothing: rows too far apart, or another time; empty for fewer than two rows."""
     if len(truth) < 2:
         return ""
@@ -372,12 +367,3 @@ def _why_not_covered(times: Array, truth: Stream) -> str:
         return ": its times lie before or after the poses"
     spacing = float(np.median(np.diff(at)))
     return f": its rows are {spacing:.3g} s apart (median), and it is interpolated between rows at most {TRUTH_GAP:g} s apart"
-
-
-def _filled(times: Array, most: float) -> Array:
-    """The times with others inserted, so that neighbours are at most ``most`` apart."""
-    pieces = pieces_of(np.diff(times), most)
-    first = np.repeat(times[:-1], pieces)
-    part = np.arange(len(first)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    between = first + part * np.repeat(np.diff(times) / pieces, pieces)
-    return np.append(between, times[-1])

@@ -216,13 +216,11 @@ UNITS = {
     "degrees": "degrees", "m/s": "m", "mps": "m", "mm/s": "mm", "cm/s": "cm", "rad/s": "radians", "deg/s": "degrees",
     "rads": "radians", "dps": "degrees", "°": "degrees", "°/s": "degrees",
 }  # fmt: skip
-_KINDS = {"time": ("s", "ms", "us", "ns"), "length": ("m", "cm", "mm"), "angle": ("radians", "degrees")}
-#: what each column measures
+_LENGTHS = ("nu", "x", "y", "z", "range", "dx", "dy", "sigma", "sigma_x", "sigma_y", "lever_x", "lever_y")
+_ANGLES = ("omega", "theta", "bearing", "orientation", "dtheta", "sigma_theta")
+#: what each column measures, a key of `rows.UNITS_OF`
 MEASURES = {
-    "t": "time", "nu": "length", "x": "length", "y": "length", "z": "length", "range": "length",
-    "omega": "angle", "theta": "angle", "bearing": "angle", "orientation": "angle",
-    "t1": "time", "t2": "time", "dx": "length", "dy": "length", "dtheta": "angle", "sigma": "length", "sigma_x": "length",
-    "sigma_y": "length", "sigma_theta": "angle", "lever_x": "length", "lever_y": "length",
+    **dict.fromkeys(("t", "t1", "t2"), "time"), **dict.fromkeys(_LENGTHS, "lengths"), **dict.fromkeys(_ANGLES, "angles"),
 }  # fmt: skip
 
 
@@ -288,10 +286,7 @@ def find(
                 ]
                 if len(fits) > 1:
                     titles = " and ".join(table.title(k) for k in fits[:2])
-                    raise table.error(
-                        None,
-                        f"{titles} could both be {role}; say which: --columns {kind}.{role}=NAME",
-                    )
+                    raise table.error(None, f"{titles} could both be {role}; say which: --columns {kind}.{role}=NAME")
                 if fits:
                     found[role] = Chosen(fits[0], names[fits[0]][1])
                     taken.add(fits[0])
@@ -310,11 +305,4 @@ def _stated(table: Table, role: str, column: str | int) -> Chosen:
         raise table.error(
             None, f"there is no column {quoted(column)} for {role}{suggestion(column, table.names) or f'; {known}'}"
         )
-    place = table.names.index(column)
-    return Chosen(place, plain(column)[1])
-
-
-def unit_of(role: str, chosen: Chosen, stated: str | None) -> str | None:
-    """The unit of a column: the stated one, else that of its name where it is one of this kind."""
-    kinds = _KINDS[MEASURES[role]]
-    return stated or (chosen.unit if chosen.unit in kinds else None)
+    return Chosen(table.names.index(column), plain(column)[1])

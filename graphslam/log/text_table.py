@@ -61,7 +61,7 @@ class TextTable(Table):
         head = text.split("\n", _HEAD + 1)[: _HEAD + 1]
         self._separator, self._decimal_comma = _form(path, head[1:] or head)
         first = self._cells(head[0])
-        self._header = not any(map(self._is_number, first))
+        self._header = not self._holds_numbers(first)
         # above the rows a comment with as many words may name the columns, as in the files of TUM
         self.names = tuple(first if self._header else self._titles_in_comments(lines, len(first)))
         self.width = len(first)
@@ -95,20 +95,27 @@ class TextTable(Table):
         except ValueError:
             pass
         # cell by cell, which takes longer, knows empty cells and says what is wrong
-        try:
-            return np.array([self._number(self._cells(row)[column]) for row in self._rows])
-        except ValueError:
-            self._refuse(column)
-            raise
+        values = np.empty(len(self))
+        for row, line in enumerate(self._rows):
+            cells = self._cells(line)
+            try:
+                values[row] = _number(cells[column], self._decimal_comma)
+            except ValueError:
+                message = f"{self.title(column)} should be a number, not {quoted(cells[column])}"
+                if tuple(cells) == self.names:
+                    message += "; this line repeats the header, as where files were joined; delete it"
+                raise self.error(row, message) from None
+        return values
 
     def _loaded(self, column: int, kind: Any) -> np.ndarray:
-        """A column (N,) by NumPy's reader, with points for decimal commas.
+        """A column (N,) by NumPy's reader, for numbers with points for decimal commas.
 
         Raises:
             ValueError: a cell is none of this kind.
         """
+        points = self._decimal_comma and kind is not str
         return np.loadtxt(
-            [row.replace(",", ".") for row in self._even] if self._decimal_comma else self._even,
+            [row.replace(",", ".") for row in self._even] if points else self._even,
             delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype=kind, comments=None,
         )  # fmt: skip
 
@@ -119,10 +126,7 @@ class TextTable(Table):
                 raise self.error(
                     row, f"{self.title(column)} has {len(cells[column]):,} letters; a word has at most {_LONGEST}"
                 )
-        texts = np.loadtxt(
-            self._even, delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype=str, comments=None,
-        )  # fmt: skip
-        return np.char.strip(texts)
+        return np.char.strip(self._loaded(column, str))
 
     def texts(self, column: int) -> np.ndarray:
         return self._loaded(column, "S40")
@@ -156,15 +160,8 @@ class TextTable(Table):
     def _cells(self, line: str) -> list[str]:
         return _split(line, self._separator)
 
-    def _number(self, cell: str) -> float:
-        return _number(cell, self._decimal_comma)
-
-    def _is_number(self, cell: str) -> bool:
-        try:
-            self._number(cell)
-        except ValueError:
-            return False
-        return True
+    def _holds_numbers(self, cells: list[str]) -> bool:
+        return any(_is_number(cell, self._decimal_comma) for cell in cells)
 
     def _titles_in_comments(self, lines: list[str], width: int) -> list[str]:
         above: list[str] = []
@@ -176,7 +173,7 @@ class TextTable(Table):
             text = line.strip().lstrip("#").strip()
             for separator in (self._separator, None, ","):
                 words = _split(text, separator)
-                if len(words) == width and not any(map(self._is_number, words)):
+                if len(words) == width and not self._holds_numbers(words):
                     above = words
         return above
 
@@ -188,7 +185,8 @@ class TextTable(Table):
             count = line.count(separator) + 1 if simple else len(self._cells(line))
             if count == self.width:
                 continue
-            message = f"expected {self.width} columns{self._named()}, found {count}"
+            titles = f" ({named(self.names)})" if self.names else ""
+            message = f"expected {self.width} columns{titles}, found {count}"
             if count == 2 * self.width and self._separator == ",":
                 message += "; does the file have decimal commas? Separate its columns by ; or tabs"
             elif row == len(self._rows) - 1 and count < self.width:
@@ -196,29 +194,13 @@ class TextTable(Table):
             raise self.error(row, message)
         return self._rows
 
-    def _refuse(self, column: int) -> None:
-        """Raise the error of the first cell of a column that is no number."""
-        for row, line in enumerate(self._rows):
-            cells = self._cells(line)
-            if not self._is_number(cells[column]):
-                message = f"{self.title(column)} should be a number, not {quoted(cells[column])}"
-                if tuple(cells) == self.names:
-                    message += "; this line repeats the header, as where files were joined; delete it"
-                raise self.error(row, message)
-
-    def _named(self) -> str:
-        return f" ({named(self.names)})" if self.names else ""
-
 
 def _check_length(path: Path, text: str) -> None:
     """Raise `FormatError` for a line that the module csv, which reads quotation marks, cannot read."""
     for number, line in enumerate(text.split("\n"), start=1):
         if len(line) > _LONGEST_QUOTED:
-            raise FormatError(
-                path,
-                None,
-                f"row {number} has {len(line):,} letters; with quotation marks it may have {_LONGEST_QUOTED:,}",
-            )
+            most = f"with quotation marks it may have {_LONGEST_QUOTED:,}"
+            raise FormatError(path, None, f"row {number} has {len(line):,} letters; {most}")
 
 
 def _split(line: str, separator: str | None) -> list[str]:
@@ -243,6 +225,15 @@ def _number(cell: str, decimal_comma: bool = False) -> float:
     return float(cell.replace(",", ".") if decimal_comma else cell)
 
 
+def _is_number(cell: str, decimal_comma: bool = False) -> bool:
+    """Whether a cell is a number, or empty."""
+    try:
+        _number(cell, decimal_comma)
+    except ValueError:
+        return False
+    return True
+
+
 def _form(path: Path, head: list[str]) -> tuple[str | None, bool]:
     """The separator of the columns, and whether numbers have decimal commas."""
     best: tuple[float, str | None, bool] = (0.0, ",", False)
@@ -251,20 +242,12 @@ def _form(path: Path, head: list[str]) -> tuple[str | None, bool]:
         if (width := max(map(len, cells))) < 2:
             continue
         same = sum(len(row) == width for row in cells) / len(cells)
-        for comma in (False, True) if separator != "," else (False,):
-            numeric, count, marked = 0, 0, False
-            for row in cells:
-                for cell in row:
-                    count += 1
-                    marked |= "," in cell
-                    try:
-                        _number(cell, comma)
-                        numeric += 1
-                    except ValueError:
-                        pass
+        words = [cell for row in cells for cell in row]
+        marked = separator != "," and any("," in word for word in words)
+        for comma in (False, True) if marked else (False,):
             # words alone, as in a header without rows, have columns, too
-            score = same * max(numeric / count, 1e-3)
-            if score > best[0] + 1e-9 and (marked or not comma):
+            score = same * max(sum(_is_number(word, comma) for word in words) / len(words), 1e-3)
+            if score > best[0] + 1e-9:
                 best = (score, separator, comma)
     if best[0] == 0.0:
         raise FormatError(

@@ -14,7 +14,7 @@ import numpy as np
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
 from ..models import SensorModel
-from ..se2 import Array, between, transform
+from ..se2 import Array
 
 
 @dataclass(frozen=True)
@@ -61,17 +61,16 @@ def distances_of(log: Log) -> Distances:
     way, poses = 2 * _WAY * np.arange(log.num_poses), np.zeros((log.num_poses, 3))
     if log.controls is not None and len(known):
         way, poses = ways(log, known), log.dead_reckoning()
-    seen_from = (log.sensor or SensorModel()).mount(poses)
+    places = (log.sensor or SensorModel()).h_inverse(poses[steps], sightings)
     every = max(1, len(ids) * _BACK // _ENOUGH)
     parts: list[tuple[np.ndarray, ...]] = []
     for back in range(1, _BACK + 1):
         b = np.arange(back, len(ids), every)
         b = b[(way[steps[b]] - way[steps[b - back]] <= _WAY) & (ids[b] != ids[b - back])]
         a = b - back
-        motion = between(seen_from[steps[a]], seen_from[steps[b]])
-        apart = transform(motion, _places(sightings[b])) - _places(sightings[a])
         pair = np.sort(np.column_stack([ids[a], ids[b]]), axis=1)
-        parts.append((pair, steps[b], np.linalg.norm(apart, axis=1), (sightings[a, 0] + sightings[b, 0]) / 2))
+        apart = np.linalg.norm(places[b] - places[a], axis=1)
+        parts.append((pair, steps[b], apart, (sightings[a, 0] + sightings[b, 0]) / 2))
     return Distances(*map(np.concatenate, zip(*parts)))
 
 
@@ -80,7 +79,3 @@ def ways(log: Log, known: np.ndarray) -> Array:
     assert log.controls is not None and log.dt is not None
     driven = np.abs(log.controls) @ [1 / float(np.median(log.sightings[known, 0])), 1.0] * log.dt
     return np.asarray(np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts])
-
-
-def _places(sightings: Array) -> Array:
-    return sightings[:, :1] * np.column_stack([np.cos(sightings[:, 1]), np.sin(sightings[:, 1])])

@@ -43,21 +43,19 @@ def misread(log: Log) -> np.ndarray:
     steps, ids, ranges = log.steps[known], log.landmarks[known], log.sightings[known, 0]
     way = ways(log, known)[steps]
     places = (log.sensor or SensorModel()).h_inverse(log.dead_reckoning()[steps], log.sightings[known, :2])[:, :2]
-    pairs = []
+    pairs: list[tuple[np.ndarray, ...]] = []
     for back in range(1, min(_AROUND, len(ids) - 1) + 1):
         a = np.flatnonzero((way[back:] - way[:-back] <= _WAY) & (steps[back:] != steps[:-back]))
         b = a + back
         distance = np.linalg.norm(places[a] - places[b], axis=1) / np.maximum(ranges[a], ranges[b])
-        pairs.append(np.stack([a, b, ids[a] == ids[b]]))
-        pairs.append(distance)
-    a, b, same = np.concatenate(pairs[::2], axis=1)
-    distance = np.concatenate(pairs[1::2])
+        pairs.append((a, b, ids[a] == ids[b], distance))
+    a, b, same, distance = map(np.concatenate, zip(*pairs))
     least = np.full(len(ids), np.inf)
-    np.minimum.at(least, b[same == 1], distance[same == 1])
+    np.minimum.at(least, b[same], distance[same])
     if not np.isfinite(least).any():
         return found
     error = _TIMES * float(np.median(least[np.isfinite(least)]))
-    own, other = ((same == 1) & (distance <= max(_NEAR, error))), ((same == 0) & (distance <= max(_CLOSE, error)))
+    own, other = same & (distance <= max(_NEAR, error)), ~same & (distance <= max(_CLOSE, error))
     again = np.bincount(a[own], minlength=len(ids)) + np.bincount(b[own], minlength=len(ids)) > 0
     others = np.zeros(len(ids), dtype=int)
     for p, q in ((a, b), (b, a)):

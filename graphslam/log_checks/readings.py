@@ -19,7 +19,7 @@ from ..errors import decimals
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
 from ..models import FARTHEST, FASTEST, LONGEST, QUICKEST, MotionModel, SensorModel
-from ..se2 import Array, between
+from ..se2 import Array
 from .findings import Finding
 
 #: a sensor that reports one range where it measures nothing: of how many sightings, how often, how far beyond other ranges
@@ -105,19 +105,16 @@ class SightingPairs:
         """The steps of the first and second sightings (2, K)."""
         return self.log.steps[np.stack([self.first, self.second])]
 
-    def errors(self, poses: Array, sightings: Array) -> Array:
-        """The distance (K,) [ranges] of a landmark between its first and second sighting, see `moves`."""
-        return moves(self.log.sensor or SensorModel(), poses, sightings)
-
     def readings(self) -> list[Reading]:
         """Every other reading of the log."""
         path = self._path([1.0, 1.0])
         poses = path[self.log.control_starts[self.steps]]
-        as_given = self.errors(poses, self.sightings)
+        sensor = self.log.sensor or SensorModel()
+        as_given = moves(sensor, poses, self.sightings)
         turning = np.abs(poses[1, :, 2] - poses[0, :, 2]) > _TURNING
         readings = []
         for check, message, changed_poses, changed_sightings in self._others(path, poses):
-            errors = self.errors(changed_poses, changed_sightings)
+            errors = moves(sensor, changed_poses, changed_sightings)
             # where the robot drives straight on, both signs fit
             used = turning if check == "bearing sign" and np.sum(turning) >= _FEWEST else slice(None)
             before, after = as_given[used], errors[used]
@@ -156,23 +153,15 @@ class SightingPairs:
         times = np.concatenate([[0.0], np.cumsum(dt)])
         for late in (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0):
             for shift in (-late, late):
-                when = np.clip(times[starts] + shift, 0.0, times[-1])
-                after = np.clip(np.searchsorted(times, when), 1, len(times) - 1)
-                share = (when - times[after - 1]) / dt[after - 1]
-                moved = path[after - 1] + share[..., None] * (path[after] - path[after - 1])
+                moved = np.stack([np.interp(times[starts] + shift, times, column) for column in path.T], axis=-1)
                 message = f"the clock of the sightings is about {late:g} s {'fast' if shift < 0 else 'slow'}"
                 yield "clock", f"{message} (--clocks sightings={shift:g})", moved, self.sightings
 
 
 def moves(sensor: SensorModel, poses: Array, sightings: Array) -> Array:
     """The distance (K,) [ranges] between the landmarks of two sightings (2, K, 2) from poses (2, K, 3)."""
-    one, two = sightings
-    motion = between(*sensor.mount(poses))
-    c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
-    x, y = one[:, 0] * np.cos(one[:, 1]) - motion[:, 0], one[:, 0] * np.sin(one[:, 1]) - motion[:, 1]
-    seen = np.column_stack([c * x + s * y, c * y - s * x])
-    there = two[:, :1] * np.column_stack([np.cos(two[:, 1]), np.sin(two[:, 1])])
-    return np.linalg.norm(seen - there, axis=1) / np.maximum(one[:, 0], two[:, 0])
+    first, second = sensor.h_inverse(poses, sightings)
+    return np.linalg.norm(first - second, axis=1) / np.maximum(*sightings[:, :, 0])
 
 
 def _direction(sign: int, degrees: int) -> tuple[str, str]:

@@ -79,12 +79,8 @@ def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
         notes.append(
             f"{others:,} sightings of other robots are from times at which these did not drive, and are not used"
         )
-    return replace(
-        joined,
-        log=joined.log.replace(
-            relations=joined_rows(joined.log.relations, relations), notes=(*joined.log.notes, *notes)
-        ),
-    )
+    log = joined.log
+    return replace(joined, log=log.replace(relations=joined_rows(log.relations, relations), notes=(*log.notes, *notes)))
 
 
 def relations_of(first: np.ndarray, second: np.ndarray, sightings: Array, sensor: SensorModel) -> PoseRelations:

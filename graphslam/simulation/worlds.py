@@ -15,13 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError, quoted
-from ..errors.checks import (
-    array_of,
-    check_choice,
-    check_count,
-    check_options,
-    option,
-)
+from ..errors.checks import array_of, check_choice, check_count, check_options, option
 from ..log import Log
 from ..log.measurements import PartialSightings
 from ..models import MotionModel, SensorModel
