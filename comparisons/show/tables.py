@@ -7,6 +7,7 @@ class does not load all the others.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from html import escape
 from importlib import import_module
 from io import StringIO
@@ -18,14 +19,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from graphslam.errors import printable
+from graphslam.errors import SlamError, printable
 from graphslam.files import write_whole
 from graphslam.metrics import exchanged
 from graphslam.metrics import headings as metric_headings
 
 from ..options import DOUBTFUL
 from ..results.sightings import errors_of_sessions, sightings_of
-from .canvas import placement_of_result
+from .canvas import placement_of_result, png_as_html
+from .canvas import save_figure as save_figure
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 
 if TYPE_CHECKING:
@@ -94,6 +96,27 @@ def tables_as_html(result: object) -> str:
     """Tables and sentences as HTML without scripts or styles of the page's own; all text escaped."""
     tables, remarks = tables_of(result)
     return "\n".join([*map(table_as_html, tables), *(f"<p>{escape(remark)}</p>" for remark in remarks)])
+
+
+def as_html(result: object) -> str:
+    """Tables, sentences and, where there is one, the figure of a result."""
+    text = tables_as_html(result)
+    # a table without its figure is better than neither
+    with suppress(SlamError, NotImplementedError):
+        text += "\n" + png_as_html(figure_of(result))
+    return text
+
+
+def figure_of(result: object, **options: Any) -> Any:
+    """The figure of a result.
+
+    Raises:
+        NotImplementedError: there is no figure of this class of results.
+    """
+    draw = RESULTS[type(result).__name__][1]
+    if not draw:
+        raise NotImplementedError(f"there is no figure of {type(result).__name__}")
+    return function(draw)(result, **options)
 
 
 def table_as_html(table: Table) -> str:
