@@ -36,8 +36,6 @@ from graphslam.se2 import Array, transform
 from ..canvas import (
     FLASH,
     SIGHTING,
-    TRUE_LANDMARK,
-    TRUTH,
     aligned_to,
     as_text,
     between_poses,
@@ -54,7 +52,7 @@ from ..canvas import (
     true_landmarks,
     true_line,
 )
-from ..figures import ellipses
+from ..figures import draw_truth, ellipses
 from ..language import translated
 from .files import check_can_film, player, write_film
 
@@ -257,18 +255,14 @@ class Scene:
         self.remember("dead reckoning", *self.plane.plot(*drifting.T, **style))
         means, curves = self._map(last)
         core = [self.along(last.poses), means, curves.reshape(-1, 2)]
+        core += draw_truth(self.plane, true_line(log), true_landmarks(log) if aligned_to(log) else None)
         #: ground truth and true landmarks, for a film whose lines would hide them
-        self.known: list[Artist] = []
-        if (line := true_line(log)) is not None:
-            pale = TRUTH | {"color": "0.55", "linewidth": 1.6, "zorder": 2}
-            self.known += self.plane.plot(*line[:, :2].T, **pale)
-            self.remember("ground truth", self.known[-1])
-            core.append(line[np.isfinite(line[:, 0]), :2])
-        of_map = np.array(list(true_landmarks(log).values() if aligned_to(log) else [])).reshape(-1, 2)
-        if len(of_map):
-            self.known += self.plane.plot(*of_map.T, **TRUE_LANDMARK | {"zorder": 2.1})
-            self.remember("true landmark", self.known[-1])
-            core.append(of_map)
+        self.known = self.plane.lines[1:]
+        for line in self.known:
+            line.set_zorder(2)
+            self.remember(str(line.get_label()), line)
+            if line.get_label() == "ground truth":
+                line.set(color="0.55", linewidth=1.6)
         self._content = np.concatenate(core), [drifting, self.along(film.frames[0].poses)]
         self.extent = set_limits(self.plane, *self._content)
         # the second line of the title is left empty for the caption
