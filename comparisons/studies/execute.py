@@ -28,7 +28,7 @@ from graphslam.processes import default_jobs, how_it_ended
 
 from ..comparison import compare
 from ..estimators import warm_up
-from ..estimators.attempt import add_estimators, processes, too_long
+from ..estimators.attempt import processes, too_long
 from ..options import NoiseOptions, ReadingOptions, RunOptions
 from ..options.option import options_of
 from ..options.reading import read_log, sha256_of
@@ -103,12 +103,6 @@ def log_of(run: Run) -> Log:
     )
 
 
-def filter_options(run: Run) -> RunOptions:
-    """The options of the particle filters among those of a run."""
-    known = options_of(RunOptions)
-    return RunOptions.of(**{name: value for name, value in run.options.items() if known[name].model == "filter"})
-
-
 def _execute(run: Run) -> dict[str, Any]:
     log = log_of(run)
     options = {name: value for name, value in run.options.items() if name not in options_of(ReadingOptions)}
@@ -134,12 +128,6 @@ def stopped(run: Run, reason: str, limit: float) -> Outcome:
     if reason != too_long(limit):
         return Outcome(key=run.key, status=ERROR, error=reason)
     return Outcome(key=run.key, status=TIMEOUT, error=reason, total_seconds=limit)
-
-
-def execute_added(run: Run, added: bytes) -> Outcome:
-    """Do a run in a process that may not have the user's estimators, see `attempt.added_estimators`."""
-    add_estimators(added)
-    return execute(run)
 
 
 @dataclass(frozen=True)
