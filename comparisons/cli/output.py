@@ -166,13 +166,17 @@ class Output:
         return "en"
 
     def say(self, *lines: str) -> None:
-        """Write sentences without markup; a terminal gets them broken between words, anything else one a line."""
+        """Write sentences without markup; a terminal gets them broken between words, anything else one a line.
+
+        Commands are not broken, so that they can be copied, and ``slam-compare`` is named so that it runs.
+        """
         for line in lines:
             text = in_language(printable(line), self.language)
-            self._line(_wrapped(text) if self.console.is_terminal else text)
-
-    def _line(self, text: str) -> None:
-        self.console.print(text, markup=False, soft_wrap=True)
+            if "slam-compare " in text:
+                text = text.replace("slam-compare ", f"{program()} ")
+            elif self.console.is_terminal:
+                text = _wrapped(text)
+            self.console.print(text, markup=False, soft_wrap=True)
 
     @property
     def wants_json(self) -> bool:
@@ -194,15 +198,9 @@ class Output:
             self.hint(f"Wrote {self._file}.")
 
     def hint(self, *lines: str) -> None:
-        """Where the files are and what could come next; not with --quiet. ``slam-compare`` is named so that it runs."""
+        """Where the files are and what could come next; not with --quiet."""
         if not self.quiet:
-            for line in lines:
-                # commands are not broken, so that they can be copied
-                if "slam-compare " in line:
-                    text = in_language(printable(line), self.language)
-                    self._line(text.replace("slam-compare ", f"{program()} "))
-                else:
-                    self.say(line)
+            self.say(*lines)
 
     def hint_at_import(self, found: Any, options: Any) -> None:
         """Hint at ``import`` where notes or findings of a log name options that the options of the verb do not have."""

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from graphslam.se2 import wrap
 from ..options import FrontEndOptions, GraphOptions, RunOptions
 from ..options.option import options_of
 from ..results import EstimatorResult, noted
-from .filters import FILTER, LOCALISATION, check_one_drive, fastslam1, fastslam2, identified, mcl
+from .filters import FILTER, LOCALISATION, check_one_drive, identified, mcl, of_several_seeds
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
@@ -148,16 +148,6 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     )
 
 
-def graph_estimator(log: Log, options: RunOptions) -> EstimatorResult:
-    """The hand-written solver on the log's graph."""
-    return _by_hand("graph", log, options)
-
-
-def graph_marginal(log: Log, options: RunOptions) -> EstimatorResult:
-    """The same with each sighting counted once, where pairs count it up to K/2 times: landmarks are eliminated exactly."""
-    return _by_hand("graph-marginal", log, replace(options, weight="marginal"))
-
-
 def _counted_once(log: Log, options: RunOptions) -> str | None:
     """The reason why the graph counts each sighting once in any case, or None."""
     if str(chosen(log, options).edges).startswith("landmark"):
@@ -165,12 +155,9 @@ def _counted_once(log: Log, options: RunOptions) -> str | None:
     return "graph has marginal weights already" if options.weight == "marginal" else None
 
 
-def graph_no_kernel(log: Log, options: RunOptions) -> EstimatorResult:
-    """``graph`` without its robust kernel: every sighting counts fully, wrong ones too."""
-    return _by_hand("graph-no-kernel", log, replace(options, kernel="none"))
-
-
-def _by_hand(name: str, log: Log, options: RunOptions) -> EstimatorResult:
+def by_hand(name: str, log: Log, options: RunOptions, **changes: Any) -> EstimatorResult:
+    """The hand-written solver on the log's graph, with some options changed."""
+    options = replace(options, **changes)
     graph = make_graph(log, options)
     method = "gnc" if options.kernel == "gnc" else "gauss-newton"
     return _of_solution(name, log, options, graphslam.solve(graph, method=method, initialize=options.initialize))
@@ -346,24 +333,32 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
 _GRAPH = tuple(options_of(GraphOptions))
 #: and what finds the ids for it
 _SOLVED = (*_GRAPH, *options_of(FrontEndOptions), "class_confusion")
+
+
+def _solved_without(*names: str) -> tuple[str, ...]:
+    return tuple(name for name in _SOLVED if name not in names)
+
+
 _GIBBS = tuple(name for name, each in options_of(RunOptions).items() if each.model == "gibbs")
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {
     "dead-reckoning": Estimator(dead_reckoning),
     "textbook": Estimator(textbook_estimator, ("edges",), _textbook_seconds),
-    "graph": Estimator(graph_estimator, _SOLVED),
+    "graph": Estimator(partial(by_hand, "graph"), _SOLVED),
+    # each sighting counted once, where pairs count it up to K/2 times: landmarks are eliminated exactly
     "graph-marginal": Estimator(
-        graph_marginal, tuple(name for name in _SOLVED if name != "weight"), repeats=_counted_once
+        partial(by_hand, "graph-marginal", weight="marginal"), _solved_without("weight"), repeats=_counted_once
     ),
-    "graph-no-kernel": Estimator(graph_no_kernel, tuple(name for name in _SOLVED if name != "kernel"), on_request=True),
+    # every sighting counts fully, wrong ones too
+    "graph-no-kernel": Estimator(
+        partial(by_hand, "graph-no-kernel", kernel="none"), _solved_without("kernel"), on_request=True
+    ),
     "gtsam": Estimator(gtsam_estimator, _SOLVED, _gtsam_seconds),
     "online": Estimator(online, ("motion_weight", "kernel", "lag"), on_request=True),
-    "isam2": Estimator(
-        isam2, tuple(name for name in _SOLVED if name not in ("initialize", "estimate")), _isam2_seconds
-    ),
+    "isam2": Estimator(isam2, _solved_without("initialize", "estimate"), _isam2_seconds),
     "mcl": Estimator(mcl, LOCALISATION),
-    "fastslam1": Estimator(fastslam1, FILTER),
-    "fastslam2": Estimator(fastslam2, FILTER),
+    "fastslam1": Estimator(partial(of_several_seeds, "fastslam1"), FILTER),
+    "fastslam2": Estimator(partial(of_several_seeds, "fastslam2"), FILTER),
     "particle-gibbs": Estimator(particle_gibbs, _GIBBS, on_request=True),
 }
 

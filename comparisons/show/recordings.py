@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import to_rgb
 
 from graphslam import Log, OptionError, control_path
 from graphslam.files import write_whole
@@ -69,6 +70,11 @@ class Track:
     path: Array
     landmarks: Mapping[int, Array] = field(default_factory=dict)
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
+
+    @property
+    def color(self) -> tuple[float, float, float]:
+        """Red, green and blue from 0 to 1."""
+        return to_rgb("black" if self.name == "truth" else colour_of(self.name))
 
 
 def tracks(comparison: Comparison) -> Iterator[Track]:
@@ -294,9 +300,7 @@ def _detections(ros: _Ros, track: Track, ns: int) -> Any:
 
 
 def _markers(ros: _Ros, track: Track, ns: int) -> Any:
-    from matplotlib.colors import to_rgb
-
-    red, green, blue = to_rgb("black" if track.name == "truth" else colour_of(track.name))
+    red, green, blue = track.color
     markers = []
     for number, (id, place) in enumerate(sorted(track.landmarks.items())):
         axes, turn = _ellipse(track.landmark_covariances, id)
@@ -362,7 +366,7 @@ def write_rerun(comparison: Comparison, path: Path) -> None:
 
 
 def _write_track(rr: Any, recording: Any, track: Track) -> None:
-    color = _rgb("#000000" if track.name == "truth" else colour_of(track.name))
+    color = track.color
     x, y, heading = track.poses.T
     times = rr.TimeColumn(TIMELINE, duration=track.seconds)
     numbers = {"x": x, "y": y, "heading": heading}
@@ -408,7 +412,3 @@ def _padded(covariance: Array | None) -> Array:
     if covariance is not None:
         whole[: len(covariance), : len(covariance)] = covariance
     return whole
-
-
-def _rgb(color: str) -> tuple[int, int, int]:
-    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)

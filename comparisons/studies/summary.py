@@ -15,6 +15,7 @@ import json
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from os import PathLike
 from pathlib import Path
 from statistics import median
@@ -73,24 +74,20 @@ def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int =
     """
     if len(values) == 0:
         return None
-    numbers = np.asarray(values, dtype=float)
     members: dict[Hashable, list[float]] = {}
     for value, unit in zip(values, units, strict=True):
         members.setdefault(unit, []).append(value)
-    median, count = float(np.median(numbers)), len(members)
+    median, count = float(np.median(values)), len(members)
     if count < 2:
-        return Median(median, None, None, len(numbers))
+        return Median(median, None, None, len(values))
+    # a row for each unit, NaN after its last value
+    groups = np.array(list(zip_longest(*members.values(), fillvalue=np.nan)), dtype=float).T
     rng = np.random.default_rng(seed)
-    if count == len(numbers):
-        step = max(1, _AT_ONCE // count)
-        sizes = [min(step, RESAMPLES - begin) for begin in range(0, RESAMPLES, step)]
-        medians = np.concatenate([np.median(numbers[rng.integers(count, size=(k, count))], axis=1) for k in sizes])
-    else:
-        groups = [np.array(group, dtype=float) for group in members.values()]
-        draws = (rng.integers(count, size=count) for _ in range(RESAMPLES))
-        medians = np.array([np.median(np.concatenate([groups[k] for k in draw])) for draw in draws])
+    step = max(1, _AT_ONCE // groups.size)
+    draws = (rng.integers(count, size=(min(step, RESAMPLES - k), count)) for k in range(0, RESAMPLES, step))
+    medians = np.concatenate([np.nanmedian(groups[draw].reshape(len(draw), -1), axis=1) for draw in draws])
     low, high = np.percentile(medians, (50 * (1 - LEVEL), 50 * (1 + LEVEL)))
-    return Median(median, float(low), float(high), len(numbers))
+    return Median(median, float(low), float(high), len(values))
 
 
 #: the figures that are summarised, and their names in tables and on axes
