@@ -25,6 +25,7 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED
 from graphslam.online import replay
 from graphslam.se2 import wrap
+from graphslam.solvers.solution import make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions
 from ..options.option import options_of
@@ -107,10 +108,16 @@ def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
     begin = time.perf_counter()
     poses = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
     seconds = time.perf_counter() - begin
-    notes = ("the log has no controls: these are its own initial poses",) if log.controls is None else ()
-    return _with_map(
-        log, options.sensor, poses, name="dead-reckoning", seconds=seconds, notes=notes, log=log, motion=options.motion
-    )
+    notes = ["the log has no controls: these are its own initial poses"] if log.controls is None else []
+    poses = np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+    maps: dict[str, Any] = {}
+    with noted(notes, "the map is not known"):
+        landmarks = graphslam.estimate_map(log, poses, sensor=options.sensor)
+        maps = {"landmarks": dict(landmarks), "landmark_covariances": landmarks.covariances}
+    return EstimatorResult(
+        name="dead-reckoning", poses=poses, estimated=np.ones(len(poses), dtype=bool), seconds=seconds, notes=tuple(notes),
+        log=log, motion=options.motion, **maps,
+    )  # fmt: skip
 
 
 def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
@@ -125,27 +132,15 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     result = graphslam.textbook.solve(log, edges=edges, **models)
     seconds = time.perf_counter() - begin
     # J and the map by the graph's own code, which gets what the book's cost has
-    log = log.replace(**dict.fromkeys(MEASURED))
-    graph = Graph.from_log(log, edges=edges, frame="world", kernel="none", **models)
-    state = np.asarray(result.poses, dtype=float)[graph.steps]
-    return _with_map(
-        log,
-        options.sensor,
-        result.poses,
-        name="textbook",
-        seconds=seconds,
-        estimated=np.asarray(result.estimated, dtype=bool),
-        converged=result.converged,
-        iterations=result.iterations,
-        step_norms=np.asarray(result.step_norms, dtype=float),
-        cost=float(graph.cost(state)),
-        costs=np.asarray(result.costs, dtype=float),
-        options={"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold},
-        reason=result.reason,
-        origin=result,
-        graph=graph,
-        state=state,
-    )
+    plain = log.replace(**dict.fromkeys(MEASURED))
+    graph = Graph.from_log(plain, edges=edges, frame="world", kernel="none", **models)
+    solution = make_solution(
+        graph, result.poses[graph.steps], step_norms=result.step_norms, costs=result.costs, converged=result.converged,
+        reason=result.reason, seconds=seconds, solver="textbook",
+    )  # fmt: skip
+    used = {"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold}
+    found = _of_solution("textbook", log, options, replace(solution, notes=()))
+    return replace(found, options=used, costs=np.array(result.costs))
 
 
 def _counted_once(log: Log, options: RunOptions) -> str | None:
@@ -392,8 +387,8 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
     options = chosen(log, options)
-    # what goes step by step through a log uses the ids that this has
-    found = None if name in ("isam2", "online") else identified(log, options)[1]
+    # the lectures' program, and what goes step by step through a log, use the ids that this has
+    found = None if name in ("textbook", "isam2", "online") else identified(log, options)[1]
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}
@@ -436,18 +431,6 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         values["options"] |= {name: getattr(options, name) for name in options_of(FrontEndOptions)}
         values["options"]["class_confusion"] = options.filter.class_confusion
     return EstimatorResult(**values | {"notes": tuple(notes)})
-
-
-def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:
-    """A result whose map is computed from the poses, the same way for every estimator that has no map of its own."""
-    poses = np.array(poses, dtype=float)
-    poses[:, 2] = wrap(poses[:, 2])
-    rest.setdefault("estimated", np.ones(len(poses), dtype=bool))
-    notes = list(rest.pop("notes", ()))
-    with noted(notes, "the map is not known"):
-        landmarks = graphslam.estimate_map(source, poses, sensor=sensor)
-        rest |= {"landmarks": dict(landmarks), "landmark_covariances": landmarks.covariances}
-    return EstimatorResult(poses=poses, notes=tuple(notes), **rest)
 
 
 @cache
