@@ -195,7 +195,7 @@ def result_tables(results: ResultTable) -> Tables:
         cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
         cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
         off = [_risk(row.integrity_risk)] * in_map
-        of_ids = [_precision_recall(row.association), _counts(row.association)] * scored
+        of_ids = _scores(row.association) * scored
         name = f"{row.name} ({row.knows})" if row.knows else row.name
         table.add_row(name, *cells, *values, *[number(row.nees, 2)] * known, *off, *of_ids)
     return [table], []
@@ -206,16 +206,13 @@ def _risk(risk: np.ndarray | None) -> str:
     return NOTHING if risk is None else f"{np.nanmean(risk):.2g}, {np.nanmax(risk):.2g}"
 
 
-def _precision_recall(association: FoundIds | None) -> str:
+def _scores(association: FoundIds | None) -> list[str]:
+    """Precision and recall, and the numbers of landmarks that were found, missed, doubled and invented."""
     if association is None or association.found is None:
-        return NOTHING
-    return ", ".join(NOTHING if v is None else f"{v:.3f}" for v in (association.precision, association.recall))
-
-
-def _counts(association: FoundIds | None) -> str:
-    if association is None or association.found is None:
-        return NOTHING
-    return f"{association.found} {association.missed} {association.doubled} {association.invented}"
+        return [NOTHING, NOTHING]
+    shares = (NOTHING if v is None else f"{v:.3f}" for v in (association.precision, association.recall))
+    counts = f"{association.found} {association.missed} {association.doubled} {association.invented}"
+    return [", ".join(shares), counts]
 
 
 #: of several logs, so many notes about single ones are shown in brief
@@ -318,14 +315,13 @@ def landmark_table(comparison: Comparison) -> Table | None:
         return None
     first = errors.get("graph") or next(iter(errors.values()))
     title = "Error of each landmark after the alignment [m], largest first"
-    of_log = sightings_of(comparison.log, comparison.log.landmarks) if comparison.log.classes is not None else []
-    classes = {each.landmark: each.of_class for each in of_log}
-    table = LeanTable(title, ["landmark"], [*["class"] * bool(classes), "sightings", *errors])
-    ids, counts = np.unique(comparison.log.landmarks, return_counts=True)
-    seen = dict(zip(ids.tolist(), counts.tolist()))
+    classed = comparison.log.classes is not None
+    seen = {each.landmark: each for each in sightings_of(comparison.log, comparison.log.landmarks)}
+    table = LeanTable(title, ["landmark"], [*["class"] * classed, "sightings", *errors])
     for j in sorted(set().union(*errors.values()), key=lambda j: (-first.get(j, -1.0), j)):
-        shown = [word(classes.get(j))] * bool(classes)
-        table.add_row(str(j), *shown, str(seen.get(j, NOTHING)), *(number(of.get(j)) for of in errors.values()))
+        shown = [word(seen[j].of_class if j in seen else None)] * classed
+        count = str(len(seen[j].rows)) if j in seen else NOTHING
+        table.add_row(str(j), *shown, count, *(number(of.get(j)) for of in errors.values()))
     return table
 
 

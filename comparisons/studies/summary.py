@@ -259,17 +259,12 @@ def _measured(rows: Sequence[Row]) -> list[Row]:
     for row in rows:
         repeatable = "file" in row["source"] and row["status"] == DONE and row["poses_sha256"] is not None
         groups.setdefault((row["log"], row["poses_sha256"] if repeatable else row["key"]), []).append(row)
-    return [
-        group[0]
-        if len(group) == 1
-        else {**group[0], "seed": None, "seconds": _middle([row["seconds"] for row in group])}
-        for group in groups.values()
-    ]
-
-
-def _middle(times: Sequence[float | None]) -> float | None:
-    known = [time for time in times if time is not None]
-    return median(known) if known else None
+    measured = []
+    for first, *repeats in groups.values():
+        times = [row["seconds"] for row in (first, *repeats) if row["seconds"] is not None]
+        once = {"seed": None, "seconds": median(times) if times else None}
+        measured.append({**first, **once} if repeats else first)
+    return measured
 
 
 def _median(values: Sequence[tuple[float | None, Hashable]]) -> Median | None:

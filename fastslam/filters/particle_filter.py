@@ -460,7 +460,9 @@ class ParticleFilter(ABC):
         weighed = self._weigh(ids, sightings, q, rows)
         self._version, self._observed = self._version + 1, True
         possible = weighed and self.options.stage != "motion" and self._reweigh("sightings")
-        self._remember(ids, sightings)
+        if self._record is not None:
+            self._engine.remember()
+            self._record.observe(self._step, ids, sightings)
         if possible:
             # without the density of what was not measured
             self._log_evidence += 0.5 * np.count_nonzero(missing) * float(np.log(2 * np.pi * NOT_MEASURED))
@@ -480,11 +482,6 @@ class ParticleFilter(ABC):
         self._log_evidence += log_evidence
         self._ess_history[-1] = ess
         return True
-
-    def _remember(self, ids: np.ndarray, sightings: Array) -> None:
-        if self._record is not None:
-            self._engine.remember()
-            self._record.observe(self._step, ids, sightings)
 
     def _resample_if_due(self) -> None:
         if self.options.stage != "resampling" or self._ess_history[-1] > self.options.ess_threshold * self.particles:
