@@ -31,10 +31,10 @@ from pebble import ProcessPool
 
 from graphslam import Log, OptionError, SlamError
 from graphslam.errors import quoted
-from graphslam.processes import default_jobs
+from graphslam.processes import default_jobs, process_pool
 
 from ..estimators import ESTIMATORS
-from ..estimators.attempt import add_estimators, added_estimators, process_pool
+from ..estimators.attempt import add_estimators, added_estimators, ended, loading
 from ..estimators.filters import FILTERS, Announce, announce_memory
 from ..options import RunOptions, SweepOptions
 from ..options.option import options_of
@@ -42,7 +42,7 @@ from ..results import sentence
 from ..results.documents import Count
 from ..results.saving import jsonable
 from .database import StudyDatabase
-from .execute import DONE, ERROR, Outcome, Place, ended, execute, local_processes, log_of, stopped, this_process
+from .execute import DONE, ERROR, Outcome, Place, execute, local_processes, log_of, stopped, this_process
 from .plan import Run, Study, read_study
 
 #: how long to wait for a connection, and again for an answer [s]; with importing Dask it stays below 10 s
@@ -61,7 +61,7 @@ def _pool_of_worker() -> ProcessPool:
         if not _pools:
             # Dask runs its workers as daemons, which may otherwise not have processes of their own
             multiprocessing.current_process().daemon = False
-            _pools.append(process_pool(get_worker().state.nthreads, tuple(ESTIMATORS)))
+            _pools.append(process_pool(get_worker().state.nthreads, loading(ESTIMATORS)))
         return _pools[0]
 
 
