@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -162,16 +163,12 @@ def write_mcap(comparison: Comparison, path: Path) -> None:
     with write_whole(path) as temporary, temporary.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2", library="virtual-motion-slam")
-        channels: dict[str, int] = {}
-        schemas: dict[str, int] = {}
-        for time, topic, type, message in messages:
-            if type not in schemas:
-                schemas[type] = writer.register_schema(type, "ros2msg", ros.definition(type).encode())
-            if topic not in channels:
-                channels[topic] = writer.register_channel(topic, "cdr", schemas[type])
+        schema = cache(lambda type: writer.register_schema(type, "ros2msg", ros.definition(type)))
+        channel = cache(lambda topic, type: writer.register_channel(topic, "cdr", schema(type)))
+        for time, topic, message in messages:
             # MCAP knows no times before 1970
             log_time = max(0, time)
-            writer.add_message(channels[topic], log_time, ros.bytes_of(message, type), log_time)
+            writer.add_message(channel(topic, message.__msgtype__), log_time, ros.bytes_of(message), log_time)
         writer.finish()
 
 
@@ -184,11 +181,11 @@ class _Ros:
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._store.register(get_types_from_msg(_DETECTIONS, "vision_msgs/msg/Detection3DArray"))
 
-    def definition(self, type: str) -> str:
-        return str(self._store.generate_msgdef(type, ros_version=2)[0])
+    def definition(self, type: str) -> bytes:
+        return str(self._store.generate_msgdef(type, ros_version=2)[0]).encode()
 
-    def bytes_of(self, message: Any, type: str) -> bytes:
-        return bytes(self._store.serialize_cdr(message, type))
+    def bytes_of(self, message: Any) -> bytes:
+        return bytes(self._store.serialize_cdr(message, message.__msgtype__))
 
     def make(self, type: str, /, **fields: Any) -> Any:
         """A message; numbers that are not given are 0, texts and lists empty."""
@@ -224,9 +221,13 @@ class _Ros:
             whole[np.ix_(rows, rows)] = covariance
         return self.make("geometry_msgs/PoseWithCovariance", pose=self.pose(pose), covariance=whole.ravel())
 
+    def stamped(self, ns: int, pose: Array, covariance: Array | None, frame: str = FRAME) -> Any:
+        at = self.pose_with_covariance(pose, covariance)
+        return self.make("geometry_msgs/PoseWithCovarianceStamped", header=self.header(ns, frame), pose=at)
 
-def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, str, Any]]:
-    """(time [ns], topic, type, message)."""
+
+def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, Any]]:
+    """(time [ns], topic, message)."""
     yield from _measured(comparison.log, ros)
     moving: str | None = None
     for track in tracks(comparison):
@@ -235,45 +236,34 @@ def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, str
         prefix = "/" + track.name.replace("-", "_")
         begin = int(track.nanoseconds[0])
         for k, ns in enumerate(track.nanoseconds.tolist()):
-            pose = ros.pose_with_covariance(track.poses[k], None if track.covariances is None else track.covariances[k])
-            stamped = ros.make("geometry_msgs/PoseWithCovarianceStamped", header=ros.header(ns), pose=pose)
-            yield ns, f"{prefix}/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", stamped
-        along = [
-            ros.make("geometry_msgs/PoseStamped", header=ros.header(begin), pose=ros.pose(at)) for at in track.path
-        ]
-        path = ros.make("nav_msgs/Path", header=ros.header(begin), poses=along)
-        yield begin, f"{prefix}/path", "nav_msgs/msg/Path", path
+            covariance = None if track.covariances is None else track.covariances[k]
+            yield ns, f"{prefix}/pose", ros.stamped(ns, track.poses[k], covariance)
+        head = ros.header(begin)
+        along = [ros.make("geometry_msgs/PoseStamped", header=head, pose=ros.pose(at)) for at in track.path]
+        yield begin, f"{prefix}/path", ros.make("nav_msgs/Path", header=head, poses=along)
         if track.landmarks:
-            yield begin, f"{prefix}/landmarks", "vision_msgs/msg/Detection3DArray", _detections(ros, track, begin)
-            yield begin, f"{prefix}/markers", "visualization_msgs/msg/MarkerArray", _markers(ros, track, begin)
+            yield begin, f"{prefix}/landmarks", _detections(ros, track, begin)
+            yield begin, f"{prefix}/markers", _markers(ros, track, begin)
         if moving is None and track.name != "truth":
             moving = track.name
             for pose, ns in zip(track.poses, track.nanoseconds.tolist()):
-                yield ns, "/tf", "tf2_msgs/msg/TFMessage", _transform(ros, pose, ns)
+                yield ns, "/tf", _transform(ros, pose, ns)
 
 
-def _measured(log: Log, ros: _Ros) -> Iterator[tuple[int, str, str, Any]]:
+def _measured(log: Log, ros: _Ros) -> Iterator[tuple[int, str, Any]]:
     """The relations and absolute positions of the log, as `graphslam.io.bag_poses` reads them."""
     clock = _clock(log).tolist()
-    rows: list[tuple[int, str, str, Array, Array]] = []
     if (relations := log.relations) is not None:
         ends = zip(relations.first.tolist(), relations.second.tolist())
-        rows += [
-            (clock[b], "/relations", f"base_link@{clock[a]}", z, C)
-            for (a, b), z, C in zip(ends, relations.motions, relations.covariances)
-        ]
+        for (a, b), z, C in zip(ends, relations.motions, relations.covariances):
+            yield clock[b], "/relations", ros.stamped(clock[b], z, C, f"base_link@{clock[a]}")
     if (positions := log.positions) is not None:
         open_ = ~positions.oriented
         places, covariances = positions.places.copy(), positions.covariances.copy()
         places[open_, 2] = covariances[open_, 2] = covariances[open_, :, 2] = 0.0
         covariances[open_, 2, 2] = NO_HEADING
-        rows += [
-            (clock[k], "/positions", FRAME, z, C) for k, z, C in zip(positions.steps.tolist(), places, covariances)
-        ]
-    for ns, topic, frame, z, C in rows:
-        pose = ros.pose_with_covariance(z, C)
-        stamped = ros.make("geometry_msgs/PoseWithCovarianceStamped", header=ros.header(ns, frame), pose=pose)
-        yield ns, topic, "geometry_msgs/msg/PoseWithCovarianceStamped", stamped
+        for k, z, C in zip(positions.steps.tolist(), places, covariances):
+            yield clock[k], "/positions", ros.stamped(clock[k], z, C)
 
 
 def _transform(ros: _Ros, pose: Array, ns: int) -> Any:
