@@ -67,7 +67,8 @@ def sentences(
         if verbose:
             traceback.print_exc()
         more = advice(str(error))
-        text = _in_language(f"error: {error}" if more is None else f"error: {error}. {more}", lang, sys.stderr)
+        text = f"error: {error}" if more is None else f"error: {error}. {more}"
+        text = in_language(text, _spoken(lang, sys.stderr))
         typer.echo(text if not sys.stderr.isatty() else _wrapped(text), err=True)
         raise typer.Exit(WRONG_INPUT) from None
 
@@ -79,15 +80,18 @@ def _wrapped(text: str) -> str:
     )
 
 
-def _in_language(text: str, lang: str | None, stream: Any) -> str:
-    """The text in the language, or in English where the stream has no codes for its letters or there is no such language."""
-    from ..show.language import language_of, translated
+def _spoken(lang: str | None, stream: Any) -> str:
+    """The language that is asked for, else that of the environment.
+
+    English where the stream has no codes for the letters, or where there is no such language, which the verb then says.
+    """
+    from ..show.language import language_of
 
     try:
-        found = translated(text, language_of(lang))
+        language = language_of(lang)
     except SlamError:
-        return text
-    return found if encodable(found, stream) else text
+        return "en"
+    return language if encodable("日本", stream) else "en"
 
 
 def _by_interrupt(error: BaseException | None) -> bool:
@@ -278,23 +282,14 @@ def in_language(text: str, language: str) -> str:
 
 
 def language_of_words(words: Sequence[str]) -> str:
-    """The language of a command line before it is parsed: that of --lang, else of the environment.
-
-    English where the output has no codes for the letters, or where there is no such language, which the verb then says.
-    """
-    from ..show.language import language_of
-
+    """The language of a command line before it is parsed: that of --lang, else of the environment."""
     given = None
     for word, following in zip(words, [*words[1:], None]):
         if word == "--lang":
             given = following
         elif word.startswith("--lang="):
             given = word.partition("=")[2]
-    try:
-        language = language_of(given)
-    except SlamError:
-        return "en"
-    return language if encodable("日本", sys.stdout) else "en"
+    return _spoken(given, sys.stdout)
 
 
 def encodable(text: str, stream: Any = None) -> bool:
