@@ -13,7 +13,8 @@ import numpy as np
 from graphslam import Cauchy, Graph, GraphError, solve
 from graphslam.edges.relative import RelativePoseEdges, RobustPointEdges, RobustPoseEdges
 from graphslam.errors import OptionError
-from graphslam.se2 import Array
+from graphslam.linear.cholesky import FactorizationError
+from graphslam.se2 import Array, wrap
 
 from ..motions import Problem
 from ..options import GibbsOptions
@@ -100,11 +101,13 @@ class LowRank:
         self.target = target
         graph = target.graph.with_initial(np.concatenate([poses, marks]))
         try:
-            mode = solve(graph, method="levenberg-marquardt", max_iterations=FITS, initialize="given").state
-        except GraphError:
+            solution = solve(graph, method="levenberg-marquardt", max_iterations=FITS, initialize="given")
+            system, _ = graph.linearize(solution.state)
+            factor = system.factorize()
+        except (GraphError, FactorizationError):
             raise _no_inverse(target.problem) from None
-        self.mode = mode[: len(poses)].copy(), mode[len(poses) :].copy()
-        system, _ = graph.linearize(mode)
+        mode = np.column_stack([solution.state[:, :2], wrap(solution.state[:, 2])])
+        self.mode = mode[: len(poses)], mode[len(poses) :]
         numbers, n = np.arange(mode.size).reshape(-1, 3), target.problem.columns
         # the places of the state among the numbers of all nodes
         free = np.concatenate([numbers[1 : len(poses)].ravel(), numbers[len(poses) :, :n].ravel()])
@@ -116,7 +119,7 @@ class LowRank:
         else:
             from scipy.sparse.linalg import LinearOperator, eigsh
 
-            factor, whole = system.factorize(), np.zeros(mode.size)
+            whole = np.zeros(mode.size)
 
             def covariance_times(vector: Array) -> Array:
                 whole[free] = vector.ravel()
