@@ -43,4 +43,4 @@ if TYPE_CHECKING:
 __getattr__, __dir__, __all__ = lazy_names(__name__)
 
 # the package stands above results and presentation: results ask it for their presentation
-display.presentation.append(lambda: import_module(".show", __name__))
+display.presentation.append(lambda: import_module(".show.tables", __name__))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from os import PathLike
 from typing import Any
 
-#: loads the package that presents results; set by `comparisons`
+#: loads the module that presents results, `comparisons.show.tables`; set by `comparisons`
 presentation: list[Callable[[], Any]] = []
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import FormatError, LandmarkMap, LogError, OptionError, load
+from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics
 from graphslam.errors import named
 from graphslam.files import check_file, read_archive
 from graphslam.graph.map_files import COVARIANCE, UPPER
@@ -31,18 +31,7 @@ from graphslam.log.rows import TableOptions
 from graphslam.log.streams import poses_at
 from graphslam.log.table import plain
 from graphslam.log.text_table import PARQUET, TEXT, table_of
-from graphslam.metrics import (
-    Errors,
-    align,
-    gospa,
-    heading_rmse,
-    landmark_rmse,
-    matched_places,
-    mean_nees,
-    position_errors,
-    rpe,
-)
-from graphslam.se2 import Array, compose
+from graphslam.se2 import Array, compose, transform
 
 from .display import Displayed
 from .options import EvaluationOptions
@@ -78,7 +67,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Evaluated(Errors):
+class Evaluated(metrics.Errors):
     """The errors of one estimate; None where they cannot be known. Errors of the map are those after the same alignment.
 
     Attributes:
@@ -340,36 +329,33 @@ def _evaluated(
             f"the truth goes from {spans[0]}, the estimate from {spans[1]}. {remedy}"
         )
     poses, at = estimate.poses[known], right[known]
-    placement = align(at, poses)
-    errors = position_errors(at, poses)
-    with_heading = bool(np.isfinite(poses[:, 2]).all())
-    step = rpe(at, poses) if with_heading else None
+    placement = metrics.align(at, poses)
+    errors = metrics.position_errors(at, poses)
     nees, covariances = None, None if estimate.covariances is None else estimate.covariances[known]
     if covariances is not None and known[0] and np.isfinite([at[0], poses[0]]).all():
-        nees = mean_nees(at, poses, covariances, relative=not covariances[0].any())
+        nees = metrics.mean_nees(at, poses, covariances, relative=not covariances[0].any())
     on_map: dict[str, Any] = {}
-    notes = estimate.notes
+    notes, named = estimate.notes, dict[int, Array]()
     if places is not None and true_map is not None:
-        moved = {j: compose(placement, [*place[:2], 0.0])[:2] for j, place in places.items()}
-        pairs = matched_places(true_map, moved, options.cutoff)
-        named = {j: moved[k] for j, k in pairs} if options.match == "place" else moved
+        moved = {j: transform(placement, place[:2]) for j, place in places.items()}
+        pairs = metrics.matched_places(true_map, moved, options.cutoff)
+        named = {j: places[k] for j, k in pairs} if options.match == "place" else dict(places)
         on_map = {
-            "landmarks": len(places), "landmark_rmse_m": landmark_rmse(true_map, named, np.zeros(3)),
-            "missed": len(true_map) - len(pairs), "false": len(moved) - len(pairs),
-            "gospa_m": gospa(true_map, moved, options.cutoff), "aligned_map": moved,
+            "landmarks": len(places), "missed": len(true_map) - len(pairs), "false": len(moved) - len(pairs),
+            "gospa_m": metrics.gospa(true_map, moved, options.cutoff), "aligned_map": moved,
         }  # fmt: skip
         if options.match == "id" and true_map.keys().isdisjoint(moved):
             notes += (
                 "the map has no id of the true map, so that its error is not known; --match place finds pairs by place",
             )
+    found = metrics.evaluate(at, true_map, poses, named)
+    measured = {name: getattr(found, name) for name in metrics.METRICS}
+    if not np.isfinite(poses[:, 2]).all():
+        measured |= {"rpe_m": None, "rpe_rad": None, "heading_rad": None}
     return Evaluated(
-        name=estimate.name, poses=len(known), compared=int(np.count_nonzero(known)),
-        ate_m=float(np.sqrt(np.mean(errors**2))), most_m=float(errors.max()),
-        rpe_m=None if step is None else step[0], rpe_rad=None if step is None else step[1],
-        heading_rad=heading_rmse(at, poses) if with_heading else None,
+        name=estimate.name, poses=len(known), compared=int(np.count_nonzero(known)), most_m=float(errors.max()),
         nees=nees, times=(estimate.times[known] - truth.times[0]) / 1e9, errors=errors,
-        aligned=compose(placement, estimate.poses),
-        notes=notes, **on_map,
+        aligned=compose(placement, estimate.poses), notes=notes, **measured, **on_map,
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from graphslam.engine import available_threads, engine
 from graphslam.errors import OptionError, quoted
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
-from graphslam.se2 import Array, transform, wrap
+from graphslam.se2 import Array, between, difference, mounted, perpendicular, wrap
 
 from .options import GIGABYTE, available_memory, finite, smoothing_memory
 from .particles import Samples
@@ -71,16 +71,14 @@ def sensor_motions(sensor: SensorModel, motions: Array, covariances: Array) -> t
     end = sensor.mount(motions)
     lever = end[:, :2] - motions[:, :2]
     J = np.broadcast_to(np.eye(3), (len(motions), 3, 3)).copy()
-    J[:, 0, 2], J[:, 1, 2] = -lever[:, 1], lever[:, 0]
+    J[:, :2, 2] = perpendicular(lever)
     return end - np.array([*sensor.offset, 0.0]), J @ covariances @ np.swapaxes(J, 1, 2)
 
 
 def robot_poses(sensor: SensorModel, poses: Array) -> Array:
     """Return the poses (..., 3) of the robot, given those of the sensor that it carries."""
-    if sensor.centred:
-        return poses
     ahead, left = sensor.offset
-    return np.concatenate([transform(poses, np.array([-ahead, -left])), poses[..., 2:]], axis=-1)
+    return mounted(poses, (-ahead, -left))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -179,10 +177,9 @@ class Sightings:
         steps = self.steps
         total, heading = np.zeros((len(steps), 2)), np.zeros(len(steps))
         for x, m in zip(trajectories, maps, strict=True):
-            pose, mark = x[steps], m[self.marks]
-            d, c, s = mark[:, :2] - pose[:, :2], np.cos(pose[:, 2]), np.sin(pose[:, 2])
-            total += np.stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0]], axis=-1)
-            heading += wrap(mark[:, 2] - pose[:, 2] - self.y[:, 2])
+            mark = between(x[steps], m[self.marks])
+            total += mark[:, :2]
+            heading += wrap(mark[:, 2] - self.y[:, 2])
         place = total / len(trajectories)
         bearing = np.arctan2(place[:, 1], place[:, 0])
         return self._linearised(
@@ -218,11 +215,7 @@ class Problem(Sightings):
 
     def motions_of(self, trajectories: Array) -> Array:
         """Return the mean motions (T, 3) of sampled trajectories (S, T + 1, 3)."""
-        d = np.diff(trajectories, axis=1)
-        c, s = np.cos(trajectories[:, :-1, 2]), np.sin(trajectories[:, :-1, 2])
-        turn = self.motions[:, 2] + wrap(d[..., 2] - self.motions[:, 2]).mean(axis=0)
-        along, across = c * d[..., 0] + s * d[..., 1], c * d[..., 1] - s * d[..., 0]
-        return np.stack([along.mean(axis=0), across.mean(axis=0), turn], axis=-1)
+        return self.motions + difference(between(trajectories[:, :-1], trajectories[:, 1:]), self.motions).mean(axis=0)
 
 
 #: the most particles considered at each step

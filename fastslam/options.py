@@ -34,16 +34,6 @@ from graphslam.log import Log
 from graphslam.se2 import Array, wrap
 
 
-def whole(name: str, value: Any, expected: str = "a whole number") -> int:
-    """Return a Python or NumPy integer as an int; True and False are refused."""
-    try:
-        if isinstance(value, (bool, np.bool_)):
-            raise TypeError
-        return operator.index(value)
-    except TypeError:
-        raise OptionError(f"{name} must be {expected}, not {quoted(value)}") from None
-
-
 def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...]]) -> Array:
     """Return a new array of finite numbers with one of the shapes."""
     try:
@@ -56,8 +46,13 @@ def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...
 
 
 def index(name: str, value: Any, count: int) -> int:
-    """Return a whole number between 0 and count - 1."""
-    number = whole(name, value)
+    """Return a whole number between 0 and count - 1, of Python or NumPy; True and False are refused."""
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        number = operator.index(value)
+    except TypeError:
+        raise OptionError(f"{name} must be a whole number, not {quoted(value)}") from None
     if not 0 <= number < count:
         raise OptionError(f"there is no {name} {number}: they are numbered 0 to {count - 1}")
     return number

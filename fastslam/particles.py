@@ -23,7 +23,7 @@ from graphslam.engine import engine
 from graphslam.errors import OptionError
 from graphslam.graph.landmark_map import LandmarkMap
 from graphslam.models import MotionModel, SensorModel
-from graphslam.se2 import Array, wrap
+from graphslam.se2 import Array, difference, wrap
 from graphslam.solvers.uncertainty import ids_of, shaped, split
 
 from .options import FilterOptions, index
@@ -76,7 +76,7 @@ class Samples:
             steps = list(range(len(self.poses)))
         marks = np.array(list(self.landmarks.values()))
         away = [
-            deviations(samples[:, :, chosen], means[chosen]).reshape(-1, len(chosen) * means.shape[1])
+            difference(samples[:, :, chosen], means[chosen]).reshape(-1, len(chosen) * means.shape[1])
             for samples, means, chosen in (
                 (self.trajectories, self.poses, steps),
                 (self.maps, marks, [rows[j] for j in ids]),
@@ -108,7 +108,7 @@ def _mean(samples: Array) -> Array:
 
 
 def _covariances(samples: Array, mean: Array) -> Array:
-    d = deviations(samples, mean).reshape(-1, *mean.shape)
+    d = difference(samples, mean).reshape(-1, *mean.shape)
     return np.einsum("sti,stj->tij", d, d) / len(d)
 
 
@@ -183,7 +183,7 @@ class ParticleState:
         among = weights * np.all([owned for _, _, owned in gaussians], axis=0) if ids else weights
         among /= among.sum()
         samples = [self.poses] * times + [means for means, _, _ in gaussians]
-        away = np.hstack([deviations(points, weighted_mean(points, among)) for points in samples])
+        away = np.hstack([difference(points, weighted_mean(points, among)) for points in samples])
         within = [np.zeros((3, 3))] * times + [np.tensordot(among, inside, 1) for _, inside, _ in gaussians]
         return away.T @ (among[:, None] * away) + block_diag(*within)
 
@@ -282,16 +282,8 @@ def weighted_mean(points: Array, weights: Array) -> Array:
 
 def weighted_covariance(points: Array, mean: Array, weights: Array) -> Array:
     """Return the covariance of (k, n) points about a mean under weights that sum to 1; a third coordinate is an angle."""
-    difference = deviations(points, mean)
-    return difference.T @ (weights[:, None] * difference)
-
-
-def deviations(points: Array, mean: Array) -> Array:
-    """The differences of points (..., n) to a mean (..., n); a third coordinate is an angle."""
-    difference = points - mean
-    if mean.shape[-1] == 3:
-        difference[..., 2] = wrap(difference[..., 2])
-    return difference
+    away = difference(points, mean)
+    return away.T @ (weights[:, None] * away)
 
 
 Scheme = Callable[[Array, np.random.Generator], np.ndarray]

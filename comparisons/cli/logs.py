@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .output import DIFFERENT, Output
-from .verb import LogFile, command, places
+from .verb import LogFile, argument, command, places
 
 if TYPE_CHECKING:
     from ..options import (
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 def simulate(
     output: Output,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write (.npz keeps everything).")],
+    out: Annotated[Path, argument("OUT", "The file to write (.npz keeps everything).")],
     *,
     options: SimulationOptions,
     format: Annotated[str | None, typer.Option(help="npz or lnpr.", show_default="by the suffix of OUT")] = None,
@@ -66,10 +66,7 @@ def simulate(
 def calibrate(
     output: Output,
     log: LogFile = None,
-    others: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="LOG ...", help="More logs of the same kind of robot.", show_default=False),
-    ] = None,
+    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same kind of robot.")] = None,
     *,
     options: CalibrationOptions,
     out: Annotated[
@@ -117,14 +114,9 @@ def calibrate(
 def evaluate(
     output: Output,
     truth: Annotated[
-        Path,
-        typer.Argument(
-            metavar="TRUTH", help="The true poses: a table (.csv, .tum, ...), BAG:TOPIC, or a log with ground truth."
-        ),
+        Path, argument("TRUTH", "The true poses: a table (.csv, .tum, ...), BAG:TOPIC, or a log with ground truth.")
     ],
-    estimates: Annotated[
-        list[Path], typer.Argument(metavar="ESTIMATE ...", help="Estimated poses: tables, bags or BAG:TOPIC, or .npz.")
-    ],
+    estimates: Annotated[list[Path], argument("ESTIMATE ...", "Estimated poses: tables, bags or BAG:TOPIC, or .npz.")],
     *,
     options: EvaluationOptions,
     drawing: FigureOptions,
@@ -187,10 +179,9 @@ def import_(
     output: Output,
     words: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[SOURCE] [OUT.npz]",
-            help="The folder of tables or the bag, and the log to write; without it, only what was found is listed.",
-            show_default=False,
+        argument(
+            "[SOURCE] [OUT.npz]",
+            "The folder of tables or the bag, and the log to write; without it, only what was found is listed.",
         ),
     ] = None,
     *,
@@ -279,7 +270,7 @@ def solvers(output: Output, log: LogFile = None, *, options: SolverCheckOptions)
 
 def backends(
     output: Output,
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Pose graphs: g2o, TORO or iSAM text.")],
+    files: Annotated[list[Path], argument("FILE...", "Pose graphs: g2o, TORO or iSAM text.")],
     *,
     options: BackendOptions,
     drawing: FigureOptions,

@@ -67,7 +67,8 @@ def sentences(
         if verbose:
             traceback.print_exc()
         more = advice(str(error))
-        text = _in_language(f"error: {error}" if more is None else f"error: {error}. {more}", lang, sys.stderr)
+        text = f"error: {error}" if more is None else f"error: {error}. {more}"
+        text = in_language(text, _spoken(lang, sys.stderr))
         typer.echo(text if not sys.stderr.isatty() else _wrapped(text), err=True)
         raise typer.Exit(WRONG_INPUT) from None
 
@@ -79,15 +80,18 @@ def _wrapped(text: str) -> str:
     )
 
 
-def _in_language(text: str, lang: str | None, stream: Any) -> str:
-    """The text in the language, or in English where the stream has no codes for its letters or there is no such language."""
-    from ..show.language import language_of, translated
+def _spoken(lang: str | None, stream: Any) -> str:
+    """The language that is asked for, else that of the environment.
+
+    English where the stream has no codes for the letters, or where there is no such language, which the verb then says.
+    """
+    from ..show.language import language_of
 
     try:
-        found = translated(text, language_of(lang))
+        language = language_of(lang)
     except SlamError:
-        return text
-    return found if encodable(found, stream) else text
+        return "en"
+    return language if encodable("日本", stream) else "en"
 
 
 def _by_interrupt(error: BaseException | None) -> bool:
@@ -166,13 +170,17 @@ class Output:
         return "en"
 
     def say(self, *lines: str) -> None:
-        """Write sentences without markup; a terminal gets them broken between words, anything else one a line."""
+        """Write sentences without markup; a terminal gets them broken between words, anything else one a line.
+
+        Commands are not broken, so that they can be copied, and ``slam-compare`` is named so that it runs.
+        """
         for line in lines:
             text = in_language(printable(line), self.language)
-            self._line(_wrapped(text) if self.console.is_terminal else text)
-
-    def _line(self, text: str) -> None:
-        self.console.print(text, markup=False, soft_wrap=True)
+            if "slam-compare " in text:
+                text = text.replace("slam-compare ", f"{program()} ")
+            elif self.console.is_terminal:
+                text = _wrapped(text)
+            self.console.print(text, markup=False, soft_wrap=True)
 
     @property
     def wants_json(self) -> bool:
@@ -194,15 +202,9 @@ class Output:
             self.hint(f"Wrote {self._file}.")
 
     def hint(self, *lines: str) -> None:
-        """Where the files are and what could come next; not with --quiet. ``slam-compare`` is named so that it runs."""
+        """Where the files are and what could come next; not with --quiet."""
         if not self.quiet:
-            for line in lines:
-                # commands are not broken, so that they can be copied
-                if "slam-compare " in line:
-                    text = in_language(printable(line), self.language)
-                    self._line(text.replace("slam-compare ", f"{program()} "))
-                else:
-                    self.say(line)
+            self.say(*lines)
 
     def hint_at_import(self, found: Any, options: Any) -> None:
         """Hint at ``import`` where notes or findings of a log name options that the options of the verb do not have."""
@@ -280,23 +282,14 @@ def in_language(text: str, language: str) -> str:
 
 
 def language_of_words(words: Sequence[str]) -> str:
-    """The language of a command line before it is parsed: that of --lang, else of the environment.
-
-    English where the output has no codes for the letters, or where there is no such language, which the verb then says.
-    """
-    from ..show.language import language_of
-
+    """The language of a command line before it is parsed: that of --lang, else of the environment."""
     given = None
     for word, following in zip(words, [*words[1:], None]):
         if word == "--lang":
             given = following
         elif word.startswith("--lang="):
             given = word.partition("=")[2]
-    try:
-        language = language_of(given)
-    except SlamError:
-        return "en"
-    return language if encodable("日本", sys.stdout) else "en"
+    return _spoken(given, sys.stdout)
 
 
 def encodable(text: str, stream: Any = None) -> bool:

@@ -11,10 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from .output import Advance, Output
-from .verb import LogFile, command, places
+from .verb import LogFile, argument, command, places
 
 if TYPE_CHECKING:
     from ..comparison import Comparison, Progress
@@ -34,10 +32,7 @@ PAGE = "Wrote the interactive report {}: open it in a browser."
 def run(
     output: Output,
     log: LogFile = None,
-    others: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="LOG ...", help="More logs of the same place, solved together.", show_default=False),
-    ] = None,
+    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same place, solved together.")] = None,
     *,
     chosen: EstimatorOptions,
     options: RunOptions,
@@ -126,13 +121,12 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
 def report(
     output: Output,
     words: Annotated[
-        list[str],
-        typer.Argument(metavar="[LOG] OUT.html", help="The log (default: the sample log of the package), and the page."),
+        list[str], argument("[LOG] OUT.html", "The log (default: the sample log of the package), and the page.")
     ],
     *,
     chosen: EstimatorOptions,
     options: RunOptions,
-) -> None:  # fmt: skip
+) -> None:
     """Run all estimators on one log and write an interactive report: one HTML file that works offline.
 
     Examples:
@@ -156,15 +150,15 @@ def animate(
     output: Output,
     words: Annotated[
         list[str],
-        typer.Argument(
-            metavar="[LOG] OUT",
-            help="The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
+        argument(
+            "[LOG] OUT",
+            "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
         ),
     ],
     *,
     animation: AnimationOptions,
     options: RunOptions,
-) -> None:  # fmt: skip
+) -> None:
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths.
 
     Examples:

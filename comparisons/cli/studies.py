@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .output import DIFFERENT, INTERRUPTED, Advance, Output
-from .verb import LogFile, command
+from .verb import LogFile, argument, command
 
 if TYPE_CHECKING:
     from ..options import ConsistencyOptions, FigureOptions, ParticleStudyOptions, SummaryOptions, SweepOptions
@@ -61,9 +61,7 @@ def consistency(output: Output, *, options: ConsistencyOptions, drawing: FigureO
 
 def sweep(
     output: Output,
-    study: Annotated[
-        Path, typer.Argument(metavar="STUDY", help="The study file, TOML (examples/study.toml, docs/studies.md).")
-    ],
+    study: Annotated[Path, argument("STUDY", "The study file, TOML (examples/study.toml, docs/studies.md).")],
     *,
     options: SweepOptions,
 ) -> None:
@@ -98,10 +96,7 @@ def sweep(
 
 def study(
     output: Output,
-    words: Annotated[
-        list[str],
-        typer.Argument(metavar="DATABASE", help="The database of a study, or the study file that names it."),
-    ],
+    words: Annotated[list[str], argument("DATABASE", "The database of a study, or the study file that names it.")],
     *,
     options: SummaryOptions,
 ) -> None:

@@ -24,14 +24,17 @@ if TYPE_CHECKING:
 
     from ..options.option import Option, Options
 
+
+def argument(metavar: str, help: str, default: str | bool = False) -> Any:
+    """An argument of a verb: its name in the usage, its help, and in words what stands for it where it is missing."""
+    return typer.Argument(metavar=metavar, help=help, show_default=default)
+
+
 #: the argument LOG of most verbs
 LogFile = Annotated[
     Path | None,
-    typer.Argument(
-        metavar="LOG", help="The log: a file, or the folder of a data set.",
-        show_default="the sample log of the package",
-    ),
-]  # fmt: skip
+    argument("LOG", "The log: a file, or the folder of a data set.", "the sample log of the package"),
+]
 _META = "comparisons.estimators.config"
 
 

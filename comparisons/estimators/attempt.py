@@ -11,34 +11,31 @@ from __future__ import annotations
 
 import pickle
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
+from typing import TypeVar
 
 import cloudpickle  # type: ignore[import-untyped]
 import numpy as np
 from pebble import ProcessExpired, ProcessPool
 
 from graphslam import Log, OptionError, SlamError
-from graphslam import processes as local
-from graphslam.processes import how_it_ended
+from graphslam.processes import how_it_ended, processes
 
 from ..options import RunOptions
 from ..results import EstimatorResult, sentence
 from .estimators import BUILT_IN, ESTIMATORS, warm_up
 
-
-def process_pool(jobs: int, estimators: Sequence[str]) -> ProcessPool:
-    """A `graphslam.processes.process_pool` whose processes load the modules of estimators first."""
-    return local.process_pool(jobs, partial(_warm_up, tuple(estimators), added_estimators()))
+Task = TypeVar("Task")
+Row = TypeVar("Row")
 
 
-def processes(
-    jobs: int, estimators: Sequence[str], prepare: Callable[[], object] = list
-) -> AbstractContextManager[ProcessPool]:
-    """The same, for a block: `graphslam.processes.processes`; ``prepare`` is called in each process, too."""
-    return local.processes(jobs, partial(_warm_up, tuple(estimators), added_estimators(), prepare))
+def loading(estimators: Iterable[str], prepare: Callable[[], object] = list) -> Callable[[], None]:
+    """What a process does before its first task: it loads the modules of estimators, and calls ``prepare``."""
+    return partial(_warm_up, tuple(estimators), added_estimators(), prepare)
 
 
 def added_estimators() -> bytes:
@@ -68,7 +65,7 @@ def add_estimators(added: bytes) -> None:
         ESTIMATORS.update(pickle.loads(added))
 
 
-def _warm_up(estimators: Sequence[str], added: bytes, prepare: Callable[[], object] = list) -> None:
+def _warm_up(estimators: Sequence[str], added: bytes, prepare: Callable[[], object]) -> None:
     add_estimators(added)
     loads: list[Callable[[], object]] = [*(partial(warm_up, name) for name in estimators), prepare]
     for load in loads:
@@ -79,6 +76,21 @@ def _warm_up(estimators: Sequence[str], added: bytes, prepare: Callable[[], obje
 def too_long(limit: float | None) -> str:
     """A sentence on a task that was stopped at its time limit [s]."""
     return f"it was stopped at the time limit of {limit:g} s"
+
+
+def ended(
+    future: Future[Row], task: Task, limit: float | None, instead: Callable[[Task, str], Row] | None = None
+) -> Row:
+    """The row of a task in a pool, or what ``instead`` makes of the reason: it took longer, or its process died."""
+    try:
+        return future.result()
+    except TimeoutError:
+        reason = too_long(limit)
+    except ProcessExpired as error:
+        reason = how_it_ended(error)
+    if instead is None:
+        raise SlamError(reason)
+    return instead(task, reason)
 
 
 @dataclass(frozen=True)
@@ -157,18 +169,15 @@ def attempts(names: Sequence[str], limit: float | None) -> Iterator[Attempt]:
     if limit is None:
         yield attempt
         return
-    with processes(1, names) as pool:
+    with processes(1, loading(names)) as pool:
         yield partial(_within, pool, limit)
 
 
 def _within(pool: ProcessPool, limit: float, name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:
-    try:
-        outcome: EstimatorResult | Skipped = pool.schedule(_elsewhere, (name, log, options), timeout=limit).result()
-    except TimeoutError:
-        return Skipped(name, too_long(limit))
-    except ProcessExpired as error:
-        return Skipped(name, how_it_ended(error), RuntimeError(how_it_ended(error)))
-    return outcome
+    def skipped(name: str, reason: str) -> Skipped:
+        return Skipped(name, reason, None if reason == too_long(limit) else RuntimeError(reason))
+
+    return ended(pool.schedule(_elsewhere, (name, log, options), timeout=limit), name, limit, skipped)
 
 
 def _elsewhere(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:

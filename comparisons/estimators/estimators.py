@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -25,11 +25,12 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED
 from graphslam.online import replay
 from graphslam.se2 import wrap
+from graphslam.solvers.solution import make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions
 from ..options.option import options_of
 from ..results import EstimatorResult, noted
-from .filters import FILTER, LOCALISATION, check_one_drive, fastslam1, fastslam2, identified, mcl
+from .filters import FILTER, LOCALISATION, check_one_drive, identified, mcl, of_several_seeds
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
@@ -107,10 +108,16 @@ def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
     begin = time.perf_counter()
     poses = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
     seconds = time.perf_counter() - begin
-    notes = ("the log has no controls: these are its own initial poses",) if log.controls is None else ()
-    return _with_map(
-        log, options.sensor, poses, name="dead-reckoning", seconds=seconds, notes=notes, log=log, motion=options.motion
-    )
+    notes = ["the log has no controls: these are its own initial poses"] if log.controls is None else []
+    poses = np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+    maps: dict[str, Any] = {}
+    with noted(notes, "the map is not known"):
+        landmarks = graphslam.estimate_map(log, poses, sensor=options.sensor)
+        maps = {"landmarks": dict(landmarks), "landmark_covariances": landmarks.covariances}
+    return EstimatorResult(
+        name="dead-reckoning", poses=poses, estimated=np.ones(len(poses), dtype=bool), seconds=seconds, notes=tuple(notes),
+        log=log, motion=options.motion, **maps,
+    )  # fmt: skip
 
 
 def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
@@ -125,37 +132,15 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     result = graphslam.textbook.solve(log, edges=edges, **models)
     seconds = time.perf_counter() - begin
     # J and the map by the graph's own code, which gets what the book's cost has
-    log = log.replace(**dict.fromkeys(MEASURED))
-    graph = Graph.from_log(log, edges=edges, frame="world", kernel="none", **models)
-    state = np.asarray(result.poses, dtype=float)[graph.steps]
-    return _with_map(
-        log,
-        options.sensor,
-        result.poses,
-        name="textbook",
-        seconds=seconds,
-        estimated=np.asarray(result.estimated, dtype=bool),
-        converged=result.converged,
-        iterations=result.iterations,
-        step_norms=np.asarray(result.step_norms, dtype=float),
-        cost=float(graph.cost(state)),
-        costs=np.asarray(result.costs, dtype=float),
-        options={"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold},
-        reason=result.reason,
-        origin=result,
-        graph=graph,
-        state=state,
-    )
-
-
-def graph_estimator(log: Log, options: RunOptions) -> EstimatorResult:
-    """The hand-written solver on the log's graph."""
-    return _by_hand("graph", log, options)
-
-
-def graph_marginal(log: Log, options: RunOptions) -> EstimatorResult:
-    """The same with each sighting counted once, where pairs count it up to K/2 times: landmarks are eliminated exactly."""
-    return _by_hand("graph-marginal", log, replace(options, weight="marginal"))
+    plain = log.replace(**dict.fromkeys(MEASURED))
+    graph = Graph.from_log(plain, edges=edges, frame="world", kernel="none", **models)
+    solution = make_solution(
+        graph, result.poses[graph.steps], step_norms=result.step_norms, costs=result.costs, converged=result.converged,
+        reason=result.reason, seconds=seconds, solver="textbook",
+    )  # fmt: skip
+    used = {"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold}
+    found = _of_solution("textbook", log, options, replace(solution, notes=()))
+    return replace(found, options=used, costs=np.array(result.costs))
 
 
 def _counted_once(log: Log, options: RunOptions) -> str | None:
@@ -165,12 +150,9 @@ def _counted_once(log: Log, options: RunOptions) -> str | None:
     return "graph has marginal weights already" if options.weight == "marginal" else None
 
 
-def graph_no_kernel(log: Log, options: RunOptions) -> EstimatorResult:
-    """``graph`` without its robust kernel: every sighting counts fully, wrong ones too."""
-    return _by_hand("graph-no-kernel", log, replace(options, kernel="none"))
-
-
-def _by_hand(name: str, log: Log, options: RunOptions) -> EstimatorResult:
+def by_hand(name: str, log: Log, options: RunOptions, **changes: Any) -> EstimatorResult:
+    """The hand-written solver on the log's graph, with some options changed."""
+    options = replace(options, **changes)
     graph = make_graph(log, options)
     method = "gnc" if options.kernel == "gnc" else "gauss-newton"
     return _of_solution(name, log, options, graphslam.solve(graph, method=method, initialize=options.initialize))
@@ -346,24 +328,32 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
 _GRAPH = tuple(options_of(GraphOptions))
 #: and what finds the ids for it
 _SOLVED = (*_GRAPH, *options_of(FrontEndOptions), "class_confusion")
+
+
+def _solved_without(*names: str) -> tuple[str, ...]:
+    return tuple(name for name in _SOLVED if name not in names)
+
+
 _GIBBS = tuple(name for name, each in options_of(RunOptions).items() if each.model == "gibbs")
 #: the estimators by name, in the order in which they run and are shown
 ESTIMATORS: dict[str, Estimator] = {
     "dead-reckoning": Estimator(dead_reckoning),
     "textbook": Estimator(textbook_estimator, ("edges",), _textbook_seconds),
-    "graph": Estimator(graph_estimator, _SOLVED),
+    "graph": Estimator(partial(by_hand, "graph"), _SOLVED),
+    # each sighting counted once, where pairs count it up to K/2 times: landmarks are eliminated exactly
     "graph-marginal": Estimator(
-        graph_marginal, tuple(name for name in _SOLVED if name != "weight"), repeats=_counted_once
+        partial(by_hand, "graph-marginal", weight="marginal"), _solved_without("weight"), repeats=_counted_once
     ),
-    "graph-no-kernel": Estimator(graph_no_kernel, tuple(name for name in _SOLVED if name != "kernel"), on_request=True),
+    # every sighting counts fully, wrong ones too
+    "graph-no-kernel": Estimator(
+        partial(by_hand, "graph-no-kernel", kernel="none"), _solved_without("kernel"), on_request=True
+    ),
     "gtsam": Estimator(gtsam_estimator, _SOLVED, _gtsam_seconds),
     "online": Estimator(online, ("motion_weight", "kernel", "lag"), on_request=True),
-    "isam2": Estimator(
-        isam2, tuple(name for name in _SOLVED if name not in ("initialize", "estimate")), _isam2_seconds
-    ),
+    "isam2": Estimator(isam2, _solved_without("initialize", "estimate"), _isam2_seconds),
     "mcl": Estimator(mcl, LOCALISATION),
-    "fastslam1": Estimator(fastslam1, FILTER),
-    "fastslam2": Estimator(fastslam2, FILTER),
+    "fastslam1": Estimator(partial(of_several_seeds, "fastslam1"), FILTER),
+    "fastslam2": Estimator(partial(of_several_seeds, "fastslam2"), FILTER),
     "particle-gibbs": Estimator(particle_gibbs, _GIBBS, on_request=True),
 }
 
@@ -397,8 +387,8 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
     options = chosen(log, options)
-    # what goes step by step through a log uses the ids that this has
-    found = None if name in ("isam2", "online") else identified(log, options)[1]
+    # the lectures' program, and what goes step by step through a log, use the ids that this has
+    found = None if name in ("textbook", "isam2", "online") else identified(log, options)[1]
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}
@@ -441,18 +431,6 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         values["options"] |= {name: getattr(options, name) for name in options_of(FrontEndOptions)}
         values["options"]["class_confusion"] = options.filter.class_confusion
     return EstimatorResult(**values | {"notes": tuple(notes)})
-
-
-def _with_map(source: Log, sensor: SensorModel | None, poses: Any, **rest: Any) -> EstimatorResult:
-    """A result whose map is computed from the poses, the same way for every estimator that has no map of its own."""
-    poses = np.array(poses, dtype=float)
-    poses[:, 2] = wrap(poses[:, 2])
-    rest.setdefault("estimated", np.ones(len(poses), dtype=bool))
-    notes = list(rest.pop("notes", ()))
-    with noted(notes, "the map is not known"):
-        landmarks = graphslam.estimate_map(source, poses, sensor=sensor)
-        rest |= {"landmarks": dict(landmarks), "landmark_covariances": landmarks.covariances}
-    return EstimatorResult(poses=poses, notes=tuple(notes), **rest)
 
 
 @cache

@@ -153,16 +153,6 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
     return replace(of_several_seeds("mcl", log, options), knows="true map")
 
 
-def fastslam1(log: Log, options: RunOptions) -> EstimatorResult:
-    """FastSLAM 1.0; trajectory and map of the best particle, with ``smoothing`` the means of those drawn backwards."""
-    return of_several_seeds("fastslam1", log, options)
-
-
-def fastslam2(log: Log, options: RunOptions) -> EstimatorResult:
-    """FastSLAM 2.0, whose proposal is corrected by the sightings; trajectory and map as for `fastslam1`."""
-    return of_several_seeds("fastslam2", log, options)
-
-
 #: the particle filters by the name of their estimator, as names in `fastslam`, which is imported when one is used
 FILTERS = {"mcl": "MonteCarloLocalization", "fastslam1": "FastSLAM1", "fastslam2": "FastSLAM2"}
 
@@ -236,6 +226,7 @@ LARGEST = 1_000_000
 def of_several_seeds(name: str, log: Log, options: RunOptions) -> EstimatorResult:
     """The run of a filter with the median ATE of `SEEDS`, the errors of all as ``seed_errors``, and their range as a note.
 
+    Trajectory and map are those of the best particle, with ``smoothing`` the means of those drawn backwards.
     It is one run where the options name a seed, the log has no true poses to measure an error with, or it is too large.
     """
     small = options.filter.particles * (log.num_poses + len(log.steps)) <= LARGEST

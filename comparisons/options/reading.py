@@ -16,18 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 import graphslam
-from graphslam import (
-    FormatError,
-    GraphError,
-    Log,
-    LogError,
-    MotionModel,
-    OptionError,
-    SensorModel,
-    join_logs,
-    load,
-    sample_log_path,
-)
+from graphslam import FormatError, GraphError, Log, LogError, MotionModel, OptionError, SensorModel
 from graphslam.association import known_noise
 from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
@@ -146,7 +135,7 @@ def _joined(
         raise OptionError(f"{twice[0].name} is named twice; its sightings would count twice, so name each log once")
     read = [read_log(each, options) for each in logs]
     known = [_with_noise(data, options) for data, _ in read]
-    joined = join_logs(with_common_noise([data for data, _, _ in known])).log
+    joined = graphslam.join_logs(with_common_noise([data for data, _, _ in known])).log
     remarks: list[str] = []
     with noted(remarks, "what has changed between the logs is not known"):
         changes = session_states(joined) if len(known) > 1 else []
@@ -281,10 +270,10 @@ def read_log(log: LogOrPath | Sequence[LogOrPath], options: ReadingOptions) -> t
     elif log is not None and not isinstance(log, (str, PathLike)):
         raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {quoted(log)}")
     else:
-        path = sample_log_path() if log is None else Path(log)
+        path = graphslam.sample_log_path() if log is None else Path(log)
         # the warnings of a reader are also notes of the log, which are shown
         with warnings.catch_warnings(action="ignore", category=UserWarning):
-            data = load(path, **_of_load(options))
+            data = graphslam.load(path, **_of_load(options))
         # absolute, so that a repeated run from another folder writes the same
         source = path.absolute()
     if options.dimensions == 3 and not data.has_orientation:

@@ -27,7 +27,6 @@ from graphslam.metrics import Errors, Metrics, mean_nees
 from graphslam.se2 import Array
 from graphslam.solvers.corrected import motion_edges, sighted_edges
 from graphslam.solvers.uncertainty import Uncertainty
-from graphslam.textbook import TextbookSolution
 
 from .documents import Count, Covariance, Flags, Numbers, Poses, Position
 
@@ -87,8 +86,7 @@ class EstimatorResult:
         options: the options that it used, for the record.
         reason: why it ended, one sentence.
         notes: what the user should know.
-        origin: what all this was computed from: a `Solution`, a `FilterResult`, a `GibbsResult`, a
-            `TextbookSolution`, or None.
+        origin: what all this was computed from: a `Solution`, a `FilterResult`, a `GibbsResult`, or None.
         graph, state: the graph that was solved and the values (n, 3) of its nodes at the end; None without a graph.
         log, motion: what dead reckoning was computed from; None for the other estimators.
     """
@@ -115,7 +113,7 @@ class EstimatorResult:
     options: Mapping[str, Any] = field(default_factory=dict)
     reason: str = ""
     notes: tuple[str, ...] = ()
-    origin: Solution | FilterResult | GibbsResult | TextbookSolution | None = field(default=None, repr=False)
+    origin: Solution | FilterResult | GibbsResult | None = field(default=None, repr=False)
     graph: Graph | None = field(default=None, repr=False)
     state: Array | None = field(default=None, repr=False)
     log: Log | None = field(default=None, repr=False)
@@ -141,16 +139,15 @@ class EstimatorResult:
             return self.found.doubtful
         return self.origin.unconfirmed if isinstance(self.origin, FilterResult) else None
 
-    @cached_property
+    @property
+    def _solution(self) -> Solution | None:
+        """The solution of a graph that this was computed from; None where it was something else."""
+        return self.origin if isinstance(self.origin, Solution) and self.origin.graph is not None else None
+
+    @property
     def certificate(self) -> Certificate | None:
         """Whether the end is proven to be the global minimum of the graph's J; None without a graph."""
-        if self.graph is None or self.state is None:
-            return None
-        if isinstance(self.origin, Solution) and self.origin.graph is not None:
-            return self.origin.certificate
-        from graphslam import certify
-
-        return certify(self.graph, self.state).of_run(bool(self.converged), self.reason)
+        return None if self._solution is None else self._solution.certificate
 
     @cached_property
     def pose_covariances(self) -> Array | None:
@@ -172,11 +169,9 @@ class EstimatorResult:
     @cached_property
     def expected_ate_m(self) -> float | None:
         """The ATE [m] that the covariances of a graph let expect; None where they are not known."""
-        if self.graph is None or self.state is None or isinstance(self._of_graph, str):
+        if self._solution is None or self.covariance_failure is not None:
             return None
-        if isinstance(self.origin, Solution):
-            return self.origin.expected_ate
-        return Uncertainty(self.graph, self.state).expected_ate(len(self.graph.steps))
+        return self._solution.expected_ate
 
     def _relative_covariances(self, covariances: Array) -> Array | None:
         """The covariances (T+1, 3, 3) of the poses of a graph against its first pose, whose errors move all others along.
@@ -202,17 +197,10 @@ class EstimatorResult:
     @cached_property
     def _of_graph(self) -> Array | str | None:
         """The covariances (T+1, 3, 3) of the poses of the graph, or why they cannot be computed; None without a graph."""
-        if self.graph is None or self.state is None:
-            return None
-        covariances = np.full((len(self.poses), 3, 3), np.nan)
         try:
-            if isinstance(self.origin, Solution):
-                found: Array = self.origin.covariance()
-                return found
-            covariances[self.graph.steps] = Uncertainty(self.graph, self.state).diagonal[: len(self.graph.steps)]
+            return None if self._solution is None else self._solution.covariance()
         except Exception as error:
             return f"the covariances are not known: {sentence(error)}"
-        return covariances
 
     def nees(self, truth: Array | None) -> float | None:
         """The mean over the poses of e' P^-1 e / 3; 1 means consistent, above 1 overconfident.

@@ -6,14 +6,12 @@ A log before it is solved: dead reckoning with all sightings, when each landmark
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from graphslam.se2 import Array, compose, transform
@@ -22,29 +20,7 @@ from ..comparison import Comparison
 from ..results import EstimatorResult
 from ..results.exchange import elapsed_of, time_axis
 from ..results.sightings import parted
-from .canvas import (
-    POSITION,
-    SIGHTING,
-    START,
-    TRUE_LANDMARK,
-    TRUTH,
-    WIDTH,
-    aligned_to,
-    as_text,
-    between_poses,
-    colour_of,
-    ellipse_style,
-    paper_figure,
-    place_map,
-    placed,
-    placement_of_result,
-    reference_of,
-    sensor_of,
-    set_limits,
-    style_of,
-    true_landmarks,
-    true_line,
-)
+from . import canvas
 
 if TYPE_CHECKING:
     from ..evaluation import Evaluation
@@ -92,68 +68,69 @@ def comparison_figure(comparison: Comparison) -> Figure:
     step after that motion, whose root mean square is the ATE; in a log without true poses the norm of the correction of
     each iteration instead.
     """
-    with paper_figure() as figure:
+    with canvas.paper_figure() as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-        legend: dict[str, Any] = {}
-        _draw_map(left, comparison, legend)
+        _draw_map(left, comparison)
         (_draw_convergence if comparison.log.true_poses is None else _draw_errors)(right, comparison)
-        columns = min(4, -(-len(legend) // 2))
-        figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=columns)
+        entries = len(left.get_legend_handles_labels()[1])
+        figure.legend(loc="outside lower center", ncols=min(4, -(-entries // 2)))
     return figure
 
 
-def _draw_map(axes: Axes, comparison: Comparison, legend: dict[str, Any]) -> None:
-    """Fill the left panel, and the legend {label: handle} with what is in it."""
-    log, truth, reference = comparison.log, comparison.log.true_poses, reference_of(comparison)
-    core: list[Array] = []
+def draw_truth(axes: Axes, path: Array | None, landmarks: Mapping[int, Array] | None) -> list[Array]:
+    """Draw the true path (n, 2 or 3) and the true landmarks where they are known; return their positions (k, 2) each."""
+    positions = []
+    if path is not None:
+        axes.plot(*path[:, :2].T, label="ground truth", **canvas.TRUTH)
+        positions.append(path[np.isfinite(path[:, 0]), :2])
+    if landmarks:
+        places = np.array([place[:2] for place in landmarks.values()])
+        axes.plot(*places.T, label="true landmark", **canvas.TRUE_LANDMARK)
+        positions.append(places)
+    return positions
+
+
+def _draw_map(axes: Axes, comparison: Comparison) -> None:
+    """Fill the left panel."""
+    log, truth, reference = comparison.log, comparison.log.true_poses, canvas.reference_of(comparison)
     rest: list[Array] = []
-    maps: dict[str, Any] = {}
-    aligned, begun = aligned_to(log), log.initial_poses[[each.start for each in log.drives]]
-    between = between_poses(log, comparison.options.motion)
+    aligned, begun = canvas.aligned_to(log), log.initial_poses[[each.start for each in log.drives]]
+    between = canvas.between_poses(log, comparison.options.motion)
     starts = [drive.start for drive in log.drives]
-    if (line := true_line(log)) is not None:
+    if (line := canvas.true_line(log)) is not None:
         line = parted(line, starts[1:] if log.true_path is None else log.control_starts[starts[1:]])
-        (legend["ground truth"],) = axes.plot(line[:, 0], line[:, 1], **TRUTH)
-        core.append(line[np.isfinite(line[:, 0]), :2])
+    core = draw_truth(axes, line, canvas.true_landmarks(log) if aligned else None)
     for result in comparison.results:
-        placement = placement_of_result(log, result)
+        placement = canvas.placement_of_result(log, result)
         unknown = ~result.estimated[:, None]
         path = parted(between.through(np.where(unknown, np.nan, result.poses)), between.rows[starts[1:]])
-        poses = placed(log, placement, path)
-        axes.plot(poses[:, 0], poses[:, 1], **style_of(result.name, len(poses)))
-        legend[_label(result)] = Line2D([], [], **style_of(result.name))
+        poses = canvas.placed(log, placement, path)
+        axes.plot(*poses[:, :2].T, label=_label(result), **canvas.style_of(result.name, len(poses)))
         (core if result is reference else rest).append(poses[np.isfinite(poses[:, 0]), :2])
         if result is reference:
             _draw_sightings(axes, comparison, np.where(unknown, np.nan, compose(placement, result.poses)))
             begun = compose(placement, log.at_truth(np.where(unknown, log.initial_poses, result.poses)[starts]))
             if (positions := log.positions) is not None and len(positions):
                 crosses = transform(placement, positions.places[:, :2])
-                (legend["position measured"],) = axes.plot(*crosses.T, **POSITION)
+                axes.plot(*crosses.T, label="position measured", **canvas.POSITION)
                 rest.append(crosses)
         # the map of a second solver of the same graph would only cover that of the first
         if result.landmarks and (result.name in _MAPS or result is reference):
             core.append(_draw_landmarks(axes, result, placement, result is reference))
-            look = ellipse_style(colour_of(result.name), solid=result is reference)
-            maps[f"map of {result.name} (3σ)"] = Patch(**look)
-    if aligned and (marks := true_landmarks(log)):
-        places = np.array(list(marks.values()))
-        (legend["true landmark"],) = axes.plot(places[:, 0], places[:, 1], **TRUE_LANDMARK)
-        core.append(places)
-    legend.update(maps)
     if log.steps.size and reference is not None:
-        legend["sighting"] = Line2D([], [], **SIGHTING | {"linewidth": 0.8})
+        axes.plot([], [], label="sighting", **canvas.SIGHTING | {"linewidth": 0.8})
     if truth is not None:
         begun = np.where(log.covered[starts, None], truth[starts], begun)
-    (legend["start" if len(starts) == 1 else "start of each log"],) = axes.plot(begun[:, 0], begun[:, 1], **START)
+    axes.plot(*begun[:, :2].T, label="start" if len(starts) == 1 else "start of each log", **canvas.START)
     for number, place in enumerate(begun, start=1):
         if len(starts) > 1:
             axes.annotate(
-                str(number), place[:2], xytext=(4, 3), textcoords="offset points", zorder=START["zorder"],
+                str(number), place[:2], xytext=(4, 3), textcoords="offset points", zorder=canvas.START["zorder"],
                 bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
             )  # fmt: skip
-    set_limits(axes, np.concatenate(core), rest)
+    canvas.set_limits(axes, np.concatenate(core), rest)
     how = f", aligned to {aligned}" if aligned else ""
-    name = f"{len(log.sessions)} logs" if log.sessions else as_text(log.name)
+    name = f"{len(log.sessions)} logs" if log.sessions else canvas.as_text(log.name)
     axes.set(xlabel="x [m]", ylabel="y [m]", title=f"(a) {name}: paths and map{how}")
 
 
@@ -168,22 +145,23 @@ def _label(result: EstimatorResult) -> str:
 
 
 def _draw_sightings(axes: Axes, comparison: Comparison, poses: Array) -> None:
-    log, sensor = comparison.log, sensor_of(comparison)
+    log, sensor = comparison.log, canvas.sensor_of(comparison)
     used = np.flatnonzero(np.isfinite(poses[log.steps, 0]))
     used = used[:: max(1, -(-len(used) // MOST_SIGHTINGS))]
     begins = poses[log.steps[used]]
     ends = sensor.h_inverse(begins, log.sightings[used])[:, :2]
-    lines = LineCollection(list(np.stack([sensor.mount(begins)[:, :2], ends], axis=1)), **SIGHTING)
+    lines = LineCollection(list(np.stack([sensor.mount(begins)[:, :2], ends], axis=1)), **canvas.SIGHTING)
     lines.set_rasterized(len(used) > 1000)
     axes.add_collection(lines, autolim=False)
 
 
 def _draw_landmarks(axes: Axes, result: EstimatorResult, placement: Array, solid: bool) -> Array:
     """Draw means and ellipses; return all their points (k, 2)."""
-    means, covariances = place_map(placement, result.landmarks, result.landmark_covariances)
-    curves, places, color = ellipses(means, covariances), np.array(list(means.values())), colour_of(result.name)
+    means, covariances = canvas.place_map(placement, result.landmarks, result.landmark_covariances)
+    curves, places, color = ellipses(means, covariances), np.array(list(means.values())), canvas.colour_of(result.name)
     axes.plot(places[:, 0], places[:, 1], ".", color=color, markersize=3, zorder=3.1)
-    drawn = PolyCollection(list(curves), zorder=3.0, **ellipse_style(color, solid=solid))
+    label = f"map of {result.name} (3σ)"
+    drawn = PolyCollection(list(curves), zorder=3.0, label=label, **canvas.ellipse_style(color, solid=solid))
     drawn.set_rasterized(len(curves) > MOST_ELLIPSES)
     axes.add_collection(drawn, autolim=False)
     return np.concatenate([places, curves.reshape(-1, 2)])
@@ -195,7 +173,7 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
     for end in ends:
         axes.axvline(elapsed[end], color="0.7", linewidth=0.6, zorder=1)
     for name, errors in comparison.position_errors.items():
-        style = style_of(name, len(errors))
+        style = canvas.style_of(name, len(errors))
         # errors cross each other more often than paths do
         thin = {"linewidth": 0.7 * style.get("linewidth", 1.0)}
         axes.plot(parted(elapsed, ends), parted(errors, ends), **style | thin)
@@ -224,7 +202,7 @@ def _draw_convergence(axes: Axes, comparison: Comparison) -> None:
     longest = 1
     for result in comparison.results:
         if len(norms := result.step_norms):
-            style = style_of(result.name)
+            style = canvas.style_of(result.name)
             if style["linestyle"] == "none":
                 style |= {"linestyle": "-", "linewidth": 0.7}
             axes.plot(np.arange(1, len(norms) + 1), norms, **style)
@@ -242,81 +220,68 @@ def overview_figure(overview: Overview) -> Figure:
     Left: dead reckoning and every sighting, drawn from it to where it places its landmark; while the odometry is good the
     sightings of a landmark end close together. Right: when each landmark was seen, ranges, and bearings.
     """
-    with paper_figure((WIDTH, 0.6 * WIDTH)) as figure:
+    with canvas.paper_figure((canvas.WIDTH, 0.6 * canvas.WIDTH)) as figure:
         panels: dict[str, Axes] = figure.subplot_mosaic(
             [["plan", "times", "times"], ["plan", "ranges", "bearings"]], width_ratios=(2, 1, 1)
         )
-        legend = _draw_plan(panels["plan"], overview)
+        _draw_plan(panels["plan"], overview)
         _draw_times(panels["times"], overview)
         _draw_histogram(panels["ranges"], overview.ranges, "range [m]", "(c) ranges")
         _draw_histogram(panels["bearings"], overview.bearings, "bearing [rad]", "(d) bearings")
-        figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=6)
+        figure.legend(loc="outside lower center", ncols=6)
     return figure
 
 
-def _draw_plan(axes: Axes, overview: Overview) -> dict[str, Any]:
-    """The path and the sightings; returns the entries of the legend."""
+def _draw_plan(axes: Axes, overview: Overview) -> None:
+    """The path and the sightings."""
     log, path = overview.log, overview.path
-    line = between_poses(log, None).through(path)
-    legend: dict[str, Any] = {}
+    line = canvas.between_poses(log, None).through(path)
     every = max(1, -(-len(log.steps) // MOST_SIGHTINGS))
     begins, ends = path[log.steps[::every], :2], overview.seen_at[::every]
-    lines = LineCollection(list(np.stack([begins, ends], axis=1)), **SIGHTING)
+    lines = LineCollection(list(np.stack([begins, ends], axis=1)), **canvas.SIGHTING)
     lines.set_rasterized(True)
     axes.add_collection(lines, autolim=False)
-    (legend["sighting"],) = axes.plot(*ends.T, ".", color="0.45", markersize=2, zorder=2)
-    (legend["dead reckoning"],) = axes.plot(line[:, 0], line[:, 1], **style_of("dead-reckoning"))
-    core = [line[:, :2]]
-    if (truth := true_line(log)) is not None:
-        (legend["ground truth"],) = axes.plot(truth[:, 0], truth[:, 1], **TRUTH)
-        core.append(truth[np.isfinite(truth[:, 0]), :2])
-    if log.true_landmarks:
-        places = np.array([place[:2] for place in log.true_landmarks.values()])
-        (legend["true landmark"],) = axes.plot(*places.T, **TRUE_LANDMARK)
-        core.append(places)
-    (legend["start"],) = axes.plot(path[0, 0], path[0, 1], **START)
-    set_limits(axes, np.concatenate(core), [ends])
+    axes.plot(*ends.T, ".", label="sighting", color="0.45", markersize=2, zorder=2)
+    axes.plot(*line[:, :2].T, label="dead reckoning", **canvas.style_of("dead-reckoning"))
+    core = [line[:, :2], *draw_truth(axes, canvas.true_line(log), log.true_landmarks)]
+    axes.plot(path[0, 0], path[0, 1], label="start", **canvas.START)
+    canvas.set_limits(axes, np.concatenate(core), [ends])
     axes.set(xlabel="x [m]", ylabel="y [m]", title="(a) dead reckoning and sightings")
-    return legend
 
 
 def _draw_times(axes: Axes, overview: Overview) -> None:
     log = overview.log
     ids, row = np.unique(log.landmarks, return_inverse=True)
     times = overview.times[log.steps]
-    axes.plot(times, row, "|", color=colour_of("gtsam"), markersize=4, rasterized=len(row) > 5000)
+    axes.plot(times, row, "|", color=canvas.colour_of("gtsam"), markersize=4, rasterized=len(row) > 5000)
     if len(ids) <= 12:
         axes.set_yticks(range(len(ids)), [str(id) if id >= -(2**62) else "?" for id in ids.tolist()])
     axes.set(xlabel=time_axis(log), ylabel="landmark", title="(b) when each is seen")
 
 
 def _draw_histogram(axes: Axes, histogram: Histogram, label: str, title: str) -> None:
-    axes.stairs(histogram.counts, histogram.edges, fill=True, color=colour_of("graph"))
+    axes.stairs(histogram.counts, histogram.edges, fill=True, color=canvas.colour_of("graph"))
     axes.set(xlabel=label, ylabel="sightings", title=title)
 
 
 def evaluation_figure(evaluation: Evaluation) -> Figure:
     """The figure of estimates against the ground truth, 7.16 inches wide: aligned paths and maps, and position errors."""
-    with paper_figure() as figure:
+    with canvas.paper_figure() as figure:
         left, right = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-        legend: dict[str, Any] = {}
-        true = evaluation.truth.poses
-        (legend["ground truth"],) = left.plot(true[:, 0], true[:, 1], **TRUTH)
-        if evaluation.true_map:
-            places = np.array([place[:2] for place in evaluation.true_map.values()])
-            (legend["true landmark"],) = left.plot(*places.T, **TRUE_LANDMARK)
-        medians = []
+        core = draw_truth(left, evaluation.truth.poses, evaluation.true_map)
+        handles, medians = list(left.lines), []
         for k, each in enumerate(evaluation.estimates):
             style = {"color": f"C{k % 10}", "linewidth": 1.0}
-            (legend[as_text(each.name)],) = left.plot(each.aligned[:, 0], each.aligned[:, 1], **style)
+            handles += left.plot(*each.aligned[:, :2].T, label=canvas.as_text(each.name), **style)
             if each.aligned_map:
                 left.plot(*np.array(list(each.aligned_map.values())).T, "x", color=style["color"], markersize=4)
             right.plot(each.times, each.errors, **style)
             medians.append(float(np.median(each.errors)))
-        core = [true[:, :2], *([places] if evaluation.true_map else [])]
-        set_limits(left, np.concatenate(core), [each.aligned[:, :2] for each in evaluation.estimates])
+        canvas.set_limits(left, np.concatenate(core), [each.aligned[:, :2] for each in evaluation.estimates])
         left.set(xlabel="x [m]", ylabel="y [m]", title="(a) aligned paths")
         log_scale_where_apart(right, medians)
         right.set(xlabel="time [s]", ylabel="position error [m]", title="(b) position error of every pose")
-        figure.legend(list(legend.values()), list(legend), loc="outside lower center", ncols=min(4, len(legend)))
+        # by their names, because matplotlib itself leaves out those that begin with an underscore
+        names = [str(handle.get_label()) for handle in handles]
+        figure.legend(handles, names, loc="outside lower center", ncols=4)
     return figure

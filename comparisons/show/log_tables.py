@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..datasets import Survey
     from ..evaluation import Evaluation
     from ..importing import Import, Overview
-    from ..studies.consistency import Consistency, ConsistencyStudy
+    from ..studies.consistency import ConsistencyStudy
     from ..studies.particles import ParticleStudy
     from ..studies.summary import Median, Summary
     from .tables import Tables
@@ -273,7 +273,8 @@ def consistency_tables(study: ConsistencyStudy) -> Tables:
         inside = NOTHING if r.steps_inside is None else f"{r.steps_inside:.0%}"
         table.add_row(r.name, str(r.logs), *joint, *steps, _band(r.step_band), inside)
     failed = [r for r in study.results if r.failed]
-    remarks = [f"{r.name} {_failed(r)} on {r.failed} of {study.logs} logs, which are not counted." for r in failed]
+    how = {r.name: "did not mix" if r.name == "particle-gibbs" else "failed" for r in failed}
+    remarks = [f"{r.name} {how[r.name]} on {r.failed} of {study.logs} logs, which are not counted." for r in failed]
     if any(r.name == "particle-gibbs" for r in failed):
         remarks.append("Longer chains mix on more logs: --gibbs-warm-up, --gibbs-iterations.")
     if any(r.name == "pairs" for r in study.results):
@@ -286,10 +287,6 @@ def consistency_tables(study: ConsistencyStudy) -> Tables:
 
 def _band(limits: tuple[float, float]) -> str:
     return NOTHING if np.isnan(limits[0]) else f"{limits[0]:.3f} to {limits[1]:.3f}"
-
-
-def _failed(result: Consistency) -> str:
-    return "did not mix" if result.name == "particle-gibbs" else "failed"
 
 
 def summary_tables(summary: Summary) -> Tables:

@@ -28,10 +28,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.colors import to_rgb
 
 from graphslam import Log, OptionError, control_path
 from graphslam.files import write_whole
@@ -69,6 +71,11 @@ class Track:
     path: Array
     landmarks: Mapping[int, Array] = field(default_factory=dict)
     landmark_covariances: Mapping[int, Array] = field(default_factory=dict)
+
+    @property
+    def color(self) -> tuple[float, float, float]:
+        """Red, green and blue from 0 to 1."""
+        return to_rgb("black" if self.name == "truth" else colour_of(self.name))
 
 
 def tracks(comparison: Comparison) -> Iterator[Track]:
@@ -156,16 +163,12 @@ def write_mcap(comparison: Comparison, path: Path) -> None:
     with write_whole(path) as temporary, temporary.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2", library="virtual-motion-slam")
-        channels: dict[str, int] = {}
-        schemas: dict[str, int] = {}
-        for time, topic, type, message in messages:
-            if type not in schemas:
-                schemas[type] = writer.register_schema(type, "ros2msg", ros.definition(type).encode())
-            if topic not in channels:
-                channels[topic] = writer.register_channel(topic, "cdr", schemas[type])
+        schema = cache(lambda type: writer.register_schema(type, "ros2msg", ros.definition(type)))
+        channel = cache(lambda topic, type: writer.register_channel(topic, "cdr", schema(type)))
+        for time, topic, message in messages:
             # MCAP knows no times before 1970
             log_time = max(0, time)
-            writer.add_message(channels[topic], log_time, ros.bytes_of(message, type), log_time)
+            writer.add_message(channel(topic, message.__msgtype__), log_time, ros.bytes_of(message), log_time)
         writer.finish()
 
 
@@ -178,11 +181,11 @@ class _Ros:
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         self._store.register(get_types_from_msg(_DETECTIONS, "vision_msgs/msg/Detection3DArray"))
 
-    def definition(self, type: str) -> str:
-        return str(self._store.generate_msgdef(type, ros_version=2)[0])
+    def definition(self, type: str) -> bytes:
+        return str(self._store.generate_msgdef(type, ros_version=2)[0]).encode()
 
-    def bytes_of(self, message: Any, type: str) -> bytes:
-        return bytes(self._store.serialize_cdr(message, type))
+    def bytes_of(self, message: Any) -> bytes:
+        return bytes(self._store.serialize_cdr(message, message.__msgtype__))
 
     def make(self, type: str, /, **fields: Any) -> Any:
         """A message; numbers that are not given are 0, texts and lists empty."""
@@ -218,9 +221,13 @@ class _Ros:
             whole[np.ix_(rows, rows)] = covariance
         return self.make("geometry_msgs/PoseWithCovariance", pose=self.pose(pose), covariance=whole.ravel())
 
+    def stamped(self, ns: int, pose: Array, covariance: Array | None, frame: str = FRAME) -> Any:
+        at = self.pose_with_covariance(pose, covariance)
+        return self.make("geometry_msgs/PoseWithCovarianceStamped", header=self.header(ns, frame), pose=at)
 
-def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, str, Any]]:
-    """(time [ns], topic, type, message)."""
+
+def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, Any]]:
+    """(time [ns], topic, message)."""
     yield from _measured(comparison.log, ros)
     moving: str | None = None
     for track in tracks(comparison):
@@ -229,45 +236,34 @@ def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, str
         prefix = "/" + track.name.replace("-", "_")
         begin = int(track.nanoseconds[0])
         for k, ns in enumerate(track.nanoseconds.tolist()):
-            pose = ros.pose_with_covariance(track.poses[k], None if track.covariances is None else track.covariances[k])
-            stamped = ros.make("geometry_msgs/PoseWithCovarianceStamped", header=ros.header(ns), pose=pose)
-            yield ns, f"{prefix}/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", stamped
-        along = [
-            ros.make("geometry_msgs/PoseStamped", header=ros.header(begin), pose=ros.pose(at)) for at in track.path
-        ]
-        path = ros.make("nav_msgs/Path", header=ros.header(begin), poses=along)
-        yield begin, f"{prefix}/path", "nav_msgs/msg/Path", path
+            covariance = None if track.covariances is None else track.covariances[k]
+            yield ns, f"{prefix}/pose", ros.stamped(ns, track.poses[k], covariance)
+        head = ros.header(begin)
+        along = [ros.make("geometry_msgs/PoseStamped", header=head, pose=ros.pose(at)) for at in track.path]
+        yield begin, f"{prefix}/path", ros.make("nav_msgs/Path", header=head, poses=along)
         if track.landmarks:
-            yield begin, f"{prefix}/landmarks", "vision_msgs/msg/Detection3DArray", _detections(ros, track, begin)
-            yield begin, f"{prefix}/markers", "visualization_msgs/msg/MarkerArray", _markers(ros, track, begin)
+            yield begin, f"{prefix}/landmarks", _detections(ros, track, begin)
+            yield begin, f"{prefix}/markers", _markers(ros, track, begin)
         if moving is None and track.name != "truth":
             moving = track.name
             for pose, ns in zip(track.poses, track.nanoseconds.tolist()):
-                yield ns, "/tf", "tf2_msgs/msg/TFMessage", _transform(ros, pose, ns)
+                yield ns, "/tf", _transform(ros, pose, ns)
 
 
-def _measured(log: Log, ros: _Ros) -> Iterator[tuple[int, str, str, Any]]:
+def _measured(log: Log, ros: _Ros) -> Iterator[tuple[int, str, Any]]:
     """The relations and absolute positions of the log, as `graphslam.io.bag_poses` reads them."""
     clock = _clock(log).tolist()
-    rows: list[tuple[int, str, str, Array, Array]] = []
     if (relations := log.relations) is not None:
         ends = zip(relations.first.tolist(), relations.second.tolist())
-        rows += [
-            (clock[b], "/relations", f"base_link@{clock[a]}", z, C)
-            for (a, b), z, C in zip(ends, relations.motions, relations.covariances)
-        ]
+        for (a, b), z, C in zip(ends, relations.motions, relations.covariances):
+            yield clock[b], "/relations", ros.stamped(clock[b], z, C, f"base_link@{clock[a]}")
     if (positions := log.positions) is not None:
         open_ = ~positions.oriented
         places, covariances = positions.places.copy(), positions.covariances.copy()
         places[open_, 2] = covariances[open_, 2] = covariances[open_, :, 2] = 0.0
         covariances[open_, 2, 2] = NO_HEADING
-        rows += [
-            (clock[k], "/positions", FRAME, z, C) for k, z, C in zip(positions.steps.tolist(), places, covariances)
-        ]
-    for ns, topic, frame, z, C in rows:
-        pose = ros.pose_with_covariance(z, C)
-        stamped = ros.make("geometry_msgs/PoseWithCovarianceStamped", header=ros.header(ns, frame), pose=pose)
-        yield ns, topic, "geometry_msgs/msg/PoseWithCovarianceStamped", stamped
+        for k, z, C in zip(positions.steps.tolist(), places, covariances):
+            yield clock[k], "/positions", ros.stamped(clock[k], z, C)
 
 
 def _transform(ros: _Ros, pose: Array, ns: int) -> Any:
@@ -294,9 +290,7 @@ def _detections(ros: _Ros, track: Track, ns: int) -> Any:
 
 
 def _markers(ros: _Ros, track: Track, ns: int) -> Any:
-    from matplotlib.colors import to_rgb
-
-    red, green, blue = to_rgb("black" if track.name == "truth" else colour_of(track.name))
+    red, green, blue = track.color
     markers = []
     for number, (id, place) in enumerate(sorted(track.landmarks.items())):
         axes, turn = _ellipse(track.landmark_covariances, id)
@@ -362,7 +356,7 @@ def write_rerun(comparison: Comparison, path: Path) -> None:
 
 
 def _write_track(rr: Any, recording: Any, track: Track) -> None:
-    color = _rgb("#000000" if track.name == "truth" else colour_of(track.name))
+    color = track.color
     x, y, heading = track.poses.T
     times = rr.TimeColumn(TIMELINE, duration=track.seconds)
     numbers = {"x": x, "y": y, "heading": heading}
@@ -408,7 +402,3 @@ def _padded(covariance: Array | None) -> Array:
     if covariance is not None:
         whole[: len(covariance), : len(covariance)] = covariance
     return whole
-
-
-def _rgb(color: str) -> tuple[int, int, int]:
-    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)

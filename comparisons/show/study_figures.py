@@ -55,8 +55,7 @@ def particles_figure(study: ParticleStudy) -> Figure:
         for axes in panels[max(len(known) - 3, 0) : len(known)]:
             axes.set_xlabel("particles")
             axes.tick_params(labelbottom=True)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names))
     return figure
 
 

@@ -7,6 +7,7 @@ class does not load all the others.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from html import escape
 from importlib import import_module
 from io import StringIO
@@ -18,14 +19,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from graphslam.errors import printable
+from graphslam.errors import SlamError, printable
 from graphslam.files import write_whole
 from graphslam.metrics import exchanged
 from graphslam.metrics import headings as metric_headings
 
 from ..options import DOUBTFUL
 from ..results.sightings import errors_of_sessions, sightings_of
-from .canvas import placement_of_result
+from .canvas import placement_of_result, png_as_html
+from .canvas import save_figure as save_figure
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
 
 if TYPE_CHECKING:
@@ -94,6 +96,27 @@ def tables_as_html(result: object) -> str:
     """Tables and sentences as HTML without scripts or styles of the page's own; all text escaped."""
     tables, remarks = tables_of(result)
     return "\n".join([*map(table_as_html, tables), *(f"<p>{escape(remark)}</p>" for remark in remarks)])
+
+
+def as_html(result: object) -> str:
+    """Tables, sentences and, where there is one, the figure of a result."""
+    text = tables_as_html(result)
+    # a table without its figure is better than neither
+    with suppress(SlamError, NotImplementedError):
+        text += "\n" + png_as_html(figure_of(result))
+    return text
+
+
+def figure_of(result: object, **options: Any) -> Any:
+    """The figure of a result.
+
+    Raises:
+        NotImplementedError: there is no figure of this class of results.
+    """
+    draw = RESULTS[type(result).__name__][1]
+    if not draw:
+        raise NotImplementedError(f"there is no figure of {type(result).__name__}")
+    return function(draw)(result, **options)
 
 
 def table_as_html(table: Table) -> str:
@@ -172,7 +195,7 @@ def result_tables(results: ResultTable) -> Tables:
         cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
         cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
         off = [_risk(row.integrity_risk)] * in_map
-        of_ids = [_precision_recall(row.association), _counts(row.association)] * scored
+        of_ids = _scores(row.association) * scored
         name = f"{row.name} ({row.knows})" if row.knows else row.name
         table.add_row(name, *cells, *values, *[number(row.nees, 2)] * known, *off, *of_ids)
     return [table], []
@@ -183,16 +206,13 @@ def _risk(risk: np.ndarray | None) -> str:
     return NOTHING if risk is None else f"{np.nanmean(risk):.2g}, {np.nanmax(risk):.2g}"
 
 
-def _precision_recall(association: FoundIds | None) -> str:
+def _scores(association: FoundIds | None) -> list[str]:
+    """Precision and recall, and the numbers of landmarks that were found, missed, doubled and invented."""
     if association is None or association.found is None:
-        return NOTHING
-    return ", ".join(NOTHING if v is None else f"{v:.3f}" for v in (association.precision, association.recall))
-
-
-def _counts(association: FoundIds | None) -> str:
-    if association is None or association.found is None:
-        return NOTHING
-    return f"{association.found} {association.missed} {association.doubled} {association.invented}"
+        return [NOTHING, NOTHING]
+    shares = (NOTHING if v is None else f"{v:.3f}" for v in (association.precision, association.recall))
+    counts = f"{association.found} {association.missed} {association.doubled} {association.invented}"
+    return [", ".join(shares), counts]
 
 
 #: of several logs, so many notes about single ones are shown in brief
@@ -295,14 +315,13 @@ def landmark_table(comparison: Comparison) -> Table | None:
         return None
     first = errors.get("graph") or next(iter(errors.values()))
     title = "Error of each landmark after the alignment [m], largest first"
-    of_log = sightings_of(comparison.log, comparison.log.landmarks) if comparison.log.classes is not None else []
-    classes = {each.landmark: each.of_class for each in of_log}
-    table = LeanTable(title, ["landmark"], [*["class"] * bool(classes), "sightings", *errors])
-    ids, counts = np.unique(comparison.log.landmarks, return_counts=True)
-    seen = dict(zip(ids.tolist(), counts.tolist()))
+    classed = comparison.log.classes is not None
+    seen = {each.landmark: each for each in sightings_of(comparison.log, comparison.log.landmarks)}
+    table = LeanTable(title, ["landmark"], [*["class"] * classed, "sightings", *errors])
     for j in sorted(set().union(*errors.values()), key=lambda j: (-first.get(j, -1.0), j)):
-        shown = [word(classes.get(j))] * bool(classes)
-        table.add_row(str(j), *shown, str(seen.get(j, NOTHING)), *(number(of.get(j)) for of in errors.values()))
+        shown = [word(seen[j].of_class if j in seen else None)] * classed
+        count = str(len(seen[j].rows)) if j in seen else NOTHING
+        table.add_row(str(j), *shown, count, *(number(of.get(j)) for of in errors.values()))
     return table
 
 

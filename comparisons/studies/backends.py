@@ -38,13 +38,13 @@ from ..results.documents import Count
 from ..results.saving import jsonable
 from .execute import rows_of
 
+#: every backend stops when a step changes the cost by less than this part of it
+COST_TOLERANCE = 1e-9
+
 
 @dataclass(frozen=True)
 class PeerRun:
-    """One optimisation: the state (n, 3) at the end, iterations, seconds, how it ended, chi2 before and after steps.
-
-    ``native`` is False where factors are evaluated in Python.
-    """
+    """One optimisation: the state (n, 3) at the end, iterations, seconds, how it ended, chi2 before and after steps."""
 
     state: Array
     iterations: int
@@ -52,11 +52,6 @@ class PeerRun:
     converged: bool
     reason: str
     costs: tuple[float, ...] = ()
-    native: bool = True
-
-
-#: a peer prepares a graph, before the time is measured, and returns a function that optimises it from the start at each call
-Peer = Callable[[Graph, float, int], Callable[[], PeerRun]]
 
 
 def information_of_g2o(edges: RelativePoseEdges) -> Array:
@@ -91,86 +86,73 @@ def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
     return factors
 
 
-def gtsam_peer(damped: bool) -> Peer:
+def gtsam_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], PeerRun]:
     """GTSAM's Levenberg-Marquardt (damped) or Gauss-Newton."""
+    factors, values = native_gtsam_graph(graph), to_values(graph, graph.initial)
+    parameters: Any = gtsam.LevenbergMarquardtParams() if damped else gtsam.GaussNewtonParams()
+    if damped:
+        parameters.setVerbosityLM("SILENT")
+    parameters.setMaxIterations(max_iterations)
+    parameters.setRelativeErrorTol(COST_TOLERANCE)
+    parameters.setAbsoluteErrorTol(0.0)
+    kind: Any = gtsam.LevenbergMarquardtOptimizer if damped else gtsam.GaussNewtonOptimizer
+    costs = _gtsam_costs(kind(factors, values, parameters), graph, max_iterations)
 
-    def prepare(graph: Graph, cost_tolerance: float, max_iterations: int) -> Callable[[], PeerRun]:
-        factors, values = native_gtsam_graph(graph), to_values(graph, graph.initial)
-        parameters: Any = gtsam.LevenbergMarquardtParams() if damped else gtsam.GaussNewtonParams()
-        if damped:
-            parameters.setVerbosityLM("SILENT")
-        parameters.setMaxIterations(max_iterations)
-        parameters.setRelativeErrorTol(cost_tolerance)
-        parameters.setAbsoluteErrorTol(0.0)
-        kind: Any = gtsam.LevenbergMarquardtOptimizer if damped else gtsam.GaussNewtonOptimizer
-        # GTSAM has no factor of its own for a point in Cartesian coordinates
-        native = not any(isinstance(family, RelativePointEdges) for family in graph.families)
-        costs = _gtsam_costs(kind(factors, values, parameters), graph, cost_tolerance, max_iterations)
+    def run() -> PeerRun:
+        begin = time.perf_counter()
+        optimizer = kind(factors, values, parameters)
+        try:
+            end = optimizer.optimize()
+        except RuntimeError as error:
+            reason = f"gave up: {str(error).strip().splitlines()[0]}"
+            return PeerRun(graph.initial * np.nan, 0, time.perf_counter() - begin, False, reason)
+        seconds = time.perf_counter() - begin
+        state, iterations = from_values(graph, end), int(optimizer.iterations())
+        if iterations >= max_iterations:
+            return PeerRun(state, iterations, seconds, False, f"max_iterations = {max_iterations} reached", costs)
+        if float(np.abs(state - graph.initial).max()) < 1e-12:
+            return PeerRun(state, iterations, seconds, False, "returned the initial values")
+        reason = f"the cost changed by less than {COST_TOLERANCE:g} of it"
+        return PeerRun(state, iterations, seconds, True, reason, costs)
 
-        def run() -> PeerRun:
-            begin = time.perf_counter()
-            optimizer = kind(factors, values, parameters)
-            try:
-                end = optimizer.optimize()
-            except RuntimeError as error:
-                seconds = time.perf_counter() - begin
-                reason = f"gave up: {str(error).strip().splitlines()[0]}"
-                return PeerRun(graph.initial * np.nan, 0, seconds, False, reason, native=native)
-            seconds = time.perf_counter() - begin
-            state, iterations = from_values(graph, end), int(optimizer.iterations())
-            if iterations >= max_iterations:
-                reason = f"max_iterations = {max_iterations} reached"
-                return PeerRun(state, iterations, seconds, False, reason, costs, native)
-            moved = float(np.abs(state - graph.initial).max())
-            if moved < 1e-12:
-                return PeerRun(state, iterations, seconds, False, "returned the initial values", native=native)
-            reason = f"the cost changed by less than {cost_tolerance:g} of it"
-            return PeerRun(state, iterations, seconds, True, reason, costs, native)
-
-        return run
-
-    return prepare
+    return run
 
 
-def _gtsam_costs(optimizer: Any, graph: Graph, cost_tolerance: float, max_iterations: int) -> tuple[float, ...]:
+def _gtsam_costs(optimizer: Any, graph: Graph, max_iterations: int) -> tuple[float, ...]:
     """The chi2 before and after each iteration, from a run of its own, for the figure."""
     costs, before = [graph.cost(graph.initial)], optimizer.error()
     with suppress(RuntimeError):
         while len(costs) <= max_iterations:
             optimizer.iterate()
             costs.append(graph.cost(from_values(graph, optimizer.values())))
-            if abs(before - optimizer.error()) <= cost_tolerance * before:
+            if abs(before - optimizer.error()) <= COST_TOLERANCE * before:
                 break
             before = optimizer.error()
     return tuple(costs)
 
 
-def g2o_peer(damped: bool) -> Peer:
+def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], PeerRun]:
     """g2o's Levenberg-Marquardt (damped) or Gauss-Newton, with its sparse Cholesky on Eigen, from the package g2opy.
 
     It has no stop rule here: it executes the smallest number of iterations that reaches its final cost.
     """
+    g2o = _import_g2o()
+    costs, reaches = _smallest_number(g2o, graph, damped, max_iterations)
 
-    def prepare(graph: Graph, cost_tolerance: float, max_iterations: int) -> Callable[[], PeerRun]:
-        g2o = _import_g2o()
-        costs, reaches = _smallest_number(g2o, graph, damped, cost_tolerance, max_iterations)
+    def run() -> PeerRun:
+        optimizer = _g2o_optimizer(g2o, graph, damped)
+        begin = time.perf_counter()
+        optimizer.initialize_optimization()
+        optimizer.optimize(reaches)
+        seconds = time.perf_counter() - begin
+        converged, reason = True, f"{reaches} iterations reach its final cost"
+        if not np.isfinite(costs[-1]):
+            converged, reason = False, "diverged"
+        elif reaches >= max_iterations:
+            converged, reason = False, f"still moving after {max_iterations} iterations"
+        return PeerRun(_g2o_state(optimizer, graph), reaches, seconds, converged, reason, costs)
 
-        def run() -> PeerRun:
-            optimizer = _g2o_optimizer(g2o, graph, damped)
-            begin = time.perf_counter()
-            optimizer.initialize_optimization()
-            optimizer.optimize(reaches)
-            seconds = time.perf_counter() - begin
-            state = _g2o_state(optimizer, graph)
-            if not np.isfinite(costs[-1]):
-                return PeerRun(state, reaches, seconds, False, "diverged", costs)
-            if reaches >= max_iterations:
-                return PeerRun(state, reaches, seconds, False, f"still moving after {max_iterations} iterations", costs)
-            return PeerRun(state, reaches, seconds, True, f"{reaches} iterations reach its final cost", costs)
-
-        return run
-
-    return prepare
+    return run
 
 
 def _import_g2o() -> Any:
@@ -180,9 +162,7 @@ def _import_g2o() -> Any:
         raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
 
 
-def _smallest_number(
-    g2o: Any, graph: Graph, damped: bool, cost_tolerance: float, max_iterations: int
-) -> tuple[tuple[float, ...], int]:
+def _smallest_number(g2o: Any, graph: Graph, damped: bool, max_iterations: int) -> tuple[tuple[float, ...], int]:
     """The chi2 before and after each iteration, and the number of iterations after which the stop rule is met."""
     optimizer = _g2o_optimizer(g2o, graph, damped)
     optimizer.set_compute_batch_statistics(True)
@@ -192,7 +172,7 @@ def _smallest_number(
     for count in range(1, len(costs)):
         if not np.isfinite(costs[count]):
             return tuple(costs[: count + 1]), count
-        if abs(costs[count - 1] - costs[count]) <= cost_tolerance * costs[count - 1]:
+        if abs(costs[count - 1] - costs[count]) <= COST_TOLERANCE * costs[count - 1]:
             # the step before the one that changed nothing had already reached it
             return tuple(costs[:count]), max(count - 1, 1)
     return tuple(costs), max_iterations
@@ -234,27 +214,22 @@ def _g2o_optimizer(g2o: Any, graph: Graph, damped: bool) -> Any:
 
 
 def _g2o_state(optimizer: Any, graph: Graph) -> Array:
-    state = np.zeros((graph.num_nodes, 3))
-    poses = len(graph.steps)
-    for node in range(graph.num_nodes):
-        estimate = optimizer.vertex(node).estimate()
-        state[node] = estimate.to_vector() if node < poses else [*estimate, 0.0]
-    return state
+    estimates = [optimizer.vertex(node).estimate() for node in range(graph.num_nodes)]
+    poses, places = estimates[: len(graph.steps)], estimates[len(graph.steps) :]
+    return np.array([*(pose.to_vector() for pose in poses), *([*place, 0.0] for place in places)])
 
 
-PEERS: dict[str, Peer] = {
-    "gtsam-lm": gtsam_peer(damped=True),
-    "gtsam-gn": gtsam_peer(damped=False),
-    "g2o-gn": g2o_peer(damped=False),
-    "g2o-lm": g2o_peer(damped=True),
+#: a peer prepares a graph, before the time is measured, and returns a function that optimises it from the start at each call
+PEERS: dict[str, Callable[[Graph, int], Callable[[], PeerRun]]] = {
+    "gtsam-lm": partial(gtsam_peer, True),
+    "gtsam-gn": partial(gtsam_peer, False),
+    "g2o-gn": partial(g2o_peer, False),
+    "g2o-lm": partial(g2o_peer, True),
 }
 
 
 #: the names of the backends, ours first
 BACKENDS = ("graphslam", *PEERS)
-
-#: every backend stops when a step changes the cost by less than this part of it
-COST_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -409,7 +384,7 @@ def _warm_up_all(names: Sequence[str]) -> None:
 def _backend(name: str, graph: Graph, initialize: str, max_iterations: int) -> Callable[[], PeerRun]:
     """A function that optimises the graph from the start at every call."""
     if name != "graphslam":
-        return PEERS[name](graph, COST_TOLERANCE, max_iterations)
+        return PEERS[name](graph, max_iterations)
 
     def run() -> PeerRun:
         # a fresh graph, so that pattern and ordering count in the time
@@ -446,7 +421,9 @@ def _row(file: str, name: str, graph: Graph, runs: Sequence[PeerRun]) -> Backend
     certificate = None
     if math.isfinite(chi2):
         certificate = certify(graph, last.state).of_run(last.converged, last.reason)
+    # GTSAM has no factor of its own for a point in Cartesian coordinates
+    native = not (name.startswith("gtsam") and any(isinstance(f, RelativePointEdges) for f in graph.families))
     return BackendRow(
-        file, name, chi2, last.iterations, seconds, last.converged, last.reason, trace, of_expected(chi2, graph),
-        last.native, certificate,
+        file, name, chi2, last.iterations, seconds, last.converged, last.reason, trace, of_expected(chi2, graph), native,
+        certificate,
     )  # fmt: skip

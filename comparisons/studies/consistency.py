@@ -240,12 +240,7 @@ def _filter_nees(name: str, log: Log, truth: Array, seed: int, noise: dict[str, 
     covariances: list[Array] = []
     options = RunOptions.of(particles=PARTICLES, seed=seed, **noise)
     for state in particle_filter(name, log, options):
-        weights = np.exp(state.log_weights - np.max(state.log_weights))
-        weights /= weights.sum()
-        off = difference(state.poses, truth[len(errors)])
-        mean = weights @ off
-        spread = off - mean
-        errors.append(mean)
+        errors.append(difference(state.mean_pose, truth[state.step]))
         # a little of the identity: all particles may descend from one
-        covariances.append((weights[:, None] * spread).T @ spread + 1e-12 * np.eye(3))
+        covariances.append(state.covariance() + 1e-12 * np.eye(3))
     return pose_nees(np.array(errors)[1:], np.array(covariances)[1:])

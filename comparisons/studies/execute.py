@@ -18,25 +18,20 @@ from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
 
-from pebble import ProcessExpired
-
-from graphslam import Log, LogError, OptionError, SlamError
+from graphslam import Log, LogError, OptionError
 from graphslam.identification.declared import CORRECTIONS
-from graphslam.processes import default_jobs, how_it_ended
+from graphslam.processes import default_jobs, processes
 
 from ..comparison import compare
 from ..estimators import warm_up
-from ..estimators.attempt import add_estimators, processes, too_long
+from ..estimators.attempt import Row, Task, ended, loading, too_long
 from ..options import NoiseOptions, ReadingOptions, RunOptions
 from ..options.option import options_of
 from ..options.reading import read_log, sha256_of
 from ..results import Figures, sentence
 from .plan import Run, simulated_log
-
-Task = TypeVar("Task")
-Row = TypeVar("Row")
 
 #: a run ended well, raised (or its process died), or took longer than the limit
 DONE, ERROR, TIMEOUT = "done", "error", "timeout"
@@ -103,12 +98,6 @@ def log_of(run: Run) -> Log:
     )
 
 
-def filter_options(run: Run) -> RunOptions:
-    """The options of the particle filters among those of a run."""
-    known = options_of(RunOptions)
-    return RunOptions.of(**{name: value for name, value in run.options.items() if known[name].model == "filter"})
-
-
 def _execute(run: Run) -> dict[str, Any]:
     log = log_of(run)
     options = {name: value for name, value in run.options.items() if name not in options_of(ReadingOptions)}
@@ -134,12 +123,6 @@ def stopped(run: Run, reason: str, limit: float) -> Outcome:
     if reason != too_long(limit):
         return Outcome(key=run.key, status=ERROR, error=reason)
     return Outcome(key=run.key, status=TIMEOUT, error=reason, total_seconds=limit)
-
-
-def execute_added(run: Run, added: bytes) -> Outcome:
-    """Do a run in a process that may not have the user's estimators, see `attempt.added_estimators`."""
-    add_estimators(added)
-    return execute(run)
 
 
 @dataclass(frozen=True)
@@ -194,28 +177,13 @@ def local_processes(
         SlamError: a process died, or a task took too long, where nothing stands instead of its row.
     """
     jobs = jobs or default_jobs()
-    with processes(jobs, estimators, prepare) as pool:
+    with processes(jobs, loading(estimators, prepare)) as pool:
         # a task that waits in the pool keeps its process from waiting for the next one
         yield Place(
             jobs + 1,
             lambda task: pool.schedule(work, (task,), timeout=limit),
             lambda future, task: ended(future, task, limit, instead),
         )
-
-
-def ended(
-    future: Future[Row], task: Task, limit: float | None, instead: Callable[[Task, str], Row] | None = None
-) -> Row:
-    """The row of a task in a pool, or what ``instead`` makes of the reason: it took longer, or its process died."""
-    try:
-        return future.result()
-    except TimeoutError:
-        reason = too_long(limit)
-    except ProcessExpired as error:
-        reason = how_it_ended(error)
-    if instead is None:
-        raise SlamError(reason)
-    return instead(task, reason)
 
 
 def rows_of(work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | None, **keywords: Any) -> Iterator[Row]:

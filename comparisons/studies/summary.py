@@ -15,6 +15,7 @@ import json
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from os import PathLike
 from pathlib import Path
 from statistics import median
@@ -73,24 +74,20 @@ def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int =
     """
     if len(values) == 0:
         return None
-    numbers = np.asarray(values, dtype=float)
     members: dict[Hashable, list[float]] = {}
     for value, unit in zip(values, units, strict=True):
         members.setdefault(unit, []).append(value)
-    median, count = float(np.median(numbers)), len(members)
+    median, count = float(np.median(values)), len(members)
     if count < 2:
-        return Median(median, None, None, len(numbers))
+        return Median(median, None, None, len(values))
+    # a row for each unit, NaN after its last value
+    groups = np.array(list(zip_longest(*members.values(), fillvalue=np.nan)), dtype=float).T
     rng = np.random.default_rng(seed)
-    if count == len(numbers):
-        step = max(1, _AT_ONCE // count)
-        sizes = [min(step, RESAMPLES - begin) for begin in range(0, RESAMPLES, step)]
-        medians = np.concatenate([np.median(numbers[rng.integers(count, size=(k, count))], axis=1) for k in sizes])
-    else:
-        groups = [np.array(group, dtype=float) for group in members.values()]
-        draws = (rng.integers(count, size=count) for _ in range(RESAMPLES))
-        medians = np.array([np.median(np.concatenate([groups[k] for k in draw])) for draw in draws])
+    step = max(1, _AT_ONCE // groups.size)
+    draws = (rng.integers(count, size=(min(step, RESAMPLES - k), count)) for k in range(0, RESAMPLES, step))
+    medians = np.concatenate([np.nanmedian(groups[draw].reshape(len(draw), -1), axis=1) for draw in draws])
     low, high = np.percentile(medians, (50 * (1 - LEVEL), 50 * (1 + LEVEL)))
-    return Median(median, float(low), float(high), len(numbers))
+    return Median(median, float(low), float(high), len(values))
 
 
 #: the figures that are summarised, and their names in tables and on axes
@@ -262,17 +259,12 @@ def _measured(rows: Sequence[Row]) -> list[Row]:
     for row in rows:
         repeatable = "file" in row["source"] and row["status"] == DONE and row["poses_sha256"] is not None
         groups.setdefault((row["log"], row["poses_sha256"] if repeatable else row["key"]), []).append(row)
-    return [
-        group[0]
-        if len(group) == 1
-        else {**group[0], "seed": None, "seconds": _middle([row["seconds"] for row in group])}
-        for group in groups.values()
-    ]
-
-
-def _middle(times: Sequence[float | None]) -> float | None:
-    known = [time for time in times if time is not None]
-    return median(known) if known else None
+    measured = []
+    for first, *repeats in groups.values():
+        times = [row["seconds"] for row in (first, *repeats) if row["seconds"] is not None]
+        once = {"seed": None, "seconds": median(times) if times else None}
+        measured.append({**first, **once} if repeats else first)
+    return measured
 
 
 def _median(values: Sequence[tuple[float | None, Hashable]]) -> Median | None:

@@ -31,30 +31,18 @@ from pebble import ProcessPool
 
 from graphslam import Log, OptionError, SlamError
 from graphslam.errors import quoted
-from graphslam.processes import default_jobs
+from graphslam.processes import default_jobs, process_pool
 
 from ..estimators import ESTIMATORS
-from ..estimators.attempt import added_estimators, process_pool
+from ..estimators.attempt import add_estimators, added_estimators, ended, loading
 from ..estimators.filters import FILTERS, Announce, announce_memory
 from ..options import RunOptions, SweepOptions
+from ..options.option import options_of
 from ..results import sentence
 from ..results.documents import Count
 from ..results.saving import jsonable
 from .database import StudyDatabase
-from .execute import (
-    DONE,
-    ERROR,
-    Outcome,
-    Place,
-    ended,
-    execute,
-    execute_added,
-    filter_options,
-    local_processes,
-    log_of,
-    stopped,
-    this_process,
-)
+from .execute import DONE, ERROR, Outcome, Place, execute, local_processes, log_of, stopped, this_process
 from .plan import Run, Study, read_study
 
 #: how long to wait for a connection, and again for an answer [s]; with importing Dask it stays below 10 s
@@ -73,13 +61,19 @@ def _pool_of_worker() -> ProcessPool:
         if not _pools:
             # Dask runs its workers as daemons, which may otherwise not have processes of their own
             multiprocessing.current_process().daemon = False
-            _pools.append(process_pool(get_worker().state.nthreads, tuple(ESTIMATORS)))
+            _pools.append(process_pool(get_worker().state.nthreads, loading(ESTIMATORS)))
         return _pools[0]
+
+
+def _execute_added(run: Run, added: bytes) -> Outcome:
+    """Do a run in a process that may not have the user's estimators, see `attempt.added_estimators`."""
+    add_estimators(added)
+    return execute(run)
 
 
 def execute_on_worker(run: Run, limit: float, added: bytes = b"") -> Outcome:
     """The task of the cluster: a run in the pool of its worker; ``added`` are the user's own estimators."""
-    future = _pool_of_worker().schedule(execute_added, (run, added), timeout=limit)
+    future = _pool_of_worker().schedule(_execute_added, (run, added), timeout=limit)
     return ended(future, run, limit, partial(stopped, limit=limit))
 
 
@@ -291,10 +285,12 @@ def sweep(
 
 def _large(runs: Sequence[Run]) -> Iterator[tuple[str, Log, RunOptions]]:
     """The runs of filters that may need much memory, with their logs; a log that cannot be read becomes an error row."""
+    known = options_of(RunOptions)
     for run in runs:
         if run.estimator in FILTERS and run.options.get("particles", 0) >= MANY:
+            of_filter = {name: value for name, value in run.options.items() if known[name].model == "filter"}
             with suppress(SlamError):
-                yield run.estimator, log_of(run), filter_options(run)
+                yield run.estimator, log_of(run), RunOptions.of(**of_filter)
 
 
 def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place[Run, Outcome]]:

@@ -18,22 +18,21 @@ Robotics*, section 8.3; Ueda, *LNPR*, chapter 5.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from graphslam.association import ids_by_map
 from graphslam.association.problem import Classes
-from graphslam.errors import OptionError, quoted
+from graphslam.errors import OptionError
 from graphslam.graph.landmark_map import as_map
 from graphslam.graph.trilateration import WaitingNumbers, edges_of_rows
 from graphslam.log import Log
 from graphslam.se2 import Array
 
-from ..options import JOINT, finite, whole
+from ..options import JOINT
 from ..particles import LandmarkEstimate, weighted_covariance, weighted_mean
 from .particle_filter import ParticleFilter
 
@@ -302,7 +301,8 @@ class MonteCarloLocalization(ParticleFilter):
 
     Args:
         log: controls and sightings; None for a filter that is used with `move` and `observe`.
-        landmarks: the map {id: (x, y) or (x, y, heading)} [m, m, rad]; default: the log's true landmarks.
+        landmarks: the map {id: (x, y) or (x, y, heading)} [m, m, rad], or what `landmark_map.as_map` takes; default: the
+            log's true landmarks.
         keywords: all other arguments of `ParticleFilter`.
 
     Raises:
@@ -316,9 +316,7 @@ class MonteCarloLocalization(ParticleFilter):
         "by graphslam.associate"
     )
 
-    def __init__(
-        self, log: Log | None = None, *, landmarks: Mapping[int, ArrayLike] | None = None, **keywords: Any
-    ) -> None:
+    def __init__(self, log: Log | None = None, *, landmarks: Any = None, **keywords: Any) -> None:
         super().__init__(log, **keywords)
         if landmarks is None:
             landmarks = getattr(log, "true_landmarks", None)
@@ -328,15 +326,7 @@ class MonteCarloLocalization(ParticleFilter):
                 f"Monte Carlo localisation needs a map{without}: give landmarks, {{id: (x, y) or (x, y, heading)}}, or "
                 "use FastSLAM, which makes its own"
             )
-        if not isinstance(landmarks, Mapping):
-            raise OptionError(
-                f"landmarks must be a mapping, {{id: (x, y) or (x, y, heading)}}, not {quoted(landmarks)}"
-            )
-        expected = "finite, (x, y) or (x, y, heading)"
-        self._landmarks = {
-            whole("the id of a landmark", j): finite(f"landmarks[{j!r}]", place, expected, [(2,), (3,)])
-            for j, place in landmarks.items()
-        }
+        self._landmarks = as_map(landmarks)
         if log is not None:
             self._check_sightings(log.landmark_ids, log.sightings.shape[1])
             if log.partial_sightings is not None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import fields, replace
 from typing import Any, Self
@@ -417,26 +417,21 @@ class ParticleFilter(ABC):
     def _move_by_control(self, control: Array, std: Array, dt: float) -> None:
         """Move every particle by its own draw of the control; nothing moves where dt = 0."""
         self._check_control(control, std, dt)
-        epsilon = self.motion.epsilon if dt > 0 else 0.0
-        key = self._begin_move()
-        self._engine.move_by_control(key, (*control, *std, dt, epsilon), bool(dt > 0))
-        self._end_move()
+        numbers = (*control, *std, dt, self.motion.epsilon if dt > 0 else 0.0)
+        self._advance(lambda key: self._engine.move_by_control(key, numbers, bool(dt > 0)))
 
     def _move_by_gaussian(self, motions: Array, covariances: Array) -> None:
         """Move every particle by a draw of the Gaussian (1, 3), (1, 3, 3) of a whole motion of the sensor."""
         reach = np.abs(motions[0]) + np.sqrt(np.diagonal(covariances[0]))
         check_motion(self._step + 1, reach[:2].max(), reach[2])
-        self._engine.move_by_gaussian(self._begin_move(), motions[0], covariances[0], True)
-        self._end_move()
+        self._advance(lambda key: self._engine.move_by_gaussian(key, motions[0], covariances[0], True))
 
-    def _begin_move(self) -> int:
-        """Finish the previous step, and return the random key of this motion."""
+    def _advance(self, draw: Callable[[int], None]) -> None:
+        """Finish the previous step, and go to the next one by ``draw``, which moves all particles, given a random key."""
         if self._observed:
             self._engine.end_step()
             self._observed = False
-        return draw_key(self._rng)
-
-    def _end_move(self) -> None:
+        draw(draw_key(self._rng))
         self._step, self._version = self._step + 1, self._version + 1
         self._resampled = False
         self._ess_history.append(self._ess_history[-1])
@@ -465,7 +460,9 @@ class ParticleFilter(ABC):
         weighed = self._weigh(ids, sightings, q, rows)
         self._version, self._observed = self._version + 1, True
         possible = weighed and self.options.stage != "motion" and self._reweigh("sightings")
-        self._remember(ids, sightings)
+        if self._record is not None:
+            self._engine.remember()
+            self._record.observe(self._step, ids, sightings)
         if possible:
             # without the density of what was not measured
             self._log_evidence += 0.5 * np.count_nonzero(missing) * float(np.log(2 * np.pi * NOT_MEASURED))
@@ -485,11 +482,6 @@ class ParticleFilter(ABC):
         self._log_evidence += log_evidence
         self._ess_history[-1] = ess
         return True
-
-    def _remember(self, ids: np.ndarray, sightings: Array) -> None:
-        if self._record is not None:
-            self._engine.remember()
-            self._record.observe(self._step, ids, sightings)
 
     def _resample_if_due(self) -> None:
         if self.options.stage != "resampling" or self._ess_history[-1] > self.options.ess_threshold * self.particles:

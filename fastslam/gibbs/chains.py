@@ -21,12 +21,12 @@ from graphslam.engine import engine
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.log import Log, check_is_log
 from graphslam.models import MotionModel, SensorModel
-from graphslam.se2 import Array
+from graphslam.se2 import Array, difference
 
 from ..filters import FastSLAM2
 from ..motions import Problem, robot_poses
 from ..options import GIGABYTE, FilterOptions, GibbsOptions, available_memory, forecast
-from ..particles import Samples, deviations
+from ..particles import Samples
 from .low_rank import MOVES, LowRank, Target
 
 #: a larger R-hat, or fewer effective samples, and the chains have not mixed
@@ -128,8 +128,8 @@ class GibbsResult(Samples):
     @property
     def deviations(self) -> Array:
         """All coordinates of all samples about their means, angles wrapped: (C, S, 3 T + J n), named by ``mixing.names``."""
-        poses = deviations(self.trajectories[:, :, 1:], self.poses[1:])
-        maps = deviations(self.maps, np.array(list(self.landmarks.values())))
+        poses = difference(self.trajectories[:, :, 1:], self.poses[1:])
+        maps = difference(self.maps, np.array(list(self.landmarks.values())))
         shape = (*poses.shape[:2], -1)
         return np.concatenate([poses.reshape(shape), maps.reshape(shape)], axis=2)
 

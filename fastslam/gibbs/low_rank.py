@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from graphslam.edges.relative import RelativePointEdges, RelativePoseEdges
+from graphslam import Cauchy, Graph, GraphError, solve
+from graphslam.edges.relative import RelativePoseEdges, RobustPointEdges, RobustPoseEdges
 from graphslam.errors import OptionError
 from graphslam.linear.cholesky import FactorizationError
-from graphslam.linear.information import BlockSystem
 from graphslam.se2 import Array, wrap
 
 from ..motions import Problem
@@ -23,7 +23,7 @@ from ..options import GibbsOptions
 DIRECTIONS, SHARE = 150, 0.5
 #: moves after each sweep
 MOVES = 15
-#: Gauss-Newton steps to the mode
+#: the most steps to the mode
 FITS = 20
 #: up to this size all eigenvectors are computed
 DENSE = 300
@@ -41,22 +41,21 @@ class Target:
     """-log of the posterior of a trajectory and a map, without constants, with precisions of the sightings integrated out.
 
     Attributes:
-        degrees: of freedom of Student's t distribution of the sightings; 0 for a Gaussian.
-        exact: whether the sightings have the density of range and bearing, or the linearised one.
-        weights: (K, n, n) the information of the linearised sightings; without psi n = 2.
-        in_engine: the same for the chains.
+        problem: the motions and sightings.
+        graph: the density with the sightings linearised; the nodes are the poses, of which the first is known, and the
+            landmarks. A sighting e with covariance C that has Student's t distribution with nu degrees of freedom costs
+            (nu + n) log(1 + e' C^-1 e / nu): that is Cauchy's kernel of width sqrt(nu + n) on (1 + n / nu) C^-1.
+        in_engine: the density for the chains.
     """
 
     problem: Problem
-    degrees: float
-    exact: bool
-    weights: Array
+    graph: Graph
     in_engine: Any
 
     @classmethod
     def of(cls, problem: Problem, options: GibbsOptions) -> Target:
         """Return that of a problem."""
-        p, n = problem, problem.columns
+        p, n, T = problem, problem.columns, len(problem.motions)
         W = np.zeros((len(p.C), 3, 3))
         try:
             W[:, :n, :n] = np.linalg.inv(full(p.C)[:, :n, :n])
@@ -65,15 +64,21 @@ class Target:
         rows, columns = np.tril_indices(3)
         degrees, exact = options.degrees_of_freedom or 0.0, options.density == "exact"
         in_engine = p.in_engine(p.motions, p.information, W[:, rows, columns], exact=exact, degrees=degrees)
-        return cls(problem, degrees, exact, np.ascontiguousarray(W[:, :n, :n]), in_engine)
-
-    def __call__(self, poses: Array, marks: Array) -> float:
-        """Return its value."""
-        return self.in_engine.cost(poses, marks, self.exact)[0]
-
-    def linearised(self, poses: Array, marks: Array) -> tuple[float, Array]:
-        """Return the value of the linearised density, and e' C^-1 e (K,) of the sightings."""
-        return self.in_engine.cost(poses, marks, False)
+        information, kernel = np.ascontiguousarray(W[:, :n, :n]), None
+        if degrees > 0:
+            information, kernel = (1 + n / degrees) * information, Cauchy((degrees + n) ** 0.5)
+        steps, marks = np.arange(T + 1), np.arange(T + 1, T + 1 + len(p.ids))
+        kind = RobustPoseEdges if n == 3 else RobustPointEdges
+        families = (
+            RelativePoseEdges(steps[:-1], steps[1:], p.motions, full(p.information)),
+            kind(p.steps, marks[p.marks], np.ascontiguousarray(p.y[:, :n]), information, kernel=kernel),
+        )
+        nodes = np.zeros((T + 1 + len(p.ids), 3))
+        graph = Graph(
+            nodes, families=families, steps=steps, trajectory=nodes[: T + 1], pose_ids=steps, landmark_ids=p.ids,
+            landmark_dimension=n, fixed=steps[:1],
+        )  # fmt: skip
+        return cls(problem, graph, in_engine)
 
 
 class LowRank:
@@ -94,116 +99,35 @@ class LowRank:
 
     def __init__(self, target: Target, poses: Array, marks: Array) -> None:
         self.target = target
-        self.mode = mode(target, poses, marks)
-        system = System(target)
-        system.linearise(*self.mode)
-        size = len(system.free)
+        graph = target.graph.with_initial(np.concatenate([poses, marks]))
+        try:
+            solution = solve(graph, method="levenberg-marquardt", max_iterations=FITS, initialize="given")
+            system, _ = graph.linearize(solution.state)
+            factor = system.factorize()
+        except (GraphError, FactorizationError):
+            raise _no_inverse(target.problem) from None
+        mode = np.column_stack([solution.state[:, :2], wrap(solution.state[:, 2])])
+        self.mode = mode[: len(poses)], mode[len(poses) :]
+        numbers, n = np.arange(mode.size).reshape(-1, 3), target.problem.columns
+        # the places of the state among the numbers of all nodes
+        free = np.concatenate([numbers[1 : len(poses)].ravel(), numbers[len(poses) :, :n].ravel()])
+        size = len(free)
         r = min(DIRECTIONS, int(SHARE * size))
         if size <= DENSE:
-            information = system.blocks.to_sparse()[system.free][:, system.free]
-            values, V = np.linalg.eigh(information.toarray())
+            values, V = np.linalg.eigh(system.to_sparse()[free][:, free].toarray())
             V, self.deviations = V[:, :r], values[:r] ** -0.5
         else:
             from scipy.sparse.linalg import LinearOperator, eigsh
 
-            inverse = LinearOperator((size, size), matvec=system.solver())
-            values, V = eigsh(inverse, k=r, v0=np.ones(size))
+            whole = np.zeros(mode.size)
+
+            def covariance_times(vector: Array) -> Array:
+                whole[free] = vector.ravel()
+                return factor.solve(whole.reshape(-1, 3)).ravel()[free]
+
+            values, V = eigsh(LinearOperator((size, size), matvec=covariance_times), k=r, v0=np.ones(size))
             self.deviations = np.sqrt(values)
         self.directions = np.ascontiguousarray(V.T)
-
-
-class System:
-    """J' J and -J' e of the linearised density, as the information and the vector xi of a graph.
-
-    Student's sightings are weighed by (nu + n) / (nu + e' C^-1 e).
-
-    Attributes:
-        blocks: the nodes are the poses, then the landmarks; the first pose is known.
-        free: the places of the 3 T + n J numbers of a state among the 3 (T + 1 + J) of the nodes.
-    """
-
-    def __init__(self, target: Target) -> None:
-        p = target.problem
-        self._target, T, J = target, len(p.motions), len(p.ids)
-        self._motions = RelativePoseEdges(np.arange(T), np.arange(1, T + 1), p.motions, full(p.information))
-        self._marks = np.arange(T + 1, T + 1 + J)
-        self._ends = p.steps, self._marks[p.marks]
-        self.blocks = BlockSystem.from_cliques(
-            T + 1 + J, [self._motions.cliques(), self._sightings(np.ones(1)).cliques()]
-        )
-        numbers = np.arange(3 * (T + 1 + J)).reshape(-1, 3)
-        self.free = np.concatenate([numbers[1 : T + 1].ravel(), numbers[T + 1 :, : p.columns].ravel()])
-
-    def _sightings(self, factor: Array) -> RelativePoseEdges | RelativePointEdges:
-        p = self._target.problem
-        kind = RelativePoseEdges if p.columns == 3 else RelativePointEdges
-        weights = np.broadcast_to(factor, len(p.y))[:, None, None] * self._target.weights
-        return kind(*self._ends, np.ascontiguousarray(p.y[:, : p.columns]), weights)
-
-    def linearise(self, poses: Array, marks: Array) -> None:
-        """Compute both at a state."""
-        target, factor = self._target, np.ones(1)
-        n = target.problem.columns
-        if target.degrees > 0:
-            factor = (target.degrees + n) / (target.degrees + target.linearised(poses, marks)[1])
-        state = np.concatenate([poses, marks])
-        self.blocks.clear()
-        for edges in (self._motions, self._sightings(factor)):
-            edges.accumulate(state, state, self.blocks)
-        self.blocks.hold(np.zeros(1, dtype=np.int64))
-        if n == 2:
-            self.blocks.rest(self._marks, 2)
-
-    def solver(self, damping: float = 0.0) -> Any:
-        """Return the function that solves for a vector (3 T + n J,).
-
-        Raises:
-            OptionError: the information has no factor in floating point.
-        """
-        try:
-            factor = self.blocks.factorize(damping)
-        except FactorizationError:
-            raise _no_inverse(self._target.problem) from None
-        whole = np.zeros(3 * self.blocks.num_nodes)
-
-        def solve(b: Array) -> Array:
-            whole[self.free] = b.ravel()
-            return factor.solve(whole.reshape(-1, 3)).ravel()[self.free]
-
-        return solve
-
-    @property
-    def descent(self) -> Array:
-        """-J' e (3 T + n J,)."""
-        return self.blocks.xi.ravel()[self.free]
-
-
-def mode(target: Target, poses: Array, marks: Array) -> tuple[Array, Array]:
-    """Return poses and landmarks at the mode of the linearised density: damped Gauss-Newton steps from where they are."""
-    x, m, system = poses.copy(), marks.copy(), System(target)
-    lowest, damping = target.linearised(x, m)[0], 1e-9
-    for _ in range(FITS):
-        system.linearise(x, m)
-        trial = displaced(x, m, system.solver(damping)(system.descent))
-        value = target.linearised(*trial)[0]
-        if not value < lowest:
-            damping = max(100 * damping, 1e-6)
-            continue
-        done = lowest - value < 1e-6
-        (x, m), lowest, damping = trial, value, max(damping / 10, 1e-9)
-        if done:
-            break
-    return x, m
-
-
-def displaced(poses: Array, marks: Array, step: Array) -> tuple[Array, Array]:
-    """Return poses and landmarks plus a displacement (3 T + n J,) of all but the first pose."""
-    x, m, after = poses.copy(), marks.copy(), 3 * (len(poses) - 1)
-    x[1:] += step[:after].reshape(-1, 3)
-    moved = step[after:].reshape(len(marks), -1)
-    m[:, : moved.shape[1]] += moved
-    x[:, 2], m[:, 2] = wrap(x[:, 2]), wrap(m[:, 2])
-    return x, m
 
 
 def full(upper: Array) -> Array:

@@ -289,7 +289,7 @@ def test_without_a_font_figures_are_english_and_say_so(tmp_path: Path, monkeypat
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["graph", "fastslam1", "isam2", "particle-gibbs"])
 def test_animations_are_japanese(estimator: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("comparisons.show.films.scene.font_of", lambda _: "DejaVu Sans")
+    monkeypatch.setattr("comparisons.show.canvas.font_of", lambda _: "DejaVu Sans")
     few: dict[str, Any] = {"gibbs_iterations": 3, "gibbs_warm_up": 1, "gibbs_particles": 5, "gibbs_chains": 1}
     film = animate(
         simulate(seed=2, steps=12, clean=True), estimator=estimator, particles=10, **few if "gibbs" in estimator else {}

@@ -20,7 +20,6 @@ from pebble import ProcessExpired
 
 from comparisons.comparison import run as run_by_hand
 from comparisons.estimators import ESTIMATORS, Estimator
-from comparisons.estimators.attempt import processes
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
 from comparisons.studies.database import COLUMNS, StudyDatabase
@@ -28,7 +27,7 @@ from comparisons.studies.execute import DONE, ERROR, TIMEOUT, Outcome, rows_of
 from comparisons.studies.plan import Study, read_study
 from comparisons.studies.sweep import SweepOutcome, sweep
 from graphslam import FormatError, Log, OptionError, SlamError, save, simulate
-from graphslam.processes import how_it_ended
+from graphslam.processes import how_it_ended, processes
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -171,7 +170,7 @@ def test_the_time_limit_ends_one_run_and_no_other(make: Callable[..., Study]) ->
 
 @pytest.mark.nightly
 def test_a_task_that_dies_or_takes_too_long_costs_only_itself() -> None:
-    with processes(1, []) as pool:
+    with processes(1) as pool:
         assert pool.schedule(os.getenv, ("OMP_NUM_THREADS",)).result() == "1"
         died = pool.schedule(os.kill, (pool.schedule(os.getpid).result(), signal.SIGSEGV))
         with pytest.raises(ProcessExpired) as caught:

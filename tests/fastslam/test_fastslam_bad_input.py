@@ -207,13 +207,13 @@ def test_no_map() -> None:
         MonteCarloLocalization(simulate().replace(true_landmarks=None))
     with pytest.raises(OptionError, match="needs a map"):
         MonteCarloLocalization()
-    with pytest.raises(OptionError, match=r"landmarks\[2\] must be finite"):
+    with pytest.raises(OptionError, match="landmark 2 of the map must be finite"):
         MonteCarloLocalization(landmarks={2: (1.0, np.nan)})
-    with pytest.raises(OptionError, match=r"landmarks\[2\] must be finite"):
+    with pytest.raises(OptionError, match="landmark 2 of the map must be"):
         MonteCarloLocalization(landmarks={2: "there"})
-    with pytest.raises(OptionError, match="landmarks must be a mapping"):
+    with pytest.raises(OptionError, match=r"map must be a LandmarkMap, \{id: \(x, y\)\} or the path of a file"):
         MonteCarloLocalization(landmarks=[(1.0, 2.0)])
-    with pytest.raises(OptionError, match="id of a landmark must be a whole number"):
+    with pytest.raises(OptionError, match="the ids of a map are whole numbers"):
         MonteCarloLocalization(landmarks={"door": (1.0, 2.0)})
 
 

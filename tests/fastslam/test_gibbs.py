@@ -10,7 +10,7 @@ from importance_sampling import Moments, importance
 import comparisons
 from fastslam import GibbsOptions, GibbsResult, ParticleGibbs
 from fastslam.gibbs.chains import judge
-from fastslam.gibbs.low_rank import Target, mode
+from fastslam.gibbs.low_rank import LowRank, Target
 from fastslam.motions import Problem
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, simulate, solve
 from graphslam.log import UNIDENTIFIED
@@ -165,8 +165,8 @@ def test_the_mode_is_that_of_the_graph(orientation: bool) -> None:
     solution = solve(Graph.from_log(log, edges="landmark+motion", residual="cartesian", **FIFTH))
     marks = np.array([[*log.true_landmarks[j], 0.0][:3] for j in problem.ids.tolist()])
     target = Target.of(problem, GibbsOptions())
-    poses, found = mode(target, log.initial_poses, marks)
-    assert target(poses, found) == pytest.approx(0.5 * solution.cost, rel=1e-9)
+    poses, found = LowRank(target, log.initial_poses, marks).mode
+    assert target.in_engine.cost(poses, found, False)[0] == pytest.approx(0.5 * solution.cost, rel=1e-9)
     np.testing.assert_allclose(wrap(poses - solution.poses), 0, atol=1e-6)
 
 

@@ -11,18 +11,8 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
 from matplotlib.lines import Line2D
 
-from graphslam import (
-    Graph,
-    GraphError,
-    Log,
-    OnlineSolver,
-    OptionError,
-    SensorModel,
-    Solution,
-    estimate_map,
-    solve,
-    solve_online,
-)
+import graphslam
+from graphslam import Graph, GraphError, Log, OnlineSolver, OptionError, SensorModel, Solution, solve
 from graphslam.edges import AnchorEdges, EdgeFamily, MarginalEdges, PositionEdges, PriorEdges, VirtualMotionEdges
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import Array, wrap
@@ -169,7 +159,7 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
             frames.append(_after_step(log, solver, frames[-1].poses if frames else np.empty((0, 3))))
         progress()
 
-    solution = solve_online(log, backend="isam2", callback=after_step, **keywords)
+    solution = graphslam.solve_online(log, backend="isam2", callback=after_step, **keywords)
     largest = np.array([frame.values.max() for frame in frames])
     norm = LogNorm(1e-3, max(float(largest.max()), 1e-2))
 
@@ -205,7 +195,7 @@ def _after_step(log: Log, solver: OnlineSolver, before: Array) -> Frame:
     past = log.with_sightings(log.steps <= step)
     # the steps to come have no pose yet, and nothing was seen from them
     trajectory = np.concatenate([poses, np.zeros((log.num_poses - len(poses), 3))])
-    estimated = estimate_map(past, trajectory, sensor=solver.sensor, kernel=solver.kernel)
+    estimated = graphslam.estimate_map(past, trajectory, sensor=solver.sensor, kernel=solver.kernel)
     seen = log.sightings[log.steps == step]
     metres = np.max(corrections)
     length = f"{metres:.2f} m" if metres >= 0.1 else f"{1000 * metres:.1f} mm"

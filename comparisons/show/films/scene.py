@@ -33,28 +33,8 @@ from matplotlib.ticker import MaxNLocator
 from graphslam import Log, MotionModel
 from graphslam.se2 import Array, transform
 
-from ..canvas import (
-    FLASH,
-    SIGHTING,
-    TRUE_LANDMARK,
-    TRUTH,
-    aligned_to,
-    as_text,
-    between_poses,
-    colour_of,
-    ellipse_style,
-    font_of,
-    paper_figure,
-    place_map,
-    placed,
-    placement_of,
-    set_limits,
-    style_of,
-    translate_texts,
-    true_landmarks,
-    true_line,
-)
-from ..figures import ellipses
+from .. import canvas
+from ..figures import draw_truth, ellipses
 from ..language import translated
 from .files import check_can_film, player, write_film
 
@@ -114,18 +94,18 @@ class Pictures(Sequence[np.ndarray]):
     """
 
     def __init__(self, frames: Sequence[Frame], set_up: Callable[[Figure], Show], language: str = "en") -> None:
-        self._frames, self._language, self._font = frames, language, font_of(language)
-        with paper_figure(SIZE) as figure:
+        self._frames, self._language, self._font = frames, language, canvas.font_of(language)
+        with canvas.paper_figure(SIZE) as figure:
             figure.set_dpi(DPI)
             # a layout that is computed at each frame would move the panels
             figure.set_layout_engine("none")
             self._show = set_up(figure)
             self._translate(figure)
-            canvas = figure.canvas
-            assert isinstance(canvas, FigureCanvasAgg)
+            assert isinstance(figure.canvas, FigureCanvasAgg)
+            self._canvas = figure.canvas
             # within the style: ticks are made when they are first drawn
-            canvas.draw()
-            self._canvas, self._background = canvas, canvas.copy_from_bbox(figure.bbox)
+            self._canvas.draw()
+            self._background = self._canvas.copy_from_bbox(figure.bbox)
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -140,7 +120,7 @@ class Pictures(Sequence[np.ndarray]):
 
     def _translate(self, drawn: Artist) -> None:
         if self._font is not None:
-            translate_texts(drawn, partial(translated, language=self._language), self._font)
+            canvas.translate_texts(drawn, partial(translated, language=self._language), self._font)
 
     def _drawn(self, artists: Sequence[Artist]) -> np.ndarray:
         self._canvas.restore_region(self._background)
@@ -240,9 +220,9 @@ class Scene:
 
     def __init__(self, figure: Figure, film: Film) -> None:
         log, scale, last = film.log, film.scale, film.frames[-1]
-        self.figure, self.log, self.color, self.placement = figure, log, colour_of(film.name), np.zeros(3)
+        self.figure, self.log, self.color, self.placement = figure, log, canvas.colour_of(film.name), np.zeros(3)
         if film.aligned:
-            self.placement = placement_of(log, last.poses, last.estimated, last.landmarks, named=film.named)
+            self.placement = canvas.placement_of(log, last.poses, last.estimated, last.landmarks, named=film.named)
         self._movers: list[Show] = []
         self._handles: dict[str, Artist] = {}
         width = 0.90 if scale is None else 0.805
@@ -251,32 +231,29 @@ class Scene:
         if scale is not None:
             bar = figure.add_axes((0.91, 0.305, 0.016, 0.60))
             figure.colorbar(ScalarMappable(*scale[:2]), cax=bar, label=scale[2], extend="both")
-        self.between = between_poses(log, film.motion)
+        self.between = canvas.between_poses(log, film.motion)
         drifting = self.along(log.initial_poses if log.controls is None else log.dead_reckoning(film.motion))
-        style = style_of("dead-reckoning") | {"alpha": 0.55, "linewidth": 0.9}
+        style = canvas.style_of("dead-reckoning") | {"alpha": 0.55, "linewidth": 0.9}
         self.remember("dead reckoning", *self.plane.plot(*drifting.T, **style))
         means, curves = self._map(last)
         core = [self.along(last.poses), means, curves.reshape(-1, 2)]
+        landmarks = canvas.true_landmarks(log) if canvas.aligned_to(log) else None
+        core += draw_truth(self.plane, canvas.true_line(log), landmarks)
         #: ground truth and true landmarks, for a film whose lines would hide them
-        self.known: list[Artist] = []
-        if (line := true_line(log)) is not None:
-            pale = TRUTH | {"color": "0.55", "linewidth": 1.6, "zorder": 2}
-            self.known += self.plane.plot(*line[:, :2].T, **pale)
-            self.remember("ground truth", self.known[-1])
-            core.append(line[np.isfinite(line[:, 0]), :2])
-        of_map = np.array(list(true_landmarks(log).values() if aligned_to(log) else [])).reshape(-1, 2)
-        if len(of_map):
-            self.known += self.plane.plot(*of_map.T, **TRUE_LANDMARK | {"zorder": 2.1})
-            self.remember("true landmark", self.known[-1])
-            core.append(of_map)
+        self.known = self.plane.lines[1:]
+        for line in self.known:
+            line.set_zorder(2)
+            self.remember(str(line.get_label()), line)
+            if line.get_label() == "ground truth":
+                line.set(color="0.55", linewidth=1.6)
         self._content = np.concatenate(core), [drifting, self.along(film.frames[0].poses)]
-        self.extent = set_limits(self.plane, *self._content)
+        self.extent = canvas.set_limits(self.plane, *self._content)
         # the second line of the title is left empty for the caption
-        self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{as_text(film.title)}\n ")
+        self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{canvas.as_text(film.title)}\n ")
 
     def placed(self, poses: Array) -> Array:
         """Positions (k, 2) in the picture of poses (k, 3) in the estimator's axes."""
-        return placed(self.log, self.placement, poses)[:, :2]
+        return canvas.placed(self.log, self.placement, poses)[:, :2]
 
     def along(self, poses: Array) -> Array:
         """Positions (n, 2) in the picture of the path through the first poses (k, 3) of a drive, along its controls."""
@@ -301,7 +278,8 @@ class Scene:
         )
         flash = self.plane.text(
             0.985, 0.975, "", ha="right", va="top", color="white", weight="bold", size=10, animated=True,
-            transform=self.plane.transAxes, bbox={"facecolor": FLASH, "edgecolor": "none", "boxstyle": "round,pad=0.35"},
+            transform=self.plane.transAxes,
+            bbox={"facecolor": canvas.FLASH, "edgecolor": "none", "boxstyle": "round,pad=0.35"},
         )  # fmt: skip
 
         def texts(frame: Frame) -> list[Artist]:
@@ -311,7 +289,7 @@ class Scene:
 
         self.add(texts)
         # again, because what was added since lets matplotlib choose the limits
-        set_limits(self.plane, *self._content)
+        canvas.set_limits(self.plane, *self._content)
         self.figure.legend(
             list(self._handles.values()), list(self._handles), loc="lower center", bbox_to_anchor=(0.5, 0.0),
             ncols=-(-len(self._handles) // (1 if len(self._handles) <= 5 else 2)), handlelength=2.2,
@@ -360,7 +338,7 @@ class Scene:
 
     def add_sightings(self) -> None:
         """The lines from the last pose to what is seen from it."""
-        style = SIGHTING | {"color": "0.6", "linewidth": 0.7, "zorder": 2.2}
+        style = canvas.SIGHTING | {"color": "0.6", "linewidth": 0.7, "zorder": 2.2}
         lines = self.add_lines(**style)
         self.remember("sighting", Line2D([], [], **style))
 
@@ -378,9 +356,9 @@ class Scene:
         (dots,) = self.plane.plot(
             [], [], ".", color=self.color, markersize=4, markeredgecolor="white", markeredgewidth=0.3, animated=True
         )
-        curves = PolyCollection([], animated=True, **ellipse_style(self.color))
+        curves = PolyCollection([], animated=True, **canvas.ellipse_style(self.color))
         self.plane.add_collection(curves, autolim=False)
-        self.remember(label, Patch(**ellipse_style(self.color)))
+        self.remember(label, Patch(**canvas.ellipse_style(self.color)))
 
         def move(frame: Frame) -> list[Artist]:
             means, polygons = self._map(frame)
@@ -392,7 +370,7 @@ class Scene:
 
     def _map(self, frame: Frame) -> tuple[Array, Array]:
         """The landmarks (L, 2) of a frame and their ellipses (L', corners, 2), placed."""
-        means, covariances = place_map(self.placement, frame.landmarks, frame.landmark_covariances)
+        means, covariances = canvas.place_map(self.placement, frame.landmarks, frame.landmark_covariances)
         return np.array(list(means.values())).reshape(-1, 2), ellipses(means, covariances)
 
     def add_robot(self) -> None:
@@ -402,7 +380,7 @@ class Scene:
         self.plane.add_patch(triangle)
 
         def move(frame: Frame) -> list[Artist]:
-            triangle.set_xy(transform(placed(self.log, self.placement, frame.poses[-1]), shape))
+            triangle.set_xy(transform(canvas.placed(self.log, self.placement, frame.poses[-1]), shape))
             return [triangle]
 
         self.add(move)

@@ -20,18 +20,7 @@ from graphslam.se2 import Array, perpendicular, turn_matrix
 from ...comparison import Comparison
 from ...results import EstimatorResult
 from ...results.exchange import elapsed_of, time_axis
-from ..canvas import (
-    INK,
-    aligned_to,
-    between_poses,
-    place_map,
-    placed,
-    placement_of_result,
-    reference_of,
-    sensor_of,
-    style_of,
-    true_line,
-)
+from .. import canvas
 
 #: of longer logs every N-th step is shown: a screen has no more points, and the file must stay small
 MOST_STEPS = 1500
@@ -103,22 +92,22 @@ def view_of(comparison: Comparison) -> View:
     stride = max(1, -(-log.num_poses // MOST_STEPS))
     steps = np.unique(np.append(np.arange(0, log.num_poses, stride), log.num_poses - 1))
     path, measured_from = log.true_poses, "truth" if log.true_poses is not None else None
-    reference = reference_of(comparison)
+    reference = canvas.reference_of(comparison)
     if path is None and reference is not None and len(comparison.results) >= 2:
         path, measured_from = (
             np.where(reference.estimated[:, None], log.at_truth(reference.poses), np.nan),
             reference.name,
         )
     at_origin = np.zeros((len(log.steps), 3))
-    places = sensor_of(comparison).h_inverse(at_origin, log.sightings)[:, :2] - log.truth_offset
+    places = canvas.sensor_of(comparison).h_inverse(at_origin, log.sightings)[:, :2] - log.truth_offset
     seen = np.column_stack([places, log.landmarks])
     bounds = zip(np.searchsorted(log.steps, steps), np.searchsorted(log.steps, steps, side="right"))
-    line, between = true_line(log), between_poses(log, comparison.options.motion, MOST_POINTS)
+    line, between = canvas.true_line(log), canvas.between_poses(log, comparison.options.motion, MOST_POINTS)
     if line is not None and log.true_path is not None:
         line = line[:: max(1, len(line) // MOST_POINTS)]
     return View(
         log=log,
-        aligned_to=aligned_to(log),
+        aligned_to=canvas.aligned_to(log),
         steps=steps,
         times=None if log.times is None else elapsed_of(log)[steps],
         truth=None if log.true_poses is None else log.true_poses[steps],
@@ -133,7 +122,7 @@ def _estimate(
     comparison: Comparison, result: EstimatorResult, steps: np.ndarray, path: Array | None, between: ControlPath
 ) -> Estimate:
     log = comparison.log
-    placement = placement_of_result(log, result)
+    placement = canvas.placement_of_result(log, result)
     errors = np.full(len(result.poses), np.nan)
     if path is not None and np.count_nonzero(counted := result.estimated & np.isfinite(path[:, 0])) >= 2:
         errors = position_errors(path, log.at_truth(result.poses), mask=counted)
@@ -144,9 +133,9 @@ def _estimate(
         turn[:, :2, 2] = perpendicular((log.at_truth(result.poses) - result.poses)[steps, :2])
         turn = turn_matrix(placement[2]) @ turn
         covariances = turn @ covariances[steps] @ np.swapaxes(turn, 1, 2)
-    poses = np.where(result.estimated[steps, None], placed(log, placement, result.poses[steps]), np.nan)
-    line = placed(log, placement, between.through(np.where(result.estimated[:, None], result.poses, np.nan)))
-    maps = place_map(placement, result.landmarks, result.landmark_covariances)
+    poses = np.where(result.estimated[steps, None], canvas.placed(log, placement, result.poses[steps]), np.nan)
+    line = canvas.placed(log, placement, between.through(np.where(result.estimated[:, None], result.poses, np.nan)))
+    maps = canvas.place_map(placement, result.landmarks, result.landmark_covariances)
     # without the ids of the log, errors are known by true landmark only
     of_map = (comparison.metrics[result.name].landmark_errors_m or {}) if result.named else {}
     return Estimate(result.name, poses, line, errors[steps], covariances, *maps, of_map)
@@ -162,7 +151,7 @@ Figure = dict[str, Any]
 
 def line_of(name: str) -> dict[str, Any]:
     """The properties of a scatter trace that draws an estimator."""
-    style = style_of(name)
+    style = canvas.style_of(name)
     width = _SCALE * style.get("linewidth", 1.0)
     if "marker" in style:
         marker = {"symbol": _SYMBOLS[style["marker"]], "size": 8, "color": style["color"], "maxdisplayed": 20,
@@ -184,13 +173,13 @@ def layout(**more: Any) -> dict[str, Any]:
     common: dict[str, Any] = {
         "template": "none",
         "autosize": True,
-        "font": {"family": "DejaVu Sans, Verdana, sans-serif", "size": 13, "color": INK},
+        "font": {"family": "DejaVu Sans, Verdana, sans-serif", "size": 13, "color": canvas.INK},
         "paper_bgcolor": "#fff",
         "plot_bgcolor": "#fff",
         "margin": {"l": 62, "r": 14, "t": 34, "b": 48},
         "showlegend": False,
         "hovermode": "closest",
-        "hoverlabel": {"align": "left", "bgcolor": "#fff", "font": {"color": INK, "size": 13}},
+        "hoverlabel": {"align": "left", "bgcolor": "#fff", "font": {"color": canvas.INK, "size": 13}},
     }
     return common | more
 
