@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from ..graph.landmark_map import LandmarkMap
 from ..graph.localization import Fix
-from ..graph.stretch import Stretch
+from ..graph.stretch import Stretch, backwards, drifted
 from ..graph.tracker import Tracker
 from ..graph.tracking import DOUBT, elsewhere, sure_fix
 from ..log import UNIDENTIFIED
@@ -73,7 +74,7 @@ class Localizer:
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         """Add sightings, without ids where these are `UNIDENTIFIED`, and look for the robot where that is due."""
         self._see(pose, ids, sightings)
-        found = self._found() if pose == self._backend.num_poses - 1 else None
+        found = self._found()
         if found is not None:
             self.fixes[found[0]] = found[1]
             calls, self._calls = self._calls, []
@@ -115,13 +116,13 @@ class Localizer:
             backend.observe(pose, landmarks[alone].tolist(), sightings[alone])
             landmarks, sightings = landmarks[~alone], sightings[~alone]
             ids = landmarks.tolist()
-        if pose == backend.num_poses - 1:
-            rows = len(self._rows) + np.arange(len(ids))
-            self._rows += [(pose, j, z) for j, z in zip(ids, sightings)]
-            if self.tracker is not None:
-                self.tracker.pose = backend.pose
-                seen = self.tracker.see(pose, rows, landmarks, sightings)
-                landmarks, earlier = seen.landmarks, seen.earlier
+        rows = len(self._rows) + np.arange(len(ids))
+        self._rows += [(pose, j, z) for j, z in zip(ids, sightings)]
+        if self.tracker is not None:
+            self.tracker.pose = backend.pose
+            (*_, x), (*_, P) = drifted(np.zeros(3), np.array(self._motions[pose:]), np.array(self._noise[pose:]))
+            seen = self.tracker.see(pose, rows, landmarks, sightings, backwards(x, P))
+            landmarks, earlier = seen.landmarks, seen.earlier
         if (known := landmarks != UNIDENTIFIED).any():
             backend.observe(pose, landmarks[known].tolist(), self._as_used(sightings[known]))
         for row, id in earlier.items():
@@ -150,6 +151,6 @@ class Localizer:
         return None if put_down is None else put_down[:2]
 
     def _stretch(self) -> Stretch:
-        steps, ids, sightings = map(np.array, zip(*self._rows))
+        steps, ids, sightings = map(np.array, zip(*sorted(self._rows, key=itemgetter(0))))
         motions, noise = np.array(self._motions).reshape(-1, 3), np.array(self._noise).reshape(-1, 3, 3)
         return Stretch("the drive", motions, noise, steps, ids, sightings, self._sensor)

@@ -168,14 +168,15 @@ def test_landmarks_that_the_map_lacks_get_ids_where_sightings_have_none():
         assert len(set(log.landmarks[found == j].tolist())) == 1
 
 
-def driven(log, solver):
-    """A solver after a drive, given by hand, and the first step at which it was located."""
+def driven(log, solver, late=0):
+    """Give a solver a drive, with sightings some steps late; the first step at which it was located."""
     when = None
-    for step in range(log.num_poses):
-        if step:
+    for step in range(log.num_poses + late):
+        if 0 < step < log.num_poses:
             solver.move(log.controls[step - 1], log.dt[step - 1])
-        now = log.steps == step
-        solver.observe(log.landmarks[now] if log.identified else None, log.sightings[now])
+        if step >= late:
+            now = log.steps == step - late
+            solver.observe(log.landmarks[now] if log.identified else None, log.sightings[now], pose=step - late)
         when = step if when is None and solver.located else when
     return when
 
@@ -192,6 +193,16 @@ def test_a_robot_that_drives_finds_itself_and_notices_that_it_was_lifted(with_id
     # ids that were not clear at the time may differ from those that the whole log gives
     assert np.abs(solver.poses - batch.poses)[:, :2].max() < (1e-3 if with_ids else 0.2)
     assert set(solver.landmarks) >= set(log.landmark_ids.tolist()) - {UNIDENTIFIED}
+
+
+@pytest.mark.parametrize("with_ids", [True, False])
+def test_late_sightings_find_a_robot_and_notice_that_it_was_lifted(with_ids):
+    second = elsewhere(11, (5.0, 6.0, -2.0))
+    log, true = lifted(FIRST, second), np.concatenate([FIRST.true_poses, second.true_poses])
+    solver = OnlineSolver(map=TRUE, **MODELS)
+    assert driven(log if with_ids else unnamed(log), solver, late=2) is not None
+    assert np.hypot(*(solver.poses - true)[:, :2].T).max() < 0.5
+    assert solver.integrity_risk(1.0) < 0.01
 
 
 def test_a_start_that_is_given_is_used():
