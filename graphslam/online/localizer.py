@@ -31,6 +31,7 @@ class Localizer:
 
     Attributes:
         tracker: None as long as the robot has not been found.
+        columns: the number of values of the first sighting that are used, 2 or 3; None before it.
         fixes: {pose: fix} of the first pose, and of those at which the robot was put down.
     """
 
@@ -104,12 +105,14 @@ class Localizer:
         self._motions: list[Array] = []
         self._noise: list[Array] = []
         self._rows: list[tuple[int, int, Array]] = []
+        self.columns: int | None = None
         #: the numbers of sightings and of doubts from which the next search is due
         self._due, self._tried = 2, DOUBT
 
     def _see(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         backend, landmarks, earlier = self._backend, np.array(ids), dict[int, int]()
         self._calls.append(partial(self._see, pose, ids, sightings))
+        self.columns = self.columns or self._as_used(sightings).shape[1]
         alone = np.isnan(sightings).any(axis=1)
         if alone.any():
             # they have ids, and say too little to find the robot by them
@@ -151,6 +154,8 @@ class Localizer:
         return None if put_down is None else put_down[:2]
 
     def _stretch(self) -> Stretch:
-        steps, ids, sightings = map(np.array, zip(*sorted(self._rows, key=itemgetter(0))))
+        steps, ids, rows = zip(*sorted(self._rows, key=itemgetter(0)))
+        # some may have psi, and some not
+        sightings = np.array([z[: min(map(len, rows))] for z in rows])
         motions, noise = np.array(self._motions).reshape(-1, 3), np.array(self._noise).reshape(-1, 3, 3)
-        return Stretch("the drive", motions, noise, steps, ids, sightings, self._sensor)
+        return Stretch("the drive", motions, noise, np.array(steps), np.array(ids), sightings, self._sensor)

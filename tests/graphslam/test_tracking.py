@@ -224,3 +224,25 @@ def test_two_landmarks_with_headings_locate_a_robot():
     solver = OnlineSolver(map=log.true_landmarks, **models)
     assert driven(log, solver) is not None
     assert np.hypot(*(solver.poses - log.true_poses)[:, :2].T).max() < 0.5
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_sightings_without_psi_in_a_map_with_headings(given):
+    log = simulate(seed=1, steps=20, clean=True)
+    solver = OnlineSolver(log.true_poses[0] if given else None, map=log.true_landmarks)
+    assert driven(log.without_orientation(), solver) is not None
+    assert np.abs(solver.poses - log.true_poses)[:, :2].max() < 0.5
+    # psi that comes later is not used
+    solver.observe(log.landmarks[-2:], log.sightings[-2:])
+    assert solver.covariance(landmarks=[0]).shape == (1, 2, 2)
+
+
+def test_psi_that_comes_after_sightings_without():
+    log = simulate(seed=1, steps=20, clean=True)
+    solver = OnlineSolver(map=log.true_landmarks)
+    for step in range(log.num_poses):
+        if step:
+            solver.move(log.controls[step - 1], log.dt[step - 1])
+        now = log.steps == step
+        solver.observe(log.landmarks[now], log.sightings[now, : 3 if step else 2])
+    assert np.abs(solver.poses - log.true_poses)[:, :2].max() < 0.5
