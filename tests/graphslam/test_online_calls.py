@@ -57,6 +57,10 @@ BAD_CALLS = [
     ("observe", {"ids": [3], "sightings": [[0.0, 0.0]]}, OptionError, "ranges above zero"),
     ("observe", {"ids": [3], "sightings": [[1.0, 0.0, 0.0]]}, OptionError, "2 numbers each"),
     ("observe", {"ids": [0.5], "sightings": ONE}, OptionError, "whole numbers"),
+    ("observe", {"ids": [3], "sightings": [[1.0, 7.0]]}, OptionError, "beyond 2 pi: is it in degrees"),
+    ("observe", {"ids": [3], "sightings": [[np.nan, -7.0]]}, OptionError, "beyond 2 pi: is it in degrees"),
+    ("relate", {"first": 0, "second": 1, "motion": (1, 0, 90.0), "covariance": np.eye(3)}, OptionError, "beyond 8 pi"),
+    ("move", {"motion": (1, 0, 90.0), "covariance": np.eye(3)}, OptionError, "beyond 8 pi"),
 ]
 
 
