@@ -272,7 +272,11 @@ class OnlineSolver:
 
     @property
     def cost(self) -> float:
-        """J at the estimate, the anchor not counted; with a lag, of the edges of poses that are not final."""
+        """J at the estimate, with the priors of a map, the anchor not counted.
+
+        With a lag it is the part of J that the edges of the poses that are not final have. Priors are no part of it, because
+        those that final poses have left are known but for a constant.
+        """
         return self._backend.cost
 
     @property
