@@ -171,6 +171,8 @@ def online(log: Log, options: RunOptions) -> EstimatorResult:
     asked = (lambda solver: risks.append(solver.integrity_risk(*bounds_of(options)))) if options.landmark_map else None
     solution = graphslam.solve_online(_online_graph(log, options), lag=options.lag, callback=asked)
     result = _of_solution("online", log, options, solution)
+    if np.isnan(solution.cost):
+        result = replace(result, cost=None, costs=np.empty(0))
     return replace(result, converged=None, integrity_risk=np.array(risks) if risks else None)
 
 
