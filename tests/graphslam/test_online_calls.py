@@ -6,11 +6,13 @@ import runpy
 import threading
 from copy import copy, deepcopy
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fastslam import FastSLAM1
 from graphslam import (
     Graph,
     GraphError,
@@ -333,3 +335,10 @@ def test_the_engine_refuses_nodes_that_do_not_exist() -> None:
     system = OnlineSolver()._backend.system
     with pytest.raises(IndexError, match="no node 10000000"):
         system.values([10**7])
+
+
+@pytest.mark.parametrize("method", ["move", "observe", "locate", "covariance"])
+def test_particle_filters_have_the_same_arguments_but_for_past_poses_and_time(method):
+    """As `docs/online.md` says."""
+    own, theirs = (list(signature(getattr(kind, method)).parameters) for kind in (OnlineSolver, FastSLAM1))
+    assert theirs == [name for name in own if name not in ("pose", "time")]
