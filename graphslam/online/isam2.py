@@ -340,6 +340,8 @@ class Isam2Backend(Backend):
     def covariance(self, poses: Sequence[int], landmarks: Sequence[int]) -> Array:
         values, factors = self._isam.calculateEstimate(), _without_empty_slots(self._isam.getFactorsUnsafe())
         keys = [*map(X, poses), *(self._nodes[id] for id in landmarks)]
+        if not keys:
+            return np.zeros((0, 0))
         try:
             found = gtsam.Marginals(factors, values).jointMarginalCovariance(gtsam.KeyVector(list(dict.fromkeys(keys))))
         except RuntimeError as error:

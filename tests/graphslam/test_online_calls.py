@@ -271,6 +271,15 @@ def test_a_covariance_of_what_is_no_id(landmarks):
         OnlineSolver().covariance(landmarks=landmarks)
 
 
+@pytest.mark.parametrize("backend", ["own", "isam2"])
+def test_the_covariances_of_nothing_are_none(backend):
+    solver = OnlineSolver(backend=backend)
+    assert solver.covariance(landmarks=[]).shape[0] == solver.covariance(poses=[]).shape[0] == 0
+    assert solver.covariance(poses=[], landmarks=[], joint=True).shape == (0, 0)
+    blocks, none = solver.covariance(poses=[0], landmarks=[])
+    assert blocks.shape == (1, 3, 3) and len(none) == 0
+
+
 @pytest.mark.parametrize("name", ["motion", "sensor"])
 def test_models_are_checked(name):
     with pytest.raises(OptionError, match=f"{name} must be a .*Model, not 3"):
