@@ -15,7 +15,15 @@ from numpy.typing import ArrayLike
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import check_choice, check_count, check_heading, check_known, check_positive, check_sighted
+from ..errors.checks import (
+    check_choice,
+    check_count,
+    check_heading,
+    check_known,
+    check_positive,
+    check_sighted,
+    singular,
+)
 from ..graph.integrity import beyond, inflation
 from ..graph.landmark_map import as_map
 from ..linear.precision import inverses, model_of
@@ -76,7 +84,7 @@ class OnlineSolver:
         kind: Any = backend_class(backend)
         known = backend_options(backend)
         check_known(f"the backend {backend}", options, known, f"; its own options are {', '.join(known)}")
-        self.motion = model_of(MotionModel, motion)
+        self.backend, self.motion = backend, model_of(MotionModel, motion)
         self.sensor = model_of(SensorModel, sensor)
         self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
         first = None if start is None else _pose("start", start)
@@ -101,8 +109,8 @@ class OnlineSolver:
     def __repr__(self) -> str:
         """One line: backend and sizes."""
         backend = self._backend
-        kind = type(backend).__name__.removesuffix("Backend").lower()
-        return f"<OnlineSolver by {kind}: {backend.num_poses} poses, {len(backend.landmark_ids)} landmarks>"
+        sizes = singular(f"{backend.num_poses} poses, {len(backend.landmark_ids)} landmarks")
+        return f"<OnlineSolver ({self.backend}): {sizes}>"
 
     # -- measurements ------------------------------------------------------------------------------------------------
 

@@ -141,7 +141,7 @@ def test_both_backends_take_the_same_calls(backend):
     solver.relinearize()
     assert solver.converged and solver.step == 9
     assert list(solver.landmarks) == [-7, 4]
-    assert repr(solver) == f"<OnlineSolver by {backend}: 10 poses, 2 landmarks>"
+    assert repr(solver) == f"<OnlineSolver ({backend}): 10 poses, 2 landmarks>"
     found = [solver.poses, np.array(list(solver.landmarks.values())), solver.cost]
     found.append(solver.covariance(poses=[3, 9], landmarks=[4, -7], joint=True))
     blocks, points = solver.covariance(poses=[3, 9], landmarks=[4, -7])
@@ -226,6 +226,8 @@ def test_a_pickled_solver_goes_on():
 
 def test_the_first_pose_may_see_landmarks():
     solver = OnlineSolver()
+    assert repr(solver) == "<OnlineSolver (own): 1 pose, 0 landmarks>"
+    assert repr(OnlineSolver(map={3: (1.0, 2.0)})) == "<OnlineSolver (own): 1 pose, 0 landmarks>"
     solver.observe([4], [[2.0, 0.5]])
     np.testing.assert_allclose(solver.landmarks[4], [2 * np.cos(0.5), 2 * np.sin(0.5)], atol=1e-9)
     assert solver.covariance().shape == (3, 3)
