@@ -25,6 +25,7 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED
 from graphslam.online import replay
 from graphslam.se2 import wrap
+from graphslam.solvers.iteration import Run
 from graphslam.solvers.solution import make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions
@@ -134,10 +135,11 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     # J and the map by the graph's own code, which gets what the book's cost has
     plain = log.replace(**dict.fromkeys(MEASURED))
     graph = Graph.from_log(plain, edges=edges, frame="world", kernel="none", **models)
-    solution = make_solution(
-        graph, result.poses[graph.steps], step_norms=result.step_norms, costs=result.costs, converged=result.converged,
-        reason=result.reason, seconds=seconds, solver="textbook",
+    run = Run(
+        result.poses[graph.steps], result.threshold, costs=result.costs, step_norms=result.step_norms,
+        converged=result.converged, reason=result.reason,
     )  # fmt: skip
+    solution = make_solution(graph, run, "textbook", seconds)
     used = {"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold}
     found = _of_solution("textbook", log, options, replace(solution, notes=()))
     return replace(found, options=used, costs=np.array(result.costs))

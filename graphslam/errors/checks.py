@@ -337,14 +337,14 @@ class Option:
         if isinstance(value, float) and not math.isfinite(value) and value != self.default:
             raise OptionError(f"{self.name} must be a finite number, not {quoted(value)}")
         for limit, broken in (
-            (f"be at least {_number(self.minimum)}", self.minimum is not None and checked < self.minimum),
-            (f"be at most {_number(self.maximum)}", self.maximum is not None and checked > self.maximum),
-            (f"be below {_number(self.below)}", self.below is not None and checked >= self.below),
-            ("be a positive number", self.positive and checked <= 0),
+            (f"must be at least {_number(self.minimum)}", self.minimum is not None and checked < self.minimum),
+            (f"must be at most {_number(self.maximum)}", self.maximum is not None and checked > self.maximum),
+            (f"must be below {_number(self.below)}", self.below is not None and checked >= self.below),
+            ("must be a positive number", self.positive and checked <= 0),
         ):
             if broken:
                 share = 1 in (self.maximum, self.below)
-                raise OptionError(f"{self.name} must {'lie between 0 and 1' if share else limit}, not {quoted(value)}")
+                raise OptionError(f"{self.name} {'must lie between 0 and 1' if share else limit}, not {quoted(value)}")
         return value
 
     @property
