@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from graphslam import Cauchy, Graph, GraphError, solve
-from graphslam.edges.relative import RelativePoseEdges, RobustPointEdges, RobustPoseEdges
+from graphslam.edges.relative import DoubtedPointEdges, RelationEdges, RelativePoseEdges
 from graphslam.errors import OptionError
 from graphslam.linear.cholesky import FactorizationError
 from graphslam.se2 import Array, wrap
@@ -68,7 +68,7 @@ class Target:
         if degrees > 0:
             information, kernel = (1 + n / degrees) * information, Cauchy((degrees + n) ** 0.5)
         steps, marks = np.arange(T + 1), np.arange(T + 1, T + 1 + len(p.ids))
-        kind = RobustPoseEdges if n == 3 else RobustPointEdges
+        kind = RelationEdges if n == 3 else DoubtedPointEdges
         families = (
             RelativePoseEdges(steps[:-1], steps[1:], p.motions, full(p.information)),
             kind(p.steps, marks[p.marks], np.ascontiguousarray(p.y[:, :n]), information, kernel=kernel),
