@@ -233,8 +233,7 @@ def test_step_by_step_is_the_batch_solution(bare, log):
 def test_positions_say_where_a_drive_from_nowhere_is(bare, backend, direction):
     # the world of the positions is far away, and turned against that of the first pose, which nobody has said
     far = np.array([4.2e5, 5.1e6, direction])
-    rng, options = np.random.default_rng(1), {"factorization": "qr"} if backend == "isam2" else {}
-    solver = OnlineSolver(backend=backend, motion=bare.motion, **options)
+    rng, solver = np.random.default_rng(1), OnlineSolver(backend=backend, motion=bare.motion)
     truth, lever = compose(far, bare.true_poses), np.array(LEVER)
     for t in range(bare.num_poses):
         if t:
