@@ -25,6 +25,7 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED
 from graphslam.online import replay
 from graphslam.se2 import wrap
+from graphslam.solvers.iteration import Run
 from graphslam.solvers.solution import make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions
@@ -124,6 +125,10 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The lectures' program as it stands, with the book's threshold; J is the world-frame cost that it works on."""
     _no_map("textbook", options)
     check_one_drive("textbook", log)
+    others = {each: getattr(RunOptions, each) for each in ("motion_weight", "residual", "initialize", "estimate")}
+    options, notes = _fixed(
+        options, "it is the lectures' program as it stands", frame="world", weight="pairs", kernel="none", **others
+    )
     edges = options.edges
     if edges not in graphslam.textbook.THRESHOLDS:
         edges = "virtual" if log.controls is None else "virtual+motion"
@@ -134,13 +139,20 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     # J and the map by the graph's own code, which gets what the book's cost has
     plain = log.replace(**dict.fromkeys(MEASURED))
     graph = Graph.from_log(plain, edges=edges, frame="world", kernel="none", **models)
-    solution = make_solution(
-        graph, result.poses[graph.steps], step_norms=result.step_norms, costs=result.costs, converged=result.converged,
-        reason=result.reason, seconds=seconds, solver="textbook",
+    steps = Run(
+        result.poses[graph.steps], result.threshold, costs=result.costs, step_norms=result.step_norms,
+        converged=result.converged, reason=result.reason,
     )  # fmt: skip
+    solution = make_solution(graph, steps, "textbook", seconds)
     used = {"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold}
-    found = _of_solution("textbook", log, options, replace(solution, notes=()))
+    found = _of_solution("textbook", log, options, replace(solution, notes=notes))
     return replace(found, options=used, costs=np.array(result.costs))
+
+
+def _fixed(options: RunOptions, reason: str, **fixed: Any) -> tuple[RunOptions, tuple[str, ...]]:
+    """The options with those that an estimator has fixed, and a note on those that were given another value."""
+    given = [each.flag for each, value in options.changed() if each.name in fixed and value != fixed[each.name]]
+    return replace(options, **fixed), (f"does not use {', '.join(given)}: {reason}",) * bool(given)
 
 
 def _counted_once(log: Log, options: RunOptions) -> str | None:
@@ -167,16 +179,25 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
+    options, notes = _online_options(options)
     risks: list[float] = []
     asked = (lambda solver: risks.append(solver.integrity_risk(*bounds_of(options)))) if options.landmark_map else None
     solution = graphslam.solve_online(_online_graph(log, options), lag=options.lag, callback=asked)
     result = _of_solution("online", log, options, solution)
-    return replace(result, converged=None, integrity_risk=np.array(risks) if risks else None)
+    risk = np.array(risks) if risks else None
+    return replace(result, converged=None, integrity_risk=risk, notes=(*result.notes, *notes))
+
+
+def _online_options(options: RunOptions) -> tuple[RunOptions, tuple[str, ...]]:
+    """The options with those that `online` has fixed, and a note on them."""
+    ways = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
+    reason = "it has landmark nodes with Cartesian residuals, and estimates no parameters"
+    return _fixed(options, reason, **ways, initialize="auto", estimate=None)
 
 
 def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineSolver]:
     """The solver of `online` after every step."""
-    return replay(_online_graph(log, options), lag=options.lag)
+    return replay(_online_graph(log, _online_options(options)[0]), lag=options.lag)
 
 
 def bounds_of(options: RunOptions) -> tuple[float, float]:
@@ -191,16 +212,16 @@ def _no_map(name: str, options: RunOptions) -> None:
 
 
 def _online_graph(log: Log, options: RunOptions) -> Graph:
-    fixed = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
-    return Graph.from_log(log, **(online_keywords(options) | fixed), map=options.landmark_map)
+    return Graph.from_log(log, **online_keywords(options), map=options.landmark_map)
 
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     """ISAM2 on our factor types, step by step through the log, as a robot that drives could."""
-    options = isam2_options(log, options)
+    reason = "it goes on from its last estimate, and estimates no parameters"
+    options, notes = _fixed(isam2_options(log, options), reason, initialize="auto", estimate=None)
     keywords = online_keywords(options)
     result = _of_solution("isam2", log, options, graphslam.solve_online(log, backend="isam2", **keywords))
-    return replace(result, converged=None)
+    return replace(result, converged=None, notes=(*result.notes, *notes))
 
 
 def isam2_options(log: Log, options: RunOptions) -> RunOptions:
