@@ -37,12 +37,15 @@ from .results.saving import SavedFiles, fill_results, jsonable, new_directory, w
 from .results.sightings import SolvedSession, found_ids, solved_sessions
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ResultTable(Displayed, Sequence[Row]):
     """The rows of a comparison under their title; indexed by number or by the name of the estimator."""
 
     title: str
     rows: tuple[Row, ...]
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __len__(self) -> int:
         return len(self.rows)

@@ -151,6 +151,10 @@ class ParticleFilter(ABC):
         """A filter of its own, as `copy.deepcopy` makes one; both continue with the same random numbers."""
         return deepcopy(self)
 
+    def __repr__(self) -> str:
+        on, steps = ("", "") if self.log is None else (f" on {self.log.name}", f" of {self.log.num_poses - 1}")
+        return f"<{type(self).__name__}{on}: {self.particles} particles, step {self._step}{steps}>"
+
     # -- step by step ------------------------------------------------------------------------------------------------
 
     def move(
