@@ -124,7 +124,7 @@ class Factor(gtsam.CustomFactor):
     def __reduce__(self) -> tuple[Any, ...]:
         return FactorDescription.build, (self.description,)
 
-    def equals(self, f: gtsam.NonlinearFactor, tol: float = 1e-9) -> bool:
+    def equals(self, f: Any, tol: Any = 1e-9) -> bool:
         """Whether a factor has the same description up to a tolerance; GTSAM's own method compares keys and noise only."""
         try:
             return self.description.equals(describe(f), tol)
