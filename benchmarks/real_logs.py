@@ -82,7 +82,7 @@ CASES = (
         figure="real-lost-in-the-woods",
     ),
     Case(folder="simulated_535", noise="published", figure="real-huang-535"),
-    # GTSAM's ISAM2 fails on this one (indeterminate system)
+    # GTSAM's ISAM2 fails on this one by Cholesky (indeterminate system), and takes many minutes by QR
     Case(
         folder="simulated_8240", noise="published", estimators=tuple(name for name in ALL if name not in ("isam2", "gtsam")),
         figure="real-huang-8240",

@@ -26,6 +26,7 @@ from .estimators.attempt import Skipped, attempts
 from .estimators.config import config_text
 from .estimators.filters import Announce, announce_memory
 from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions
+from .options.option import options_of
 from .options.reading import LogOrPath, prepare
 from .options.toml_files import write_noise
 from .results import EstimatorResult, noted, typical_costs
@@ -36,12 +37,15 @@ from .results.saving import SavedFiles, fill_results, jsonable, new_directory, w
 from .results.sightings import SolvedSession, found_ids, solved_sessions
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ResultTable(Displayed, Sequence[Row]):
     """The rows of a comparison under their title; indexed by number or by the name of the estimator."""
 
     title: str
     rows: tuple[Row, ...]
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -233,7 +237,21 @@ class Comparison(Displayed):
             str(each.found.verdict) for each in self.results if each.found and not each.found.verdict.reliable
         }
         maps = tuple(Finding("unreliable ids", f"{self.log.name}: {verdict}") for verdict in sorted(unreliable))
-        return (*check_log(self.log), *doubts, *self._noise_findings(), *maps)
+        return (*check_log(self.log), *doubts, *self._noise_findings(), *maps, *self._unused_options())
+
+    def _unused_options(self) -> Iterator[Finding]:
+        """Options that were given, and that none of the estimators uses."""
+        users = {n: [name for name, each in ESTIMATORS.items() if n in each.uses] for n in options_of(RunOptions)}
+        tried = {each.name for each in self.results} | {each.name for each in self.skipped}
+        solved, found = not tried.isdisjoint(users["front_end"]), any(each.found is not None for each in self.results)
+        for option, _ in self.options.changed():
+            # a filter may find the ids of graphs
+            by_front_end = option.name == "association" or (option.model == "filter" and found)
+            if users[option.name] and tried.isdisjoint(users[option.name]) and not (solved and by_front_end):
+                yield Finding(
+                    "unused option",
+                    f"no estimator of this run uses {option.flag}; {', '.join(users[option.name])} would",
+                )
 
     def _noise_findings(self) -> Iterator[Finding]:
         """Noise that was given, such as that of another robot, or estimated, and is less than this log shows.

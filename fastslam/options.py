@@ -287,6 +287,15 @@ def smoothing_memory(particles: int, poses: int, landmarks: int, events: int, co
     return particles * record + 48.0 * count * (poses + landmarks)
 
 
+def check_one_drive(name: str, log: Log) -> None:
+    """Raise `OptionError` where a log consists of several, for an estimator that follows one robot from its start."""
+    if log.sessions:
+        raise OptionError(
+            f"{name} follows one robot from its start, and these are {len(log.sessions)} logs; graph, gtsam and isam2 solve "
+            "them together"
+        )
+
+
 def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:
     """Raise `OptionError` where a filter on a log needs more memory than there is."""
     need, there = forecast(log, options, maps=maps), available_memory()

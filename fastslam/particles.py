@@ -13,7 +13,7 @@ Source: Douc, Cappe and Moulines, *Comparison of resampling schemes for particle
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -124,7 +124,7 @@ class LandmarkEstimate:
     confirmed: bool = True
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ParticleState:
     """The particles after one step.
 
@@ -143,8 +143,11 @@ class ParticleState:
     ess: float
     resampled: bool
     best: int
-    _filter: ParticleFilter = field(repr=False)
-    _version: int = field(repr=False)
+    _filter: ParticleFilter
+    _version: int
+
+    def __repr__(self) -> str:
+        return f"<ParticleState: step {self.step}, {len(self.poses)} particles, ESS {self.ess:.1f}>"
 
     @property
     def best_pose(self) -> Array:

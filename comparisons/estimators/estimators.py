@@ -17,6 +17,7 @@ import numpy as np
 
 import fastslam
 import graphslam
+from fastslam.options import check_one_drive
 from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError, Solution, simulate
 from graphslam.errors import quoted
 from graphslam.errors.checks import suggestion
@@ -31,7 +32,7 @@ from graphslam.solvers.solution import make_solution
 from ..options import FrontEndOptions, GraphOptions, RunOptions
 from ..options.option import options_of
 from ..results import EstimatorResult, noted
-from .filters import FILTER, LOCALISATION, check_one_drive, identified, mcl, of_several_seeds
+from .filters import FILTER, LOCALISATION, identified, mcl, of_several_seeds
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
@@ -125,6 +126,10 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The lectures' program as it stands, with the book's threshold; J is the world-frame cost that it works on."""
     _no_map("textbook", options)
     check_one_drive("textbook", log)
+    others = {each: getattr(RunOptions, each) for each in ("motion_weight", "residual", "initialize", "estimate")}
+    options, notes = _fixed(
+        options, "it is the lectures' program as it stands", frame="world", weight="pairs", kernel="none", **others
+    )
     edges = options.edges
     if edges not in graphslam.textbook.THRESHOLDS:
         edges = "virtual" if log.controls is None else "virtual+motion"
@@ -141,8 +146,14 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     )  # fmt: skip
     solution = make_solution(graph, run, "textbook", seconds)
     used = {"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold}
-    found = _of_solution("textbook", log, options, replace(solution, notes=()))
+    found = _of_solution("textbook", log, options, replace(solution, notes=notes))
     return replace(found, options=used, costs=np.array(result.costs))
+
+
+def _fixed(options: RunOptions, reason: str, **fixed: Any) -> tuple[RunOptions, tuple[str, ...]]:
+    """The options with those that an estimator has fixed, and a note on those that were given another value."""
+    given = [each.flag for each, value in options.changed() if each.name in fixed and value != fixed[each.name]]
+    return replace(options, **fixed), (f"does not use {', '.join(given)}: {reason}",) * bool(given)
 
 
 def _counted_once(log: Log, options: RunOptions) -> str | None:
@@ -169,18 +180,27 @@ def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
     """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
+    options, notes = _online_options(options)
     risks: list[float] = []
     asked = (lambda solver: risks.append(solver.integrity_risk(*bounds_of(options)))) if options.landmark_map else None
     solution = graphslam.solve_online(_online_graph(log, options), lag=options.lag, callback=asked)
     result = _of_solution("online", log, options, solution)
     if np.isnan(solution.cost):
         result = replace(result, cost=None, costs=np.empty(0))
-    return replace(result, converged=None, integrity_risk=np.array(risks) if risks else None)
+    risk = np.array(risks) if risks else None
+    return replace(result, converged=None, integrity_risk=risk, notes=(*result.notes, *notes))
+
+
+def _online_options(options: RunOptions) -> tuple[RunOptions, tuple[str, ...]]:
+    """The options with those that `online` has fixed, and a note on them."""
+    ways = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
+    reason = "it has landmark nodes with Cartesian residuals, and estimates no parameters"
+    return _fixed(options, reason, **ways, initialize="auto", estimate=None)
 
 
 def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineSolver]:
     """The solver of `online` after every step."""
-    return replay(_online_graph(log, options), lag=options.lag)
+    return replay(_online_graph(log, _online_options(options)[0]), lag=options.lag)
 
 
 def bounds_of(options: RunOptions) -> tuple[float, float]:
@@ -195,16 +215,16 @@ def _no_map(name: str, options: RunOptions) -> None:
 
 
 def _online_graph(log: Log, options: RunOptions) -> Graph:
-    fixed = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
-    return Graph.from_log(log, **(online_keywords(options) | fixed), map=options.landmark_map)
+    return Graph.from_log(log, **online_keywords(options), map=options.landmark_map)
 
 
 def isam2(log: Log, options: RunOptions) -> EstimatorResult:
     """ISAM2 on our factor types, step by step through the log, as a robot that drives could."""
-    options = isam2_options(log, options)
+    reason = "it goes on from its last estimate, and estimates no parameters"
+    options, notes = _fixed(isam2_options(log, options), reason, initialize="auto", estimate=None)
     keywords = online_keywords(options)
     result = _of_solution("isam2", log, options, graphslam.solve_online(log, backend="isam2", **keywords))
-    return replace(result, converged=None)
+    return replace(result, converged=None, notes=(*result.notes, *notes))
 
 
 def isam2_options(log: Log, options: RunOptions) -> RunOptions:

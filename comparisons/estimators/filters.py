@@ -16,9 +16,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 import fastslam
-from fastslam.options import GIGABYTE, Forecast, available_memory, forecast
+from fastslam.options import GIGABYTE, Forecast, available_memory, check_one_drive, forecast
 from fastslam.particles import Samples
-from graphslam import GraphError, Log, MotionModel, OptionError, SlamError, associate, first_fix
+from graphslam import Log, MotionModel, OptionError, SlamError, associate, first_fix
 from graphslam.association import Association
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
@@ -155,15 +155,6 @@ def mcl(log: Log, options: RunOptions) -> EstimatorResult:
 
 #: the particle filters by the name of their estimator, as names in `fastslam`, which is imported when one is used
 FILTERS = {"mcl": "MonteCarloLocalization", "fastslam1": "FastSLAM1", "fastslam2": "FastSLAM2"}
-
-
-def check_one_drive(name: str, log: Log) -> None:
-    """Raise `GraphError` where a log consists of several, for an estimator that follows one robot from its start."""
-    if log.sessions:
-        raise GraphError(
-            f"{name} follows one robot from its start, and these are {len(log.sessions)} logs; graph, gtsam and isam2 solve "
-            "them together"
-        )
 
 
 def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.ParticleFilter:

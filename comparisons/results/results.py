@@ -20,7 +20,7 @@ from graphslam import Certificate, FormatError, Graph, Log, MotionModel, SlamErr
 from graphslam.association import Ambiguity, Association
 from graphslam.association.associate import Verdict
 from graphslam.edges import EdgeFamily, PositionEdges, RelationEdges
-from graphslam.errors import printable
+from graphslam.errors import printable, shortened
 from graphslam.graph.stretch import drifted
 from graphslam.identification.declared import ParameterEstimate
 from graphslam.metrics import Errors, Metrics, mean_nees
@@ -331,7 +331,7 @@ class FoundIds:
     verdict: Verdict | None = None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Row(Figures, Metrics):
     """All that is known of one estimator: a line of the table, and an entry of the JSON. None where it cannot be known.
 
@@ -376,9 +376,14 @@ class Row(Figures, Metrics):
     certificate: Certificate | None = None
     reason: str = ""
     notes: tuple[str, ...] = ()
-    skipped: str | None = field(default=None, repr=False)
-    result: EstimatorResult | None = field(default=None, repr=False)
+    skipped: str | None = None
+    result: EstimatorResult | None = None
     shown: ClassVar = {"expected_ate_m": "expected_ate_m"}
+
+    def __repr__(self) -> str:
+        figures = {"ATE": (self.ate_m, " m"), "J": (self.cost, "")}
+        known = [f"{name} = {value:.6g}{unit}" for name, (value, unit) in figures.items() if value is not None]
+        return f"<Row {self.name}: {', '.join(known) or shortened(self.skipped or 'no figures')}>"
 
     @property
     def expected_ate_m(self) -> float | None:

@@ -282,6 +282,9 @@ class FastSLAM2(FastSLAM1):
     with new landmarks only is drawn from the linearised motion.
     """
 
+    # its poses are drawn from the motion corrected by the sightings
+    _crosses_logs = True
+
     def _check_options(self) -> None:
         if self.options.range_noise == "estimated" and self.options.proposal_weight != "exact":
             raise OptionError(

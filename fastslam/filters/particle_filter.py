@@ -26,7 +26,7 @@ from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
 from ..motions import Record, check_motion, checked_control, checked_motion, robot_poses, sensor_motions
-from ..options import FilterOptions, check_memory, draw_key, index, measurements
+from ..options import FilterOptions, check_memory, check_one_drive, draw_key, index, measurements
 from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, ParticleState, Samples
 from ..positions import first_poses, in_frame, log_likelihoods, one_position
 
@@ -83,12 +83,15 @@ class ParticleFilter(ABC):
 
     Raises:
         OptionError: an option has an impossible value, the log has sightings without ids and the filter needs them, or the
-            particles need more memory than there is, or ``start`` contradicts the log's positions.
+            particles need more memory than there is, ``start`` contradicts the log's positions, or the log was joined from
+            several, which only FastSLAM 2.0 follows.
         LogError: the log has no controls.
     """
 
     #: whether each particle has a map of its own
     HAS_MAPS = True
+    #: whether it finds the robot where the next of several joined logs begins, which may be anywhere
+    _crosses_logs = False
     #: what to do where a log has no ids and the filter needs them
     _HOW_WITHOUT_IDS = "and the association is known: leave it out, or take maximum-likelihood"
 
@@ -114,6 +117,8 @@ class ParticleFilter(ABC):
         if log is not None and log.controls is None:
             raise LogError(f"{log.name} has no controls, which move the particles of a filter: use graph SLAM")
         if log is not None:
+            if not self._crosses_logs:
+                check_one_drive(type(self).__name__, log)
             if self._needs_ids and not log.identified:
                 raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
             used = {"partial_sightings": self._takes_single_numbers, "positions": self._takes_positions}
@@ -145,6 +150,10 @@ class ParticleFilter(ABC):
     def __copy__(self) -> Self:
         """A filter of its own, as `copy.deepcopy` makes one; both continue with the same random numbers."""
         return deepcopy(self)
+
+    def __repr__(self) -> str:
+        on, steps = ("", "") if self.log is None else (f" on {self.log.name}", f" of {self.log.num_poses - 1}")
+        return f"<{type(self).__name__}{on}: {self.particles} particles, step {self._step}{steps}>"
 
     # -- step by step ------------------------------------------------------------------------------------------------
 

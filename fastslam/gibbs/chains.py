@@ -35,7 +35,7 @@ LARGEST_RHAT, LEAST_ESS = 1.05, 100.0
 APART = 2.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mixing:
     """R-hat and effective sample size of chains, by coordinate.
 
@@ -48,6 +48,9 @@ class Mixing:
     names: list[str]
     rhat: Array
     ess: Array
+
+    def __repr__(self) -> str:
+        return f"<Mixing of {len(self.names)} coordinates: {'' if self.mixed else 'not '}mixed>"
 
     @property
     def mixed(self) -> bool:
@@ -212,6 +215,10 @@ class ParticleGibbs:
         self.motion, self.sensor = self._filters[0].motion, self._filters[0].sensor
         self._problem = Problem.of(log, self.motion, self.sensor)
         self._threads = threads
+
+    def __repr__(self) -> str:
+        o, sweeps = self.options, self.options.warm_up + self.options.iterations
+        return f"<ParticleGibbs on {self.log.name}: {o.chains} chains of {sweeps} sweeps, {o.particles} particles>"
 
     def run(self) -> GibbsResult:
         """Run all chains and return their samples."""

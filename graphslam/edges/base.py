@@ -170,6 +170,9 @@ class EdgeFamily(ABC):
     def __post_init__(self) -> None:  # noqa: B027
         pass
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.count} {'edge' if self.count == 1 else 'edges'}>"
+
     @property
     @abstractmethod
     def count(self) -> int:
@@ -320,7 +323,7 @@ class EngineEdges(EdgeFamily):
         return {name: value for name, value in vars(self).items() if name != "in_engine"}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FramedEdges(EngineEdges):
     """Edges whose information is constant in the axes of a node, ``frame`` "body", or kept fixed in those of the "world"."""
 
@@ -343,7 +346,7 @@ def _relations(arrays: tuple[np.ndarray, ...]) -> Relations | None:
     return Relations(*arrays) if len(arrays[0]) else None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NodeEdges(EdgeFamily):
     """Edges of single nodes ``nodes`` (E,)."""
 
@@ -361,7 +364,7 @@ class NodeEdges(EdgeFamily):
         return np.arange(self.count + 1), self.nodes
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PairEdges(EdgeFamily):
     """Edges that connect two nodes each, ``first`` (E,) and ``second`` (E,)."""
 

@@ -52,7 +52,7 @@ from .robust import SingleEdges, code_and_width
 from .sightings import SightingEdges, check_sightings
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ObservationEdges(PairEdges, SightingEdges):
     """Sightings (M, 2 or 3) of landmark nodes ``second`` (M,) from pose nodes ``first`` (M,).
 
@@ -72,7 +72,7 @@ class ObservationEdges(PairEdges, SightingEdges):
         return self.sightings.size, float(self.sightings.shape[1] * np.sum(self.trusted))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CartesianObservationEdges(ObservationEdges, FramedEdges):
     """Sightings of landmark nodes with the residual in the plane; see `ObservationEdges` for the other arguments.
 
@@ -96,7 +96,7 @@ class CartesianObservationEdges(ObservationEdges, FramedEdges):
         return self.relative.in_engine
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PolarObservationEdges(ObservationEdges, EngineEdges):
     """Sightings of landmark nodes with the residual h(x, m) - z; see `ObservationEdges` for the arguments."""
 
@@ -129,7 +129,7 @@ class PolarObservationEdges(ObservationEdges, EngineEdges):
 NEAREST = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PartialEdges(SingleEdges, PairEdges, EngineEdges):
     """Numbers (E, 1) measured of landmark nodes ``second`` (E,) from poses ``first`` (E,), with information (E, 1, 1).
 

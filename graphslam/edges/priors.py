@@ -34,7 +34,7 @@ from .robust import SingleEdges, code_and_width
 ANCHOR_INFORMATION = 1e6 * np.eye(3)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class AnchorEdges(NodeEdges, EngineEdges):
     """Anchors of nodes (E,) at values (E, 3) with information (E, 3, 3), e = x - x̂ with the heading wrapped."""
 
@@ -58,7 +58,7 @@ class AnchorEdges(NodeEdges, EngineEdges):
         return engine.PositionEdges(self.nodes, self.values, self.information, no_lever, *code_and_width(None))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LandmarkPriors(AnchorEdges):
     """Independent priors of landmark nodes (E,): e = m - m̂ with the heading wrapped, information (E, 3, 3).
 
@@ -148,7 +148,7 @@ class Way(NamedTuple):
         return turned + half + half.T
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PriorEdges(EdgeFamily):
     """A joint prior of K nodes: v' Omega v - 2 b' v + b' Omega^+ b, with v (3K,) the way of the nodes from their values.
 
@@ -224,7 +224,7 @@ class PriorEdges(EdgeFamily):
         return Way.of(state[self.nodes], self.values, self.pivot)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PositionEdges(SingleEdges, NodeEdges, EngineEdges):
     """Places ``measured`` (E, 2 or 3) of points ``levers`` (E, 2) of pose nodes (E,), with information (E, d, d).
 

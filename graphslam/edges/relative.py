@@ -35,7 +35,7 @@ from .base import FramedEdges, Linearization, PairEdges, check_rows, linearizati
 from .robust import SingleEdges, code_and_width
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _RelativeEdges(PairEdges, FramedEdges):
     """Nodes ``second`` measured (E, d) in the frames of the poses ``first``, with information (E, d, d) there."""
 
@@ -92,7 +92,7 @@ class RelativePointEdges(_RelativeEdges):
     rows: ClassVar[int] = 2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RelationEdges(SingleEdges, RelativePoseEdges):
     """Measured relations of two poses that may be wrong, such as loop closures: `RelativePoseEdges` in the body frame.
 
@@ -100,7 +100,7 @@ class RelationEdges(SingleEdges, RelativePoseEdges):
     """
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DoubtedPointEdges(SingleEdges, RelativePointEdges):
     """`RelativePointEdges` that may be wrong, the same for points as `RelationEdges` for poses."""
 

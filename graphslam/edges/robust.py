@@ -204,7 +204,7 @@ def _efficiency(code: int, width: float, dimension: int) -> float:
 NO_TRUST = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DoubtedEdges(EdgeFamily):
     """Edges of measurements that may be wrong.
 

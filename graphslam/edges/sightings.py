@@ -88,7 +88,7 @@ def check_sightings(edges: SightingEdges, count: int) -> None:
         check_rows(edges, noise_at=(count, d))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LandmarkSightings(SightingEdges, FramedEdges):
     """Sightings grouped by landmark.
 
@@ -141,7 +141,7 @@ class LandmarkSightings(SightingEdges, FramedEdges):
         return y, perpendicular(y[:, :2] - poses[:, :2])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MarginalEdges(LandmarkSightings):
     """One clique for each landmark; see `LandmarkSightings` for the arguments."""
 

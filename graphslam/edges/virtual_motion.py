@@ -46,7 +46,7 @@ from .sightings import LandmarkSightings
 MOST_LISTED = 2_000_000
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class VirtualMotionEdges(LandmarkSightings):
     """All pairs of sightings of each landmark; see `LandmarkSightings` for the other arguments.
 

@@ -26,7 +26,7 @@ from ..errors import FactorError, OptionError, quoted
 from ..errors.checks import check_choice, check_positive
 from ..se2 import Array
 from .arguments import positive_definite
-from .description import FACTOR_TYPES, FactorDescription, key_name
+from .description import FACTOR_TYPES, FactorDescription, describe, key_name
 
 #: the value at a key: a `gtsam.Pose2`, given to residuals as (x, y, theta), or a `gtsam.Point2`, given as (x, y)
 POSE, POINT = "pose", "point"
@@ -123,6 +123,13 @@ class Factor(gtsam.CustomFactor):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return FactorDescription.build, (self.description,)
+
+    def equals(self, f: Any, tol: Any = 1e-9) -> bool:
+        """Whether a factor has the same description up to a tolerance; GTSAM's own method compares keys and noise only."""
+        try:
+            return self.description.equals(describe(f), tol)
+        except OptionError:
+            return False
 
 
 def _guarded(

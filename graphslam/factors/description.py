@@ -85,16 +85,26 @@ class FactorDescription:
             raise OptionError(f"no description of a factor ({quoted(error)}): {quoted(data)}") from None
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, FactorDescription) or (self.kind, self.keys) != (other.kind, other.keys):
-            return False
+        return isinstance(other, FactorDescription) and self.equals(other, 0.0)
+
+    def equals(self, other: FactorDescription, tolerance: float) -> bool:
+        """Whether type and keys are the same, and no number of the arguments differs by more than the tolerance."""
         mine, theirs = self.arguments, other.arguments
-        return mine.keys() == theirs.keys() and all(np.array_equal(mine[name], theirs[name]) for name in mine)
+        same = (self.kind, self.keys, mine.keys()) == (other.kind, other.keys, theirs.keys())
+        return same and all(_close(mine[name], theirs[name], tolerance) for name in mine)
 
     def __hash__(self) -> int:
         return hash((self.kind, self.keys))
 
     def __str__(self) -> str:
         return f"{self.kind}({', '.join(map(key_name, self.keys))})"
+
+
+def _close(a: Any, b: Any, tolerance: float) -> bool:
+    try:
+        return np.shape(a) == np.shape(b) and bool(np.allclose(a, b, rtol=0, atol=tolerance))
+    except TypeError:  # words, models and functions
+        return bool(np.array_equal(a, b))
 
 
 def key_name(key: int) -> str:

@@ -1,8 +1,8 @@
 """Files of maps: tables, NumPy archives, YAML of tags and GeoJSON.
 
-* Tables (.csv, .tsv, .txt, .parquet): one landmark per row, with the columns id, x, y and, where they are known, heading,
-  class and the covariance: var_x, cov_xy, var_y, cov_x_heading, cov_y_heading, var_heading. Other common names of the first
-  ones are recognised (`graphslam.log.table`). Empty cells say that something is not known.
+* Tables (.csv, .tsv, .txt; .parquet is only read): one landmark per row, with the columns id, x, y and, where they are known,
+  heading, class and the covariance: var_x, cov_xy, var_y, cov_x_heading, cov_y_heading, var_heading. Other common names of
+  the first ones are recognised (`graphslam.log.table`). Empty cells say that something is not known.
 * .npz, which keeps everything without rounding: ``format`` ("graphslam-map-1"), ``ids`` (L,), ``places`` (L, 3) with NaN for
   a heading that is not known, ``covariances`` (L, 3, 3) with NaN for what is not known, ``classes`` (L,) words, and
   ``joint`` (N, N) where the covariances are those of the landmarks together.
@@ -78,23 +78,26 @@ def write_map(path: Path, landmarks: LandmarkMap) -> None:
 
 
 def map_text(
-    means: Mapping[int, Array], covariances: Mapping[int, Array], classes: Mapping[int, Any] | None = None
+    means: Mapping[int, Array],
+    covariances: Mapping[int, Array],
+    classes: Mapping[int, Any] | None = None,
+    comma: str = ",",
 ) -> str:
-    """A map as a table with commas; what is not known stays empty."""
+    """A map as a table with commas, or another separator; what is not known stays empty."""
     classes = classes or {}
-    lines = [",".join(("id", "x", "y", "heading", *COVARIANCE, *(["class"] if classes else [])))]
+    lines = [comma.join(("id", "x", "y", "heading", *COVARIANCE, *(["class"] if classes else [])))]
     for j in sorted(means):
         mean = np.asarray(means[j], dtype=float).tolist()
         cells: list[float | None] = [*mean, *[None] * (3 - len(mean))]
         C = covariances.get(j)
         cells += [None if C is None or max(place) >= len(C) else C[place] for place in UPPER]
         row = [str(j), *("" if c is None or np.isnan(c) else repr(float(c)) for c in cells)]
-        lines.append(",".join(row + [_quoted_cell(str(classes.get(j, "")))] * bool(classes)))
+        lines.append(comma.join(row + [_quoted_cell(str(classes.get(j, "")))] * bool(classes)))
     return "\n".join(lines) + "\n"
 
 
 def _quoted_cell(word: str) -> str:
-    return '"' + word.replace('"', '""') + '"' if set(word) & set(',";\n') else word
+    return '"' + word.replace('"', '""') + '"' if set(word) & set(',";\t\n') else word
 
 
 def _table(path: Path) -> Parts:
@@ -351,14 +354,19 @@ def _number(path: Path, line: int | None, where: str, entry: Mapping[str, Any], 
     return float(value)
 
 
-def _as_table(landmarks: LandmarkMap) -> bytes:
-    return map_text(landmarks, landmarks.covariances, landmarks.classes).encode()
+def _as_table(landmarks: LandmarkMap, comma: str = ",") -> bytes:
+    return map_text(landmarks, landmarks.covariances, landmarks.classes, comma).encode()
+
+
+def _as_tabbed_table(landmarks: LandmarkMap) -> bytes:
+    return _as_table(landmarks, "\t")
 
 
 _Writer = Callable[["LandmarkMap"], bytes]
 #: readers and writers by the ending of the file
 _FORMATS: dict[str, tuple[Callable[[Path], Parts], _Writer | None]] = {
     **dict.fromkeys((*TEXT, *PARQUET), (_table, None)),
+    **dict.fromkeys((".tsv", ".txt"), (_table, _as_tabbed_table)),
     ".csv": (_table, _as_table), ".npz": (_archive, _archived), ".yaml": (_yaml, _as_yaml), ".yml": (_yaml, _as_yaml),
     ".geojson": (_geojson, _as_geojson), ".json": (_geojson, _as_geojson),
 }  # fmt: skip

@@ -69,6 +69,9 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     words = table.texts(column)
     if words.dtype.kind in "iu":
         return words.astype(np.int64) * factor
+    if np.any(np.char.find(np.char.lower(words), b"e") >= 0):
+        # with exponents, as floating-point numbers from 1e16 on have them
+        return np.rint(values * factor).astype(np.int64)
     digits = len(str(factor))
     whole, _, fraction = np.moveaxis(np.char.partition(np.char.strip(words, b" +-"), b"."), -1, 0)
     try:
@@ -76,7 +79,6 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
         beneath = np.char.ljust(fraction, digits, b"0").astype(f"S{digits}").astype(np.int64)
         found = whole.astype(np.int64) * factor + (beneath + 5) // 10
     except (ValueError, OverflowError):
-        # with exponents
         return np.rint(values * factor).astype(np.int64)
     return np.where(values < 0, -found, found)
 

@@ -60,7 +60,7 @@ _AXES = ("x", "y", "theta")
 
 
 def relations_of(table: Table, options: TableOptions) -> Timed:
-    """The relations: rows (N, 12), the motions (dx, dy, dtheta) and their covariances, with the times of both poses.
+    """The relations: rows (N, 12), the motions (dx, dy, dtheta or NaN) and their covariances, with the times of both poses.
 
     Raises:
         LogError: a column is missing, a number is none, or a covariance is not positive definite.
@@ -69,15 +69,16 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
     steps = [name for name in table.names if name.lower() in ("step", "steps", "first", "second", "step1", "step2")]
     reader.need("t1", instead=_no_steps(steps))
     reader.need("t2", "dx", "dy", "dtheta")
-    table = reader.leave_out("t1", "t2", "dx", "dy", "dtheta")
+    table = reader.leave_out("t1", "t2", "dx", "dy")
     ns, ends = reader.times("t1"), reader.times("t2")
     if (k := first(ns == ends)) is not None:
         raise table.error(
             k, f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it needs two different times"
         )
-    motions = reader.numbers("dx", "dy", "dtheta")
+    # an empty cell: the heading is not known there
+    motions = np.column_stack([reader.numbers("dx", "dy"), reader.numbers("dtheta", finite=False)])
     reader.refuse("dtheta", motions[:, 2], MOST_TURN, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
-    rows = np.column_stack([motions, _noise(reader, np.ones(len(ns), dtype=bool)).reshape(-1, 9)])
+    rows = np.column_stack([motions, _noise(reader, np.isfinite(motions[:, 2])).reshape(-1, 9)])
     order = np.argsort(ns, kind="stable")
     return Timed(table, ns[order], rows[order], reader.described(), ends=ends[order])
 

@@ -25,7 +25,7 @@ from .backend import RELEASED, Backend, Relation, information_of
 
 EDGES = ("landmark+motion", "virtual+motion")
 #: how ISAM2 eliminates nodes
-FACTORIZATIONS = ("cholesky", "qr")
+FACTORIZATIONS = ("qr", "cholesky")
 #: the most updates that relinearise everything, and the largest motion [m, rad] after which they end
 MAX_UPDATES, TOLERANCE = 50, 1e-9
 #: keys of poses by step, and of landmark nodes in the order of their first sightings (ids may be negative)
@@ -50,8 +50,8 @@ class Isam2Backend(Backend):
         residual: of landmark nodes: "cartesian" or "polar"; see `Graph.from_log`.
         threshold: a node is linearised again where one of its coordinates has moved by this much [m, rad].
         skip: linearise again at every N-th update only.
-        factorization: "cholesky", or "qr", which takes two to three times as long and also works where information is so
-            unequal that Cholesky finds the system indeterminate.
+        factorization: "qr", or "cholesky", which is up to a third faster and finds systems with very unequal information
+            indeterminate, among them those of ordinary drives (docs/decisions.md).
         params: `gtsam.ISAM2Params`, instead of these three.
         start_covariance: (3, 3) of the first pose; default: it is anchored. Give one where absolute positions are added.
 

@@ -266,10 +266,8 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     motions, covariances = log.motions(motion)
     sightings = log.sightings[:, :2] if options.get("dimensions") == 2 else log.sightings
     if log.positions is not None:
-        # they alone hold the first pose, which Cholesky finds indeterminate
-        own = {"start_covariance": np.diag(ANYWHERE), "factorization": "qr"} | own
-    if log.partial_sightings is not None:
-        own = {"factorization": "qr"} | own
+        # they alone hold the first pose
+        own = {"start_covariance": np.diag(ANYWHERE)} | own
     numbers = _single_numbers(graph)
     solver = OnlineSolver(
         graph.trajectory[0], backend="isam2", motion=motion, sensor=graph.sensor, kernel=options["kernel"], **own

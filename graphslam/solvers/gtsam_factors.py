@@ -18,6 +18,7 @@ from ..edges.robust import Kernel
 from ..errors import GraphError
 from ..errors.checks import check_choice
 from ..graph import Graph
+from ..graph.build import node_names
 from ..se2 import Array
 
 #: how edges become factors
@@ -37,8 +38,14 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
         factors: see `solve_with_gtsam`.
 
     Marginal edges with a robust kernel get landmark nodes of their own, after the graph's; see `eliminated_landmarks`.
+
+    Raises:
+        GraphError: an edge has information without an inverse.
     """
     check_choice("factors", factors, FACTORS)
+    for family in graph.families:
+        if isinstance(family, edges.RelativePoseEdges | edges.RelativePointEdges):
+            _check_information(graph, family)
     reference = graph.initial if reference is None else reference
     made = gtsam.NonlinearFactorGraph()
     joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
@@ -61,6 +68,18 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
         else:
             made.add(gtsam.NonlinearEqualityPose2(node, gtsam.Pose2(*graph.initial[node])))
     return made
+
+
+def _check_information(graph: Graph, family: edges.RelativePoseEdges | edges.RelativePointEdges) -> None:
+    """Raise `GraphError` where information is not positive definite, by its leading minors."""
+    signs = [np.linalg.slogdet(family.information[:, :k, :k])[0] for k in range(1, family.rows + 1)]
+    if (singular := np.any(np.array(signs) <= 0, axis=0)).any():
+        k = int(np.argmax(singular))
+        ends = node_names(np.array([family.first[k], family.second[k]]), graph.pose_ids, graph.landmark_ids)
+        raise GraphError(
+            f"the edge between {ends} has information without an inverse, for which GTSAM has no noise model: give what it "
+            "does not measure a small information, such as 1e-6, or use graphslam.solve"
+        )
 
 
 def _prior_factor(

@@ -217,7 +217,8 @@ def solve_with_gtsam(
             used.
 
     Raises:
-        GraphError: GTSAM finds the system indeterminate, or the edges do not allow the start.
+        GraphError: GTSAM finds the system indeterminate, an edge has information without an inverse, or the edges do not
+            allow the start.
         OptionError: an option has an impossible value.
     """
     check_graph(graph)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from comparisons.comparison import compare
+from comparisons.comparison import compare, run
 from comparisons.estimators import ESTIMATORS, Estimator, default_estimators, make_graph, pair_count
 from comparisons.options import RunOptions
 from comparisons.results.results import parameters_of
@@ -14,6 +14,7 @@ from comparisons.show.tables import as_text
 from graphslam import Log, MotionModel, OptionError, SensorModel, SlamError, simulate, solve, textbook
 from graphslam.graph import EDGES
 from graphslam.graph.defaults import suitable_edges
+from graphslam.log.rows import UNIDENTIFIED
 
 
 @pytest.fixture(scope="module")
@@ -353,3 +354,28 @@ def test_online_with_a_lag(log: Log) -> None:
     assert whole.cost_per_dof is not None and lagged.cost is None and lagged.cost_per_dof is None
     with pytest.raises(OptionError, match="lag"):
         replace(OPTIONS, lag=0)
+
+
+def test_options_that_a_row_does_not_use_are_said(log: Log) -> None:
+    compared = run(log, estimators=["textbook", "graph", "online"], residual="polar", edges="landmark+motion")
+    assert compared["graph"].options["residual"] == "polar"
+    assert compared["online"].options["residual"] == "cartesian"
+    notes = {name: [each for each in compared[name].notes if "does not use" in each] for name in ("graph", "online")}
+    assert notes["graph"] == []
+    assert notes["online"] == [
+        "does not use --residual: it has landmark nodes with Cartesian residuals, and estimates no parameters"
+    ]
+    assert any(each.startswith("does not use --residual:") for each in compared["textbook"].notes)
+    assert compared.findings == ()
+
+
+def test_options_that_no_row_uses_are_said(log: Log) -> None:
+    unused = [each.message for each in run(log, estimators="graph", lag=5, particles=10, association="auto").findings]
+    assert unused == [
+        "no estimator of this run uses --lag; online would",
+        "no estimator of this run uses --particles; mcl, fastslam1, fastslam2 would",
+    ]
+    without_ids = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    # the front end finds the ids of the graph by a filter
+    found = run(without_ids, estimators="graph", resampling="stratified").findings
+    assert "unused option" not in [each.check for each in found]

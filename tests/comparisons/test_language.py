@@ -47,7 +47,8 @@ JAPANESE = re.compile("[\u3040-\u30ff\u4e00-\u9fff]")
 SOURCES: tuple[Callable[..., Any], ...] = (
     tables.result_tables, tables.comparison_tables, tables.session_table, tables.state_table, tables.landmark_table,
     tables._exchanged, tables._noise_remarks, verbs.run, verbs.report, verbs._noise_advice,
-    comparison.Comparison._noise_findings, exchange.reason_without_graph, filters._one_run, filters.of_several_seeds,
+    comparison.Comparison._noise_findings, comparison.Comparison._unused_options,
+    exchange.reason_without_graph, filters._one_run, filters.of_several_seeds,
     build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._convergence, page._matrix,
     charts.remarks, matches.description, matches.association_table, defaults.pairs_overweight,
     RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, tables.solver_tables, tables.backend_tables,
@@ -61,6 +62,7 @@ NO_SENTENCES = {
     "a log and a file to write: slam-compare report LOG OUT.html",
     "too little noise",
     "wrong sightings",
+    "unused option",
 }
 
 
@@ -104,6 +106,7 @@ PUT_TOGETHER = {
     "shares only one with the rest", "share only one with the rest", "time %", "norm %", "speed x", "turn rate x",
     "range x", "start J =", "sightings are from before or after the odometry",
     "but maximum-likelihood where a log has no ids", "a log and a file to write", "give at most a log and a file to write",
+    "must be a positive number", "but ids are whole numbers of less than 64 bits or words",
 }  # fmt: skip
 
 

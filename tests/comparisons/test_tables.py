@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
-from comparisons.comparison import Comparison, ResultTable
+from comparisons.comparison import Comparison, ResultTable, run
 from comparisons.datasets import DATA_SETS, Found, Survey
 from comparisons.estimators.attempt import Skipped
 from comparisons.evaluation import Evaluated
@@ -32,7 +33,8 @@ from comparisons.studies.execute import Outcome
 from comparisons.studies.particles import ParticleRun, ParticleStudy
 from comparisons.studies.solvers import SkippedVariant, SolverComparison, VariantResult
 from comparisons.studies.summary import METRICS, Median, MethodSummary, PairedDifference, Summary
-from graphslam import Log, MotionModel, SensorModel, simulate
+from fastslam import FastSLAM1, MonteCarloLocalization, ParticleGibbs
+from graphslam import Graph, Log, MotionModel, SensorModel, load, sample_log_path, simulate
 from graphslam.calibration import Calibration
 from graphslam.metrics import METRICS as ERRORS
 
@@ -344,3 +346,29 @@ def test_a_metric_is_declared_once():
         assert all(name in names for names in (rows, columns, properties, *in_json, COLUMNS, METRICS, choices)), name
         assert (about["title"] in table) == (about["shown"] != "never"), name
     assert table.count("0.125") == sum(about["shown"] != "never" for about in ERRORS.values())
+
+
+SAMPLE = load(sample_log_path())
+OF_SAMPLE: dict[str, Callable[[], object]] = {
+    "<VirtualMotionEdges: 3588 edges>": lambda: Graph.from_log(SAMPLE, edges="virtual").families[1],
+    "<AnchorEdges: 1 edge>": lambda: Graph.from_log(SAMPLE, edges="virtual").families[0],
+    "<FastSLAM1 on sample: 1000 particles, step 0 of 160>": lambda: FastSLAM1(SAMPLE),
+    "<MonteCarloLocalization: 9 particles, step 0>": lambda: MonteCarloLocalization(landmarks={1: (0, 0)}, particles=9),
+    "<ParticleState: step 0, 1000 particles, ESS 1000.0>": lambda: next(iter(FastSLAM1(SAMPLE))),
+    "<ParticleGibbs on sample: 4 chains of 300 sweeps, 50 particles>": lambda: ParticleGibbs(SAMPLE),
+    "<Row dead-reckoning: ATE = ": lambda: run(SAMPLE, estimators="dead-reckoning").table[0],
+    "<Row mcl: no map>": lambda: Row(name="mcl", skipped="no map"),
+}
+
+
+@pytest.mark.parametrize(("begin", "make"), OF_SAMPLE.items())
+def test_a_repr_is_one_short_line(begin: str, make: Callable[[], object]) -> None:
+    assert repr(make()).startswith(begin)
+    assert len(repr(make())) <= 200
+    assert "\n" not in repr(make())
+
+
+def test_the_repr_of_a_table_is_its_text() -> None:
+    table = run(SAMPLE, estimators="dead-reckoning").table
+    assert repr(table) == str(table)
+    assert "ATE" in repr(table)

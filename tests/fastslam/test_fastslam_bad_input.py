@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, VanishedWeightsWarning
-from graphslam import Log, LogError, MotionModel, OptionError, SensorModel, simulate
+from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, join_logs, simulate, solve
+from graphslam.se2 import between
 
 FILTERS = [FastSLAM1, FastSLAM2, MonteCarloLocalization]
 SLAM = [FastSLAM1, FastSLAM2]
@@ -340,3 +341,15 @@ def test_almost_no_noise(size: float, association: str, cls: type) -> None:
     np.testing.assert_allclose(landmarks[0].mean, [2.0, 0.0], atol=1e-15)
     np.testing.assert_allclose(landmarks[1].mean, 1e30 * np.array([np.cos(0.5), np.sin(0.5)]))
     np.testing.assert_allclose(slam.state.log_weights, -np.log(20))
+
+
+def test_joined_logs_are_for_filters_that_draw_poses_with_the_sightings():
+    whole = simulate(seed=11, steps=90, clean=True)
+    first, second = (whole.at_steps(steps) for steps in (np.arange(45), np.arange(45, whole.num_poses)))
+    elsewhere = second.replace(initial_poses=between(second.initial_poses[0], second.initial_poses))
+    joined = join_logs([first, elsewhere]).log
+    for cls in (FastSLAM1, MonteCarloLocalization):
+        with pytest.raises(OptionError, match=f"{cls.__name__} follows one robot from its start, and these are 2 logs"):
+            cls(joined)
+    best = solve(Graph.from_log(joined, edges="landmark+motion"))
+    assert np.abs(FastSLAM2(joined, particles=100).run().poses - best.poses)[:, :2].max() < 2.0

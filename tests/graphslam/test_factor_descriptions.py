@@ -223,3 +223,17 @@ def test_prints_name_the_factor_types(capfd):
     printed = capfd.readouterr().out
     assert printed.startswith("mine: size: 6") and "Factor 1: VirtualMotionFactor on <0>, <1>" in printed
     assert "one: VirtualMotionFactor on 0, 1" in printed
+
+
+def test_equals_compares_the_measurement():
+    factor = RelativePoseFactor(1, 2, [1, 0, 0], np.eye(3))
+    assert factor.equals(RelativePoseFactor(1, 2, [1 + 1e-12, 0, 0], np.eye(3)), 1e-9)
+    assert not factor.equals(RelativePoseFactor(1, 2, [9, 0, 0], np.eye(3)), 1e-9)
+    assert not factor.equals(RelativePoseFactor(1, 3, [1, 0, 0], np.eye(3)), 1e-9)
+    assert not factor.equals(RelativePoseFactor(1, 2, [1, 0, 0], np.eye(3), kernel=Huber()), 1e-9)
+    assert not factor.equals(MotionFactor(1, 2, [1.0, 0.0], 1.0), 1e-9)
+    assert not factor.equals(factor.to_between(), 1e-9)
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(RelativePoseFactor(1, 2, [1, 0, 0], np.eye(3)))
+    gc.collect()
+    assert factor.equals(graph.at(0), 1e-9)

@@ -192,3 +192,14 @@ def test_auto_is_the_default_start():
 def test_impossible_options(book_log, options, error, message):
     with pytest.raises(error, match=message):
         solve_with_gtsam(Graph.from_log(book_log, edges="virtual", kernel="none"), **options)
+
+
+def test_an_edge_without_heading_information_is_named(tmp_path):
+    (tmp_path / "no_heading.g2o").write_text(
+        "VERTEX_SE2 5 0 0 0\nVERTEX_SE2 6 1 0 0\nVERTEX_SE2 7 2 0 0\nEDGE_SE2 6 7 1 0 0 1 0 0 1 0 0\n"
+        "EDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\nEDGE_SE2 5 7 2 0 0 1 0 0 1 0 1\n"
+    )
+    graph = Graph.from_g2o(tmp_path / "no_heading.g2o")
+    assert solve(graph).converged
+    with pytest.raises(GraphError, match="the edge between poses 6 and 7 has information without an inverse"):
+        solve_with_gtsam(graph)

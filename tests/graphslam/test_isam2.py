@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, OnlineSolver, OptionError, load, sample_log_path, solve, solve_online
+from graphslam import Drive, Graph, GraphError, OnlineSolver, OptionError, load, sample_log_path, solve, solve_online
 from graphslam.log.rows import UNIDENTIFIED
 from graphslam.se2 import wrap
 
@@ -175,12 +175,19 @@ def test_a_refused_call_adds_nothing(edges, call, message):
 def test_parameters_of_isam2(book_log):
     options = {"edges": "landmark+motion"}
     usual = solve_online(book_log, backend="isam2", **options)
-    by_qr = solve_online(book_log, backend="isam2", factorization="qr", **options)
-    np.testing.assert_allclose(by_qr.poses, usual.poses, atol=1e-6)
+    cholesky = solve_online(book_log, backend="isam2", factorization="cholesky", **options)
+    np.testing.assert_allclose(cholesky.poses, usual.poses, atol=1e-6)
     seldom = solve_online(book_log, backend="isam2", threshold=0.1, skip=10, **options)
     optimum = solve(Graph.from_log(book_log, **options))
     errors = [np.abs(found.poses - optimum.poses).max() for found in (usual, seldom)]
     assert errors[0] < 0.3 * errors[1]
-    smoother = OnlineSolver(book_log.initial_poses[0], backend="isam2")
+    smoother = OnlineSolver(book_log.initial_poses[0], backend="isam2", factorization="cholesky")
     with pytest.raises(GraphError, match="factorization='qr'"):
         smoother.move(motion=[1, 0, 0], covariance=np.diag([1e-20, 1.0, 1e20]))
+
+
+def test_an_ordinary_drive_needs_no_option():
+    log, _ = Drive(seed=6, duration=20).simulate()
+    with pytest.raises(GraphError, match="Indeterminate"):
+        solve_online(log, backend="isam2", factorization="cholesky")
+    assert solve_online(log, backend="isam2").cost == pytest.approx(solve(Graph.from_log(log)).cost, rel=1e-2)

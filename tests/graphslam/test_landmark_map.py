@@ -33,7 +33,7 @@ def same(a, b):
     assert a.joint is None or np.array_equal(a.joint, b.joint)
 
 
-@pytest.mark.parametrize("name", ["map.csv", "map.npz", "map.yaml", "map.geojson", "map.json"])
+@pytest.mark.parametrize("name", ["map.csv", "map.tsv", "map.txt", "map.npz", "map.yaml", "map.geojson", "map.json"])
 def test_a_written_map_is_read_exactly(mixed, name, tmp_path):
     mixed.save(tmp_path / name)
     same(LandmarkMap.load(tmp_path / name), mixed)
@@ -50,6 +50,8 @@ def test_a_joint_covariance_is_kept_by_npz_and_its_blocks_by_others(tmp_path):
     same(pickle.loads(pickle.dumps(known)), known)
     known.save(tmp_path / "map.csv")
     same(LandmarkMap.load(tmp_path / "map.csv"), known.used_as("own"))
+    with pytest.raises(OptionError, match="maps are not written as .parquet"):
+        known.save(tmp_path / "map.parquet")
     assert not known.used_as("fixed").covariances
 
 

@@ -34,6 +34,7 @@ from graphslam.factors.description import FactorDescription
 from graphslam.graph.transform import relative_graph
 from graphslam.linear.information import BlockSystem
 from graphslam.log.continuous_time import with_poses_every
+from graphslam.log.measurements import NO_HEADING
 from graphslam.se2 import between, compose, mounted, wrap
 
 LEVER = (0.3, -0.1)
@@ -233,8 +234,7 @@ def test_step_by_step_is_the_batch_solution(bare, log):
 def test_positions_say_where_a_drive_from_nowhere_is(bare, backend, direction):
     # the world of the positions is far away, and turned against that of the first pose, which nobody has said
     far = np.array([4.2e5, 5.1e6, direction])
-    rng, options = np.random.default_rng(1), {"factorization": "qr"} if backend == "isam2" else {}
-    solver = OnlineSolver(backend=backend, motion=bare.motion, **options)
+    rng, solver = np.random.default_rng(1), OnlineSolver(backend=backend, motion=bare.motion)
     truth, lever = compose(far, bare.true_poses), np.array(LEVER)
     for t in range(bare.num_poses):
         if t:
@@ -344,6 +344,14 @@ def test_tables_give_poses_at_the_times_of_measurements(tmp_path):
     np.testing.assert_allclose(log.positions.covariances[1].diagonal(), [0.01, 0.01, 4e-4])
     assert log.positions.oriented.tolist() == [False, True]
     assert "1 of 3 positions are from before or after the odometry: left out" in log.notes
+
+
+def test_an_empty_heading_of_a_relation_is_not_known(tmp_path):
+    for name, relations in {"of two": RELATIONS, "of one": "\n".join(RELATIONS.splitlines()[:2])}.items():
+        found = load(write_tables(tmp_path / name, relations=relations.replace("0.4,0,0.1,", "0.4,0,,"))).relations
+        assert found.covariances[0, 2, 2] == NO_HEADING
+        np.testing.assert_allclose(found.covariances[1:, 2, 2], 1e-4)
+        np.testing.assert_allclose(found.motions[0], [0.4, 0, 0])
 
 
 def test_latitude_and_longitude_are_metres_from_the_first_fix(tmp_path):

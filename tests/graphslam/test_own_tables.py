@@ -306,3 +306,13 @@ def test_the_truth_may_be_of_an_antenna(drive):
     assert log.truth_offset == (2.0, 1.0)
     np.testing.assert_allclose(log.true_poses[0, :2], [2.2, 1.0], atol=1e-9)
     np.testing.assert_allclose(log.initial_poses[0], [0.2, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e9, "ns"), (1e9, None), (1e6, "us"), (1e3, None)])
+def test_times_since_1970_may_be_floating_point_numbers(factor, unit):
+    """Pandas makes them of whole numbers where some are missing; their text has exponents."""
+    t = np.arange(0, 20, 0.1)
+    times, seen = (1.7e9 + each for each in (t, np.array([1.0, 3.0])))
+    sightings = {"t": seen * factor, "id": [7, 7], "range": [2.0, 1.0], "bearing": [0.1, 0.2]}
+    log = Log.from_tables({"t": times * factor, "nu": 0 * t + 0.5, "omega": 0 * t + 0.3}, sightings, time=unit)
+    np.testing.assert_allclose(log.dt.sum(), 2.0, atol=1e-6)

@@ -357,7 +357,7 @@ def test_step_by_step_with_isam2_is_the_batch_solution(number: str) -> None:
     single, motion = log.partial_sightings, log.motion
     assert single is not None and motion is not None and log.controls is not None and log.dt is not None
     motions, covariances = log.motions(motion)
-    solver = OnlineSolver(log.initial_poses[0], backend="isam2", motion=motion, sensor=log.sensor, factorization="qr")
+    solver = OnlineSolver(log.initial_poses[0], backend="isam2", motion=motion, sensor=log.sensor)
     for t in range(log.num_poses):
         if t:
             solver.relate(t - 1, t, motions[t - 1], covariances[t - 1])
