@@ -140,11 +140,11 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     # J and the map by the graph's own code, which gets what the book's cost has
     plain = log.replace(**dict.fromkeys(MEASURED))
     graph = Graph.from_log(plain, edges=edges, frame="world", kernel="none", **models)
-    steps = Run(
+    run = Run(
         result.poses[graph.steps], result.threshold, costs=result.costs, step_norms=result.step_norms,
         converged=result.converged, reason=result.reason,
     )  # fmt: skip
-    solution = make_solution(graph, steps, "textbook", seconds)
+    solution = make_solution(graph, run, "textbook", seconds)
     used = {"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold}
     found = _of_solution("textbook", log, options, replace(solution, notes=notes))
     return replace(found, options=used, costs=np.array(result.costs))
@@ -185,6 +185,8 @@ def online(log: Log, options: RunOptions) -> EstimatorResult:
     asked = (lambda solver: risks.append(solver.integrity_risk(*bounds_of(options)))) if options.landmark_map else None
     solution = graphslam.solve_online(_online_graph(log, options), lag=options.lag, callback=asked)
     result = _of_solution("online", log, options, solution)
+    if np.isnan(solution.cost):
+        result = replace(result, cost=None, costs=np.empty(0))
     risk = np.array(risks) if risks else None
     return replace(result, converged=None, integrity_risk=risk, notes=(*result.notes, *notes))
 

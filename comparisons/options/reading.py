@@ -135,7 +135,7 @@ def _joined(
         raise OptionError(f"{twice[0].name} is named twice; its sightings would count twice, so name each log once")
     read = [read_log(each, options) for each in logs]
     known = [_with_noise(data, options) for data, _ in read]
-    joined = graphslam.join_logs(with_common_noise([data for data, _, _ in known])).log
+    joined = graphslam.join_logs(with_common_noise([_with_given_noise(data, options) for data, _, _ in known])).log
     remarks: list[str] = []
     with noted(remarks, "what has changed between the logs is not known"):
         changes = session_states(joined) if len(known) > 1 else []
@@ -146,6 +146,14 @@ def _joined(
     joined = joined.replace(notes=(*joined.notes, *remarks))
     # biases of options and of a noise file are the same for all
     return joined, tuple(source for _, source in read), known[0][1], any(found is not None for _, _, found in known)
+
+
+def _with_given_noise(log: Log, options: LogOptions) -> Log:
+    """One of several logs with the noise that options give: with it logs are joined, and clocks of robots compared."""
+    if options.noise is not None or not _gives_noise(options):
+        return log
+    motion, sensor = options.models(log.motion, log.sensor)
+    return log.replace(motion=motion, sensor=sensor)
 
 
 def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[int, Log]:
@@ -163,7 +171,7 @@ def _joined_robots(robots: dict[int, Log], options: LogOptions) -> tuple[Log, di
     unread: dict[str, Any] = dict.fromkeys(_of_load(options)) | {"strict": False}
     read = replace(options, **unread)
     known = {number: _with_noise(read_log(each, read)[0], options) for number, each in robots.items()}
-    logs, remarks = {number: data for number, (data, _, _) in known.items()}, list[str]()
+    logs, remarks = {number: _with_given_noise(data, options) for number, (data, _, _) in known.items()}, list[str]()
     offsets: ClockOffsets | None = None
     with noted(remarks, "whether the clocks of the robots agree is not known"):
         offsets = clock_offsets(logs)

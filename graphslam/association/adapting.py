@@ -244,13 +244,9 @@ def compete(
         labels, poses = start() if callable(start) else start
         return refine(problem, labels, poses)
 
-    firsts: list[Refined] = []
-    used = min(options.agreeing or len(waiting), len(waiting))
-    tried = used
-    while waiting and used > 0:
-        used -= 1
-        if (end := first(waiting.pop(0))) is not None:
-            firsts.append(end)
+    tried = min(options.agreeing or len(waiting), len(waiting))
+    firsts = [end for start in waiting[:tried] if (end := first(start)) is not None]
+    waiting = waiting[tried:]
     # where a start finds no landmark, another one may find a few by chance
     if len(firsts) < tried and all(np.mean(end.labels < 0) > 0.5 for end in firsts):
         return None

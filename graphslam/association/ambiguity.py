@@ -92,17 +92,9 @@ class CandidatePairs:
     ) -> tuple[np.ndarray, Array, np.ndarray]:
         allowed = np.ones(len(self.residuals), dtype=bool) if allowed is None else allowed
         return engine.grow_hypotheses(
-            begin,
-            self.item,
-            self.landmark,
-            self.residuals,
-            self.covariance,
-            self.weights,
-            allowed,
-            gate,
-            self.gate,
+            begin, self.item, self.landmark, self.residuals, self.covariance, self.weights, allowed, gate, self.gate,
             grow,
-        )
+        )  # fmt: skip
 
 
 def _best(members: np.ndarray, evidence: Array, most: int) -> list[Hypothesis]:

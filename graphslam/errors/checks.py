@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from numbers import Integral, Real
@@ -21,6 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import OptionError, quoted, shortened
+
+#: the largest angle of a sighting in radians, with what printing it to six digits may add
+WHOLE_TURN = 2 * math.pi + 1e-6
 
 
 def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
@@ -97,6 +100,28 @@ def check_count(**values: int) -> None:
     for name, value in values.items():
         if value < 0:
             raise OptionError(f"{name} must not be negative, but is {quoted(value)}")
+
+
+def check_sighted(name: str, angles: Iterable[float]) -> None:
+    """Raise `OptionError` where a bearing or an orientation is beyond 2 pi, as those of degrees are.
+
+    Tables of sightings are refused by the same limit.
+    """
+    for angle in angles:
+        if not abs(angle) <= WHOLE_TURN:
+            raise OptionError(
+                f"the bearing or orientation of {name} is {angle:g} rad, beyond 2 pi: is it in degrees? Give radians, "
+                "np.deg2rad(...); if it is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"
+            )
+
+
+def check_heading(name: str, heading: float) -> None:
+    """Raise `OptionError` where a heading is beyond 8 pi, as those of degrees are; tables are refused by the same limit."""
+    if abs(heading) > 4 * WHOLE_TURN:
+        raise OptionError(
+            f"the heading of {name} is {heading:g} rad, beyond 8 pi: is it in degrees? Give radians, np.deg2rad(...); if it "
+            "is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"
+        )
 
 
 def checked_deviations(name: str, value: Any) -> dict[str, float]:
@@ -312,14 +337,14 @@ class Option:
         if isinstance(value, float) and not math.isfinite(value) and value != self.default:
             raise OptionError(f"{self.name} must be a finite number, not {quoted(value)}")
         for limit, broken in (
-            (f"be at least {_number(self.minimum)}", self.minimum is not None and checked < self.minimum),
-            (f"be at most {_number(self.maximum)}", self.maximum is not None and checked > self.maximum),
-            (f"be below {_number(self.below)}", self.below is not None and checked >= self.below),
-            ("be a positive number", self.positive and checked <= 0),
+            (f"must be at least {_number(self.minimum)}", self.minimum is not None and checked < self.minimum),
+            (f"must be at most {_number(self.maximum)}", self.maximum is not None and checked > self.maximum),
+            (f"must be below {_number(self.below)}", self.below is not None and checked >= self.below),
+            ("must be a positive number", self.positive and checked <= 0),
         ):
             if broken:
                 share = 1 in (self.maximum, self.below)
-                raise OptionError(f"{self.name} must {'lie between 0 and 1' if share else limit}, not {quoted(value)}")
+                raise OptionError(f"{self.name} {'must lie between 0 and 1' if share else limit}, not {quoted(value)}")
         return value
 
     @property

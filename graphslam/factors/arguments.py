@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from math import cos, inf, isfinite, pi, sin
+from collections.abc import Sequence
+from math import cos, inf, isfinite, sin
 from typing import Any
 
 import gtsam
@@ -11,14 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import OptionError, quoted
-from ..errors.checks import check_choice
+from ..errors.checks import check_choice, check_heading, check_sighted
 from ..linear.precision import SMALLEST, check_size, small_inverse
 from ..models import SensorModel
 from ..se2 import Array
 
 FRAMES = ("world", "body")
-#: the largest angle of a sighting in radians, with what printing it to six digits may add
-WHOLE_TURN = 2 * pi + 1e-6
 
 PoseLike = ArrayLike | gtsam.Pose2
 
@@ -72,28 +70,6 @@ def sighting(name: str, value: ArrayLike) -> Array:
     check_size(f"the range of {name}", length, least=SMALLEST)
     check_sighted(name, angles)
     return z
-
-
-def check_sighted(name: str, angles: Iterable[float]) -> None:
-    """Raise `OptionError` where a bearing or an orientation is beyond 2 pi, as those of degrees are.
-
-    Tables of sightings are refused by the same limit.
-    """
-    for angle in angles:
-        if not -WHOLE_TURN <= angle <= WHOLE_TURN:
-            raise OptionError(
-                f"the bearing or orientation of {name} is {angle:g} rad, beyond 2 pi: is it in degrees? Give radians, "
-                "np.deg2rad(...); if it is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"
-            )
-
-
-def check_heading(name: str, heading: float) -> None:
-    """Raise `OptionError` where a heading is beyond 8 pi, as those of degrees are; tables are refused by the same limit."""
-    if abs(heading) > 4 * WHOLE_TURN:
-        raise OptionError(
-            f"the heading of {name} is {heading:g} rad, beyond 8 pi: is it in degrees? Give radians, np.deg2rad(...); if it "
-            "is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"
-        )
 
 
 def pose(name: str, value: PoseLike) -> Array:

@@ -13,13 +13,12 @@ from scipy.linalg import lapack
 from ..edges.robust import kernel_of
 from ..engine import engine
 from ..errors import FactorError, OptionError, quoted
-from ..errors.checks import check_choice
+from ..errors.checks import check_choice, check_sighted
 from ..linear.precision import SMALLEST, check_size, model_of
 from ..models import RESIDUALS, SensorModel
 from ..se2 import Array, rotation, wrap
 from .arguments import (
     PoseLike,
-    check_sighted,
     frozen_at,
     in_robot_frame,
     in_world_frame,

@@ -20,13 +20,13 @@ from ..errors import GraphError
 from ..errors.checks import check_type, listed
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, in_frame, lever_matrix, perpendicular, turn_matrix
+from ..se2 import Array, between, in_frame, lever_matrix, perpendicular, turn_matrix
 from .carried import paired, points_of, seen_from, smoothed, together
 from .constellation import Constellations, Merged, match, merged, with_alike
 from .landmark_map import LandmarkMap, as_map
 from .map_evidence import Weighed, log_sum
 from .registration import Match, Points, evenly, register
-from .stretch import Drift, Stretch
+from .stretch import Drift, Stretch, backwards, moved
 from .tracker import Tracker
 
 #: odds from which a fix is taken at once, and below which there is none even after all sightings
@@ -281,14 +281,10 @@ def carried_back(fix: Fix, log: Stretch, step: int) -> Fix:
         return fix
     drift, rows = Drift(log), np.flatnonzero(log.steps >= step)
     drift.go_to(step)
-    back = between(drift.poses[step], np.zeros(3))
-    pose = compose(fix.pose, back)
-    F, J = lever_matrix(perpendicular(pose[:2] - fix.pose[:2])), turn_matrix(pose[2])
-    noise = F @ J @ drift.covariances[step] @ J.T @ F.T
+    pose, covariance = moved(fix.pose, fix.covariance, *backwards(drift.poses[step], drift.covariances[step]))
     return replace(
-        fix, pose=pose, covariance=F @ fix.covariance @ F.T + noise, step=step + fix.step, agree=rows[fix.agree],
-        disagree=rows[fix.disagree],
-    )  # fmt: skip
+        fix, pose=pose, covariance=covariance, step=step + fix.step, agree=rows[fix.agree], disagree=rows[fix.disagree]
+    )
 
 
 def _sure(log: Stretch, landmarks: LandmarkMap, fixes: list[Fix]) -> Fix:

@@ -147,3 +147,10 @@ def moved(x: Array, P: Array, motion: Array, noise: Array) -> tuple[Array, Array
     F = np.array([[1, 0, x[1] - after[1]], [0, 1, after[0] - x[0]], [0, 0, 1]])
     J = turn_matrix(x[2])
     return after, F @ P @ F.T + J @ noise @ J.T
+
+
+def backwards(x: Array, P: Array) -> tuple[Array, Array]:
+    """The motion (3,) from a pose x (3,) with covariance P back to the origin, in the axes of x, and its covariance."""
+    back = between(x, np.zeros(3))
+    F = lever_matrix(perpendicular(back[:2])) @ turn_matrix(back[2])
+    return back, F @ P @ F.T

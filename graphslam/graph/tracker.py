@@ -27,7 +27,7 @@ import numpy as np
 
 from ..log import UNIDENTIFIED
 from ..models import SensorModel
-from ..se2 import Array, rotation, wrap
+from ..se2 import Array, lever_matrix, perpendicular, rotation, wrap
 from .landmark_map import LandmarkMap
 from .registration import RIGHT, volume
 from .stretch import moved
@@ -120,17 +120,24 @@ class Tracker:
         if noise[0, 0] + noise[1, 1] > NOTHING:
             self.log_odds = min(self.log_odds, 0.0)
 
-    def see(self, step: int, rows: np.ndarray, ids: np.ndarray, sightings: Array) -> Seen:
+    def see(
+        self, step: int, rows: np.ndarray, ids: np.ndarray, sightings: Array, back: tuple[Array, Array] | None = None
+    ) -> Seen:
         """Sightings (n, 2 or 3) of one moment, of which those that agree correct the pose.
 
         Args:
             step: the moment.
             rows: (n,) numbers, by which `Seen.earlier` names them later.
             ids: (n,) `UNIDENTIFIED` where they have none.
+            back: of sightings from an earlier pose, this pose (3,) in the axes of the present one, with its covariance.
         """
-        places, covariances = self._sensor.places(sightings)
-        q, C = places[:, :2], covariances[:, :2, :2]
         count, before = len(ids), (self.pose, self.covariance)
+        places, covariances = self._sensor.places(sightings, None if back is None else np.tile(back[0], (count, 1)))
+        q, C = places[:, :2], covariances[:, :2, :2]
+        if back is not None:
+            before = moved(*before, *back)
+            J = lever_matrix(perpendicular(q - back[0][:2]))[:, :2]
+            C = C + J @ back[1] @ np.swapaxes(J, 1, 2)
         seen = Seen(np.array(ids), np.zeros(count, dtype=bool), np.zeros(count, dtype=bool), {})
         gain = 0.0
         for n in np.flatnonzero(seen.landmarks != UNIDENTIFIED).tolist():

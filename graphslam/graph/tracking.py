@@ -186,7 +186,12 @@ def sure_fix(drive: Stretch, landmarks: LandmarkMap) -> Fix | None:
             fix = next(iter(possible_fixes(drive, landmarks)), None)
     except GraphError:
         return None
-    return fix if fix is not None and fix.odds > SURE and len(fix.agree) > 2 else None
+    if fix is None or fix.odds <= SURE:
+        return None
+    # as many as `first_fix` stops at: two without headings fit a mirrored map as well
+    with_psi = drive.sightings.shape[1] == 3
+    headings = with_psi and any(len(landmarks.get(j, ())) == 3 for j in drive.landmarks[fix.agree].tolist())
+    return fix if len(fix.agree) > 2 - headings else None
 
 
 def _freed(log: Log, lifted: dict[int, tuple[int, float]]) -> dict[str, Array]:

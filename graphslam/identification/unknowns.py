@@ -45,7 +45,7 @@ from ..se2 import (
     turn_matrix,
     wrap,
 )
-from .corrections import corrected_sensor, moves
+from .corrections import corrected_sensor, moves, plausible_ranges
 from .declared import Parameters, ideal_values
 from .odometry import LEAST_EPSILON, STILL, Edges, Odometry, near, sensor_parts, with_variances
 
@@ -308,6 +308,10 @@ class Unknowns:
             # ... but for the delay, which moves it along the heading of the present pose
             driven = np.einsum("edi,ei->ed", by_at[:, :, :2], speed[:, :1] * heading)
             slopes[:, :, self.parameters.names.index("sensor_delay")] = -driven - by_at[:, :, 2] * speed[:, 1:]
+        if "range_rate" in parts:
+            # noise at the measured range would give short readings more weight than long ones, so that lengths shrink
+            longer = plausible_ranges(predicted[:, 0], z[:, 0]) / z[:, 0]
+            parts = parts | {"range_rate": parts["range_rate"] * (longer**2)[:, None, None]}
         return Edges(steps, seen, residuals, by_pose, by_landmark, slopes, parts)
 
     def covariances(self, edges: Edges) -> Array:

@@ -111,12 +111,13 @@ def _of_fix(message: Any) -> tuple[float, ...]:
 
 def _of_pose(message: Any) -> tuple[float, ...]:
     """Place and quaternion, and the covariances of pose and speeds; zeros where there are none."""
-    C, speeds = message.pose.covariance, message.twist.covariance if hasattr(message, "twist") else np.zeros(36)
+    C, speeds = message.pose.covariance, message.twist.covariance if hasattr(message, "twist") else 36 * (0.0,)
     return *_place(message.pose.pose), *(each[6 * i + j] for each in (C, speeds) for i, j in _UPPER)
 
 
 def _of_stamped(message: Any) -> tuple[float, ...]:
-    return *_place(message.pose), *np.zeros(2 * len(_UPPER))
+    """The same of a pose without covariances."""
+    return *_place(message.pose), *(2 * len(_UPPER) * (0.0,))
 
 
 def _place(pose: Any) -> tuple[float, ...]:

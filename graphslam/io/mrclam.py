@@ -76,11 +76,10 @@ def _read(folder: Path, options: ReadOptions, *, with_robots: bool = False) -> L
     barcodes = _subjects(member(folder, "Barcodes.dat", "which barcode each robot and landmark has"))
     odometry_path = member(folder, f"Robot{robot}_Odometry.dat", "the velocities of the robot")
     notes: list[str] = []
-    odometry = _stream(odometry_path, "velocity", "angular velocity", notes=notes, strict=options.strict)
+    ways: dict[str, Any] = {"notes": notes, "strict": options.strict}
+    odometry = _stream(odometry_path, "velocity", "angular velocity", **ways)
     path = member(folder, f"Robot{robot}_Measurement.dat", "the ranges and bearings that the robot measured")
-    seen = _stream(
-        path, "barcode", "range", "bearing", notes=notes, noun="sightings", faults=_faults, strict=options.strict
-    )
+    seen = _stream(path, "barcode", "range", "bearing", noun="sightings", faults=_faults, **ways)
     subject = np.array([barcodes.get(int(code), 0) for code in seen.rows[:, 0].tolist()], dtype=np.int64)
     of_robots = (subject > 0) & (subject <= ROBOTS)
     unused = {"of unknown barcodes": subject == 0}
@@ -95,10 +94,8 @@ def _read(folder: Path, options: ReadOptions, *, with_robots: bool = False) -> L
     classes = np.where(of_robots, [robot_class(number) for number in subject.tolist()], NO_CLASS)
     landmarks_path = optional_member(folder, "Landmark_Groundtruth.dat", "the true landmarks", notes)
     truth_path = optional_member(folder, f"Robot{robot}_Groundtruth.dat", "the true poses", notes)
-    truth = None
-    if truth_path is not None:
-        truth = _stream(truth_path, "x", "y", "heading", notes=notes, strict=options.strict)
-    landmarks = () if landmarks_path is None else read_columns(landmarks_path, _LANDMARKS)
+    truth = None if truth_path is None else _stream(truth_path, "x", "y", "heading", **ways)
+    landmarks = None if landmarks_path is None else read_columns(landmarks_path, _LANDMARKS)
     with errors_name(odometry_path):
         return synchronize(
             odometry,
@@ -107,7 +104,7 @@ def _read(folder: Path, options: ReadOptions, *, with_robots: bool = False) -> L
             classes=classes[kept] if with_robots else None,
             options=options,
             truth=truth,
-            true_landmarks=None if landmarks_path is None else {int(row[0]): row[1:3] for row in landmarks},
+            true_landmarks=None if landmarks is None else {int(row[0]): row[1:3] for row in landmarks},
             name=f"{folder.resolve().name}-robot{robot}",
             notes=tuple(notes),
         )

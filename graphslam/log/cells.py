@@ -247,8 +247,9 @@ def id_fault(table: Table, column: int, values: np.ndarray) -> Fault:
     wrong = ~np.isnan(values) & ((values % 1 != 0) | (np.abs(values) >= 2.0**63))
     return Fault(
         wrong, "an id that is no whole number of 64 bits",
-        lambda k: f"the id {table.title(column)} is {values[k]:g}, but ids are whole numbers "
-        + ("of less than 64 bits or words" if abs(values[k]) >= 2.0**63 else f"or words{order}"),
+        lambda k: f"the id {table.title(column)} is {values[k]:g}, "
+        + ("but ids are whole numbers of less than 64 bits or words" if abs(values[k]) >= 2.0**63
+           else f"but ids are whole numbers or words{order}"),
     )  # fmt: skip
 
 

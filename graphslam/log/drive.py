@@ -30,18 +30,7 @@ from .cells import (
     repeated_times,
     time_faults,
 )
-from .rows import (
-    ANGLES,
-    AXES,
-    LENGTHS,
-    UNIDENTIFIED,
-    UNITS_OF,
-    Fault,
-    TableOptions,
-    finite_fault,
-    range_faults,
-    sound_rows,
-)
+from .rows import AXES, SIZES, UNIDENTIFIED, UNITS_OF, Fault, TableOptions, finite_fault, range_faults, sound_rows
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Kept, Table, find
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
@@ -211,7 +200,7 @@ class Reader:
             raise self.table.error(int(row), finite_fault(values[:, column], title).message(row))
         for k, role in enumerate(roles):
             if role in MEASURES:
-                values[:, k] *= (ANGLES | LENGTHS)[self._unit(role) or UNITS_OF[MEASURES[role]][0]]
+                values[:, k] *= SIZES[self._unit(role) or UNITS_OF[MEASURES[role]][0]]
         return values
 
     def single_number(self) -> str | None:

@@ -155,10 +155,11 @@ TABLES = {
     "positions": "the measured absolute positions",
 }
 #: metres and radians of each unit
-LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-ANGLES = {"radians": 1.0, "degrees": 3.141592653589793 / 180}
+_LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_ANGLES = {"radians": 1.0, "degrees": math.pi / 180}
+SIZES = _LENGTHS | _ANGLES
 #: what columns measure, by the name of the option that states their unit: the units, that of a log first
-UNITS_OF = {"time": ("s", "ms", "us", "ns"), "angles": tuple(ANGLES), "lengths": tuple(LENGTHS)}
+UNITS_OF = {"time": ("s", "ms", "us", "ns"), "angles": tuple(_ANGLES), "lengths": tuple(_LENGTHS)}
 #: from the axes of a sensor to forward, left, up
 AXES = {
     "forward-left": np.eye(3),

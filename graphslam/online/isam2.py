@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from numbers import Real
 from typing import Any
@@ -96,42 +97,60 @@ class Isam2Backend(Backend):
         #: per landmark the place of its factor in ISAM2, and the key of its node
         self._slots: dict[int, int] = {}
         self._nodes: dict[int, int] = {}
-        #: since the last update: new factors and values, and landmarks with new sightings
+        #: since the last update: new factors and values, and landmarks with new sightings, and their number before
         self._factors, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self._changed: dict[int, None] = {}
+        self._changed: dict[int, int] = {}
         held = None if start_covariance is None else information_of(start_covariance)
         self._anchor = AnchorFactor(X(0), start, held)
         self._factors.add(self._anchor)
         self._values.insert(X(0), gtsam.Pose2(*start))
         self.update()
 
+    @contextmanager
+    def _all_or_nothing(self) -> Iterator[None]:
+        """What a call adds, which is taken back where the call is refused before ISAM2 has it."""
+        none = {"_factors": gtsam.NonlinearFactorGraph(), "_values": gtsam.Values(), "_changed": {}}
+        before = vars(self) | none | {"_nodes": self._nodes.copy(), "_waiting": self._waiting.copy()}
+        try:
+            yield
+        except (GraphError, OptionError):
+            for landmark, count in self._changed.items():
+                for rows in self._sightings[landmark]:
+                    del rows[count:]
+            vars(self).update(before)
+            raise
+
     def relate(self, *relations: Relation) -> None:
-        for relation in relations:
-            # a motion leads to a new pose; all other relations may be wrong
-            known = max(relation[:2]) < self._num_poses
-            self.add_relation(relation, self._kernel if known else None)
-        self.update()
+        with self._all_or_nothing():
+            for relation in relations:
+                # a motion leads to a new pose; all other relations may be wrong
+                known = max(relation[:2]) < self._num_poses
+                self.add_relation(relation, self._kernel if known else None)
+            self.update()
 
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
-        self.add_sightings(pose, ids, sightings)
-        self.update()
+        with self._all_or_nothing():
+            self.add_sightings(pose, ids, sightings)
+            self.update()
 
     def locate(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
         """Add an absolute position of a point of the robot; see `OnlineSolver.locate`."""
-        self.add_position(pose, measured, information, lever, self._kernel)
-        self.update()
+        with self._all_or_nothing():
+            self.add_position(pose, measured, information, lever, self._kernel)
+            self.update()
 
     def release(self, motion: Array, position: Callable[[], None]) -> None:
         """Move everything as a whole, add a position, and hold the first pose loosely from then on; see `Backend`."""
-        values, before, moved = gtsam.Values(), self._isam.calculateEstimate(), gtsam.Pose2(*motion)
-        for key in before.keys():  # noqa: SIM118
-            if chr(gtsam.symbolChr(key)) == "m" and self.columns == 2:
-                values.insert(key, moved.transformFrom(before.atPoint2(key)))
-            else:
-                values.insert(key, moved.compose(before.atPose2(key)))
-        self._hold_first(values, None)
-        position()
-        self._hold_first(self._isam.calculateEstimate(), np.diag(1 / np.array(RELEASED)))
+        with self._all_or_nothing():
+            values, before, moved = gtsam.Values(), self._isam.calculateEstimate(), gtsam.Pose2(*motion)
+            for key in before.keys():  # noqa: SIM118
+                if chr(gtsam.symbolChr(key)) == "m" and self.columns == 2:
+                    values.insert(key, moved.transformFrom(before.atPoint2(key)))
+                else:
+                    values.insert(key, moved.compose(before.atPose2(key)))
+            self._hold_first(values, None)
+            position()
+            self._hold_first(self._isam.calculateEstimate(), np.diag(1 / np.array(RELEASED)))
 
     def _hold_first(self, values: gtsam.Values, information: Array | None) -> None:
         """Begin anew at values, with the first pose anchored there with other information."""
@@ -199,9 +218,9 @@ class Isam2Backend(Backend):
                 self._factors.add(factor.fastest())
             self._add_numbers(landmark, waiting)
             keys, before = self._sightings.setdefault(landmark, ([], []))
+            self._changed.setdefault(landmark, len(keys))
             keys.append(X(pose))
             before.append(z)
-            self._changed[landmark] = None
 
     def _add_single_number(self, pose: int, landmark: int, z: Array) -> None:
         """A range or a bearing alone; those of a landmark without a place wait until they leave one place for it."""
@@ -321,6 +340,8 @@ class Isam2Backend(Backend):
     def covariance(self, poses: Sequence[int], landmarks: Sequence[int]) -> Array:
         values, factors = self._isam.calculateEstimate(), _without_empty_slots(self._isam.getFactorsUnsafe())
         keys = [*map(X, poses), *(self._nodes[id] for id in landmarks)]
+        if not keys:
+            return np.zeros((0, 0))
         try:
             found = gtsam.Marginals(factors, values).jointMarginalCovariance(gtsam.KeyVector(list(dict.fromkeys(keys))))
         except RuntimeError as error:

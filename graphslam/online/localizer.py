@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from ..graph.landmark_map import LandmarkMap
 from ..graph.localization import Fix
-from ..graph.stretch import Stretch
+from ..graph.stretch import Stretch, backwards, drifted
 from ..graph.tracker import Tracker
 from ..graph.tracking import DOUBT, elsewhere, sure_fix
 from ..log import UNIDENTIFIED
@@ -30,6 +31,7 @@ class Localizer:
 
     Attributes:
         tracker: None as long as the robot has not been found.
+        columns: the number of values of the first sighting that are used, 2 or 3; None before it.
         fixes: {pose: fix} of the first pose, and of those at which the robot was put down.
     """
 
@@ -73,7 +75,7 @@ class Localizer:
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         """Add sightings, without ids where these are `UNIDENTIFIED`, and look for the robot where that is due."""
         self._see(pose, ids, sightings)
-        found = self._found() if pose == self._backend.num_poses - 1 else None
+        found = self._found()
         if found is not None:
             self.fixes[found[0]] = found[1]
             calls, self._calls = self._calls, []
@@ -103,25 +105,27 @@ class Localizer:
         self._motions: list[Array] = []
         self._noise: list[Array] = []
         self._rows: list[tuple[int, int, Array]] = []
+        self.columns: int | None = None
         #: the numbers of sightings and of doubts from which the next search is due
         self._due, self._tried = 2, DOUBT
 
     def _see(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         backend, landmarks, earlier = self._backend, np.array(ids), dict[int, int]()
         self._calls.append(partial(self._see, pose, ids, sightings))
+        self.columns = self.columns or self._as_used(sightings).shape[1]
         alone = np.isnan(sightings).any(axis=1)
         if alone.any():
             # they have ids, and say too little to find the robot by them
             backend.observe(pose, landmarks[alone].tolist(), sightings[alone])
             landmarks, sightings = landmarks[~alone], sightings[~alone]
             ids = landmarks.tolist()
-        if pose == backend.num_poses - 1:
-            rows = len(self._rows) + np.arange(len(ids))
-            self._rows += [(pose, j, z) for j, z in zip(ids, sightings)]
-            if self.tracker is not None:
-                self.tracker.pose = backend.pose
-                seen = self.tracker.see(pose, rows, landmarks, sightings)
-                landmarks, earlier = seen.landmarks, seen.earlier
+        rows = len(self._rows) + np.arange(len(ids))
+        self._rows += [(pose, j, z) for j, z in zip(ids, sightings)]
+        if self.tracker is not None:
+            self.tracker.pose = backend.pose
+            (*_, x), (*_, P) = drifted(np.zeros(3), np.array(self._motions[pose:]), np.array(self._noise[pose:]))
+            seen = self.tracker.see(pose, rows, landmarks, sightings, backwards(x, P))
+            landmarks, earlier = seen.landmarks, seen.earlier
         if (known := landmarks != UNIDENTIFIED).any():
             backend.observe(pose, landmarks[known].tolist(), self._as_used(sightings[known]))
         for row, id in earlier.items():
@@ -150,6 +154,8 @@ class Localizer:
         return None if put_down is None else put_down[:2]
 
     def _stretch(self) -> Stretch:
-        steps, ids, sightings = map(np.array, zip(*self._rows))
+        steps, ids, rows = zip(*sorted(self._rows, key=itemgetter(0)))
+        # some may have psi, and some not
+        sightings = np.array([z[: min(map(len, rows))] for z in rows])
         motions, noise = np.array(self._motions).reshape(-1, 3), np.array(self._noise).reshape(-1, 3, 3)
-        return Stretch("the drive", motions, noise, steps, ids, sightings, self._sensor)
+        return Stretch("the drive", motions, noise, np.array(steps), np.array(ids), sightings, self._sensor)

@@ -20,7 +20,7 @@ from ..graph.landmark_map import LandmarkMap, as_map
 from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..linear.precision import inverses
 from ..models import SensorModel
-from ..se2 import Array, compose, inverse
+from ..se2 import Array, compose, inverse, wrap
 from .backend import RELEASED, Backend, Relation, information_of
 from .other_ends import SWEEPS, OtherEnds
 
@@ -94,6 +94,7 @@ class OwnBackend(Backend):
                 own, gain = kernel.of_dimension(rows), kernel.information_per_weight(rows)
                 self.system.use_kernel(*code_and_width(own), gain, rows)
         held = ANCHOR_INFORMATION if start_covariance is None else information_of(start_covariance)
+        self._start, self._in_map = (start, held), False
         self.system.add_prior([0], start, np.ascontiguousarray(held), False, np.empty(0))
         self.system.solve(self._poses, self._poses)
         if map is not None:
@@ -103,7 +104,7 @@ class OwnBackend(Backend):
     def begin_with(self, known: LandmarkMap, columns: int) -> None:
         """Add the landmarks of a map as nodes with their priors, for sightings of ``columns`` values."""
         ids, places, information = _priors_of(known, columns)
-        self.columns = columns
+        self.columns, self._in_map = columns, True
         self._landmarks = {j: self.system.add_node() for j in ids}
         nodes = list(self._landmarks.values())
         # one prior of all of them would tie together those that are not
@@ -353,7 +354,13 @@ class OwnBackend(Backend):
 
     @property
     def cost(self) -> float:
-        return float(self.system.cost())
+        # of the priors that a lag leaves, a constant is unknown
+        if not self._in_map or self.lag is not None:
+            return float(self.system.cost())
+        start, information = self._start
+        off = self.system.values(self._poses[:1])[0] - start
+        off[2] = wrap(off[2])
+        return float(self.system.cost_with_priors() - off @ information @ off)
 
     @property
     def pose(self) -> Array:

@@ -74,7 +74,8 @@ def solve_online(
         GraphError, OptionError: as `replay`.
 
     The solution has converged if the last step has; see `OnlineSolver.converged`. With a lag, final poses have the last
-    value that they had.
+    value that they had. Together with later ones they are no minimum of J, so that ``cost`` is NaN; `OnlineSolver.cost` is
+    that of the poses that are not final.
     """
     graph, steps = _replayed(log, backend, options)
     begin = time.perf_counter()
@@ -97,8 +98,11 @@ def solve_online(
             state[row, : graph.landmark_dimension] = landmarks[id]
     state[graph.fixed] = graph.initial[graph.fixed]
     run = Run(state, 0.0, converged=solver.converged, reason=reason)
-    notes = image_notes(graph, state) if partial_edges(graph) else ()
-    return make_solution(graph, run, "online" if backend == "own" else backend, seconds, notes=notes)
+    notes, cost = image_notes(graph, state) if partial_edges(graph) else (), None
+    if solver.num_final:
+        cost = np.nan
+        notes = (*notes, "J is not given with a lag: poses that are final do not follow later measurements")
+    return make_solution(graph, run, "online" if backend == "own" else backend, seconds, notes=notes, cost=cost)
 
 
 def _place_the_rest(solver: OnlineSolver) -> None:

@@ -15,7 +15,15 @@ from numpy.typing import ArrayLike
 from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import check_choice, check_count, check_known, check_positive
+from ..errors.checks import (
+    check_choice,
+    check_count,
+    check_heading,
+    check_known,
+    check_positive,
+    check_sighted,
+    singular,
+)
 from ..graph.integrity import beyond, inflation
 from ..graph.landmark_map import as_map
 from ..linear.precision import inverses, model_of
@@ -39,7 +47,8 @@ class OnlineSolver:
     only. Landmarks are nodes with the Cartesian residual, as in `Graph.from_log` with ``edges="landmark+motion"``, and the
     first pose is anchored.
 
-    A call is refused as a whole: with the backend "own", the solver then is as it was before.
+    A call is refused as a whole, and the solver then is as it was before. Only an update that fails inside of ISAM2 cannot
+    be taken back.
 
     In a map (``map``) the robot need not know where it is: without ``start`` its poses are those from the origin, until its
     sightings say surely where in the map it began (`located`), and are in the map then. Sightings may have no ids there. A
@@ -75,10 +84,10 @@ class OnlineSolver:
         kind: Any = backend_class(backend)
         known = backend_options(backend)
         check_known(f"the backend {backend}", options, known, f"; its own options are {', '.join(known)}")
-        self.motion = model_of(MotionModel, motion)
+        self.backend, self.motion = backend, model_of(MotionModel, motion)
         self.sensor = model_of(SensorModel, sensor)
         self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
-        first = None if start is None else numbers("start", start, (3,))
+        first = None if start is None else _pose("start", start)
         self._backend: Backend
         if (in_map := options.pop("map", None)) is not None:
             held = options.pop("start_covariance", None)
@@ -100,8 +109,8 @@ class OnlineSolver:
     def __repr__(self) -> str:
         """One line: backend and sizes."""
         backend = self._backend
-        kind = type(backend).__name__.removesuffix("Backend").lower()
-        return f"<OnlineSolver by {kind}: {backend.num_poses} poses, {len(backend.landmark_ids)} landmarks>"
+        sizes = singular(f"{backend.num_poses} poses, {len(backend.landmark_ids)} landmarks")
+        return f"<OnlineSolver ({self.backend}): {sizes}>"
 
     # -- measurements ------------------------------------------------------------------------------------------------
 
@@ -142,7 +151,7 @@ class OnlineSolver:
                 z, P = self.motion.accumulate(u, seconds, np.array([0, 1]))
             measured, information = z[0], inverses(P, "motion", "raise epsilon")[0]
         else:
-            measured, information = numbers("motion", motion, (3,)), information_of(covariance)
+            measured, information = _pose("motion", motion), information_of(covariance)
         last = self.step
         self._backend.relate((last, last + 1, measured, self.motion_weight * information))
         if time is not None:
@@ -191,6 +200,8 @@ class OnlineSolver:
         """
         ends, several, last = *_pairs(first, second), self.step
         motions = numbers("motion", motion, (len(ends), 3) if several else (3,)).reshape(-1, 3)
+        for turn in motions[:, 2].tolist():
+            check_heading("motion", turn)
         given = array_or_none(covariance)
         if several and given is not None and given.ndim == 3:
             information = [information_of(P) for P in numbers("covariance", given, (len(ends), 3, 3))]
@@ -269,7 +280,11 @@ class OnlineSolver:
 
     @property
     def cost(self) -> float:
-        """J at the estimate, the anchor not counted; with a lag, of the edges of poses that are not final."""
+        """J at the estimate, with the priors of a map, the anchor not counted.
+
+        With a lag it is the part of J that the edges of the poses that are not final have. Priors are no part of it, because
+        those that final poses have left are known but for a constant.
+        """
         return self._backend.cost
 
     @property
@@ -391,6 +406,7 @@ class OnlineSolver:
             raise OptionError(
                 f"sightings must be (range, bearing) or with psi, with ranges above zero, not {quoted(sightings)}"
             )
+        check_sighted("sightings", self._completed(z)[:, 1:].ravel().tolist())
         if len(z) != landmarks.size:
             raise OptionError(
                 f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
@@ -406,6 +422,17 @@ class OnlineSolver:
         """Sightings (K, d) with 1 in place of the number that each may lack."""
         alone = (np.isnan(z).sum(axis=1) == 1) & (z.shape[1] == 2)
         return np.where(np.isnan(z) & alone[:, None], 1.0, z)
+
+
+def _pose(name: str, value: ArrayLike | None) -> Array:
+    """A pose (3,) of finite numbers.
+
+    Raises:
+        OptionError: it is none, or its heading is in degrees.
+    """
+    x = numbers(name, value, (3,))
+    check_heading(name, float(x[2]))
+    return x
 
 
 def _pairs(first: Any, second: Any) -> tuple[list[tuple[int, int]], bool]:

@@ -27,13 +27,12 @@ from ..identification.corrections import (
     corrected_log,
     corrected_sensor,
     corrected_sightings,
+    plausible_ranges,
 )
 from ..identification.declared import PARAMETERS, Parameters
 from ..linear.cholesky import FactorizationError, SingularPivot
 from ..se2 import Array, wrap
 
-#: a predicted range counts as at least and at most so many times the measured one: wrong sightings predict anything
-PLAUSIBLE = (0.5, 2.0)
 #: the most passes to the places of landmarks that are no nodes, and the change [m, rad] below which they are found
 PASSES, SAME = 20, 1e-12
 
@@ -59,8 +58,7 @@ def corrected(graph: Graph, values: Array, state: Array, at: Array | None = None
     here, there = graph.estimated.at(values), graph.estimated.at(values if at is None else at)
     seen = _sightings(graph, here)
     predicted = predictions(_sightings(graph, there), state)
-    measured = seen.sightings[:, 0]
-    predicted[:, 0] = np.clip(predicted[:, 0], *(np.abs(measured) * factor for factor in PLAUSIBLE))
+    predicted[:, 0] = plausible_ranges(predicted[:, 0], seen.sightings[:, 0])
     changed: dict[EdgeFamily, EdgeFamily] = {sighted_edges(graph): replace(seen, noise_at=predicted)}  # type: ignore[call-arg]
     driven = motion_edges(graph)
     if driven is not None and any(PARAMETERS[name].of_motion for name in here.names):
@@ -101,7 +99,7 @@ def predictions(edges: SightingEdges, state: Array) -> Array:
         means = replace(edges.marginal, noise_at=predicted).landmarks(state, state)
         places = means[edges.group][:, : edges.sightings.shape[1]]
         before, predicted = predicted, edges.sensor.h(state[edges.nodes], places)
-        predicted[:, 0] = np.clip(predicted[:, 0], *(np.abs(edges.sightings[:, 0]) * factor for factor in PLAUSIBLE))
+        predicted[:, 0] = plausible_ranges(predicted[:, 0], edges.sightings[:, 0])
         if before is not None and np.abs(predicted - before).max(initial=0.0) < SAME:
             break
     assert predicted is not None

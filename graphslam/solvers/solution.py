@@ -112,7 +112,8 @@ class Solution:
         estimated: (T+1,) bool; False for poses that are not part of the graph: their rows hold the initial guess.
         landmarks: {id: (x, y) or (x, y, heading)}; landmark nodes, or the map that `estimate_map` makes from the poses,
             with the graph's robust kernel and its trust in the sightings.
-        cost: J at the solution, the sum of e' Omega e (without a factor 1/2), with the priors of estimated parameters.
+        cost: J at the solution, the sum of e' Omega e (without a factor 1/2), with the priors of estimated parameters; NaN
+            with a lag, see `solve_online`.
         costs: J before the first step and after each one, as far as the solver reports it.
         iterations: the number of steps taken.
         step_norms: (iterations,), the Euclidean norm of each whole correction vector.
@@ -359,7 +360,8 @@ def make_solution(
     landmarks: dict[int, Array] = {}
     if len(graph.landmark_ids):
         nodes = state[len(graph.steps) :, : graph.landmark_dimension].copy()
-        nodes[:, 2:] = wrap(nodes[:, 2:])
+        if graph.landmark_dimension == 3:
+            nodes[:, 2] = wrap(nodes[:, 2])
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)

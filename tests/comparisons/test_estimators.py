@@ -351,6 +351,7 @@ def test_online_with_a_lag(log: Log) -> None:
     whole, lagged = (ESTIMATORS["online"].run(log, replace(OPTIONS, lag=lag)) for lag in (None, 12))
     assert lagged.poses.shape == whole.poses.shape
     assert 0 < np.abs(lagged.poses - whole.poses).max() < 0.5
+    assert whole.cost_per_dof is not None and lagged.cost is None and lagged.cost_per_dof is None
     with pytest.raises(OptionError, match="lag"):
         replace(OPTIONS, lag=0)
 

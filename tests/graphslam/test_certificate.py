@@ -9,7 +9,18 @@ import pytest
 from certified_graphs import GivenEdges, pose_graph, ring
 
 from comparisons.datasets import data_folder
-from graphslam import Graph, GraphError, MotionModel, OptionError, certify, load, sample_log_path, simulate, solve
+from graphslam import (
+    AbsolutePositions,
+    Graph,
+    GraphError,
+    MotionModel,
+    OptionError,
+    certify,
+    load,
+    sample_log_path,
+    simulate,
+    solve,
+)
 from graphslam.edges import AnchorEdges, ConstantEdges, RelativePointEdges, RelativePoseEdges
 from graphslam.se2 import between, compose, wrap
 from graphslam.simulation.simulator import SensorFaults
@@ -367,3 +378,14 @@ def test_a_perfect_graph_is_global_although_rounding_leaves_a_residue():
     wrong[750:, 2] += 1.0
     assert graph.cost(wrong) > 1 and replace(graph, families=(weak,)).cost(wrong) < 1e-6
     assert certify(replace(graph, families=(weak,)), wrong).status == "not proven"
+
+
+def test_a_drive_in_utm_coordinates_is_proven() -> None:
+    """Bounds on rounding grew with the coordinates, so that nothing was proven millions of metres from the origin."""
+    log = simulate(seed=0, clean=True, orientation=False)
+    assert log.true_poses is not None
+    steps = np.arange(0, log.num_poses, 4)
+    places = log.true_poses[steps, :2] + [5e5, 5.4e6] + 0.1 * np.random.default_rng(0).normal(size=(len(steps), 2))
+    positions = AbsolutePositions(steps=steps, places=places, covariances=0.01 * np.eye(2))
+    solution = solve(Graph.from_log(log.replace(positions=positions), edges="landmark+motion", kernel="none"))
+    assert solution.certificate.status == "global" and solution.certificate.relative_gap < 1e-10

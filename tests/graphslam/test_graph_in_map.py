@@ -215,8 +215,11 @@ def test_step_by_step_the_solution_is_the_same(kind, oriented, above, sigmas):
     """Priors of landmarks with headings are linearised where the map has them, so that J ends a little higher."""
     log = LOG if oriented else LOG.without_orientation()
     graph = Graph.from_log(log, map=maps_of(LOG)[kind])
-    batch, steps = solve(graph), solve_online(graph)
+    costs = []
+    batch, steps = solve(graph), solve_online(graph, callback=lambda solver: costs.append(solver.cost))
     assert steps.cost == pytest.approx(batch.cost, rel=above)
+    # with the priors of the map, and without that of the first pose
+    assert costs[-1] == pytest.approx(steps.cost, rel=1e-6)
     difference = steps.poses - batch.poses
     difference[:, 2] = wrap(difference[:, 2])
     deviations = np.sqrt(np.diagonal(batch.covariance(), axis1=1, axis2=2))

@@ -143,6 +143,35 @@ def test_an_impossible_input_changes_nothing(call, arguments, message):
     assert smoother.landmarks == {}
 
 
+@pytest.mark.parametrize(
+    ("edges", "call", "message"),
+    [
+        ("landmark+motion", lambda solver: solver.observe([4, 5], [[2.0, 0.5], [1e-300, 0.5]]), "the range of z"),
+        (
+            "landmark+motion",
+            lambda solver: solver._backend.relate(*((0, 2, np.array([1, 0, turn]), np.eye(3)) for turn in (0, 90.0))),
+            "the heading of measured",
+        ),
+        ("virtual+motion", lambda solver: solver.observe([4], [[2.0, 0.5]]), "without psi"),
+        ("virtual+motion", lambda solver: solver.observe([1, 1], [[2.0, 0.5, 0.5], [1e-300, 0.5, 0.5]]), "range"),
+    ],
+)
+def test_a_refused_call_adds_nothing(edges, call, message):
+    """What a refused call had prepared would enter with the next update."""
+    solver = OnlineSolver(backend="isam2", edges=edges)
+    if message == "range":
+        solver.observe([1], [[2.0, 0.3, 0.1]])
+    solver.move((1.0, 0.0), 1.0)
+    before = solver._backend.columns, solver.poses.tolist()
+    with pytest.raises((GraphError, OptionError), match=message):
+        call(solver)
+    solver.observe([], [])
+    assert not solver.landmarks and (solver._backend.columns, solver.poses.tolist()) == before
+    solver.move((1.0, 0.0), 1.0)
+    solver.observe([1], [[1.1, 0.5, 0.5]])
+    assert solver.step == 2
+
+
 def test_parameters_of_isam2(book_log):
     options = {"edges": "landmark+motion"}
     usual = solve_online(book_log, backend="isam2", **options)

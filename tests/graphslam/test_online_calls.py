@@ -6,11 +6,13 @@ import runpy
 import threading
 from copy import copy, deepcopy
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fastslam import FastSLAM1
 from graphslam import (
     Graph,
     GraphError,
@@ -57,6 +59,10 @@ BAD_CALLS = [
     ("observe", {"ids": [3], "sightings": [[0.0, 0.0]]}, OptionError, "ranges above zero"),
     ("observe", {"ids": [3], "sightings": [[1.0, 0.0, 0.0]]}, OptionError, "2 numbers each"),
     ("observe", {"ids": [0.5], "sightings": ONE}, OptionError, "whole numbers"),
+    ("observe", {"ids": [3], "sightings": [[1.0, 7.0]]}, OptionError, "beyond 2 pi: is it in degrees"),
+    ("observe", {"ids": [3], "sightings": [[np.nan, -7.0]]}, OptionError, "beyond 2 pi: is it in degrees"),
+    ("relate", {"first": 0, "second": 1, "motion": (1, 0, 90.0), "covariance": np.eye(3)}, OptionError, "beyond 8 pi"),
+    ("move", {"motion": (1, 0, 90.0), "covariance": np.eye(3)}, OptionError, "beyond 8 pi"),
 ]
 
 
@@ -135,7 +141,7 @@ def test_both_backends_take_the_same_calls(backend):
     solver.relinearize()
     assert solver.converged and solver.step == 9
     assert list(solver.landmarks) == [-7, 4]
-    assert repr(solver) == f"<OnlineSolver by {backend}: 10 poses, 2 landmarks>"
+    assert repr(solver) == f"<OnlineSolver ({backend}): 10 poses, 2 landmarks>"
     found = [solver.poses, np.array(list(solver.landmarks.values())), solver.cost]
     found.append(solver.covariance(poses=[3, 9], landmarks=[4, -7], joint=True))
     blocks, points = solver.covariance(poses=[3, 9], landmarks=[4, -7])
@@ -220,6 +226,8 @@ def test_a_pickled_solver_goes_on():
 
 def test_the_first_pose_may_see_landmarks():
     solver = OnlineSolver()
+    assert repr(solver) == "<OnlineSolver (own): 1 pose, 0 landmarks>"
+    assert repr(OnlineSolver(map={3: (1.0, 2.0)})) == "<OnlineSolver (own): 1 pose, 0 landmarks>"
     solver.observe([4], [[2.0, 0.5]])
     np.testing.assert_allclose(solver.landmarks[4], [2 * np.cos(0.5), 2 * np.sin(0.5)], atol=1e-9)
     assert solver.covariance().shape == (3, 3)
@@ -263,6 +271,15 @@ def test_final_poses_are_refused():
 def test_a_covariance_of_what_is_no_id(landmarks):
     with pytest.raises(OptionError, match="landmarks must be an id, or a list of ids"):
         OnlineSolver().covariance(landmarks=landmarks)
+
+
+@pytest.mark.parametrize("backend", ["own", "isam2"])
+def test_the_covariances_of_nothing_are_none(backend):
+    solver = OnlineSolver(backend=backend)
+    assert solver.covariance(landmarks=[]).shape[0] == solver.covariance(poses=[]).shape[0] == 0
+    assert solver.covariance(poses=[], landmarks=[], joint=True).shape == (0, 0)
+    blocks, none = solver.covariance(poses=[0], landmarks=[])
+    assert blocks.shape == (1, 3, 3) and len(none) == 0
 
 
 @pytest.mark.parametrize("name", ["motion", "sensor"])
@@ -329,3 +346,10 @@ def test_the_engine_refuses_nodes_that_do_not_exist() -> None:
     system = OnlineSolver()._backend.system
     with pytest.raises(IndexError, match="no node 10000000"):
         system.values([10**7])
+
+
+@pytest.mark.parametrize("method", ["move", "observe", "locate", "covariance"])
+def test_particle_filters_have_the_same_arguments_but_for_past_poses_and_time(method):
+    """As `docs/online.md` says."""
+    own, theirs = (list(signature(getattr(kind, method)).parameters) for kind in (OnlineSolver, FastSLAM1))
+    assert theirs == [name for name in own if name not in ("pose", "time")]

@@ -168,14 +168,15 @@ def test_landmarks_that_the_map_lacks_get_ids_where_sightings_have_none():
         assert len(set(log.landmarks[found == j].tolist())) == 1
 
 
-def driven(log, solver):
-    """A solver after a drive, given by hand, and the first step at which it was located."""
+def driven(log, solver, late=0):
+    """Give a solver a drive, with sightings some steps late; the first step at which it was located."""
     when = None
-    for step in range(log.num_poses):
-        if step:
+    for step in range(log.num_poses + late):
+        if 0 < step < log.num_poses:
             solver.move(log.controls[step - 1], log.dt[step - 1])
-        now = log.steps == step
-        solver.observe(log.landmarks[now] if log.identified else None, log.sightings[now])
+        if step >= late:
+            now = log.steps == step - late
+            solver.observe(log.landmarks[now] if log.identified else None, log.sightings[now], pose=step - late)
         when = step if when is None and solver.located else when
     return when
 
@@ -194,9 +195,54 @@ def test_a_robot_that_drives_finds_itself_and_notices_that_it_was_lifted(with_id
     assert set(solver.landmarks) >= set(log.landmark_ids.tolist()) - {UNIDENTIFIED}
 
 
+@pytest.mark.parametrize("with_ids", [True, False])
+def test_late_sightings_find_a_robot_and_notice_that_it_was_lifted(with_ids):
+    second = elsewhere(11, (5.0, 6.0, -2.0))
+    log, true = lifted(FIRST, second), np.concatenate([FIRST.true_poses, second.true_poses])
+    solver = OnlineSolver(map=TRUE, **MODELS)
+    assert driven(log if with_ids else unnamed(log), solver, late=2) is not None
+    assert np.hypot(*(solver.poses - true)[:, :2].T).max() < 0.5
+    assert solver.integrity_risk(1.0) < 0.01
+
+
 def test_a_start_that_is_given_is_used():
     log = elsewhere(10, (-4.0, 3.0, 0.0))
     solver = OnlineSolver(log.true_poses[0], map=TRUE, start_covariance=0.01 * np.eye(3), **MODELS)
     assert solver.located
     driven(log, solver)
     assert np.hypot(*(solver.poses - log.true_poses)[:, :2].T).max() < 0.5
+
+
+def test_two_landmarks_with_headings_locate_a_robot():
+    """`first_fix` stops at two landmarks with headings; 4 of 14 such drives were never located."""
+    models = {
+        "motion": MotionModel(nn=0.05, no=0.03, on=0.05, oo=0.05),
+        "sensor": SensorModel(range_rate=0.03, bearing_std=0.015),
+    }
+    few = np.random.default_rng(12).uniform(-5, 5, (14, 3))
+    log = simulate(seed=62, steps=10, start=(-2.0, 1.0, 1.0), clean=True, landmarks=few, max_range=6.0, **models)
+    solver = OnlineSolver(map=log.true_landmarks, **models)
+    assert driven(log, solver) is not None
+    assert np.hypot(*(solver.poses - log.true_poses)[:, :2].T).max() < 0.5
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_sightings_without_psi_in_a_map_with_headings(given):
+    log = simulate(seed=1, steps=20, clean=True)
+    solver = OnlineSolver(log.true_poses[0] if given else None, map=log.true_landmarks)
+    assert driven(log.without_orientation(), solver) is not None
+    assert np.abs(solver.poses - log.true_poses)[:, :2].max() < 0.5
+    # psi that comes later is not used
+    solver.observe(log.landmarks[-2:], log.sightings[-2:])
+    assert solver.covariance(landmarks=[0]).shape == (1, 2, 2)
+
+
+def test_psi_that_comes_after_sightings_without():
+    log = simulate(seed=1, steps=20, clean=True)
+    solver = OnlineSolver(map=log.true_landmarks)
+    for step in range(log.num_poses):
+        if step:
+            solver.move(log.controls[step - 1], log.dt[step - 1])
+        now = log.steps == step
+        solver.observe(log.landmarks[now], log.sightings[now, : 3 if step else 2])
+    assert np.abs(solver.poses - log.true_poses)[:, :2].max() < 0.5

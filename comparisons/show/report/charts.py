@@ -45,7 +45,8 @@ def paths_figure(view: View) -> Figure:
     for estimate in view.estimates:
         traces += [*_path(view, estimate), *_map(view, estimate)]
     traces += _truth(view)
-    traces.append(_matches())
+    # lines to a landmark from the poses that saw it, shown at a click
+    traces.append(_silent({"layer": "matches"}, "lines", visible=False, line={"color": MATCHED, "width": 1.2}))
     for estimate in view.estimates:
         traces += _now(estimate)
     return {
@@ -83,12 +84,15 @@ def _path(view: View, estimate: Estimate) -> list[dict[str, Any]]:
     }  # fmt: skip
     if len(estimate.line) == len(estimate.poses):
         return [poses]
-    line = {
-        "type": "scatter", "mode": "lines", "meta": meta | {"part": "line"}, **_xy(estimate.line), "line": look["line"],
-        "hoverinfo": "skip",
-    }  # fmt: skip
+    line = _silent(meta | {"part": "line"}, "lines", estimate.line, line=look["line"])
     # a pose without a marker still shows its values under the pointer
     return [line, poses | {"mode": "markers", "marker": look.get("marker", {"size": 6, "opacity": 0})}]
+
+
+def _silent(meta: dict[str, str], mode: str, points: Array | None = None, **more: Any) -> dict[str, Any]:
+    """A trace that says nothing under the pointer, of points (n, 2 or 3); without points the page's script gives them."""
+    where = {"x": [None], "y": [None]} if points is None else _xy(points)
+    return {"type": "scatter", "mode": mode, "meta": meta, **where, "hoverinfo": "skip", **more}
 
 
 def _map(view: View, estimate: Estimate) -> list[dict[str, Any]]:
@@ -118,30 +122,18 @@ def _ellipses(
 ) -> dict[str, Any]:
     """One trace that draws many ellipses, with gaps between."""
     points = np.pad(ellipses(means, covariances), ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 2)
-    return {
-        "type": "scatter", "mode": "lines", "meta": {"estimator": name, "layer": layer}, **_xy(points),
-        "line": {"color": colour_of(name), "width": width}, "hoverinfo": "skip",
-    }  # fmt: skip
+    line = {"color": colour_of(name), "width": width}
+    return _silent({"estimator": name, "layer": layer}, "lines", points, line=line)
 
 
 def _now(estimate: Estimate) -> list[dict[str, Any]]:
     """The parts that the slider moves: the sightings from the pose, its ellipse, and the pose."""
-    colour, common = colour_of(estimate.name), {"type": "scatter", "x": [None], "y": [None], "hoverinfo": "skip"}
-    of = {"estimator": estimate.name, "layer": "now"}
+    colour, of = colour_of(estimate.name), {"estimator": estimate.name, "layer": "now"}
+    arrow = {"symbol": "arrow", "size": 15, "color": colour, "line": {"color": INK, "width": 0.6}}
     return [
-        {**common, "mode": "lines", "meta": of | {"part": "sightings"}, "line": {"color": colour, "width": 1.1}},
-        {**common, "mode": "markers", "meta": of | {"part": "pose"},
-         "marker": {"symbol": "arrow", "size": 15, "color": colour, "line": {"color": INK, "width": 0.6}}},
-    ]  # fmt: skip
-
-
-def _matches() -> dict[str, Any]:
-    """Lines to a landmark from the poses that saw it, shown at a click."""
-    return {
-        "type": "scatter", "mode": "lines", "x": [None], "y": [None], "hoverinfo": "skip",
-        "meta": {"layer": "matches"}, "visible": False,
-        "line": {"color": MATCHED, "width": 1.2},
-    }  # fmt: skip
+        _silent(of | {"part": "sightings"}, "lines", line={"color": colour, "width": 1.1}),
+        _silent(of | {"part": "pose"}, "markers", marker=arrow),
+    ]
 
 
 def _truth(view: View) -> list[dict[str, Any]]:

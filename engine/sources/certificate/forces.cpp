@@ -17,14 +17,14 @@ constexpr double more_shares[] = {0.5, 0.8, 0.95, 0.99};
 
 }  // namespace
 
-void State::set(std::span<const double> values) {
+void State::set(std::span<const double> values, Complex origin) {
     const std::size_t count = values.size() / 3;
     nodes_.resize(1 + count);
     // the errors of z, up to 1e-15 or rounding of the heading, are part of those of places and headings in `force`
     edges::Rotations axes(count, [&](std::size_t i) { return values[3 * i + 2]; });
     for (std::size_t i = 0; i < count; ++i) {
         const double* const x = values.data() + 3 * i;
-        nodes_[1 + i] = {{axes[i].c, axes[i].s}, {x[0], x[1]}, x[2]};
+        nodes_[1 + i] = {{axes[i].c, axes[i].s}, Complex{x[0], x[1]} - origin, x[2]};
     }
 }
 

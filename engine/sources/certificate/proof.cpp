@@ -95,7 +95,12 @@ double square_bound(HermitianFactor& factor, std::span<const std::complex<double
 }
 
 void Proof::begin(std::span<const double> state, std::vector<char> free) {
-    state_.set(state);
+    // relative to the first node: errors of rounding would grow with its distance from the origin of the world (UTM coordinates
+    // are millions of metres); the rounding of these differences is part of `place_error`
+    const Complex origin = state.empty() ? Complex{} : Complex{state[0], state[1]};
+    state_.set(state, origin);
+    for (Edge& edge : edges)
+        if (edge.first < 0) edge.d_a = Complex(edge.d_a) - origin;
     free_ = std::move(free);
     summation_.clear();
     for (const Index ends : hold_roots(edges, free_))

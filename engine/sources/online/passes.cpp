@@ -1,5 +1,6 @@
 // Passes through the tree: down where the solution moves nodes, and up where their edges were evaluated.
 #include <algorithm>
+#include <cmath>
 #include <cstring>
 
 #include "sparse/supernode.hpp"
@@ -86,6 +87,8 @@ const double* Tree::predict(Supernode& group, const double* w) {
     }
     group.separator_change = 0.0;
     for (Index j = 0; j < 3 * front.r; ++j) group.separator_change += w[j] * pull[pad + j];
+    // exact second derivatives may make U indefinite, and J then falls with the motion
+    group.separator_change = std::abs(group.separator_change);
     return pull + pad;
 }
 

@@ -43,9 +43,10 @@ constexpr double least_left = 0.3;
 
 }  // namespace
 
+bool OnlineSystem::is_small(double decrease) const { return decrease <= std::max(tolerance_ * memory_.cost, rounding); }
+
 OnlineSystem::Outcome OnlineSystem::advance(int& done) {
     Memory& m = memory_;
-    const auto is_small = [&](double decrease) { return decrease <= std::max(tolerance_ * m.cost, rounding); };
     double last = infinity, part = 1.0;
     bool renewed = false;
     m.shrinks *= forget;

@@ -55,8 +55,8 @@ class Proof {
 
     std::vector<Edge> edges;
 
-    /// Evaluate the edges at a state. `free` nodes may move, but one node is held in every piece that nothing ties to the
-    /// world: the cost does not change when such a piece moves.
+    /// Evaluate the edges at a state, once: those from the world become relative to the first node. `free` nodes may move, but
+    /// one node is held in every piece that nothing ties to the world: the cost does not change when such a piece moves.
     void begin(std::span<const double> state, std::vector<char> free);
 
     /// The splits of the edges that are tried first.

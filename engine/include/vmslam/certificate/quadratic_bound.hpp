@@ -30,7 +30,8 @@ struct Node {
 /// The values of all nodes; node -1 is the origin of the world.
 class State {
    public:
-    void set(std::span<const double> values);
+    /// Positions are kept relative to an `origin`.
+    void set(std::span<const double> values, Complex origin);
     const Node& operator[](Index node) const { return nodes_[node + 1]; }
     Index size() const { return static_cast<Index>(nodes_.size()) - 1; }
 

@@ -47,7 +47,7 @@ struct Supernode {
     bool ascending = true;  ///< whether `relative` ascends
     bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
     double largest_decrease = 0.0;  ///< y' y, by how much solving a supernode lowers J: the largest in the subtree
-    double separator_change = 0.0;  ///< w' U w, by how much the motion of the separator changes J
+    double separator_change = 0.0;  ///< abs(w' U w), by how much the motion of the separator changes J
     double largest_squares = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
     std::vector<Id> nodes;  ///< w nodes, then r nodes, both in the order of elimination
     std::vector<Id> row;  ///< (w + r + 1) where the numbers of each begin in the front, and where those of the last one end
