@@ -376,8 +376,9 @@ class Row(Figures, Metrics):
     certificate: Certificate | None = None
     reason: str = ""
     notes: tuple[str, ...] = ()
-    skipped: str | None = None
-    result: EstimatorResult | None = None
+    # the JSON leaves out what is not for a repr
+    skipped: str | None = field(default=None, repr=False)
+    result: EstimatorResult | None = field(default=None, repr=False)
     shown: ClassVar = {"expected_ate_m": "expected_ate_m"}
 
     def __repr__(self) -> str:

@@ -106,7 +106,6 @@ PUT_TOGETHER = {
     "shares only one with the rest", "share only one with the rest", "time %", "norm %", "speed x", "turn rate x",
     "range x", "start J =", "sightings are from before or after the odometry",
     "but maximum-likelihood where a log has no ids", "a log and a file to write", "give at most a log and a file to write",
-    "must be a positive number", "but ids are whole numbers of less than 64 bits or words",
 }  # fmt: skip
 
 
