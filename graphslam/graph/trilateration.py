@@ -97,10 +97,10 @@ class WaitingNumbers:
         """The same numbers, to go back to."""
         return WaitingNumbers(self.sensor, self.rows.copy(), self.tried.copy())
 
-    def take(self, id: int) -> tuple[NumberRow, ...]:
-        """The numbers of a landmark, which waits no longer."""
+    def take(self, id: int, since: int = 0) -> tuple[NumberRow, ...]:
+        """The numbers of a landmark, which waits no longer; those from poses before ``since`` are dropped."""
         self.tried.pop(id, None)
-        return self.rows.pop(id, ())
+        return tuple(each for each in self.rows.pop(id, ()) if each[0] >= since)
 
     def add(self, id: int, row: NumberRow, poses: Callable[[], Array], since: int = 0) -> Array | None:
         """Keep a number, and return the place (2,) of its landmark where all its numbers leave one.

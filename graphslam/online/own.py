@@ -183,7 +183,7 @@ class OwnBackend(Backend):
         if numbers or places or waiting.rows:
             self._others.waiting = still = waiting.copy()
             for landmark in fresh:
-                added += self._edges_of_numbers(landmark, still.take(landmark))
+                added += self._edges_of_numbers(landmark, still.take(landmark, self.num_final))
             found, poses_now = dict(places or {}), partial(self._poses_with, leading)
             for landmark, z in numbers:
                 self.columns = columns or 2
@@ -196,7 +196,7 @@ class OwnBackend(Backend):
             for landmark, place in found.items():
                 self._landmarks[landmark] = system.add_point(*place)
                 fresh.append(landmark)
-                placed[landmark] = still.take(landmark)
+                placed[landmark] = still.take(landmark, self.num_final)
                 added += self._edges_of_numbers(landmark, placed[landmark])
         # before they bend the graph
         before = None
@@ -212,7 +212,8 @@ class OwnBackend(Backend):
         for landmark, numbers_of_it in placed.items():
             self._others.placed(landmark, numbers_of_it)
         self._others.seen(landmarks, rows)
-        if before is not None:
+        # those that are seen whole now have one place
+        if before is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
             self._try_other_places(*before, doubtful)
         while self.lag is not None and len(self._poses) > self.lag + 1:
             self._marginalize()

@@ -89,3 +89,15 @@ def test_a_corridor_with_a_lag_is_that_without(seed):
     assert np.abs(short - whole)[:, :2].max() < 0.05 * std[1]
     assert np.hypot(*np.diff(short, axis=0)[:, :2].T).max() < 0.75
     np.testing.assert_allclose(own, std, rtol=0.25)
+
+
+def test_numbers_of_final_poses_are_dropped() -> None:
+    """Ranges from poses that had become final were taken as ranges from the newest ones, once the landmark was seen whole."""
+    solver, place = OnlineSolver(lag=2), np.array([3.0, 4.0])
+    for t in range(1, 11):
+        solver.move(motion=[1, 0, 0], covariance=np.diag([0.05, 0.05, 0.02]) ** 2)
+        if t in (5, 6):
+            solver.observe([7], [[np.hypot(*(place - [t, 0])), np.nan]])
+    x, y = place - [10, 0]
+    solver.observe([7], [[np.hypot(x, y), np.arctan2(y, x)]])
+    assert solver.landmarks[7] == pytest.approx(place, abs=1e-6) and solver.cost < 1e-9

@@ -76,6 +76,21 @@ def test_asking_for_covariances_does_not_move_the_estimate() -> None:
     assert np.abs(solver.poses - before).max() < 1e-3
 
 
+def test_a_landmark_seen_whole_while_another_number_surprises() -> None:
+    """Its other places were asked for, after it had none any more: KeyError, when the graph had already changed."""
+    solver, x, nan = OnlineSolver(), np.zeros(3), np.nan
+    places = np.array([[3.0, 4.0], [5.0, -3.0]])
+    for t in range(9):
+        x = compose(x, [0.8, 0.0, 0.15])
+        solver.move(motion=[0.8, 0.0, 0.15], covariance=np.diag([0.05, 0.05, 0.02]) ** 2)
+        ranges, bearings = np.hypot(*(places - x[:2]).T), wrap(np.arctan2(*(places - x[:2]).T[::-1]) - x[2])
+        if t < 8:
+            first, second = [[r, nan] if (t + k) % 2 else [nan, b] for k, (r, b) in enumerate(zip(ranges, bearings))]
+            solver.observe([1, 2], [first, second])
+    solver.observe([1, 2], [[ranges[0], bearings[0]], [ranges[1] + 60.0, nan]])
+    assert solver.landmarks[1] == pytest.approx(places[0], abs=0.5)
+
+
 @pytest.mark.parametrize("kernel", ["none", "huber", "cauchy"])
 @pytest.mark.parametrize("orientation", [False, True])
 def test_every_step_ends_at_the_batch_optimum(orientation, kernel):

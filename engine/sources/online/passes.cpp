@@ -190,6 +190,13 @@ void Tree::move_paths(Graph& graph, std::span<const Id> homes) {
 
 void Tree::move_all(Graph& graph) { descend(graph, -1.0); }
 
+void Tree::stay() {
+    for (Supernode& group : groups) {
+        std::fill_n(group.y(), 3 * group.wide, 0.0);
+        group.largest_decrease = 0.0;
+    }
+}
+
 Tree::Moved Tree::descend(Graph& graph, double least) {
     Moved moved;
     std::vector<Id> stack{0};

@@ -234,7 +234,7 @@ bool OnlineSystem::factorize_again(std::span<const Id> newest) {
 
 // Second derivatives only help passes to converge: they are no information that the graph has, or take some away. So edges
 // enter the factor as Gauss-Newton has them, where covariances would be wrong otherwise.
-bool OnlineSystem::linearize_late(std::span<const Id> newest, std::optional<OnlineSystem>& apart) {
+bool OnlineSystem::linearize_late(std::span<const Id> newest) {
     if ((lost_ || memory_.bent.convex == 0.0) && !factorize_again(newest)) return false;
     if (covariances_ready_) return true;
     covariances_ready_ = true;
@@ -248,12 +248,8 @@ bool OnlineSystem::linearize_late(std::span<const Id> newest, std::optional<Onli
     const bool good = refactor(graph_, tree_, late, {}, found);
     memory_.cost += found.change;
     if (!good) return covariances_ready_ = factorize_again(newest);
-    if (is_small(found.predicted)) return true;
     // along a weak direction the factor of Gauss-Newton would move the estimate, maybe upwards: it is for covariances alone
-    apart = *this;
-    covariances_ready_ = false;
-    Evaluation again{memory_.limit, memory_.bent};
-    if (!refactor(graph_, tree_, late, {}, again)) begin_at(places(), newest);
+    if (!is_small(found.predicted)) tree_.stay();
     return true;
 }
 
@@ -265,9 +261,7 @@ std::optional<std::vector<double>> OnlineSystem::covariance(std::span<const Id> 
         return other.covariance(nodes, newest);
     }
     const auto eliminated = [&](Id node) { return graph_.nodes[node].home > 0; };
-    std::optional<OnlineSystem> apart;
-    if (!linearize_late(newest, apart) || !std::all_of(nodes.begin(), nodes.end(), eliminated)) return std::nullopt;
-    if (apart) return apart->tree_.covariance(apart->graph_, nodes);
+    if (!linearize_late(newest) || !std::all_of(nodes.begin(), nodes.end(), eliminated)) return std::nullopt;
     // the axes of the nodes are those of the solution
     values(nodes);
     return tree_.covariance(graph_, nodes);

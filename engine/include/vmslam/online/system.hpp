@@ -106,8 +106,7 @@ class OnlineSystem {
     bool begin_at(std::span<const Triple> x, std::span<const Id> newest);
     bool solve_as_batch(std::span<const Id> newest);
     bool factorize_again(std::span<const Id> newest);
-    /// Linearise edges as Gauss-Newton does; in a system `apart` where that would move the estimate.
-    bool linearize_late(std::span<const Id> newest, std::optional<OnlineSystem>& apart);
+    bool linearize_late(std::span<const Id> newest);
     /// Whether a decrease of J is below the tolerance of a step.
     bool is_small(double decrease) const;
     void hang_prior(Prior& prior);

@@ -111,6 +111,8 @@ class Tree {
     /// The same for all supernodes from `homes` up to the roots, and for all.
     void move_paths(Graph& graph, std::span<const Id> homes);
     void move_all(Graph& graph);
+    /// Take the values that all nodes have as the solution.
+    void stay();
     /// What a subtree pulls its separator with where that is now, and `separator_change`.
     void follow(const Graph& graph, Id s);
     /// Take the present values of the nodes of a supernode as those from which they move, by nothing.
