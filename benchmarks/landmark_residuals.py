@@ -1,5 +1,7 @@
 """The two residuals of landmark nodes, Cartesian and polar, on simulated and real logs: errors, ANEES and bias.
 
+Simulated logs also with the Cartesian residual and the noise at the estimated ranges (``range_noise="estimated"``).
+
     python benchmarks/landmark_residuals.py [--logs 200] [--jobs 2] [--data ../shared/data] [--only simulated | real]
 
 Simulated logs: the book's world, 62 motions, noise as in the models that the graph is given. ``scale`` is the mean over the
@@ -33,6 +35,8 @@ from graphslam.models import RESIDUALS
 from graphslam.se2 import Array
 from graphslam.simulation.worlds import World
 
+#: the residual and the range at which the noise is taken
+WAYS = (*((residual, "measured") for residual in RESIDUALS), ("cartesian", "estimated"))
 #: factor on the book's noise, or the models themselves; and the numbers of a sighting
 CASES = (
     *product((0.1, 0.5, 1.0), (3, 2)),
@@ -56,18 +60,19 @@ def scale_of(estimated: Array, true: Array) -> float:
 
 
 def one_log(case: float | str, dimensions: int, seed: int) -> Array:
-    """Per residual: ATE [m], mean NEES of the poses, joint NEES, and scale - 1; NaN where it did not converge. (2, 4)"""
+    """For each of `WAYS`: ATE [m], mean NEES of the poses, joint NEES, scale - 1; NaN where it did not converge. (3, 4)"""
     motion, sensor = noise_of(case)
     log = simulate(World(clean=True, orientation=dimensions == 3), seed=seed, motion=motion, sensor=sensor)
     assert log.true_poses is not None and log.true_landmarks is not None
-    rows = np.full((len(RESIDUALS), 4), np.nan)
-    for row, residual in zip(rows, RESIDUALS):
+    rows = np.full((len(WAYS), 4), np.nan)
+    for row, (residual, range_noise) in zip(rows, WAYS):
         try:
             solution = solve(
                 Graph.from_log(
                     log, edges="landmark+motion", motion=motion, sensor=sensor, residual=residual, kernel="none"
                 ),
                 max_iterations=500,
+                range_noise=range_noise,
             )
             if solution.converged:
                 places = [
@@ -84,19 +89,20 @@ def one_log(case: float | str, dimensions: int, seed: int) -> Array:
 
 def simulated(logs: int, jobs: int) -> Iterator[str]:
     """The table of the simulated logs."""
-    yield "| noise, times the book's | psi | residual | solved | ATE [m] | ANEES, poses | joint, median | scale - 1 [%] |"
+    yield "| noise, times the book's | psi | residual, noise | solved | ATE [m] | ANEES | joint, median | scale - 1 [%] |"
     yield "|---|---|---|---|---|---|---|---|"
     with ProcessPoolExecutor(jobs) as pool:
         for case, dimensions in CASES:
             table = np.array(list(pool.map(partial(one_log, case, dimensions), range(logs), chunksize=4)))
             both = np.isfinite(table[..., 0]).all(axis=1)
             psi = "yes" if dimensions == 3 else "no"
-            for residual, values in zip(RESIDUALS, np.moveaxis(table, 1, 0)):
+            for (residual, range_noise), values in zip(WAYS, np.moveaxis(table, 1, 0)):
                 error, nees, joint, scale = values[both].T
                 solved, spread = np.isfinite(values[:, 0]).sum(), scale.std() / len(scale) ** 0.5
+                how, middle = f"{residual}, {range_noise}", np.median(joint)
                 yield (
-                    f"| {case} | {psi} | {residual} | {solved} of {logs} | {error.mean():.4f} | {nees.mean():.3f} | "
-                    f"{joint.mean():.3f}, {np.median(joint):.3f} | {100 * scale.mean():+.2f} ± {100 * spread:.2f} |"
+                    f"| {case} | {psi} | {how} | {solved} of {logs} | {error.mean():.4f} | {nees.mean():.3f} | "
+                    f"{joint.mean():.3f}, {middle:.3f} | {100 * scale.mean():+.2f} ± {100 * spread:.2f} |"
                 )
             difference = table[both, 0, 0] - table[both, 1, 0]
             yield (

@@ -31,6 +31,7 @@ from graphslam.engine import engine
 from graphslam.errors import OptionError, quoted
 from graphslam.errors.checks import check_options, option, real_array
 from graphslam.log import Log
+from graphslam.models import RANGE_NOISES
 from graphslam.se2 import Array, wrap
 
 
@@ -101,8 +102,6 @@ RESAMPLING = ("systematic", "stratified", "residual", "multinomial")
 PROPOSAL_WEIGHTS = ("exact", "linearised")
 #: how the Gaussian of a landmark follows from its sightings: from each by the Kalman gain, or from all together
 LANDMARK_UPDATES = ("kalman", "joint")
-#: the range at which the variance of a sighting's range is taken
-RANGE_NOISES = ("measured", "estimated")
 #: the fewest trajectories that backward simulation draws, so that they have covariances
 FEWEST_SMOOTHED = 10
 #: how far the lectures' program has come: particles that only move, that are weighed, that are resampled
@@ -151,8 +150,8 @@ class FilterOptions:
         "together, with known ids only.", choices=LANDMARK_UPDATES,
     )  # fmt: skip
     range_noise: str = option(
-        "measured", "FastSLAM takes the noise of the range at the measured range, or estimated, as in the slides; known "
-        "ids only.", choices=RANGE_NOISES,
+        "measured", "The noise of the range is taken at the measured range, or at the estimated one, as in the slides; "
+        "FastSLAM does so with known ids only.", choices=RANGE_NOISES,
     )  # fmt: skip
     stage: str = option(
         "resampling",

@@ -26,6 +26,8 @@ ANYWHERE = (1e6, 1e3, 1e6)
 #: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s].
 #: Tables with such numbers are refused unless their unit is stated, `log_checks` reports them, and factors refuse turn rates.
 FARTHEST, FASTEST, QUICKEST, LONGEST = 1000.0, 100.0, 2 * pi, 5.0
+#: a predicted range counts as at least and at most so many times the measured one: wrong sightings predict anything
+PLAUSIBLE = (0.5, 2.0)
 
 
 def sinc(a: ArrayLike) -> Array:
@@ -303,6 +305,8 @@ def _broadcast(pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> tuple[Arra
 
 #: how a sighting of a landmark node is compared: as a position in the robot's axes, or as range and bearing
 RESIDUALS = ("cartesian", "polar")
+#: the range at which its noise is taken: as measured, or as predicted by the estimate
+RANGE_NOISES = ("measured", "estimated")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -473,3 +477,8 @@ class SensorModel(NoiseModel):
         """The covariance of h^-1(x, z) for a known pose, R Q R'; (..., n, n)."""
         R = self.R(pose, sighting)
         return R @ self.Q(sighting) @ np.swapaxes(R, -1, -2)
+
+
+def plausible_ranges(predicted: Array, measured: Array) -> Array:
+    """The ranges (M,) at which the noise of sightings is evaluated: those predicted, within `PLAUSIBLE` of those measured."""
+    return np.clip(predicted, *(np.abs(measured) * factor for factor in PLAUSIBLE))

@@ -67,6 +67,9 @@ class ObservationEdges(PairEdges, SightingEdges):
         check_sightings(self, len(self.first))
         super().__post_init__()
 
+    def predicted(self, state: Array) -> Array:
+        return self.sensor.h(state[self.first], state[self.second][:, : self.dimension])
+
     @property
     def numbers(self) -> tuple[int, float]:
         return self.sightings.size, float(self.sightings.shape[1] * np.sum(self.trusted))

@@ -30,18 +30,21 @@ and the kernel on each of its edges.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from ..engine import engine
 from ..linear.precision import inverses
-from ..models import SensorModel
+from ..models import SensorModel, plausible_ranges
 from ..se2 import Array, perpendicular
 from .base import SYMMETRIC, FramedEdges, Linearization, check_nodes, check_rows, linearization
 from .robust import DoubtedEdges, code_and_width
+
+#: the most passes to the places of landmarks that are no nodes, and the change [m, rad] below which they are found
+PASSES, SAME = 20, 1e-12
 
 
 class SightingEdges(DoubtedEdges):
@@ -63,6 +66,19 @@ class SightingEdges(DoubtedEdges):
     def noisy(self) -> Array:
         """The sightings (M, 2 or 3) at which the covariance is evaluated."""
         return self.sightings if self.noise_at is None else self.noise_at
+
+    def predicted(self, state: Array) -> Array:
+        """The sightings (M, d) that a state (n, 3) predicts: of landmark nodes, or of the places that its poses give them."""
+        raise NotImplementedError
+
+    def with_noise_at(self, predicted: Array) -> Self:
+        """The same edges with the noise at other sightings (M, d), such as those that a state predicts.
+
+        Noise that grows with the range is evaluated at `models.plausible_ranges`.
+        """
+        noisy = predicted.copy()
+        noisy[:, 0] = plausible_ranges(predicted[:, 0], self.sightings[:, 0])
+        return replace(self, noise_at=noisy)  # type: ignore[call-arg]
 
     @property
     def oriented(self) -> bool:
@@ -132,6 +148,18 @@ class LandmarkSightings(SightingEdges, FramedEdges):
     def group(self) -> np.ndarray:
         """The landmark (M,) of each sighting, from 0 to G-1."""
         return np.repeat(np.arange(len(self.starts) - 1), np.diff(self.starts))
+
+    def predicted(self, state: Array) -> Array:
+        edges = replace(self.marginal, noise_at=None)
+        before = np.full(1, np.inf)
+        # the places depend on the noise, which depends on the places
+        for _ in range(PASSES):
+            places = edges.landmarks(state, state)[self.group][:, : self.dimension]
+            edges = edges.with_noise_at(self.sensor.h(state[self.nodes], places))
+            if np.abs(edges.noisy - before).max(initial=0.0) < SAME:
+                break
+            before = edges.noisy
+        return edges.noisy
 
     def placed(self, state: Array) -> tuple[Array, Array]:
         """The landmarks y = h^-1(x, z) (M, 3) of the sightings at a state, and the levers t (M, 2)."""

@@ -72,6 +72,20 @@ def sighting(name: str, value: ArrayLike) -> Array:
     return z
 
 
+def noise_sighting(value: ArrayLike | None, z: Array) -> Array:
+    """The sighting at which the noise is evaluated: ``noise_at``, or the measured one.
+
+    Raises:
+        OptionError: it is no sighting, or has psi where the measured one has none.
+    """
+    if value is None:
+        return z
+    other = sighting("noise_at", value)
+    if len(other) != len(z):
+        raise OptionError(f"noise_at must be a sighting of {len(z)} numbers, as the measured one is")
+    return other
+
+
 def pose(name: str, value: PoseLike) -> Array:
     """A pose (3,), or `gtsam.Pose2`, as a new array.
 

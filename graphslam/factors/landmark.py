@@ -22,6 +22,7 @@ from .arguments import (
     frozen_at,
     in_robot_frame,
     in_world_frame,
+    noise_sighting,
     numbers,
     positive_definite,
     sighted_covariance,
@@ -59,6 +60,7 @@ class LandmarkFactor(Factor):
         kernel: a robust kernel around the landmark as a whole, with its width in standard deviations, ``Huber(5.0)``: the
             rows of the error are no independent measurements, from which a default width could follow. (For a kernel on
             every pair or every sighting use `VirtualMotionFactor`, `InverseObservationFactor` or `ObservationFactor`.)
+        noise_at: (K, 3) or (K, 2): the sightings at which Q and L are evaluated; default: the measured ones.
 
     Raises:
         OptionError: an argument has an impossible value, or ``at`` is missing where the information depends on the poses.
@@ -77,6 +79,7 @@ class LandmarkFactor(Factor):
         at: ArrayLike | Sequence[PoseLike] | None = None,
         trust: ArrayLike | None = None,
         kernel: KernelLike = None,
+        noise_at: ArrayLike | None = None,
     ) -> None:
         world, robust = in_world_frame(frame), kernel_of(kernel)
         if robust is not None and robust.width is None:
@@ -86,21 +89,19 @@ class LandmarkFactor(Factor):
         sensor = model_of(SensorModel, sensor)
         place = {key: k for k, key in enumerate(dict.fromkeys(keys))}
         node = np.array([place[key] for key in keys], dtype=int)
-        z = numbers("sightings", sightings, (2, 3), rows=len(node))
-        if len(z) == 0 or np.any(z[:, 0] <= 0):
-            raise OptionError("LandmarkFactor needs at least one sighting, and ranges above zero")
-        check_size("ranges", z[:, 0], least=SMALLEST)
-        check_sighted("sightings", (z[:, 1:].min(), z[:, 1:].max()))
+        z = _sightings("sightings", sightings, (2, 3), len(node))
+        at_sightings = z if noise_at is None else _sightings("noise_at", noise_at, z.shape[1:], len(node))
         trusted = np.ones(len(z)) if trust is None else numbers("trust", trust, (len(z),))
         if np.any(trusted <= 0):
             raise OptionError(f"trust must be above zero for every sighting, not {quoted(trust)}")
         frozen = frozen_at(at, needed=world or (weight != "marginal" and z.shape[1] == 2), rows=len(z), frame=frame)
         if weight == "marginal":
-            rows, residual, error = _marginal(z, node, sensor, world, trusted, frozen)
+            rows, residual, error = _marginal(z, at_sightings, node, sensor, world, trusted, frozen)
         else:
             scale = 2 / float(np.sum(trusted)) if weight == "tempered" else 1.0
-            rows, residual, error = _pairs(z, node, sensor, world, trusted, frozen, scale)
+            rows, residual, error = _pairs(z, at_sightings, node, sensor, world, trusted, frozen, scale)
         options = {"frame": frame, "weight": weight, "at": frozen, "kernel": kernel}
+        options["noise_at"] = None if noise_at is None else at_sightings
         arguments = {"sightings": z, "sensor": sensor, "trust": None if trust is None else trusted} | options
         super().__init__(
             list(place), [POSE] * len(place), residual, arguments,
@@ -108,10 +109,26 @@ class LandmarkFactor(Factor):
         )  # fmt: skip
 
 
+def _sightings(name: str, value: ArrayLike, lengths: tuple[int, ...], rows: int) -> Array:
+    """Sightings (K, d) from an argument.
+
+    Raises:
+        OptionError: they are none, or a range is not above zero.
+        GraphError: a range is outside of what double precision can hold.
+    """
+    z = numbers(name, value, lengths, rows=rows)
+    if len(z) == 0 or np.any(z[:, 0] <= 0):
+        raise OptionError("LandmarkFactor needs at least one sighting, and ranges above zero")
+    check_size("ranges", z[:, 0], least=SMALLEST)
+    check_sighted(name, (z[:, 1:].min(), z[:, 1:].max()))
+    return z
+
+
 def _pairs(
-    z: Array, node: np.ndarray, sensor: SensorModel, world: bool, trust: Array, frozen: Array | None, scale: float
-) -> Evaluation:
-    """All pairs of sightings from different poses."""
+    z: Array, noisy: Array, node: np.ndarray, sensor: SensorModel, world: bool, trust: Array, frozen: Array | None,
+    scale: float,
+) -> Evaluation:  # fmt: skip
+    """All pairs of sightings (K, d) from different poses, with the noise at other sightings (K, d)."""
     poses = int(node.max()) + 1
     a, b = np.triu_indices(len(z), k=1)
     a, b = a[node[a] != node[b]], b[node[a] != node[b]]
@@ -119,9 +136,10 @@ def _pairs(
     if frozen is not None:
         at_a, at_b, ahead = frozen[a], frozen[b], -frozen[:, 2]
     else:
-        # poses that see the landmark in the axes of the first pose
-        at_b[:, 2] = z[a, 1] - z[a, 2] - z[b, 1] + z[b, 2]
-    covariance = sensor.landmark_covariance(at_a, z[a]) + sensor.landmark_covariance(at_b, z[b])
+        # poses that see the landmark in the axes of the first pose, where its heading is phi - psi
+        for at, seen in ((at_a, noisy[a]), (at_b, noisy[b])):
+            at[:, 2] = z[a, 1] - z[a, 2] - seen[:, 1] + seen[:, 2]
+    covariance = sensor.landmark_covariance(at_a, noisy[a]) + sensor.landmark_covariance(at_b, noisy[b])
     # without psi the third row and column stay zero
     information = np.zeros((len(a), 3, 3))
     information[:, : z.shape[1], : z.shape[1]] = (
@@ -160,11 +178,11 @@ def compressed(omega: Array, slope: Array, squares: float) -> tuple[Array, Array
 
 
 def _marginal(
-    z: Array, node: np.ndarray, sensor: SensorModel, world: bool, trust: Array, frozen: Array | None
+    z: Array, noisy: Array, node: np.ndarray, sensor: SensorModel, world: bool, trust: Array, frozen: Array | None
 ) -> Evaluation:
-    """The landmark eliminated."""
+    """The landmark eliminated; arguments as for `_pairs`."""
     (K, d), poses = z.shape, int(node.max()) + 1
-    information = np.linalg.inv(sensor.landmark_covariance(np.zeros((K, 3)) if frozen is None else frozen, z))
+    information = np.linalg.inv(sensor.landmark_covariance(np.zeros((K, 3)) if frozen is None else frozen, noisy))
     information *= trust[:, None, None]
     # W = L L', in the axes of the robot, or the world's
     L_transposed = np.swapaxes(np.linalg.cholesky(information), 1, 2)
@@ -245,10 +263,11 @@ class ObservationFactor(Factor):
         pose_key: of a `gtsam.Pose2`.
         landmark_key: of a `gtsam.Pose2` (with psi) or a `gtsam.Point2` (without).
         z: (l, phi, psi) or (l, phi) [m, rad, rad].
-        sensor: gives Q, at the measured range; default: the book's.
+        sensor: gives Q; default: the book's.
         residual: "cartesian" or "polar".
         scale: factor on the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
+        noise_at: the sighting at which Q and L are evaluated; default: the measured one.
 
     Raises:
         OptionError: an argument has an impossible value.
@@ -266,14 +285,17 @@ class ObservationFactor(Factor):
         residual: str = "cartesian",
         scale: float = 1.0,
         kernel: KernelLike = None,
+        noise_at: ArrayLike | None = None,
     ) -> None:
         z, sensor = sighting("z", z), model_of(SensorModel, sensor)
+        at_sighting = noise_sighting(noise_at, z)
         check_choice("residual", residual, RESIDUALS)
         if residual == "polar":
-            evaluated, covariance = _polar(z, sensor), sensor.Q(z)
+            evaluated, covariance = _polar(z, sensor), sensor.Q(at_sighting)
         else:
-            evaluated, covariance = _seen(z, sensor), sighted_covariance(0.0, z.tolist(), sensor)
+            evaluated, covariance = _seen(z, sensor), sighted_covariance(0.0, at_sighting.tolist(), sensor)
         arguments = {"z": z, "sensor": sensor, "residual": residual, "scale": scale, "kernel": kernel}
+        arguments["noise_at"] = None if noise_at is None else at_sighting
         kinds = [POSE, POSE if len(z) == 3 else POINT]
         super().__init__([pose_key, landmark_key], kinds, evaluated, arguments, covariance=covariance)
 
@@ -288,7 +310,7 @@ class ObservationFactor(Factor):
         if arguments["residual"] != "polar" or len(z) == 3 or not sensor.centred:
             return self
         # GTSAM puts the bearing first
-        noise = noise_model(arguments, covariance=sensor.Q(z)[::-1, ::-1])
+        noise = noise_model(arguments, covariance=sensor.Q(noise_sighting(arguments["noise_at"], z))[::-1, ::-1])
         pose_key, landmark_key = self.keys()
         return gtsam.BearingRangeFactor2D(pose_key, landmark_key, gtsam.Rot2(z[1]), z[0], noise)
 
@@ -306,11 +328,12 @@ class InverseObservationFactor(Factor):
         pose_key: of a `gtsam.Pose2`.
         landmark_key: of a `gtsam.Pose2` (with psi) or a `gtsam.Point2` (without).
         z: (l, phi, psi) or (l, phi) [m, rad, rad].
-        sensor: gives Q, at the measured range; default: the book's.
+        sensor: gives Q; default: the book's.
         frame: "body" or "world".
         at: the pose x, (3,) or a `gtsam.Pose2`, at which the world frame freezes the information.
         scale: factor on the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
+        noise_at: the sighting at which Q and L are evaluated; default: the measured one.
 
     Raises:
         OptionError: an argument has an impossible value, or ``at`` is missing in the world frame.
@@ -327,13 +350,16 @@ class InverseObservationFactor(Factor):
         at: PoseLike | None = None,
         scale: float = 1.0,
         kernel: KernelLike = None,
+        noise_at: ArrayLike | None = None,
     ) -> None:
         z, sensor, world = sighting("z", z), model_of(SensorModel, sensor), in_world_frame(frame)
         frozen, kinds = frozen_at(at, needed=world), [POSE, POSE if len(z) == 3 else POINT]
         # in the robot's axes the covariance is that seen from a pose at the origin
-        covariance = sighted_covariance(0.0 if frozen is None else float(frozen[2]), z.tolist(), sensor)
+        at_sighting = noise_sighting(noise_at, z)
+        covariance = sighted_covariance(0.0 if frozen is None else float(frozen[2]), at_sighting.tolist(), sensor)
         residual = _seen(z, sensor, world)
         arguments = {"z": z, "sensor": sensor, "frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
+        arguments["noise_at"] = None if noise_at is None else at_sighting
         super().__init__([pose_key, landmark_key], kinds, residual, arguments, covariance=covariance)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from math import cos, sin
 
 import gtsam
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import OptionError
 from ..linear.precision import model_of
 from ..models import SensorModel
-from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, sighted_covariance, sighting
+from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, noise_sighting, sighted_covariance, sighting
 from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
 
 
@@ -31,6 +32,7 @@ class VirtualMotionFactor(Factor):
         at: the two poses, each (3,) or a `gtsam.Pose2`, at which state-dependent information is evaluated.
         scale: factor on the information.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
+        noise_at: the two sightings at which Q and L are evaluated; default: the measured ones.
 
     Raises:
         OptionError: an argument has an impossible value, or ``at`` is missing where the information depends on the poses.
@@ -50,6 +52,7 @@ class VirtualMotionFactor(Factor):
         at: tuple[PoseLike, PoseLike] | None = None,
         scale: float = 1.0,
         kernel: KernelLike = None,
+        noise_at: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> None:
         sensor, body = model_of(SensorModel, sensor), not in_world_frame(frame)
         z_1, z_2 = sighting("z_1", z_1), sighting("z_2", z_2)
@@ -59,12 +62,16 @@ class VirtualMotionFactor(Factor):
         (_, phi1, psi1), (_, phi2, psi2) = ((*z, 0.0)[:3] for z in (z_1.tolist(), z_2.tolist()))
         frozen = frozen_at(at, needed=not (body and oriented), rows=2, frame=frame)
         # poses that see the landmark in the axes of the first sighting, if the information does not depend on the poses
-        x_1, x_2 = [[0.0, 0.0, -phi1], [0.0, 0.0, psi2 - psi1 - phi2]] if frozen is None else frozen.tolist()
-        covariance = sighted_covariance(x_1[2], z_1.tolist(), sensor) + sighted_covariance(x_2[2], z_2.tolist(), sensor)
+        given = (z_1, z_2) if noise_at is None else noise_at
+        if not hasattr(given, "__len__") or len(given) != 2:
+            raise OptionError("noise_at must be two sightings, as z_1 and z_2 are")
+        at_1, at_2 = (noise_sighting(seen, z).tolist() for seen, z in zip(given, (z_1, z_2)))
+        headings = [at_1[-1] - at_1[1] - psi1, at_2[-1] - at_2[1] - psi1] if frozen is None else frozen[:, 2].tolist()
+        covariance = sighted_covariance(headings[0], at_1, sensor) + sighted_covariance(headings[1], at_2, sensor)
         # the landmark in the frame of the robot, by each sighting
         (px, py), (qx, qy) = (in_robot_frame(z, sensor) for z in (z_1, z_2))
         # the angle from the heading of the first pose to the axes of e in the body frame, and what does not depend on poses
-        ahead = phi1 if oriented else -x_1[2]
+        ahead = phi1 if oriented else -headings[0]
         ca, sa = cos(ahead), sin(ahead)
         ux, uy = ca * px + sa * py, ca * py - sa * px
         by_place, of_psi = ([-ca, -sa], [sa, -ca]), phi2 - psi2 - phi1 + psi1
@@ -91,6 +98,7 @@ class VirtualMotionFactor(Factor):
             return e, (by_a, by_b)
 
         options = {"frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
+        options["noise_at"] = None if noise_at is None else np.array([at_1, at_2])
         arguments = {"z_1": z_1, "z_2": z_2, "sensor": sensor} | options
         super().__init__([key_1, key_2], [POSE, POSE], residual, arguments, covariance=covariance, in_own_axes=True)
 
@@ -111,7 +119,8 @@ class VirtualMotionFactor(Factor):
             raise OptionError("without psi two sightings of a landmark measure no relative pose")
         landmark_1, landmark_2 = (gtsam.Pose2(*in_robot_frame(z, sensor), z[1] - z[2]) for z in (z_1, z_2))
         # a pose whose theta + phi is psi sees the landmark in the landmark's own axes
-        covariance = sum(sighted_covariance(z[2] - z[1], z, sensor) for z in (z_1, z_2))
+        noisy = (z_1, z_2) if arguments["noise_at"] is None else arguments["noise_at"]
+        covariance = sum(sighted_covariance(z[2] - z[1], z, sensor) for z in noisy)
         adjoint = landmark_2.AdjointMap()
         covariance = adjoint @ covariance @ adjoint.T
         noise = noise_model(arguments, covariance=(covariance + covariance.T) / 2)

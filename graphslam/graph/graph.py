@@ -256,6 +256,16 @@ class Graph:
             for f in self.families
         )
 
+    def with_noise_at(self, state: Array) -> Graph:
+        """The same graph with the noise of the sensor at the sightings that a state (n, 3) predicts; see `with_families`.
+
+        ``solve(graph, range_noise="estimated")`` repeats this until the solution no longer moves. Ranges and bearings
+        measured alone keep their information.
+        """
+        return self.with_families(
+            f.with_noise_at(f.predicted(state)) if isinstance(f, SightingEdges) else f for f in self.families
+        )
+
     def with_families(self, families: Iterable[EdgeFamily], **others: Any) -> Graph:
         """The same graph with other edges between the same groups of nodes, ``others`` changed; both have one `system`."""
         changed = replace(self, families=tuple(families), **others)

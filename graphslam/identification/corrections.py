@@ -22,8 +22,6 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .declared import CORRECTIONS, PARAMETERS, Parameters, of_sensor_alone
 
-#: a predicted range counts as at least and at most so many times the measured one: wrong sightings predict anything
-PLAUSIBLE = (0.5, 2.0)
 #: the control at a pose is the mean over at most this time before and after it [s]
 LONGEST = 0.5
 _WITHOUT_NOISE = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0)
@@ -106,11 +104,6 @@ def corrected_sightings(parameters: Parameters, rows: np.ndarray, d: int) -> Arr
             z[:, 2] += bearing - z[:, 1] - omega
         z[:, 0], z[:, 1] = np.hypot(x, y), bearing
     return z
-
-
-def plausible_ranges(predicted: Array, measured: Array) -> Array:
-    """The ranges (M,) at which the noise of sightings is evaluated: those predicted, within `PLAUSIBLE` of those measured."""
-    return np.clip(predicted, *(np.abs(measured) * factor for factor in PLAUSIBLE))
 
 
 def moves(parameters: Parameters, predicted: Array, controls: Array) -> Array:

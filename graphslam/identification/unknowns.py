@@ -31,7 +31,7 @@ from ..errors import GraphError
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
-from ..models import MotionModel, SensorModel
+from ..models import MotionModel, SensorModel, plausible_ranges
 from ..se2 import (
     Array,
     between,
@@ -45,7 +45,7 @@ from ..se2 import (
     turn_matrix,
     wrap,
 )
-from .corrections import corrected_sensor, moves, plausible_ranges
+from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
 from .odometry import LEAST_EPSILON, STILL, Edges, Odometry, near, sensor_parts, with_variances
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from ..edges import (
     EdgeFamily,
-    LandmarkSightings,
-    ObservationEdges,
     RelationEdges,
     RelativePoseEdges,
     SightingEdges,
@@ -27,14 +25,10 @@ from ..identification.corrections import (
     corrected_log,
     corrected_sensor,
     corrected_sightings,
-    plausible_ranges,
 )
 from ..identification.declared import PARAMETERS, Parameters
 from ..linear.cholesky import FactorizationError, SingularPivot
 from ..se2 import Array, wrap
-
-#: the most passes to the places of landmarks that are no nodes, and the change [m, rad] below which they are found
-PASSES, SAME = 20, 1e-12
 
 
 def sighted_edges(graph: Graph) -> SightingEdges:
@@ -57,9 +51,8 @@ def corrected(graph: Graph, values: Array, state: Array, at: Array | None = None
     """
     here, there = graph.estimated.at(values), graph.estimated.at(values if at is None else at)
     seen = _sightings(graph, here)
-    predicted = predictions(_sightings(graph, there), state)
-    predicted[:, 0] = plausible_ranges(predicted[:, 0], seen.sightings[:, 0])
-    changed: dict[EdgeFamily, EdgeFamily] = {sighted_edges(graph): replace(seen, noise_at=predicted)}  # type: ignore[call-arg]
+    noisy = seen.with_noise_at(_sightings(graph, there).predicted(state))
+    changed: dict[EdgeFamily, EdgeFamily] = {sighted_edges(graph): noisy}
     driven = motion_edges(graph)
     if driven is not None and any(PARAMETERS[name].of_motion for name in here.names):
         changed[driven] = _motions(driven, here, there)
@@ -85,25 +78,6 @@ def controls_of(graph: Graph) -> Array:
     if "sensor_delay" not in graph.estimated.names:
         return np.zeros((len(graph.sighting_rows), 2))
     return controls_at_steps(graph.estimated)[graph.log.steps[graph.sighting_rows]]
-
-
-def predictions(edges: SightingEdges, state: Array) -> Array:
-    """The sightings (M, d) that a state (n, 3) predicts: of landmark nodes, or of the places that its poses give them."""
-    if isinstance(edges, ObservationEdges):
-        d = edges.sightings.shape[1]
-        return edges.sensor.h(state[edges.first], state[edges.second][:, :d])
-    assert isinstance(edges, LandmarkSightings)
-    predicted = None
-    # the places depend on the noise, which depends on the places
-    for _ in range(PASSES):
-        means = replace(edges.marginal, noise_at=predicted).landmarks(state, state)
-        places = means[edges.group][:, : edges.sightings.shape[1]]
-        before, predicted = predicted, edges.sensor.h(state[edges.nodes], places)
-        predicted[:, 0] = plausible_ranges(predicted[:, 0], edges.sightings[:, 0])
-        if before is not None and np.abs(predicted - before).max(initial=0.0) < SAME:
-            break
-    assert predicted is not None
-    return predicted
 
 
 def _sightings(graph: Graph, parameters: Parameters) -> SightingEdges:

@@ -179,21 +179,23 @@ def _factors_of(
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePointFactor(i, j, z, information)
     elif isinstance(family, edges.CartesianObservationEdges):
-        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
+        for i, j, z, noisy, trust in _rows(family.first, family.second, *_seen(family)):
             yield factor_types.InverseObservationFactor(
-                i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
-            )
+                i, j, z, family.sensor,
+                frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel, noise_at=noisy,
+            )  # fmt: skip
     elif isinstance(family, edges.PolarObservationEdges):
-        for i, j, z, trust in _rows(family.first, family.second, family.sightings, family.trusted):
+        for i, j, z, noisy, trust in _rows(family.first, family.second, *_seen(family)):
             factor = factor_types.ObservationFactor(
-                i, j, z, family.sensor, residual="polar", scale=trust, kernel=family.kernel
+                i, j, z, family.sensor, residual="polar", scale=trust, kernel=family.kernel, noise_at=noisy
             )
             yield factor.fastest()
     elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
-        for i, j, z, trust in _rows(family.nodes, num_nodes + family.group, family.sightings, family.trusted):
+        for i, j, z, noisy, trust in _rows(family.nodes, num_nodes + family.group, *_seen(family)):
             yield factor_types.InverseObservationFactor(
-                i, j, z, family.sensor, frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel
-            )
+                i, j, z, family.sensor,
+                frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel, noise_at=noisy,
+            )  # fmt: skip
     elif isinstance(family, edges.MarginalEdges):
         yield from _landmark_factors(family, reference, "marginal")
     elif isinstance(family, edges.VirtualMotionEdges) and family.kernel is None and factors == "fastest":
@@ -202,15 +204,23 @@ def _factors_of(
         a, b, group = family.pairs()
         tempering = family.group_weights[group]
         scales = tempering * family.trusted[a] * family.trusted[b]
-        z, nodes = family.sightings, family.nodes
-        for i, j, z_1, z_2, scale, factor in _rows(nodes[a], nodes[b], z[a], z[b], scales, tempering):
+        z, noisy, nodes = family.sightings, family.noisy, family.nodes
+        both = np.stack([noisy[a], noisy[b]], axis=1)
+        for i, j, z_1, z_2, noise_at, scale, factor in _rows(nodes[a], nodes[b], z[a], z[b], both, scales, tempering):
             yield factor_types.VirtualMotionFactor(
                 i, j, z_1, z_2, family.sensor,
                 frame=family.frame, at=(reference[i], reference[j]), scale=scale,
                 kernel=family.kernel and family.kernel.scaled(factor),
+                noise_at=None if family.noise_at is None else noise_at,
             )  # fmt: skip
     else:
         raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
+
+
+def _seen(family: edges.SightingEdges) -> tuple[Array, Array, Array]:
+    """The sightings (M, d), those at which the noise is evaluated, or M times None, and the trust (M,)."""
+    z = family.sightings
+    return z, np.full(len(z), None) if family.noise_at is None else family.noise_at, family.trusted
 
 
 def _rows(*columns: Array) -> Iterator[tuple]:
@@ -227,6 +237,7 @@ def _landmark_factors(
             yield factor_types.LandmarkFactor(
                 nodes.tolist(), family.sightings[start:end], family.sensor,
                 frame=family.frame, weight=weight, at=reference[nodes], trust=family.trusted[start:end],
+                noise_at=None if family.noise_at is None else family.noise_at[start:end],
             )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """The same graph solved by GTSAM: the factor types of this package, and GTSAM's Levenberg-Marquardt.
 
-The two solvers share the noise models, the initial states, the choice among ends and Anderson acceleration; residuals,
-Jacobians and linear solvers are separate.
+The two solvers share the noise models, the initial states, the choice among ends, the passes to the noise at estimated ranges
+and Anderson acceleration; residuals, Jacobians and linear solvers are separate.
 
 Parameters of vehicle and sensor are one more node, a vector of K numbers, whose key each factor of a motion or of a sighting
 gets. With the residual e(x) of the factor at the parameters p_0 where the graph is frozen, and E = de/dp there, its residual
@@ -26,18 +26,19 @@ from .. import edges
 from .. import factors as factor_types
 from ..engine import engine
 from ..errors import GraphError
-from ..errors.checks import check_count, check_positive
+from ..errors.checks import check_choice, check_count, check_positive
 from ..factors.base import POSE, Factor, noise_model, turned, values_at
 from ..graph import Graph, check_graph
 from ..identification.corrections import corrected_controls, motion_slopes, moves
+from ..models import RANGE_NOISES
 from ..se2 import Array, difference, turn_matrix, turned_by, wrap
 from .auto import DAMPED, best_end
-from .corrected import controls_of, predictions
+from .corrected import controls_of
 from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_values
 from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph
-from .minimize import FIRST, best_of_starts
+from .minimize import FIRST, at_estimated_ranges, best_of_starts
 from .solution import Solution, make_solution
 
 #: the most steps between two freezings
@@ -123,7 +124,7 @@ def _of_sightings(graph: Graph, family: edges.SightingEdges, nodes: Array, key: 
     parameters = graph.estimated
     z, noisy, trust, sensor = family.sightings, family.noisy, family.trusted.tolist(), family.sensor
     # the moves are in the axes of poses, and are turned into those of the world
-    X = moves(parameters, predictions(family, nodes), controls_of(graph))
+    X = moves(parameters, family.predicted(nodes), controls_of(graph))
     if isinstance(family, edges.VirtualMotionEdges):
         X = turn_matrix(nodes[family.nodes, 2]) @ X
         a, b, group = family.pairs()
@@ -195,6 +196,7 @@ def solve_with_gtsam(
     max_iterations: int = 100,
     initialize: str = "auto",
     factors: str = "fastest",
+    range_noise: str = "measured",
 ) -> Solution:
     """Minimise the cost J of a graph with GTSAM's Levenberg-Marquardt on the custom factors.
 
@@ -215,6 +217,7 @@ def solve_with_gtsam(
             landmark; or "per-edge", which has the same cost and takes about ten times as long. If each virtual-motion edge
             has a robust kernel, their factors are per edge in any case. A note of the solution names the factors that were
             used.
+        range_noise: "measured" or "estimated", as for `graphslam.solve`.
 
     Raises:
         GraphError: GTSAM finds the system indeterminate, an edge has information without an inverse, or the edges do not
@@ -224,6 +227,15 @@ def solve_with_gtsam(
     check_graph(graph)
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
+    check_choice("range_noise", range_noise, RANGE_NOISES)
+    if range_noise == "estimated" and graph.parameters is None:
+
+        def once(noisy: Graph, start: str) -> Solution:
+            return solve_with_gtsam(
+                noisy, tolerance=tolerance, max_iterations=max_iterations, initialize=start, factors=factors
+            )
+
+        return at_estimated_ranges(graph, initialize, once)
     begin = time.perf_counter()
     if graph.parameters is not None:
 

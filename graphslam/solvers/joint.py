@@ -34,7 +34,7 @@ from ..identification.declared import PARAMETERS
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..se2 import Array, between, turn_matrix
-from .corrected import controls_of, corrected, motion_edges, predictions, sighted_edges, undetermined
+from .corrected import controls_of, corrected, motion_edges, sighted_edges, undetermined
 
 
 class JointGraph:
@@ -114,7 +114,7 @@ class JointGraph:
         """C, D and g of `at` a state; ``scaled`` as `Graph.information` scales Omega."""
         parameters, seen, driven = graph.estimated, sighted_edges(graph), motion_edges(graph)
         factor = seen.information_per_weight if scaled else 1.0
-        predicted = predictions(seen, held)
+        predicted = seen.predicted(held)
         border = Border.of_sightings(self._copies, graph, seen, nodes, held, predicted).scaled(factor)
         if driven is not None:
             _, slopes = motion_slopes(parameters, corrected_controls(parameters))
@@ -300,7 +300,7 @@ def _without_noise(graph: Graph, nodes: Array) -> tuple[Graph, Array]:
     """The graph whose measurements are what the nodes predict, and the derivative (T, 3, K) of its motions."""
     parameters, seen, driven = graph.estimated, sighted_edges(graph), motion_edges(graph)
     trust = seen.trusted * graph.sighting_weights(nodes)
-    exact = replace(seen, sightings=predictions(seen, nodes), kernel=None, trust=trust)  # type: ignore[call-arg]
+    exact = replace(seen, sightings=seen.predicted(nodes), kernel=None, trust=trust)  # type: ignore[call-arg]
     changed = {seen: exact}
     slopes = np.zeros((0, 3, len(parameters)))
     if driven is not None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import GraphError, SlamError
 from ..graph import Graph
-from ..se2 import Array, wrap
+from ..se2 import Array, difference, wrap
 from .auto import best_end
 from .corrected import corrected, finished, negative_information
 from .initialize import image_notes, partial_edges, starting_state
@@ -114,6 +114,32 @@ def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run]
         check_observable(joint, nodes, values)
     run.state = nodes.copy()
     return finished(graph, values, nodes)
+
+
+#: the most passes to the noise at the sightings that the solution predicts, and the move [m, rad] below which these are found
+PASSES, SAME = 30, 1e-7
+
+
+def at_estimated_ranges(graph: Graph, initialize: str, solved: Callable[[Graph, str], Solution]) -> Solution:
+    """The solution of a graph with the noise of its sensor at the sightings that this solution predicts.
+
+    Args:
+        graph: with the noise at the measured sightings, from which the first solution comes.
+        initialize: of the first solution; the others go on from it.
+        solved: the solution of a graph from such a start.
+    """
+    solution = solved(graph, initialize)
+    seconds, moved = solution.seconds, np.inf
+    for _ in range(PASSES):
+        before = solution.state
+        solution = solved(graph.with_noise_at(before).with_initial(before), "given")
+        seconds, moved = seconds + solution.seconds, float(np.abs(difference(solution.state, before)).max())
+        if moved < SAME or not solution.converged:
+            break
+    if moved < SAME or not solution.converged:
+        return replace(solution, seconds=seconds)
+    reason = f"the noise of the ranges still moved the solution by {moved:.1g} after {PASSES} passes"
+    return replace(solution, seconds=seconds, converged=False, reason=reason)
 
 
 METHODS: dict[str, Callable[[Any, Run], Any]] = {

@@ -13,10 +13,11 @@ from ..engine import available_threads
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_choice, check_count, check_known, check_positive
 from ..graph import Graph, check_graph
+from ..models import RANGE_NOISES
 from .gnc import solve_gnc
 from .initialize import INITIALIZE
 from .iteration import Iteration
-from .minimize import METHODS, minimize
+from .minimize import METHODS, at_estimated_ranges, minimize
 from .solution import Solution
 
 GNC = "gnc"
@@ -32,6 +33,7 @@ def solve(
     callback: Callable[[Iteration], None] | None = None,
     cost_tolerance: float = 0.0,
     probability: float = 0.99,
+    range_noise: str = "measured",
 ) -> Solution:
     """Minimise the cost J of a graph by the Omega/xi iteration.
 
@@ -62,6 +64,10 @@ def solve(
             1e-16; 1e-6 is enough for a figure.)
         probability: for "gnc", the fraction of correct sightings that should be accepted: they are truncated at this
             quantile of the chi-square distribution with as many degrees of freedom as a sighting has numbers.
+        range_noise: "measured", Q and L at the measured sightings, as in the lectures; or "estimated", at those that the
+            solution predicts: it is solved again with `Graph.with_noise_at` until it no longer moves. Where the noise of the
+            range grows with the range, measured ranges that are too short weigh too much, and the map becomes too small.
+            Costs and iterations are those of the last pass. Graphs with parameters do this in any case.
 
     Whatever the tolerances, the iteration has also converged when the steps no longer become shorter and the predicted
     decrease of J is below its rounding error (1e-15 of J). `solvers.iteration` has all stop rules.
@@ -73,30 +79,37 @@ def solve(
     Not reaching the tolerance is no error: `Solution.converged` and `Solution.reason` report it.
     """
     check_graph(graph)
-    check_options(method, tolerance, max_iterations, initialize, cost_tolerance, probability)
+    check_options(method, tolerance, max_iterations, initialize, cost_tolerance, probability, range_noise)
     if callback is not None and not callable(callback):
         raise OptionError(f"callback must be a function of one Iteration, not {quoted(callback)}")
-    if method == GNC:
-        if callback is not None:
-            raise OptionError("the method gnc calls no callback: leave it out")
-        return solve_gnc(graph, tolerance, max_iterations, initialize, probability)
-    return minimize(
-        graph,
-        method=method,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-        initialize=initialize,
-        callback=callback,
-        cost_tolerance=cost_tolerance,
-    )
+    if method == GNC and callback is not None:
+        raise OptionError("the method gnc calls no callback: leave it out")
+
+    def solved(graph: Graph, initialize: str) -> Solution:
+        if method == GNC:
+            return solve_gnc(graph, tolerance, max_iterations, initialize, probability)
+        return minimize(
+            graph,
+            method=method,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            initialize=initialize,
+            callback=callback,
+            cost_tolerance=cost_tolerance,
+        )
+
+    again = range_noise == "estimated" and graph.parameters is None
+    return at_estimated_ranges(graph, initialize, solved) if again else solved(graph, initialize)
 
 
 def check_options(
-    method: str, tolerance: float, max_iterations: int, initialize: str, cost_tolerance: float, probability: float
-) -> None:
+    method: str, tolerance: float, max_iterations: int, initialize: str, cost_tolerance: float, probability: float,
+    range_noise: str,
+) -> None:  # fmt: skip
     """Raise `OptionError` if an option of `solve` has an impossible value."""
     check_choice("method", method, (*METHODS, GNC))
     check_choice("initialize", initialize, INITIALIZE)
+    check_choice("range_noise", range_noise, RANGE_NOISES)
     check_positive(tolerance=tolerance)
     if not isinstance(cost_tolerance, Real) or not 0 <= cost_tolerance < 1:
         raise OptionError(f"cost_tolerance must lie between 0 and 1, not {quoted(cost_tolerance)}")
@@ -120,7 +133,7 @@ def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: A
         jobs: how many threads; 0 for that of the caller, which is the fastest for graphs of less than about 100 nodes; by
             default one for each core that this process may use.
         options: those of `solve`, the same for all graphs: method, tolerance, max_iterations, initialize,
-            cost_tolerance. A ``callback`` would be called by several threads, and is refused.
+            cost_tolerance, probability, range_noise. A ``callback`` would be called by several threads, and is refused.
 
     Returns:
         An iterator of results. In place of a graph that could not be solved stands the `GraphError` of `solve`. Not

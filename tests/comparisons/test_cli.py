@@ -93,7 +93,7 @@ def test_options_reach_the_estimators(invoke: Invoke, log_file: Path) -> None:
     graph, fastslam = json.loads(invoke(*command).stdout)["estimators"]
     expected = {"edges": "virtual+motion", "frame": "world", "weight": "tempered", "motion_weight": 3.0}
     assert graph["options"] == expected | {
-        "initialize": "given", "kernel": "cauchy", "residual": "cartesian", "estimate": None,
+        "initialize": "given", "kernel": "cauchy", "residual": "cartesian", "estimate": None, "range_noise": "measured",
     }  # fmt: skip
     expected = {"particles": 20, "seed": 5, "resampling": "systematic", "association": "known"}
     assert fastslam["options"].items() >= expected.items()

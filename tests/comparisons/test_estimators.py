@@ -88,7 +88,7 @@ def test_graph_is_what_the_library_solves(log: Log) -> None:
     assert (result.cost, result.iterations) == (expected.cost, expected.iterations)
     recorded = {"edges": "virtual+motion", "frame": "world", "weight": "tempered", "motion_weight": 3.0}
     assert result.options == recorded | {
-        "initialize": "auto", "kernel": "none", "residual": "cartesian", "estimate": None,
+        "initialize": "auto", "kernel": "none", "residual": "cartesian", "estimate": None, "range_noise": "measured",
     }  # fmt: skip
     given = ESTIMATORS["graph"].run(log, replace(options, initialize="given"))
     np.testing.assert_array_equal(given.poses, solve(make_graph(log, options), initialize="given").poses)
@@ -178,6 +178,14 @@ def test_gtsam_solves_the_same_graph(log: Log) -> None:
     ours, theirs = (ESTIMATORS[name].run(log, OPTIONS) for name in ("graph", "gtsam"))
     np.testing.assert_allclose(theirs.poses, ours.poses, atol=1e-6)
     assert theirs.cost == pytest.approx(ours.cost, rel=1e-9)
+
+
+def test_graph_and_gtsam_take_the_noise_at_the_estimated_ranges(log: Log) -> None:
+    options = RunOptions.of(**vars(OPTIONS) | {"range_noise": "estimated"})
+    ours, theirs = (ESTIMATORS[name].run(log, options) for name in ("graph", "gtsam"))
+    np.testing.assert_allclose(theirs.poses, ours.poses, atol=1e-6)
+    assert ours.options is not None and ours.options["range_noise"] == "estimated"
+    assert np.abs(ours.poses - ESTIMATORS["graph"].run(log, OPTIONS).poses).max() > 1e-3
 
 
 def test_textbook_is_the_books_program(log: Log) -> None:
