@@ -61,11 +61,12 @@ class VirtualMotionFactor(Factor):
         oriented = len(z_1) == 3
         (_, phi1, psi1), (_, phi2, psi2) = ((*z, 0.0)[:3] for z in (z_1.tolist(), z_2.tolist()))
         frozen = frozen_at(at, needed=not (body and oriented), rows=2, frame=frame)
+        at_1, at_2 = z_1.tolist(), z_2.tolist()
+        if noise_at is not None:
+            if not hasattr(noise_at, "__len__") or len(noise_at) != 2:
+                raise OptionError("noise_at must be two sightings, as z_1 and z_2 are")
+            at_1, at_2 = (noise_sighting(seen, z).tolist() for seen, z in zip(noise_at, (z_1, z_2)))
         # poses that see the landmark in the axes of the first sighting, if the information does not depend on the poses
-        given = (z_1, z_2) if noise_at is None else noise_at
-        if not hasattr(given, "__len__") or len(given) != 2:
-            raise OptionError("noise_at must be two sightings, as z_1 and z_2 are")
-        at_1, at_2 = (noise_sighting(seen, z).tolist() for seen, z in zip(given, (z_1, z_2)))
         headings = [at_1[-1] - at_1[1] - psi1, at_2[-1] - at_2[1] - psi1] if frozen is None else frozen[:, 2].tolist()
         covariance = sighted_covariance(headings[0], at_1, sensor) + sighted_covariance(headings[1], at_2, sensor)
         # the landmark in the frame of the robot, by each sighting
