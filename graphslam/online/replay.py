@@ -169,6 +169,8 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         arriving: list[tuple[Relation, Kernel | None]] = []
         if step:
             arriving.append(((step - 1, step, motions.measured[step - 1], motions.information[step - 1]), None))
+        for ends, _ in relations[step]:
+            solver._check_pose(min(ends[:2]), "a relation from")
         arriving += relations[step]
         if tracker is not None:
             if step:
