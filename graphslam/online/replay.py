@@ -101,7 +101,11 @@ def solve_online(
     notes, cost = image_notes(graph, state) if partial_edges(graph) else (), None
     if solver.num_final:
         cost = np.nan
-        notes = (*notes, "J is not given with a lag: poses that are final do not follow later measurements")
+        notes = (
+            *notes,
+            "J is not given with a lag: poses that are final do not follow later measurements",
+            "covariances are those without the lag, with which the errors of final poses are larger",
+        )
     return make_solution(graph, run, "online" if backend == "own" else backend, seconds, notes=notes, cost=cost)
 
 
