@@ -205,8 +205,15 @@ class Graph:
         if edges.startswith("landmark"):
             if weight != WEIGHTS[0]:
                 notes.append(f"weight={weight!r} has no effect: with landmark nodes each sighting counts once")
-        elif weight == "pairs" and (note := pairs_overweight(log)):
-            notes.append(note)
+        else:
+            if residual != RESIDUALS[0]:
+                notes.append(f"residual={residual!r} has no effect: there are no landmark nodes with edges={edges!r}")
+            if weight == "pairs" and (note := pairs_overweight(log)):
+                notes.append(note)
+        if motion_weight != 1 and not edges.endswith("motion"):
+            notes.append(
+                f"motion_weight={motion_weight:g} has no effect: there are no motion edges with edges={edges!r}"
+            )
         return graph_of_log(
             cls, log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
             kernel=kernel_of(kernel), residual=residual, landmark_map=known_map, notes=notes,

@@ -31,7 +31,7 @@ from .cells import (
     time_faults,
 )
 from .rows import AXES, SIZES, UNIDENTIFIED, UNITS_OF, Fault, TableOptions, finite_fault, range_faults, sound_rows
-from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, Kept, Table, find
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
@@ -136,9 +136,23 @@ class Reader:
         return self._unit(role) is not None
 
     def _unit(self, role: str) -> str | None:
-        """The unit of a column: the stated one, else that of its name where it is one of this measure."""
+        """The unit of a column: the stated one, else that of its name where it is one of this measure.
+
+        Raises:
+            LogError: the name has a unit that is not converted, and none is stated.
+        """
         measure, named = MEASURES[role], self.found[role].unit
-        return self.options.unit(measure, self.kind) or (named if named in UNITS_OF[measure] else None)
+        if (stated := self.options.unit(measure, self.kind)) is not None:
+            return stated
+        if named in OTHER_UNITS:
+            own, per = UNITS_OF[measure], "/s" if role in ("nu", "omega") else ""
+            raise self.table.error(
+                None,
+                f"the column {self.table.names[self.found[role].column]} is in {named}, which is not converted: units are "
+                f"{', '.join(unit + per for unit in own)}. Convert it; if its numbers are in {own[0]}{per} after all, add "
+                f"--{measure} {self.kind}={own[0]}",
+            )
+        return named if named in UNITS_OF[measure] else None
 
     def leave_out(self, *roles: str) -> Table:
         """The table without the rows in which a number of these columns, a time, an id or a range cannot be.

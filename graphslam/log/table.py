@@ -216,6 +216,12 @@ UNITS = {
     "degrees": "degrees", "m/s": "m", "mps": "m", "mm/s": "mm", "cm/s": "cm", "rad/s": "radians", "deg/s": "degrees",
     "rads": "radians", "dps": "degrees", "°": "degrees", "°/s": "degrees",
 }  # fmt: skip
+#: units in brackets that are not converted: a column with one of them would be read by a wrong factor
+OTHER_UNITS = frozenset((
+    "km", "dm", "ft", "feet", "foot", "in", "inch", "inches", "yd", "mi", "miles", "km/h", "kmh", "kph", "ft/s", "mph",
+    "kn", "kt", "knots", "min", "minutes", "h", "hours", "days", "rpm", "rev/s", "hz", "mrad", "mrad/s", "gon", "grad",
+    "arcmin", "arcsec",
+))  # fmt: skip
 _LENGTHS = ("nu", "x", "y", "z", "range", "dx", "dy", "sigma", "sigma_x", "sigma_y", "lever_x", "lever_y")
 _ANGLES = ("omega", "theta", "bearing", "orientation", "dtheta", "sigma_theta")
 #: what each column measures, a key of `rows.UNITS_OF`
@@ -233,10 +239,10 @@ class Chosen:
 
 
 def plain(name: str) -> tuple[str, str | None]:
-    """A column's name in small letters and underscores, without its unit; and the unit."""
+    """A column's name in small letters and underscores, without its unit; and the unit, one of `OTHER_UNITS` as it stands."""
     name, unit = name.strip().strip("\"'#").strip().lower(), None
     if match := re.search(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$", name):
-        unit, name = UNITS.get(match[1]), name[: match.start()]
+        unit, name = UNITS.get(match[1], match[1] if match[1] in OTHER_UNITS else None), name[: match.start()]
     words = [word for word in re.split(r"[^0-9a-z°%]+", name.replace("%", "")) if word]
     if len(words) > 1 and unit is None and words[-1] in UNITS:
         # "v_m_s" and "omega_rad_s" end in two words

@@ -101,7 +101,11 @@ def solve_online(
     notes, cost = image_notes(graph, state) if partial_edges(graph) else (), None
     if solver.num_final:
         cost = np.nan
-        notes = (*notes, "J is not given with a lag: poses that are final do not follow later measurements")
+        notes = (
+            *notes,
+            "J is not given with a lag: poses that are final do not follow later measurements",
+            "covariances are those without the lag, with which the errors of final poses are larger",
+        )
     return make_solution(graph, run, "online" if backend == "own" else backend, seconds, notes=notes, cost=cost)
 
 
@@ -145,13 +149,7 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
             "the solver step by step needs a graph of edges='landmark+motion' with residual='cartesian' and frame='body'"
         )
     total, known, d = len(graph.steps), graph.map, graph.landmark_dimension
-    # with a map, its landmarks hold the first pose, and positions may do so
-    anchor = np.diag(1 / np.array(ANYWHERE))
-    for family in graph.families if known is None else ():
-        if type(family) is AnchorEdges:
-            anchor += family.information[family.nodes == 0].sum(axis=0)
-    held = {"start_covariance": np.linalg.inv(anchor)} if np.any(anchor < ANCHOR_INFORMATION) else {}
-    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=kernel, **(held | options))
+    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=kernel, **(_first_held(graph) | options))
     backend: Any = solver._backend
     if known is not None:
         if any(len(known[j]) < d for j in graph.landmark_ids.tolist() if j in known):
@@ -175,6 +173,8 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         arriving: list[tuple[Relation, Kernel | None]] = []
         if step:
             arriving.append(((step - 1, step, motions.measured[step - 1], motions.information[step - 1]), None))
+        for ends, _ in relations[step]:
+            solver._check_pose(min(ends[:2]), "a relation from")
         arriving += relations[step]
         if tracker is not None:
             if step:
@@ -189,6 +189,18 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
             backend.locate(step, *z, doubted=kernel is not None)
 
     return _steps(solver, total, sighted.first, add)
+
+
+def _first_held(graph: Graph) -> dict[str, Array]:
+    """The option that holds the first pose as the graph does, where that is not an anchor of all of it.
+
+    With a map, its landmarks hold the first pose, and positions may hold all of it or its place alone (`defaults.anchors`).
+    """
+    anchor = np.diag(1 / np.array(ANYWHERE))
+    for family in graph.families if graph.map is None else ():
+        if type(family) is AnchorEdges:
+            anchor += family.information[family.nodes == 0].sum(axis=0)
+    return {"start_covariance": np.linalg.inv(anchor)} if np.any(anchor < ANCHOR_INFORMATION) else {}
 
 
 def _arriving(graph: Graph) -> tuple[dict[int, list[Any]], dict[int, list[Any]]]:
@@ -265,10 +277,7 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     motion, weight = options.get("motion") or log.motion or MotionModel(), options.get("motion_weight", 1.0)
     motions, covariances = log.motions(motion)
     sightings = log.sightings[:, :2] if options.get("dimensions") == 2 else log.sightings
-    if log.positions is not None:
-        # they alone hold the first pose
-        own = {"start_covariance": np.diag(ANYWHERE)} | own
-    numbers = _single_numbers(graph)
+    own, numbers = _first_held(graph) | own, _single_numbers(graph)
     solver = OnlineSolver(
         graph.trajectory[0], backend="isam2", motion=motion, sensor=graph.sensor, kernel=options["kernel"], **own
     )

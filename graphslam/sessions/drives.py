@@ -98,11 +98,13 @@ Graph.from_logs = staticmethod(from_logs)
 def with_common_noise(logs: Sequence[Log]) -> list[Log]:
     """The logs with noise models that are the same in all, as one graph needs them.
 
-    Variances are the means of those of the logs, of which the ones that bring no models count with the book's. Where the
-    sensors sit in different places, sightings are given as from the mean of these.
+    Variances are the means of those of the logs, of which the ones that bring no models count with the book's; so are those
+    of the biases that were taken out of them (`Log.uncertain`), zero where there are none. Where the sensors sit in
+    different places, sightings are given as from the mean of these.
     """
     motions, sensors = [each.motion or MotionModel() for each in logs], [each.sensor or SensorModel() for each in logs]
-    if len(set(motions)) == len(set(sensors)) == 1:
+    taken_out = [each.uncertain or {} for each in logs]
+    if len(set(motions)) == len(set(sensors)) == 1 and all(each == taken_out[0] for each in taken_out):
         return list(logs)
 
     def squares(models: Sequence[MotionModel | SensorModel]) -> dict[str, float]:
@@ -118,12 +120,19 @@ def with_common_noise(logs: Sequence[Log]) -> list[Log]:
         **squares(sensors), offset=(ahead, left), min_range=min(each.min_range for each in sensors),
         max_range=max(each.max_range for each in sensors), field_of_view=max(each.field_of_view for each in sensors),
     )  # fmt: skip
+    uncertain = {
+        name: float(np.sqrt(np.mean([each.get(name, 0.0) ** 2 for each in taken_out])))
+        for name in dict.fromkeys(name for each in taken_out for name in each)
+    }
     note = f"its noise models are the means of those of {len(logs)} logs"
     common = []
     for log, own in zip(logs, sensors):
         robot = np.zeros((len(log.sightings), 3))
         seen = log.sightings if own.offset == sensor.offset else sensor.h(robot, own.h_inverse(robot, log.sightings))
-        common.append(log.replace(motion=motion, sensor=sensor, sightings=seen, notes=(*log.notes, note)))
+        notes = (*log.notes, note)
+        common.append(
+            log.replace(motion=motion, sensor=sensor, uncertain=uncertain or None, sightings=seen, notes=notes)
+        )
     return common
 
 

@@ -187,3 +187,17 @@ def test_the_noise_of_several_logs_is_the_mean_of_theirs_where_the_sensor_is() -
         origin = np.zeros((len(before.steps), 3))
         places = own.h_inverse(origin, before.sightings), sensor.h_inverse(origin, after.sightings)
         assert np.allclose(*places)
+
+
+def test_biases_taken_out_of_several_logs_are_as_uncertain_as_the_mean_of_theirs_in_any_order() -> None:
+    """The joined log had those of the first log alone, so that its covariances depended on the order of the logs."""
+    logs = [
+        each.replace(uncertain=of_it)
+        for each, of_it in zip(drives(), ({"wheel_scale": 0.03}, None, {"range_bias": 0.1}))
+    ]
+    wanted = {"wheel_scale": 0.03 / 3**0.5, "range_bias": 0.1 / 3**0.5}
+    for order in ([0, 1, 2], [2, 1, 0]):
+        joined = join_logs(with_common_noise([logs[k] for k in order])).log
+        assert joined.uncertain == pytest.approx(wanted)
+    alike = [each.replace(uncertain={"wheel_scale": 0.03}) for each in drives()]
+    assert join_logs(with_common_noise(alike)).log.uncertain == {"wheel_scale": 0.03}

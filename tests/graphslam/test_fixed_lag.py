@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graphslam import GraphError, OnlineSolver, SensorModel
+from graphslam import GraphError, OnlineSolver, PoseRelations, SensorModel, simulate, solve_online
 from graphslam.se2 import between, compose, wrap
 
 
@@ -101,3 +101,21 @@ def test_numbers_of_final_poses_are_dropped() -> None:
     x, y = place - [10, 0]
     solver.observe([7], [[np.hypot(x, y), np.arctan2(y, x)]])
     assert solver.landmarks[7] == pytest.approx(place, abs=1e-6) and solver.cost < 1e-9
+
+
+@pytest.mark.parametrize(("first", "refused"), [(20, True), (25, True), (28, True), (29, False)])
+def test_relations_of_a_log_to_final_poses_are_refused(first: int, refused: bool) -> None:
+    """They were taken as relations to the newest poses, whose places in the list Python counts from its end."""
+    log = simulate(seed=1, steps=60, clean=True)
+    motion = between(log.true_poses[first], log.true_poses[50])
+    related = log.replace(
+        relations=PoseRelations(first=[first], second=[50], motions=motion[None], covariances=1e-4 * np.eye(3))
+    )
+    if refused:
+        with pytest.raises(
+            GraphError, match=f"relation from pose {first}, which is final: with lag=20, the poses from 29 on"
+        ):
+            solve_online(related, lag=20)
+    else:
+        found = solve_online(related, lag=20)
+        assert between(found.poses[first], found.poses[50]) == pytest.approx(motion, abs=0.05)

@@ -137,6 +137,20 @@ def test_a_weight_without_effect_is_a_note():
     assert not any("no effect" in note for note in Graph.from_log(log, edges="landmark+motion", kernel="none").notes)
 
 
+@pytest.mark.parametrize(
+    ("edges", "option", "value", "effect"),
+    [
+        ("virtual+motion", "residual", "polar", False),
+        ("landmark+motion", "residual", "polar", True),
+        ("virtual", "motion_weight", 10.0, False),
+        ("virtual+motion", "motion_weight", 10.0, True),
+    ],
+)
+def test_an_option_without_effect_is_a_note(edges, option, value, effect):
+    graph = Graph.from_log(simulate(steps=10), edges=edges, kernel="none", **{option: value})
+    assert any(f"{option}=" in note and "no effect" in note for note in graph.notes) == (not effect)
+
+
 def test_arrays_of_graphs_and_solutions_are_read_only(book_log):
     """Both keep what they computed from their arrays, so that a change from outside would make them contradict each other."""
     graph = Graph.from_log(book_log, edges="landmark+motion")

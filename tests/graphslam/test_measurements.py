@@ -35,6 +35,7 @@ from graphslam.graph.transform import relative_graph
 from graphslam.linear.information import BlockSystem
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.measurements import NO_HEADING
+from graphslam.online import replay
 from graphslam.se2 import between, compose, mounted, wrap
 
 LEVER = (0.3, -0.1)
@@ -169,6 +170,18 @@ def test_one_position_leaves_the_direction_to_the_anchor(bare):
     assert own.cost == pytest.approx(plain.cost, rel=1e-9) == other.cost
     np.testing.assert_allclose(mounted(own.poses[10], (1.0, 0.0))[:2], [5.0, 5.0], atol=1e-6)
     assert graph.degrees_of_freedom == Graph.from_log(bare).degrees_of_freedom
+
+
+@pytest.mark.parametrize("backend", ["own", "isam2"])
+def test_one_position_leaves_the_direction_to_the_anchor_step_by_step(bare, backend):
+    one = AbsolutePositions(steps=[10], places=[[5.0, 5.0]], covariances=0.01 * np.eye(2))
+    log = bare.replace(positions=one)
+    batch = solve(Graph.from_log(log, edges="landmark+motion"))
+    solver = list(replay(log, backend=backend, edges="landmark+motion"))[-1]
+    solver.relinearize()
+    np.testing.assert_allclose(solver.poses, batch.poses, atol=1e-4)
+    # the loose hold on the place, 1 km, is all that differs from the graph
+    np.testing.assert_allclose(solver.covariance(), batch.covariance()[-1], rtol=1e-3, atol=1e-7)
 
 
 @pytest.mark.slow

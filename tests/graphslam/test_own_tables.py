@@ -289,6 +289,28 @@ def test_names_of_columns():
     assert plain("t_ms") == ("t", "ms")
     assert plain("Speed [m/s]") == ("speed", "m")
     assert plain("yaw_rate (°/s)") == ("yaw_rate", "degrees")
+    assert plain("Speed [km/h]") == ("speed", "km/h")
+    assert plain("x [map]") == ("x", None)
+
+
+@pytest.mark.parametrize(
+    ("table", "names", "unit", "option"),
+    [
+        ("odometry", "t,Speed [km/h],omega", "km/h", "--lengths odometry=m"),
+        ("sightings", "t,id,range [ft],bearing", "ft", "--lengths sightings=m"),
+        ("sightings", "t,id,range,bearing (mrad)", "mrad", "--angles sightings=radians"),
+        ("sightings", "t [min],id,range,bearing", "min", "--time sightings=s"),
+    ],
+)
+def test_units_in_names_that_are_not_converted_are_refused(drive, table, names, unit, option):
+    """They were dropped, so that km/h were read as m/s."""
+    rows = {"odometry": ODOMETRY, "sightings": SEEN}[table]
+    with pytest.raises(FormatError, match=f"is in {unit}, which is not converted: units are .*{option}"):
+        load(drive(**{table: text(names, rows)}))
+    measure, stated = option.removeprefix("--").split(" ")
+    kind, own = stated.split("=")
+    recipe = f'[{kind}]\n{measure} = "{own}"\n'
+    load(drive(**{table: text(names, rows)}, recipe=recipe))
 
 
 def test_columns_of_exported_messages(drive, expected):
