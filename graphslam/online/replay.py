@@ -6,6 +6,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..edges import (
 from ..edges.robust import DoubtedEdges, Kernel
 from ..edges.sightings import SightingEdges
 from ..errors import GraphError, OptionError, quoted
+from ..errors.checks import check_known
 from ..graph import Graph
 from ..graph.defaults import suitable_for_isam2
 from ..graph.integrity import unlocated
@@ -122,6 +124,8 @@ def _replayed(log: Log | Graph, backend: str, options: dict[str, Any]) -> tuple[
     """The graph of a log, and its steps."""
     own = {name: options[name] for name in backend_options(backend) if name in options}
     of_graph = {name: value for name, value in options.items() if name not in own}
+    known = [name for name in signature(Graph.from_log).parameters if name != "log"]
+    check_known(f"the backend {backend} of solve_online and replay", of_graph, [*known, *backend_options(backend)])
     if backend == "isam2":
         return _by_isam2(log, own, of_graph)
     graph = log

@@ -316,7 +316,7 @@ class OnlineSolver:
 
         With the backend "own", edges that were linearised too far from the estimate, or have second derivatives in the
         linear system of the last pass, are first linearised again without them, and the parts of the tree above them
-        factorised again (`engine/include/vmslam/online/edge.hpp`): standard deviations are then within 2 % of those of
+        factorised again (`engine/include/vmslam/online/edge.hpp`): standard deviations are then within 0.2 % of those of
         the batch solution, and `relinearize` makes them the same. The first call after a change looks at all edges; where
         all edges needed second derivatives, it takes the time of `relinearize`.
 

@@ -348,3 +348,9 @@ def test_second_derivatives_of_all_edges_are_no_information() -> None:
     before = np.sqrt(np.diag(solver.covariance()))
     solver.relinearize()
     np.testing.assert_allclose(before, np.sqrt(np.diag(solver.covariance())), rtol=0.01)
+
+
+@pytest.mark.parametrize(("backend", "option"), [("isam2", "lag"), ("own", "kernal"), ("isam2", "kernal")])
+def test_options_that_a_backend_does_not_have(backend: str, option: str) -> None:
+    with pytest.raises(OptionError, match=f"backend {backend} of solve_online and replay has no option '?{option}"):
+        solve_online(simulate(steps=5), backend=backend, **{option: 5})
