@@ -36,8 +36,13 @@ from ..solvers.uncertainty import Uncertainty
 from .drives import Sessions, join_logs, with_common_noise
 from .robots import join_robots, meetings, not_of_robots
 
-#: offsets from -`REACH` to `REACH` are searched in steps of `GRID` [s]
-REACH, GRID = 20.0, 0.05
+#: offsets from -`REACH` to `REACH` are searched in steps of `GRID` [s], with at most `MOST_SEARCHED` sightings of each pair
+REACH, GRID, MOST_SEARCHED = 120.0, 0.05, 200
+#: larger offsets than `LIKELY` [s] count where their cost is below this part of the lowest one up to there: on courses that
+#: repeat themselves, wrong ones fit a part of the sightings. Sightings agree where it is below this part of the median one.
+LIKELY, CLEARLY = 20.0, 0.5
+#: the most passes over all robots, each with the offsets of the others
+SWEEPS = 5
 #: the fewest sightings of each other from which an offset is estimated
 FEWEST = 5
 #: the most estimates, and the part of the standard deviation below which a step is the last
@@ -135,6 +140,7 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
             if a == b or not len(rows := meetings(other, b)):
                 continue
             assert other.times is not None
+            rows = rows[:: -(-len(rows) // MOST_SEARCHED)]
             x, z = other.initial_poses[other.steps[rows]], other.sightings[rows]
             places, covariances = (other.sensor or SensorModel()).places(z, x)
             at = other.times[other.steps[rows]][:, None] + grid
@@ -163,11 +169,20 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
                 f"robot {n} and the others saw each other {met[n]} times with clocks that differ by at most {REACH:g} s, and "
                 f"the offset of its clock takes {FEWEST}{_apart(n, logs)}"
             )
-        found[n] = float(grid[np.argmin(_cost_of(n, found, grid, costs))])
-    for n in logs:
-        if n != first:
+        found[n], _ = _lowest(_cost_of(n, found, grid, costs), grid)
+    agree = dict[int, bool]()
+    for _ in range(SWEEPS):
+        before = dict(found)
+        for n in list(logs)[1:]:
             others = {m: d for m, d in found.items() if m != n}
-            found[n] = float(grid[np.argmin(_cost_of(n, others, grid, costs))])
+            found[n], agree[n] = _lowest(_cost_of(n, others, grid, costs), grid)
+        if found == before:
+            break
+    if apart := [n for n in agree if not agree[n]]:
+        raise LogError(
+            f"no offset up to {REACH:g} s of the clock of robot {apart[0]} makes the robots' sightings of each other agree: "
+            "do their clocks differ by more, or do sightings name wrong robots?"
+        )
     return {n: found[n] for n in logs}
 
 
@@ -193,6 +208,14 @@ def _cost_of(n: int, found: Mapping[int, float], grid: Array, costs: Mapping[tup
             off = grid - d if n > m else d - grid
             total += np.interp(off, grid, cost, left=cost.max(), right=cost.max())
     return total
+
+
+def _lowest(cost: Array, grid: Array) -> tuple[float, bool]:
+    """The offset with the lowest cost, one beyond `LIKELY` only where that is clearly lower; and whether sightings agree."""
+    best, near = int(np.argmin(cost)), np.flatnonzero(np.abs(grid) <= LIKELY)
+    likely = near[np.argmin(cost[near])]
+    chosen = best if cost[best] < CLEARLY * cost[likely] else likely
+    return float(grid[chosen]), bool(cost[chosen] < CLEARLY * np.median(cost))
 
 
 def _step(logs: Mapping[int, Log]) -> tuple[Array, Array, int]:
