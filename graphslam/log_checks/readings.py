@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import decimals
+from ..errors.checks import FARTHEST, FASTEST, LONGEST, QUICKEST
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
-from ..models import FARTHEST, FASTEST, LONGEST, QUICKEST, MotionModel, SensorModel
+from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .findings import Finding
 
