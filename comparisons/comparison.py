@@ -32,9 +32,9 @@ from .options.toml_files import write_noise
 from .results import EstimatorResult, noted, typical_costs
 from .results.documents import LogDocument, describe, one_of
 from .results.exchange import texts, write_pose_graph
-from .results.results import Row, parameters_of
+from .results.results import Row, found_ids, parameters_of
 from .results.saving import SavedFiles, fill_results, jsonable, new_directory, write_json
-from .results.sightings import SolvedSession, found_ids, solved_sessions
+from .results.sessions import SolvedSession, solved_sessions
 
 
 @dataclass(frozen=True, repr=False)
