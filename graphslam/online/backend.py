@@ -16,10 +16,10 @@ from ..linear.precision import inverses
 from ..se2 import Array
 
 #: the variances [m², m², rad²] of a first pose that only a map or absolute positions hold
-ANYWHERE = (1e4, 1e4, 1e2)
+FREE_START = (1e4, 1e4, 1e2)
 
 #: the same of a first pose that was held at the origin until the first absolute position came
-RELEASED = (1e8, 1e8, 1e2)
+RELEASED_START = (1e8, 1e8, 1e2)
 
 #: a measured pose z (3,) of node b in the axes of node a with its information: (a, b, z, Omega)
 Relation = tuple[int, int, Array, Array]

@@ -34,7 +34,7 @@ from ..solvers.corrected import motion_edges
 from ..solvers.initialize import image_notes, partial_edges
 from ..solvers.iteration import Run
 from ..solvers.solution import Solution, make_solution
-from .backend import ANYWHERE, Relation
+from .backend import FREE_START, Relation
 from .solver import OnlineSolver, backend_options
 
 
@@ -146,7 +146,7 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         )
     total, known, d = len(graph.steps), graph.map, graph.landmark_dimension
     # with a map, its landmarks hold the first pose, and positions may do so
-    anchor = np.diag(1 / np.array(ANYWHERE))
+    anchor = np.diag(1 / np.array(FREE_START))
     for family in graph.families if known is None else ():
         if type(family) is AnchorEdges:
             anchor += family.information[family.nodes == 0].sum(axis=0)
@@ -267,7 +267,7 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     sightings = log.sightings[:, :2] if options.get("dimensions") == 2 else log.sightings
     if log.positions is not None:
         # they alone hold the first pose
-        own = {"start_covariance": np.diag(ANYWHERE)} | own
+        own = {"start_covariance": np.diag(FREE_START)} | own
     numbers = _single_numbers(graph)
     solver = OnlineSolver(
         graph.trajectory[0], backend="isam2", motion=motion, sensor=graph.sensor, kernel=options["kernel"], **own
