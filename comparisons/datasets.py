@@ -17,7 +17,7 @@ from typing import ClassVar
 
 from graphslam import Graph, SlamError, load
 from graphslam.edges import AnchorEdges
-from graphslam.files import check_path
+from graphslam.files import check_path, first_bytes
 from graphslam.graph.pose_graph import is_pose_graph
 from graphslam.io import mrclam
 from graphslam.io.formats import FORMATS
@@ -150,15 +150,12 @@ def _below(folder: Path, depth: int = DEPTH) -> Iterator[tuple[Path, str]]:
 
 def _kind(path: Path) -> str | None:
     """The data set that a file or folder belongs to, by its first lines or its files."""
-    head = b""
-    if path.is_file():
-        try:
-            if path.stat().st_size > LARGEST:
-                return None
-            with path.open("rb") as stream:
-                head = stream.read(4096)
-        except OSError:
+    try:
+        if path.is_file() and path.stat().st_size > LARGEST:
             return None
+        head = first_bytes(path) if path.is_file() else b""
+    except OSError:
+        return None
     for form in FORMATS.values():
         if form.recognises(path, head):
             return form.name if form.name in {known.name for known in DATA_SETS} else None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import real_array
+from graphslam.errors.checks import array_or_none, real_array
 from graphslam.log.measurements import AbsolutePositions
 from graphslam.se2 import Array, wrap
 
@@ -22,13 +22,10 @@ LARGEST_WAY = 1e9
 
 def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...]]) -> Array:
     """Return a new array of finite numbers with one of the shapes."""
-    try:
-        array = real_array(value).copy()
-    except (TypeError, ValueError, OverflowError):
-        array = np.array(np.nan)
-    if array.shape not in shapes or not np.all(np.isfinite(array)):
+    array = array_or_none(value)
+    if array is None or array.shape not in shapes or not np.all(np.isfinite(array)):
         raise OptionError(f"{name} must be {expected}, not {quoted(value)}")
-    return array
+    return array.copy()
 
 
 def index(name: str, value: Any, count: int) -> int:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from graphslam import FormatError, OptionError
-from graphslam.files import check_path, check_place, write_whole
+from graphslam.files import check_path, check_place, write_text
 
 from .documents import shown_by
 
@@ -101,8 +101,7 @@ def write_json(payload: object, path: Path) -> None:
     Raises:
         FormatError: the place cannot be written.
     """
-    with write_whole(path) as temporary:
-        temporary.write_text(json_text(payload), encoding="utf-8")
+    write_text(path, json_text(payload))
 
 
 def check_can_write(path: Path, *, endings: tuple[str, ...] = ()) -> None:

@@ -25,7 +25,7 @@ from ..estimators import online_steps
 from ..estimators.estimators import bounds_of
 from ..options import RunOptions
 from .canvas import between_poses
-from .cells import NOTHING, LeanTable, number, yes_no
+from .cells import NOTHING, LeanTable, number, written, yes_no
 
 if TYPE_CHECKING:
     from graphslam.calibration import Calibration
@@ -144,7 +144,7 @@ def import_tables(found: Import) -> Tables:
             str(stream.rows),
             f"{stream.begin:.2f}",
             f"{stream.end:.2f}",
-            NOTHING if stream.rate is None else number(stream.rate),
+            number(stream.rate),
         )
     log = found.log
     sizes = f"The log has {log.num_poses} poses and {log.seen}"
@@ -212,8 +212,8 @@ def evaluation_tables(evaluation: Evaluation) -> Tables:
         "heading\n[rad]": [number(e.heading_rad) for e in estimates],
         "NEES": [number(e.nees, 2) for e in estimates],
         "map\n[m]": [number(e.landmark_rmse_m) for e in estimates],
-        "missed": [NOTHING if e.missed is None else str(e.missed) for e in estimates],
-        "false": [NOTHING if e.false is None else str(e.false) for e in estimates],
+        "missed": [written(e.missed) for e in estimates],
+        "false": [written(e.false) for e in estimates],
         "GOSPA\n[m]": [number(e.gospa_m) for e in estimates],
     }
     shown = {title: cells for title, cells in columns.items() if set(cells) != {NOTHING}}
@@ -241,11 +241,12 @@ def survey_tables(survey: Survey) -> Tables:
             counts = [entry.robot, entry.poses, entry.sightings, entry.landmarks, entry.controls]
             if entry.error is not None:
                 counts[1:] = [None] * 4
-            cells = (NOTHING if count is None else str(count) for count in counts)
             covered = entry.poses_covered
             share = NOTHING if covered is None else f"{100 * covered / entry.poses:.0f} %"
             place = Text(os.path.relpath(entry.path, survey.folder))
-            table.add_row(name, place, *cells, number(entry.seconds, 1), share, yes_no(entry.error is None))
+            table.add_row(
+                name, place, *map(written, counts), number(entry.seconds, 1), share, yes_no(entry.error is None)
+            )
     remarks = []
     for known in survey.sets:
         remarks += [

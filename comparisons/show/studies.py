@@ -18,7 +18,7 @@ from graphslam import OptionError
 from graphslam.metrics import headings as metric_headings
 
 from .canvas import WIDTH, as_text, colour_of, paper_figure, style_of
-from .cells import NOTHING, LeanTable, number, optimum, seconds, yes_no
+from .cells import NOTHING, LeanTable, number, optimum, seconds, written, yes_no
 
 if TYPE_CHECKING:
     from ..studies.backends import BackendComparison, BackendRow
@@ -135,8 +135,7 @@ def consistency_tables(study: ConsistencyStudy) -> Tables:
     for r in study.results:
         joint = (number(r.anees), NOTHING if r.anees is None else _band(r.joint_band), yes_no(r.consistent))
         steps = number(float(np.median(r.steps))), number(float(np.max(r.steps)))
-        inside = NOTHING if r.steps_inside is None else f"{r.steps_inside:.0%}"
-        table.add_row(r.name, str(r.logs), *joint, *steps, _band(r.step_band), inside)
+        table.add_row(r.name, str(r.logs), *joint, *steps, _band(r.step_band), written(r.steps_inside, ".0%"))
     failed = [r for r in study.results if r.failed]
     how = {r.name: "did not mix" if r.name == "particle-gibbs" else "failed" for r in failed}
     remarks = [f"{r.name} {how[r.name]} on {r.failed} of {study.logs} logs, which are not counted." for r in failed]
@@ -166,9 +165,9 @@ def summary_tables(summary: Summary) -> Tables:
         time, ratio = line.figures["seconds"], line.figures["cost_per_dof"]
         _add(
             table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
-            _share(line.converged),
+            written(line.converged, ".0%"),
             seconds(None if time is None else time.median), *_intervals(line.figures),
-            number(None if ratio is None else ratio.median, 2), *[_share(line.proven)] * proofs,
+            number(None if ratio is None else ratio.median, 2), *[written(line.proven, ".0%")] * proofs,
         )  # fmt: skip
     tables: list[Table] = [table]
     if summary.differences:
@@ -188,10 +187,6 @@ def summary_tables(summary: Summary) -> Tables:
     if len(errors) > _MOST_ERRORS:
         remarks.append(f"... and {len(errors) - _MOST_ERRORS} other errors; --csv and --json list all of them.")
     return tables, remarks
-
-
-def _share(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.0%}"
 
 
 def _add(table: Table, log: str, *cells: str | Text) -> None:

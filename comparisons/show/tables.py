@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from graphslam.errors import SlamError, printable
-from graphslam.files import write_whole
+from graphslam.files import write_text
 from graphslam.metrics import exchanged
 from graphslam.metrics import headings as metric_headings
 
@@ -29,7 +29,7 @@ from ..results.results import sightings_of
 from ..results.sessions import errors_of_sessions
 from .canvas import placement_of_result, png_as_html
 from .canvas import save_figure as save_figure
-from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
+from .cells import NOTHING, LeanTable, number, optimum, seconds, word, written, yes_no
 
 if TYPE_CHECKING:
     from ..comparison import Comparison, ResultTable
@@ -137,9 +137,8 @@ def write_latex(result: object, path: Path) -> None:
         FormatError: the place cannot be written.
     """
     tables, remarks = tables_of(result)
-    text = "\n\n".join([*map(table_as_latex, tables), "".join(f"% {printable(remark)}\n" for remark in remarks)])
-    with write_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    comments = "".join(f"% {printable(remark)}\n" for remark in remarks)
+    write_text(path, "\n\n".join([*map(table_as_latex, tables), comments]))
 
 
 def table_as_latex(table: Table) -> str:
@@ -207,9 +206,8 @@ def _scores(association: FoundIds | None) -> list[str]:
     """Precision and recall, and the numbers of landmarks that were found, missed, doubled and invented."""
     if association is None or association.found is None:
         return [NOTHING, NOTHING]
-    shares = (NOTHING if v is None else f"{v:.3f}" for v in (association.precision, association.recall))
     counts = f"{association.found} {association.missed} {association.doubled} {association.invented}"
-    return [", ".join(shares), counts]
+    return [f"{written(association.precision, '.3f')}, {written(association.recall, '.3f')}", counts]
 
 
 #: of several logs, so many notes about single ones are shown in brief
@@ -300,8 +298,9 @@ def state_table(comparison: Comparison) -> Table | None:
     table = LeanTable("Landmarks of the map that do not surely agree, and new ones", ["landmark"], headings)
     for each in states:
         shift = None if each.shift is None else float(np.hypot(*each.shift))
-        views = NOTHING if each.views is None else str(each.views)
-        table.add_row(str(each.id), each.state, number(each.probability), number(shift, 2), str(each.seen), views)
+        table.add_row(
+            str(each.id), each.state, number(each.probability), number(shift, 2), str(each.seen), written(each.views)
+        )
     return table
 
 

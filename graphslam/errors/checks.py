@@ -145,13 +145,10 @@ def checked_offset(name: str, value: Any) -> tuple[float, float]:
     Raises:
         OptionError: it is neither, or not finite.
     """
-    try:
-        offset = real_array(value)
-    except (TypeError, ValueError, OverflowError):
-        offset = np.empty(0)
-    if offset.size == 1:
+    offset = array_or_none(value)
+    if offset is not None and offset.size == 1:
         offset = np.array([offset.item(), 0.0])
-    if offset.shape != (2,) or not np.all(np.isfinite(offset)):
+    if offset is None or offset.shape != (2,) or not np.all(np.isfinite(offset)):
         raise OptionError(f"{name} must be (ahead, to the left) in m, or one number ahead, not {quoted(value)}")
     return float(offset[0]), float(offset[1])
 
@@ -168,16 +165,23 @@ def real_array(value: Any) -> np.ndarray:
     return np.asarray(value, dtype=float)
 
 
+def array_or_none(value: Any) -> np.ndarray | None:
+    """A value as an array of floating-point numbers of any shape, not copied where it is one; None where it is none."""
+    try:
+        return real_array(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
 def array_of(name: str, value: Any) -> np.ndarray:
     """A value as an array of floating-point numbers of any shape.
 
     Raises:
         OptionError: it is none.
     """
-    try:
-        return real_array(value)
-    except (TypeError, ValueError, OverflowError):
-        raise OptionError(f"{name} must be an array of numbers, not {quoted(value)}") from None
+    if (array := array_or_none(value)) is None:
+        raise OptionError(f"{name} must be an array of numbers, not {quoted(value)}")
+    return array
 
 
 def first(wrong: ArrayLike) -> int | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import OptionError, quoted
-from ..errors.checks import real_array
+from ..errors.checks import array_or_none
 from ..graph.tracker import Tracker
 from ..graph.trilateration import NumberRow
 from ..linear.precision import inverses
@@ -119,14 +119,6 @@ class Backend(ABC):
         """
 
 
-def array_or_none(value: ArrayLike) -> Array | None:
-    """A value as an array of numbers, or None where it is none."""
-    try:
-        return real_array(value).copy()
-    except (TypeError, ValueError, OverflowError):
-        return None
-
-
 def numbers(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> Array:
     """Finite numbers of a shape.
 
@@ -136,7 +128,7 @@ def numbers(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> Array
     array = None if value is None else array_or_none(value)
     if array is None or array.shape != shape or not np.isfinite(array).all():
         raise OptionError(f"{name} must be finite numbers of shape {shape}, not {quoted(value)}")
-    return array
+    return array.copy()
 
 
 def information_of(covariance: ArrayLike | None, d: int = 3) -> Array:

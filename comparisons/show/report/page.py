@@ -18,7 +18,7 @@ import numpy as np
 from rich.table import Table
 
 from graphslam import Log, OptionError
-from graphslam.files import write_whole
+from graphslam.files import write_text
 from graphslam.log import UNIDENTIFIED
 
 from ...comparison import Comparison, run
@@ -99,9 +99,7 @@ def write_report(
         raise OptionError(
             f"the comparison has been run: it takes no options ({', '.join(options)}); give the log instead"
         )
-    text = page_of(comparison, language)
-    with write_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, page_of(comparison, language))
 
 
 def page_of(comparison: Comparison, language: str = "en") -> str:
