@@ -30,8 +30,7 @@ from graphslam.files import write_whole
 from graphslam.metrics import METRICS as ERRORS
 
 from ..display import Displayed
-from ..results.documents import Count
-from ..results.saving import json_line
+from ..results.documents import Count, json_line
 from .database import COLUMNS, StudyDatabase
 from .execute import DONE, TIMEOUT
 
