@@ -314,8 +314,7 @@ class Overview(Displayed):
         log = self.log
         rates = [_rate("poses", self.times, log.num_poses)]
         if log.dt is not None:
-            begins = np.concatenate([[0.0], np.cumsum(log.dt)])[:-1]
-            rates.append(_rate("controls", begins, len(log.dt)))
+            rates.append(_rate("controls", log.control_times[:-1], len(log.dt)))
         rates.append(_rate("sightings", np.unique(self.times[log.steps]), len(log.steps)))
         if log.dt is None:
             # steps have no rate

@@ -52,7 +52,7 @@ def elapsed_of(log: Log) -> Array:
     """
     if log.dt is None:
         return np.arange(log.num_poses, dtype=float)
-    return np.concatenate([[0.0], np.cumsum(log.dt)])[log.control_starts]
+    return log.control_times[log.control_starts]
 
 
 def time_axis(log: Log) -> str:
