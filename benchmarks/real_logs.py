@@ -22,8 +22,8 @@ from native_gtsam import native_gtsam
 from comparisons.comparison import Comparison, compare
 from comparisons.datasets import data_folder
 from comparisons.options import RunOptions
+from comparisons.results.documents import jsonable
 from comparisons.results.results import Row
-from comparisons.results.saving import jsonable
 from graphslam import Log, MotionModel, SensorModel, load
 from graphslam.calibration import Calibration, calibrate
 

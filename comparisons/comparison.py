@@ -30,11 +30,11 @@ from .options.option import options_of
 from .options.reading import LogOrPath, prepare
 from .options.toml_files import write_noise
 from .results import EstimatorResult, noted, typical_costs
-from .results.documents import LogDocument, describe, one_of
+from .results.documents import LogDocument, describe, jsonable, one_of, write_json
 from .results.exchange import texts, write_pose_graph
-from .results.results import Row, parameters_of
-from .results.saving import SavedFiles, fill_results, jsonable, new_directory, write_json
-from .results.sightings import SolvedSession, found_ids, solved_sessions
+from .results.results import Row, found_ids, parameters_of
+from .results.saving import SavedFiles, fill_results, new_directory
+from .results.sessions import SolvedSession, solved_sessions
 
 
 @dataclass(frozen=True, repr=False)

@@ -16,14 +16,13 @@ from pathlib import Path
 from typing import ClassVar
 
 from graphslam import Graph, SlamError, load
-from graphslam.edges import AnchorEdges
-from graphslam.files import check_path
+from graphslam.files import check_path, first_bytes
 from graphslam.graph.pose_graph import is_pose_graph
 from graphslam.io import mrclam
 from graphslam.io.formats import FORMATS
 
 from .display import Displayed
-from .results.documents import Count
+from .results.documents import Count, describe
 
 #: how many levels of folders are searched, and the size from which on files are not opened for recognition [bytes]
 DEPTH, LARGEST = 3, 200_000_000
@@ -150,15 +149,12 @@ def _below(folder: Path, depth: int = DEPTH) -> Iterator[tuple[Path, str]]:
 
 def _kind(path: Path) -> str | None:
     """The data set that a file or folder belongs to, by its first lines or its files."""
-    head = b""
-    if path.is_file():
-        try:
-            if path.stat().st_size > LARGEST:
-                return None
-            with path.open("rb") as stream:
-                head = stream.read(4096)
-        except OSError:
+    try:
+        if path.is_file() and path.stat().st_size > LARGEST:
             return None
+        head = first_bytes(path) if path.is_file() else b""
+    except OSError:
+        return None
     for form in FORMATS.values():
         if form.recognises(path, head):
             return form.name if form.name in {known.name for known in DATA_SETS} else None
@@ -176,23 +172,14 @@ def _read(name: str, path: Path, robot: int | None) -> Found:
 
 def _log(path: Path, robot: int | None) -> Found:
     log = load(path, robot=robot)
-    times = log.times
-    return Found(
-        path=path,
-        robot=robot,
-        poses=log.num_poses,
-        sightings=len(log.steps),
-        landmarks=len(log.landmark_ids),
-        controls=None if log.controls is None else len(log.controls),
-        seconds=None if times is None else float(times[-1] - times[0]),
-        poses_covered=None if log.true_poses is None else int(log.covered.sum()),
-        notes=log.notes,
-    )
+    times, described = log.times, describe(log)
+    same = {name: getattr(described, name) for name in ("poses", "sightings", "landmarks", "controls", "notes")}
+    seconds = None if times is None else float(times[-1] - times[0])
+    covered = None if log.true_poses is None else described.poses_covered
+    return Found(path=path, robot=robot, seconds=seconds, poses_covered=covered, **same)
 
 
 def _graph(path: Path) -> Found:
     graph = Graph.from_g2o(path)
-    edges = sum(family.count for family in graph.families if not isinstance(family, AnchorEdges))
-    return Found(
-        path=path, poses=len(graph.steps), landmarks=len(graph.landmark_ids), sightings=edges, notes=graph.notes
-    )
+    poses, landmarks = len(graph.steps), len(graph.landmark_ids)
+    return Found(path=path, poses=poses, landmarks=landmarks, sightings=graph.num_edges, notes=graph.notes)

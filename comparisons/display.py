@@ -20,7 +20,7 @@ class Displayed:
     def to_json(self) -> dict[str, Any]:
         """This result as plain data, see docs/json.md."""
         # imported here, because NumPy comes with it, and every import of `comparisons` imports this module
-        from .results.saving import jsonable
+        from .results.documents import jsonable
 
         return dict(jsonable(self))
 

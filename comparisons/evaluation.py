@@ -35,8 +35,7 @@ from graphslam.se2 import Array, compose, transform
 
 from .display import Displayed
 from .options import EvaluationOptions
-from .results.documents import Count
-from .results.saving import jsonable
+from .results.documents import Count, jsonable
 
 #: times that differ by at most this are the same [ns]: those since 1970 are rounded in other programs
 ROUNDED = 1_000

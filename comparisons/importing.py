@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from graphslam import FormatError, Log, LogError, OptionError, SensorModel
-from graphslam.files import check_file, check_path, check_unpacked
+from graphslam.files import check_file, check_path, check_unpacked, first_bytes
 from graphslam.io.bag_drive import drive_of_bag, recipe_beside, topics_of
 from graphslam.io.bag_topics import is_bag
 from graphslam.io.tables import Recipe, drive_of, merged, read_recipe, recipe_of
@@ -149,7 +149,7 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
     check_path(source)
     if not source.is_dir():
         check_file(source)
-    if is_bag(source, _head(source)):
+    if is_bag(source, first_bytes(source)):
         recipe = _with_places(merged(recipe or recipe_beside(source), changes), named)
         topics = tuple(
             FoundTopic(each.topic.name, each.topic.type, each.topic.count, each.could_be, each.chosen)
@@ -161,7 +161,7 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
         except LogError as error:
             return replace(found, reason=str(error))
     if not source.is_dir():
-        check_unpacked(source, _head(source))
+        check_unpacked(source, first_bytes(source))
         raise FormatError(
             source, None, "this is no bag; give the folder of tables, or the file of each: --odometry .. --sightings .."
         )
@@ -175,13 +175,6 @@ def _made(found: Import, drive: Drive, reading: ReadOptions, name: str) -> Impor
         log = drive.log(reading, name)
     streams = tuple(_stream(kind, stream) for kind, stream in drive.streams.items())
     return replace(found, streams=streams, log=log, landmarks=None if drive.landmarks is None else len(drive.landmarks))
-
-
-def _head(path: Path) -> bytes:
-    if path.is_dir():
-        return b""
-    with path.open("rb") as stream:
-        return stream.read(64)
 
 
 def _with_places(recipe: Recipe, named: dict[str, str]) -> Recipe:
@@ -321,8 +314,7 @@ class Overview(Displayed):
         log = self.log
         rates = [_rate("poses", self.times, log.num_poses)]
         if log.dt is not None:
-            begins = np.concatenate([[0.0], np.cumsum(log.dt)])[:-1]
-            rates.append(_rate("controls", begins, len(log.dt)))
+            rates.append(_rate("controls", log.control_times[:-1], len(log.dt)))
         rates.append(_rate("sightings", np.unique(self.times[log.steps]), len(log.steps)))
         if log.dt is None:
             # steps have no rate

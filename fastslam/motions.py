@@ -1,6 +1,6 @@
 """A log as a particle filter takes it, and trajectories drawn from all that a run of the filter has computed.
 
-Motions are checked, and turned into those of a sensor that sits at an offset to the robot; sightings are linearised in the
+Motions are turned into those of a sensor that sits at an offset to the robot; sightings are linearised in the
 axes of the robot.
 
 Backward simulation. The histories of the particles at the end of a run have few ancestors in common steps: resampling has
@@ -23,45 +23,13 @@ from typing import Any, Self
 import numpy as np
 
 from graphslam.engine import available_threads, engine
-from graphslam.errors import OptionError, quoted
+from graphslam.errors import OptionError
 from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, between, difference, mounted, perpendicular, wrap
 
-from .options import GIGABYTE, available_memory, finite, smoothing_memory
+from .options import GIGABYTE, available_memory, smoothing_memory
 from .particles import Samples
-
-#: a larger turn in one step [rad] is an error in the input, and the engine's sine is not made for it
-LARGEST_TURN = 1e5
-#: a longer way in one step [m], 25 times round the Earth, is an error in the input
-LARGEST_WAY = 1e9
-
-
-def check_motion(step: int, way: float, turn: float) -> None:
-    """Raise `OptionError` where the way [m] or the turn [rad] of a step, with its noise, is an error in the input."""
-    if not (way <= LARGEST_WAY and turn <= LARGEST_TURN):
-        raise OptionError(
-            f"step {step}: the control and its noise move the robot by up to {way:g} m and turn it by up to {turn:g} rad; "
-            f"more than {LARGEST_WAY:g} m or {LARGEST_TURN:g} rad is refused"
-        )
-
-
-def checked_control(control: Any, dt: Any) -> tuple[Array, float]:
-    """Return a control (nu, omega) and its time [s], or raise `OptionError`."""
-    u = finite("control", control, "two finite numbers (nu, omega)", [(2,)])
-    seconds = float(finite("dt", dt, "a finite number of seconds", [()]))
-    if seconds < 0:
-        raise OptionError(f"dt must be 0 s or longer, not {quoted(seconds)}")
-    return u, seconds
-
-
-def checked_motion(motion: Any, covariance: Any) -> tuple[Array, Array]:
-    """Return a motion (1, 3) and its covariance (1, 3, 3), or raise `OptionError`."""
-    z = finite("motion", motion, "a finite pose (3,)", [(3,)])
-    P = finite("covariance", covariance, "a finite matrix (3, 3)", [(3, 3)])
-    if not np.allclose(P, P.T) or np.linalg.eigvalsh(P)[0] < -1e-12 * np.abs(P).max():
-        raise OptionError(f"covariance must be symmetric positive semidefinite, not {quoted(covariance)}")
-    return z[None], P[None]
 
 
 def sensor_motions(sensor: SensorModel, motions: Array, covariances: Array) -> tuple[Array, Array]:

@@ -1,14 +1,7 @@
-"""The options of a particle filter, checked arguments, random numbers, and the memory that it may take.
+"""The options of a particle filter, and the memory that it may take with them.
 
 Options are declared once, with type, default, choices and help. Constructors take them as keywords, and command lines and
-configuration files derive theirs from the fields. Arguments become numbers, or an `OptionError` says what was expected.
-
-Gaussian random numbers are a function of a key and an index, so that threads need no common generator. The filter's generator
-draws one key per motion. Each of the N particles then has five numbers of its own, which depend only on the key and on the
-particle's index (`vmslam/numbers/random.hpp` in the engine).
-
-Rejected: `Generator.standard_normal`, which takes 7 to 8 ns per number in a single thread (here: 2.3 ns), and one
-generator per block of particles, which is repeatable but as slow.
+configuration files derive theirs from the fields.
 
 Memory is forecast from the arrays: 32 bytes for each stored pose of the genealogy, 8 bytes for each number of a landmark, and
 about 100 bytes per particle for poses, weights and buffers. How many poses are stored depends on the resampling, so the
@@ -17,77 +10,16 @@ forecast has a lower and an upper end.
 
 from __future__ import annotations
 
-import operator
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from graphslam.engine import engine
-from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import check_options, option, real_array
+from graphslam.errors import OptionError
+from graphslam.errors.checks import check_options, option
 from graphslam.log import Log
 from graphslam.models import RANGE_NOISES
-from graphslam.se2 import Array, wrap
-
-
-def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...]]) -> Array:
-    """Return a new array of finite numbers with one of the shapes."""
-    try:
-        array = real_array(value).copy()
-    except (TypeError, ValueError, OverflowError):
-        array = np.array(np.nan)
-    if array.shape not in shapes or not np.all(np.isfinite(array)):
-        raise OptionError(f"{name} must be {expected}, not {quoted(value)}")
-    return array
-
-
-def index(name: str, value: Any, count: int) -> int:
-    """Return a whole number between 0 and count - 1, of Python or NumPy; True and False are refused."""
-    try:
-        if isinstance(value, (bool, np.bool_)):
-            raise TypeError
-        number = operator.index(value)
-    except TypeError:
-        raise OptionError(f"{name} must be a whole number, not {quoted(value)}") from None
-    if not 0 <= number < count:
-        raise OptionError(f"there is no {name} {number}: they are numbered 0 to {count - 1}")
-    return number
-
-
-def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
-    """Return ids (k,) and sightings (k, 2 or 3) as arrays, angles wrapped; ids None stands for k unknown ids.
-
-    One of range and bearing may be NaN, which was not measured then, if the sightings have no psi.
-    """
-    try:
-        z = real_array(sightings).copy()
-        numbers = np.zeros(len(z), dtype=np.int64) if ids is None else np.asarray(ids)
-        if numbers.size == 0 and z.size == 0:
-            return numbers, np.empty((0, 2))
-        if z.ndim != 2 or z.shape[1] not in (2, 3) or numbers.shape != (len(z),):
-            raise ValueError
-    except (TypeError, ValueError, OverflowError):
-        expected = "whole numbers (k,) and sightings (k, 2) or (k, 3)"
-        raise OptionError(f"observe takes {expected}, not {quoted(ids)} and {quoted(sightings)}") from None
-    if numbers.dtype.kind not in "iu":
-        raise OptionError(f"the ids of landmarks must be whole numbers, not {quoted(numbers.tolist())}")
-    if numbers.dtype.kind == "u" and np.any(numbers > np.iinfo(np.int64).max):
-        raise OptionError(f"the ids of landmarks must be below 2^63, not {quoted(int(np.max(numbers)))}")
-    numbers = numbers.astype(np.int64)
-    missing = np.isnan(z)
-    if not np.all(np.isfinite(z) | missing) or np.any(z[:, 0] <= 0) or np.any(missing.sum(axis=1) > (z.shape[1] == 2)):
-        raise OptionError(
-            "sightings must be finite and their ranges above zero; NaN stands for a range or a bearing that was not "
-            "measured, in sightings without psi"
-        )
-    z[:, 1:] = wrap(z[:, 1:])
-    return numbers, z
-
 
 #: how sightings are assigned to landmarks; auto stands for one of the others, which the log decides
 ASSOCIATIONS = ("auto", "known", "maximum-likelihood")
@@ -219,18 +151,6 @@ class GibbsOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-
-
-def draw_key(rng: np.random.Generator) -> int:
-    """Draw a new key: one uniform number of the generator with its 53 bits moved to the top."""
-    # rng.bytes and rng.integers take 3 to 8 us, as much as a hundred particles
-    return int(rng.random() * 2.0**53) << 11
-
-
-def standard_normals(rng: np.random.Generator, particles: int) -> Array:
-    """Draw the five standard normal numbers of each particle for one motion, (N, 5), as the filters use them."""
-    normals: Array = engine.standard_normals(draw_key(rng), particles)
-    return normals
 
 
 #: bytes of poses, weights and buffers; of one pose of a history; of the history's index of one landmark

@@ -14,7 +14,7 @@ from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, transform, wrap
 
-from .options import finite
+from .arguments import finite
 
 #: the standard deviations of particles around a first fix, over those of the fix
 SPREAD = 2.0
@@ -34,13 +34,6 @@ def first_poses(start: ArrayLike | Fix | None, log: Log | None, particles: int, 
     poses[:] = finite("start", start, expected, [(3,), (particles, 3)])
     poses[:, 2] = wrap(poses[:, 2])
     return poses
-
-
-def one_position(position: ArrayLike, covariance: ArrayLike, lever: ArrayLike) -> AbsolutePositions:
-    """A position (x, y) or (x, y, theta) as the only row of positions, checked."""
-    places, covariances = np.array([position], dtype=float), np.asarray(covariance, dtype=float)
-    steps = np.zeros(1, dtype=np.int64)
-    return AbsolutePositions(steps=steps, places=places, covariances=covariances, levers=np.asarray(lever, dtype=float))
 
 
 def log_likelihoods(positions: AbsolutePositions, poses: Array) -> Array:

@@ -23,7 +23,8 @@ from graphslam.log import Log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, wrap
 
-from .options import PROPOSAL_WEIGHTS, standard_normals
+from .options import PROPOSAL_WEIGHTS
+from .particles import standard_normals
 
 
 @dataclass(frozen=True)

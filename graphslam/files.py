@@ -39,6 +39,14 @@ def check_unpacked(path: Path, head: bytes) -> None:
             raise FormatError(path, None, f"the file is compressed as a whole; unpack it first: {program} {path.name}")
 
 
+def first_bytes(path: Path) -> bytes:
+    """The first bytes of a file, by which formats are recognised; none of a folder."""
+    if path.is_dir():
+        return b""
+    with path.open("rb") as stream:
+        return stream.read(4096)
+
+
 def path_of(path: object) -> Path:
     """A path given as text or as a path.
 
@@ -152,6 +160,12 @@ def write_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         with suppress(FileNotFoundError):
             temporary.unlink()
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text file in UTF-8 whole or not at all; see `write_whole`."""
+    with write_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def check_place(path: Path) -> None:

@@ -23,9 +23,6 @@ from .se2 import Array, mounted, wrap
 #: the variances of speed, turn rate and sideways speed of a control of one second that stands for an unknown motion, such as
 #: that between two drives: a kilometre, and several turns, in any direction
 ANYWHERE = (1e6, 1e3, 1e6)
-#: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s].
-#: Tables with such numbers are refused unless their unit is stated, `log_checks` reports them, and factors refuse turn rates.
-FARTHEST, FASTEST, QUICKEST, LONGEST = 1000.0, 100.0, 2 * pi, 5.0
 #: a predicted range counts as at least and at most so many times the measured one: wrong sightings predict anything
 PLAUSIBLE = (0.5, 2.0)
 

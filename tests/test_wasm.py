@@ -15,7 +15,7 @@ from chromium import Chromium, find_browser
 from engine_outside import assert_same_poses, online, solution
 
 from fastslam import FastSLAM1, FastSLAM2
-from fastslam.options import draw_key
+from fastslam.particles import draw_key
 from graphslam import Graph, Log, MotionModel, SensorModel, simulate, solve, textbook
 from graphslam.edges.priors import AnchorEdges
 from graphslam.edges.relative import RelativePoseEdges

@@ -189,7 +189,7 @@ class Output:
 
     def json(self, payload: object) -> None:
         """Write the JSON where it was asked for, if anywhere."""
-        from ..results.saving import json_text, write_json
+        from ..results.documents import json_text, write_json
 
         if self._to_stdout:
             text = json_text(payload)

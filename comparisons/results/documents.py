@@ -1,4 +1,4 @@
-"""The JSON of result objects: what a class shows of itself, and the objects that exist only for the JSON.
+"""The JSON of result objects, without NaN: what a class shows of itself, and the objects that exist only for the JSON.
 
 A result is declared once. Its JSON has its fields under their names, without those that have ``repr=False``, and what its
 class attribute ``shown`` names, {name in the JSON: property}. The schema (docs/schema.json) has the types from the
@@ -7,8 +7,11 @@ annotations and the sentences from the docstring: fields from "Attributes:", pro
 
 from __future__ import annotations
 
+import json
+import math
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,12 +19,90 @@ from typing import Annotated, Any
 import numpy as np
 
 from graphslam import Log
+from graphslam.files import write_text
 
 
 @cache
 def shown_by(kind: type) -> dict[str, str]:
     """{name in the JSON: attribute} of a class of results."""
     return {f.name: f.name for f in fields(kind) if f.repr} | dict(getattr(kind, "shown", {}))
+
+
+class Finite(list[Any]):
+    """An array as lists of numbers that JSON can hold, null for what is not finite: nothing in it needs a second look."""
+
+
+def jsonable(value: Any) -> Any:
+    """The value as JSON can hold it: results as `documents` says, keys as text, NaN and infinity as null."""
+    # the types of most values first: a long log has millions of numbers
+    if isinstance(value, (str, int, Finite)) or value is None:
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            known = np.isfinite(value)
+            value = value.astype(object)
+            value[~known] = None
+        elif value.dtype.kind not in "biuf":
+            return jsonable(value.tolist())
+        return Finite(value.tolist()) if value.ndim else jsonable(value.item())
+    if isinstance(value, np.generic):
+        return jsonable(value.item())
+    if isinstance(value, (list, tuple)):
+        return [jsonable(entry) for entry in value]
+    if isinstance(value, Mapping):
+        return {str(key): jsonable(entry) for key, entry in value.items()}
+    if isinstance(value, Path):
+        return str(value)
+    if is_dataclass(kind := type(value)):
+        return {name: jsonable(getattr(value, part)) for name, part in shown_by(kind).items()}
+    return value
+
+
+def json_text(payload: object) -> str:
+    """A JSON document: numbers to their last digit, each pose or other row on a line, never NaN or Infinity."""
+    return _laid_out(jsonable(payload), "\n") + "\n"
+
+
+def _laid_out(value: Any, line: str) -> str:
+    """Like json.dumps with indent, but what holds no further lists or objects stays on one line."""
+    entries = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if not any(isinstance(entry, (dict, list)) for entry in entries):
+        return _one_line(value)
+    inner = line + " "
+    if isinstance(value, dict):
+        parts = [f"{_one_line(key)}: {_laid_out(entry, inner)}" for key, entry in value.items()]
+        return "{" + inner + f",{inner}".join(parts) + line + "}"
+    if isinstance(value, Finite) and not (value[0] and isinstance(value[0][0], list)):
+        # rows of numbers, all at once
+        return "[" + inner + _AS_IT_IS(value)[1:-1].replace("], [", f"],{inner}[") + line + "]"
+    return "[" + inner + f",{inner}".join(_laid_out(entry, inner) for entry in value) + line + "]"
+
+
+def _one_line(value: Any) -> str:
+    """JSON on one line; ASCII where a name has bytes that are not UTF-8, which JSON can hold as escapes only."""
+    text = _AS_IT_IS(value)
+    return text if text.isascii() or _SURROGATES.search(text) is None else _IN_ASCII(value)
+
+
+_AS_IT_IS = json.JSONEncoder(allow_nan=False, ensure_ascii=False).encode
+_IN_ASCII = json.JSONEncoder(allow_nan=False).encode
+_SURROGATES = re.compile("[\ud800-\udfff]")
+
+
+def json_line(value: Any) -> str:
+    """A value as JSON on one line."""
+    return _one_line(jsonable(value))
+
+
+def write_json(payload: object, path: Path) -> None:
+    """Write a JSON document whole or not at all.
+
+    Raises:
+        FormatError: the place cannot be written.
+    """
+    write_text(path, json_text(payload))
 
 
 class Entry(dict[str, Any]):

@@ -1,4 +1,4 @@
-"""Trajectories and maps in files that other programs read.
+"""Trajectories, maps, and sightings with the ids that an estimator gave them, in files that other programs read.
 
 Of several logs that were joined each has its trajectories in files of its own, with its own clock.
 
@@ -12,6 +12,8 @@ An estimated trajectory has the poses of the log, and between them the ends of t
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -22,14 +24,14 @@ import numpy as np
 from graphslam import GraphError, Log, control_path
 from graphslam.graph.map_files import map_text
 from graphslam.graph.transform import relative_graph
+from graphslam.log import UNIDENTIFIED
 from graphslam.log.continuous_time import ControlPath
 from graphslam.se2 import Array, wrap
 
-from .sightings import sightings_text
+from .results import EstimatorResult, status_of
 
 if TYPE_CHECKING:
     from ..comparison import Comparison
-    from .results import EstimatorResult
 
 #: ends of controls between poses are written at most this often [s]
 INTERVAL = 0.1
@@ -50,7 +52,7 @@ def elapsed_of(log: Log) -> Array:
     """
     if log.dt is None:
         return np.arange(log.num_poses, dtype=float)
-    return np.concatenate([[0.0], np.cumsum(log.dt)])[log.control_starts]
+    return log.control_times[log.control_starts]
 
 
 def time_axis(log: Log) -> str:
@@ -72,6 +74,24 @@ def tum_text(times: Array, poses: Array, note: str = "") -> str:
     rows = np.column_stack([times, poses[:, 0], poses[:, 1], *quaternion])
     lines += [" ".join(map(repr, row)) for row in rows.tolist()]
     return "\n".join(lines) + "\n"
+
+
+SIGHTING_COLUMNS = ("step", "range", "bearing", "orientation", "class", "landmark", "status", "true_id")
+
+
+def sightings_text(log: Log, result: EstimatorResult) -> str:
+    """A table of all sightings with the ids that an estimator gave them; what is not known, or none, stays empty."""
+    assert result.association is not None
+    status, known = status_of(result).tolist(), log.classified
+    classes = [] if log.classes is None else log.classes.tolist()
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(SIGHTING_COLUMNS)
+    for k, z in enumerate(log.sightings.tolist()):
+        ids = ["" if j == UNIDENTIFIED else j for j in (int(result.association[k]), int(log.landmarks[k]))]
+        shown = classes[k] if known[k] else ""
+        table.writerow([int(log.steps[k]), *z, *[""] * (3 - len(z)), shown, ids[0], status[k], ids[1]])
+    return text.getvalue()
 
 
 def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:

@@ -1,5 +1,7 @@
 """`EstimatorResult`, what one estimator made of one log, and `Row`, all figures of it for tables, JSON and its schema.
 
+The ids that an estimator gave the sightings itself: the sightings of each landmark by them, and what they are worth.
+
 A result keeps the object from which it was computed. A part that cannot be computed becomes a sentence among its notes, and
 the other parts are still made.
 """
@@ -17,12 +19,13 @@ import numpy as np
 from fastslam.gibbs.chains import GibbsResult
 from fastslam.particles import FilterResult, Samples
 from graphslam import Certificate, FormatError, Graph, Log, MotionModel, SlamError, Solution
-from graphslam.association import Ambiguity, Association
+from graphslam.association import Ambiguity, Association, AssociationScore
 from graphslam.association.associate import Verdict
 from graphslam.edges import EdgeFamily, PositionEdges, RelationEdges
 from graphslam.errors import printable, shortened
 from graphslam.graph.stretch import drifted
 from graphslam.identification.declared import ParameterEstimate
+from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import Errors, Metrics, mean_nees
 from graphslam.se2 import Array
 from graphslam.solvers.corrected import motion_edges, sighted_edges
@@ -329,6 +332,63 @@ class FoundIds:
     evidence: float | None = None
     doubts: tuple[Ambiguity, ...] | None = None
     verdict: Verdict | None = None
+
+
+#: what a sighting is to an estimator that gave it an id itself
+CONFIRMED, UNCONFIRMED, CLUTTER = "confirmed", "unconfirmed", "clutter"
+
+
+@dataclass(frozen=True, eq=False)
+class SeenLandmark:
+    """A landmark and its sightings: ``rows`` (k,) of the log, the class that most of them show, and the share that do.
+
+    Where no class of a sighting is known both are None.
+    """
+
+    landmark: int
+    rows: np.ndarray
+    of_class: int | str | None
+    share: float | None
+
+
+def sightings_of(log: Log, ids: np.ndarray) -> list[SeenLandmark]:
+    """The landmarks to which sightings with ids (M,) belong, in the order of the ids."""
+    found = []
+    for j in np.setdiff1d(ids, [UNIDENTIFIED]).tolist():
+        rows = np.flatnonzero(ids == j)
+        if log.classes is None or not np.any(known := log.classified[rows]):
+            found.append(SeenLandmark(j, rows, None, None))
+            continue
+        names, counts = np.unique(log.classes[rows[known]], return_counts=True)
+        best = int(np.argmax(counts))
+        found.append(SeenLandmark(j, rows, names[best].item(), float(counts[best] / len(rows))))
+    return found
+
+
+def status_of(result: EstimatorResult) -> np.ndarray:
+    """Whether the landmark that an estimator gave each sighting (M,) is confirmed, unconfirmed, or none (clutter)."""
+    assert result.association is not None
+    doubtful = np.zeros(len(result.association), dtype=bool) if result.unconfirmed is None else result.unconfirmed
+    given = result.association != UNIDENTIFIED
+    return np.where(given, np.where(doubtful, UNCONFIRMED, CONFIRMED), CLUTTER)
+
+
+def found_ids(log: Log, result: EstimatorResult, scores: AssociationScore | None) -> FoundIds | None:
+    """The ids that an estimator gave sightings itself; None where it used those of the log."""
+    if result.association is None:
+        return None
+    given, found = result.association != UNIDENTIFIED, result.found
+    classes = {each.landmark: each.of_class for each in sightings_of(log, result.association)}
+    return FoundIds(
+        landmarks=len(classes),
+        clutter=int(np.sum(~given)),
+        classes=None if log.classes is None else classes,
+        unconfirmed=None if result.unconfirmed is None else int(np.sum(result.unconfirmed & given)),
+        evidence=None if found is None else found.evidence,
+        doubts=None if found is None else found.ambiguities,
+        verdict=None if found is None else found.verdict,
+        **({} if scores is None else vars(scores)),
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

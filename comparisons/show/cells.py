@@ -31,6 +31,11 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:.{digits - 1}e}"
 
 
+def written(value: Any, form: str = "") -> str:
+    """A value as the format says, and a dash where it is not known."""
+    return NOTHING if value is None else format(value, form)
+
+
 def seconds(value: float | None) -> str:
     """A time with the unit that suits it."""
     if value is None or value != value:

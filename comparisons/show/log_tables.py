@@ -1,15 +1,15 @@
 """Tables of logs: what an import found, a log before it is solved, and estimates of any program against the truth.
 
-Plots in plain characters: histograms, a path with landmarks seen from above, and that of the online solver.
+The data sets at hand, and the noise models that a calibration finds in a log.
 
-The tables of studies, of the data sets at hand, and of a calibration.
+Plots in plain characters: histograms, a path with landmarks seen from above, and that of the online solver.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,14 +19,13 @@ from rich.text import Text
 
 from graphslam import Log, OnlineSolver
 from graphslam.errors.checks import singular
-from graphslam.metrics import headings as metric_headings
 from graphslam.se2 import Array
 
 from ..estimators import online_steps
 from ..estimators.estimators import bounds_of
 from ..options import RunOptions
 from .canvas import between_poses
-from .cells import NOTHING, LeanTable, number, seconds, yes_no
+from .cells import NOTHING, LeanTable, number, written, yes_no
 
 if TYPE_CHECKING:
     from graphslam.calibration import Calibration
@@ -34,9 +33,6 @@ if TYPE_CHECKING:
     from ..datasets import Survey
     from ..evaluation import Evaluation
     from ..importing import Import, Overview
-    from ..studies.consistency import ConsistencyStudy
-    from ..studies.particles import ParticleStudy
-    from ..studies.summary import Median, Summary
     from .tables import Tables
 
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
@@ -148,7 +144,7 @@ def import_tables(found: Import) -> Tables:
             str(stream.rows),
             f"{stream.begin:.2f}",
             f"{stream.end:.2f}",
-            NOTHING if stream.rate is None else number(stream.rate),
+            number(stream.rate),
         )
     log = found.log
     sizes = f"The log has {log.num_poses} poses and {log.seen}"
@@ -216,8 +212,8 @@ def evaluation_tables(evaluation: Evaluation) -> Tables:
         "heading\n[rad]": [number(e.heading_rad) for e in estimates],
         "NEES": [number(e.nees, 2) for e in estimates],
         "map\n[m]": [number(e.landmark_rmse_m) for e in estimates],
-        "missed": [NOTHING if e.missed is None else str(e.missed) for e in estimates],
-        "false": [NOTHING if e.false is None else str(e.false) for e in estimates],
+        "missed": [written(e.missed) for e in estimates],
+        "false": [written(e.false) for e in estimates],
         "GOSPA\n[m]": [number(e.gospa_m) for e in estimates],
     }
     shown = {title: cells for title, cells in columns.items() if set(cells) != {NOTHING}}
@@ -236,117 +232,6 @@ def evaluation_tables(evaluation: Evaluation) -> Tables:
     return [table], [*remarks, *(f"{note}." for note in evaluation.notes)]
 
 
-#: the metrics of a study's tables
-_METRICS = metric_headings(studies=True, separator=" ")
-#: error messages that are printed below a study
-_MOST_ERRORS = 5
-
-
-def particle_tables(study: ParticleStudy) -> Tables:
-    """Medians over the seeds, a row per filter and number of particles."""
-    from ..studies.particles import FIGURES
-
-    metrics = {
-        "ate_m": "ATE\n[m]", "mean_ate_m": "ATE of\nmean [m]", "landmark_rmse_m": "map\n[m]", "ess_share": "ESS / N",
-    }  # fmt: skip
-    headings = ("particles", *metrics.values(), "ancestors", "time")
-    table = LeanTable(f"{study.log}: medians over random seeds", ["filter"], headings)
-    for row in study.quartiles:
-        median = {figure: None if (found := getattr(row, figure)) is None else found[1] for figure in FIGURES}
-        values = (number(median[metric]) for metric in metrics)
-        ancestors = number(median["ancestors"], 0)
-        table.add_row(row.name, str(row.particles), *values, ancestors, seconds(median["seconds"]))
-    return [table], [f"{note}." for note in study.notes]
-
-
-def consistency_tables(study: ConsistencyStudy) -> Tables:
-    """A row per estimator: the joint ANEES with its band, and that of its steps."""
-    table = LeanTable(
-        f"{study.logs} simulated logs of {study.steps} motions, {study.dimensions}-D sensor, {study.noise:g} times the "
-        "book's noise: ANEES / degrees of freedom, 1 means consistent",
-        ["estimator"],
-        ["logs", "joint", "95 % band", "inside", "median\nof steps", "worst\nstep", "95 % band\nof a step", "steps\ninside"],
-    )  # fmt: skip
-    for r in study.results:
-        joint = (number(r.anees), NOTHING if r.anees is None else _band(r.joint_band), yes_no(r.consistent))
-        steps = number(float(np.median(r.steps))), number(float(np.max(r.steps)))
-        inside = NOTHING if r.steps_inside is None else f"{r.steps_inside:.0%}"
-        table.add_row(r.name, str(r.logs), *joint, *steps, _band(r.step_band), inside)
-    failed = [r for r in study.results if r.failed]
-    how = {r.name: "did not mix" if r.name == "particle-gibbs" else "failed" for r in failed}
-    remarks = [f"{r.name} {how[r.name]} on {r.failed} of {study.logs} logs, which are not counted." for r in failed]
-    if any(r.name == "particle-gibbs" for r in failed):
-        remarks.append("Longer chains mix on more logs: --gibbs-warm-up, --gibbs-iterations.")
-    if any(r.name == "pairs" for r in study.results):
-        remarks.append(
-            "pairs counts every sighting about K/2 times, with K sightings per landmark: "
-            f"{study.sightings_per_landmark / 2:.1f} times on these logs."
-        )
-    return [table], remarks
-
-
-def _band(limits: tuple[float, float]) -> str:
-    return NOTHING if np.isnan(limits[0]) else f"{limits[0]:.3f} to {limits[1]:.3f}"
-
-
-def summary_tables(summary: Summary) -> Tables:
-    """Medians with their intervals, then the differences from the baseline, and the errors with their counts."""
-    proofs = any(line.proven is not None for line in summary.methods)
-    table = LeanTable(
-        f"{summary.done} of {summary.planned} runs: medians with 95 % bootstrap intervals", ["log", "method"],
-        ["runs", "failed", "converged", "time", *_METRICS.values(), "J per\ndof", *["proven"] * proofs],
-    )  # fmt: skip
-    for line in summary.methods:
-        failed = line.failed + line.timeouts
-        time, ratio = line.figures["seconds"], line.figures["cost_per_dof"]
-        _add(
-            table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
-            _share(line.converged),
-            seconds(None if time is None else time.median), *_intervals(line.figures),
-            number(None if ratio is None else ratio.median, 2), *[_share(line.proven)] * proofs,
-        )  # fmt: skip
-    tables: list[Table] = [table]
-    if summary.differences:
-        tables.append(LeanTable(
-            f"differences from {summary.baseline} on the same logs and random seeds: lower is better",
-            ["log", "method"], ["pairs", "lower\nATE", *_METRICS.values()],
-        ))  # fmt: skip
-    for gap in summary.differences:
-        pairs = max((median.count for median in gap.figures.values() if median is not None), default=0)
-        ate = gap.figures["ate_m"]
-        lower = NOTHING if ate is None else f"{gap.lower['ate_m']}/{ate.count}"
-        _add(tables[-1], gap.log, gap.method, str(pairs), lower, *_intervals(gap.figures, "+"))
-    errors = list(summary.errors.items())
-    remarks = [f"{count} x {error}" for error, count in errors[:_MOST_ERRORS]]
-    if any(line.figures["cost_per_dof"] is not None for line in summary.methods):
-        remarks.append("J per dof (degree of freedom): about 1 means that the noise models fit.")
-    if len(errors) > _MOST_ERRORS:
-        remarks.append(f"... and {len(errors) - _MOST_ERRORS} other errors; --csv and --json list all of them.")
-    return tables, remarks
-
-
-def _share(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.0%}"
-
-
-def _add(table: Table, log: str, *cells: str | Text) -> None:
-    """Add a row, with the name of its log only where that differs from the row above."""
-    above = next((name for name in reversed(list(table.columns[0].cells)) if name), log)
-    if above != log:
-        table.add_section()
-    table.add_row("" if above == log and table.rows else log, *cells)
-
-
-def _intervals(figures: Mapping[str, Median | None], sign: str = "") -> list[str]:
-    def text(value: float) -> str:
-        return sign * (value > 0) + number(value)
-
-    def interval(m: Median) -> str:
-        return text(m.median) + ("" if m.low is None or m.high is None else f" [{text(m.low)}, {text(m.high)}]")
-
-    return [NOTHING if (m := figures[metric]) is None else interval(m) for metric in _METRICS]
-
-
 def survey_tables(survey: Survey) -> Tables:
     """A row for each log or pose graph found on this computer; below, what the known data sets are."""
     headings = ["robot", "poses", "sightings,\nedges", "landmarks", "controls", "time\n[s]", "truth\ncovers", "reads"]
@@ -356,11 +241,12 @@ def survey_tables(survey: Survey) -> Tables:
             counts = [entry.robot, entry.poses, entry.sightings, entry.landmarks, entry.controls]
             if entry.error is not None:
                 counts[1:] = [None] * 4
-            cells = (NOTHING if count is None else str(count) for count in counts)
             covered = entry.poses_covered
             share = NOTHING if covered is None else f"{100 * covered / entry.poses:.0f} %"
             place = Text(os.path.relpath(entry.path, survey.folder))
-            table.add_row(name, place, *cells, number(entry.seconds, 1), share, yes_no(entry.error is None))
+            table.add_row(
+                name, place, *map(written, counts), number(entry.seconds, 1), share, yes_no(entry.error is None)
+            )
     remarks = []
     for known in survey.sets:
         remarks += [

@@ -20,37 +20,34 @@ from rich.table import Table
 from rich.text import Text
 
 from graphslam.errors import SlamError, printable
-from graphslam.files import write_whole
+from graphslam.files import write_text
 from graphslam.metrics import exchanged
 from graphslam.metrics import headings as metric_headings
 
 from ..options import DOUBTFUL
-from ..results.sightings import errors_of_sessions, sightings_of
+from ..results.results import sightings_of
+from ..results.sessions import errors_of_sessions
 from .canvas import placement_of_result, png_as_html
 from .canvas import save_figure as save_figure
-from .cells import NOTHING, LeanTable, number, optimum, seconds, word, yes_no
+from .cells import NOTHING, LeanTable, number, optimum, seconds, word, written, yes_no
 
 if TYPE_CHECKING:
     from ..comparison import Comparison, ResultTable
     from ..results.results import FoundIds
-    from ..studies.backends import BackendComparison
-    from ..studies.solvers import SolverComparison
 
 #: tables, and the sentences below them
 Tables = tuple[list[Table], list[str]]
-#: how rows are marked whose time is that of callbacks
-PYTHON_FACTORS = "Python"
 #: the width of text that is not written to a terminal
 WIDTH = 140
 #: class of results -> the functions that make its tables and its figure, empty where it has none
 RESULTS = {
     "ResultTable": ("tables.result_tables", ""),
     "Comparison": ("tables.comparison_tables", "figures.comparison_figure"),
-    "SolverComparison": ("tables.solver_tables", ""),
-    "BackendComparison": ("tables.backend_tables", "study_figures.backends_figure"),
-    "ParticleStudy": ("log_tables.particle_tables", "study_figures.particles_figure"),
-    "ConsistencyStudy": ("log_tables.consistency_tables", "study_figures.consistency_figure"),
-    "Summary": ("log_tables.summary_tables", "study_figures.study_figure"),
+    "SolverComparison": ("studies.solver_tables", ""),
+    "BackendComparison": ("studies.backend_tables", "studies.backends_figure"),
+    "ParticleStudy": ("studies.particle_tables", "studies.particles_figure"),
+    "ConsistencyStudy": ("studies.consistency_tables", "studies.consistency_figure"),
+    "Summary": ("studies.summary_tables", "studies.study_figure"),
     "Evaluation": ("log_tables.evaluation_tables", "figures.evaluation_figure"),
     "Survey": ("log_tables.survey_tables", ""),
     "Calibration": ("log_tables.calibration_tables", ""),
@@ -140,9 +137,8 @@ def write_latex(result: object, path: Path) -> None:
         FormatError: the place cannot be written.
     """
     tables, remarks = tables_of(result)
-    text = "\n\n".join([*map(table_as_latex, tables), "".join(f"% {printable(remark)}\n" for remark in remarks)])
-    with write_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    comments = "".join(f"% {printable(remark)}\n" for remark in remarks)
+    write_text(path, "\n\n".join([*map(table_as_latex, tables), comments]))
 
 
 def table_as_latex(table: Table) -> str:
@@ -210,9 +206,8 @@ def _scores(association: FoundIds | None) -> list[str]:
     """Precision and recall, and the numbers of landmarks that were found, missed, doubled and invented."""
     if association is None or association.found is None:
         return [NOTHING, NOTHING]
-    shares = (NOTHING if v is None else f"{v:.3f}" for v in (association.precision, association.recall))
     counts = f"{association.found} {association.missed} {association.doubled} {association.invented}"
-    return [", ".join(shares), counts]
+    return [f"{written(association.precision, '.3f')}, {written(association.recall, '.3f')}", counts]
 
 
 #: of several logs, so many notes about single ones are shown in brief
@@ -303,8 +298,9 @@ def state_table(comparison: Comparison) -> Table | None:
     table = LeanTable("Landmarks of the map that do not surely agree, and new ones", ["landmark"], headings)
     for each in states:
         shift = None if each.shift is None else float(np.hypot(*each.shift))
-        views = NOTHING if each.views is None else str(each.views)
-        table.add_row(str(each.id), each.state, number(each.probability), number(shift, 2), str(each.seen), views)
+        table.add_row(
+            str(each.id), each.state, number(each.probability), number(shift, 2), str(each.seen), written(each.views)
+        )
     return table
 
 
@@ -369,82 +365,3 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
     if expected:
         remarks.append(f"Expected ATE, from the covariances, if the noise models are right: {', '.join(expected)}.")
     return remarks
-
-
-def solver_tables(comparison: SolverComparison) -> Tables:
-    """A row per variant; below, the variants that disagree, and those left out, by reason."""
-    headings = (
-        "poses\ndiffer",
-        "costs\ndiffer",
-        "J per\ndof",
-        "steps /\ngtsam",
-        "time",
-        "time of\ngtsam",
-        "optimum",
-        "of\ngtsam",
-        "agree",
-    )
-    table = LeanTable("hand-written solver against GTSAM", ["variant"], headings)
-    for variant in comparison.variants:
-        table.add_row(
-            variant.name,
-            f"{variant.pose_difference:.1e}",
-            f"{variant.cost_difference:.1e}",
-            number(variant.cost_per_dof, 2),
-            f"{variant.iterations} / {variant.gtsam_iterations}",
-            seconds(variant.seconds),
-            seconds(variant.gtsam_seconds),
-            optimum(variant.certificate),
-            optimum(variant.gtsam_certificate),
-            yes_no(variant.problem is None),
-        )
-    reasons: dict[str, list[str]] = {}
-    for entry in comparison.skipped:
-        reasons.setdefault(entry.reason, []).append(entry.name)
-    remarks = [f"DIFFERENT: {problem}." for problem in comparison.problems]
-    for reason, names in reasons.items():
-        which = names[0] if len(names) == 1 else f"{len(names)} variants ({names[0]}, ...)"
-        remarks.append(f"{which} left out: {reason}.")
-    if any(variant.cost_per_dof is not None for variant in comparison.variants):
-        remarks.append("J per dof (degree of freedom): about 1 means that the noise models fit.")
-    return [table], remarks
-
-
-def backend_tables(comparison: BackendComparison) -> Tables:
-    """A row per file and solver; below, the mean ratios of the times and the runs that did not reach the best chi2."""
-    table = LeanTable(
-        "pose graphs: chi2 by one evaluator, time from the initial values until the stop rule holds",
-        ["file", "solver"], ["chi2", "chi2\n/ dof", "best", "optimum", "steps", "time", "ours /\ntheirs"],
-    )  # fmt: skip
-    ours, previous, remarks = "graphslam", None, []
-    for row in comparison.rows:
-        ratio = comparison.ratio(row)
-        table.add_row(
-            Path(row.file).name if row.file != previous else "",
-            row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})",
-            number(row.chi2, 6),
-            number(row.chi2_per_dof, 2),
-            yes_no(comparison.reached(row)),
-            optimum(row.certificate),
-            str(row.iterations),
-            seconds(row.seconds),
-            NOTHING if ratio is None or row.backend == ours else f"1/{1 / ratio:.1f}",
-        )
-        previous = row.file
-    for name in dict.fromkeys(row.backend for row in comparison.rows if row.backend != ours):
-        if (mean := comparison.geometric_mean(name)) is not None:
-            remarks.append(f"graphslam takes 1/{1 / mean:.1f} of the time of {name} (geometric mean).")
-    called = dict.fromkeys(row.backend for row in comparison.rows if not row.native)
-    if called:
-        remarks.append(
-            f"{' and '.join(called)} ({PYTHON_FACTORS}): GTSAM has no factor of its own for the points of a pose graph. "
-            "Python evaluates them, which takes most of the time, so these rows are in no mean."
-        )
-    if any(row.chi2_per_dof is not None for row in comparison.rows):
-        remarks.append(
-            "chi2 / dof: per degree of freedom; about 1 means that the information in the file fits the errors."
-        )
-    for row in comparison.rows:
-        if not comparison.reached(row):
-            remarks.append(f"{Path(row.file).name}: {row.backend} did not reach the best chi2: {row.reason}.")
-    return [table], remarks

@@ -34,8 +34,7 @@ from graphslam.solvers.initialize import starting_state
 from ..display import Displayed
 from ..options import BackendOptions
 from ..results import of_expected
-from ..results.documents import Count
-from ..results.saving import jsonable
+from ..results.documents import Count, jsonable
 from .execute import rows_of
 
 #: every backend stops when a step changes the cost by less than this part of it

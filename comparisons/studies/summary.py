@@ -30,8 +30,7 @@ from graphslam.files import write_whole
 from graphslam.metrics import METRICS as ERRORS
 
 from ..display import Displayed
-from ..results.documents import Count
-from ..results.saving import json_line
+from ..results.documents import Count, json_line
 from .database import COLUMNS, StudyDatabase
 from .execute import DONE, TIMEOUT
 
@@ -213,7 +212,7 @@ def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, bas
 
 
 def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
-    status = Counter(row["status"] for row in rows)
+    status, measured = Counter(row["status"] for row in rows), _measured(rows)
     converged = [row["converged"] for row in rows if row["converged"] is not None]
     proven = [row["proven"] for row in rows if row.get("proven") is not None]
     return MethodSummary(
@@ -224,7 +223,7 @@ def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
         timeouts=status[TIMEOUT],
         converged=sum(converged) / len(converged) if converged else None,
         proven=sum(proven) / len(proven) if proven else None,
-        figures={metric: _median([(row[metric], _unit(row, log)) for row in _measured(rows)]) for metric in METRICS},
+        figures={metric: _median([(row[metric], _unit(row, log)) for row in measured]) for metric in METRICS},
     )
 
 

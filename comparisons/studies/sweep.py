@@ -39,8 +39,7 @@ from ..estimators.filters import FILTERS, Announce, announce_memory
 from ..options import RunOptions, SweepOptions
 from ..options.option import options_of
 from ..results import sentence
-from ..results.documents import Count
-from ..results.saving import jsonable
+from ..results.documents import Count, jsonable
 from .database import StudyDatabase
 from .execute import DONE, ERROR, Outcome, Place, execute, local_processes, log_of, stopped, this_process
 from .plan import Run, Study, read_study

@@ -40,10 +40,10 @@ from .particle_filter import ParticleFilter
 #: variances and squares of covariances are then finite
 LARGEST = 1e50
 #: the standard deviation [m, rad] of landmarks that are exact in a map
-EXACT = 1e-6
+HELD_STD = 1e-6
 #: two landmarks are one within the ellipse that holds all but this share of their differences
 MERGED = 0.05
-#: the evidence from which on a landmark of unknown id is part of the map: it was seen twice
+#: the counter of existence from which on a landmark of unknown id is part of the map: it was seen twice
 CONFIRMED = 2.0
 
 
@@ -62,10 +62,10 @@ class FastSLAM1(ParticleFilter):
     With the association "maximum-likelihood" ids are ignored, and `observe` takes None for them. Each particle assigns
     every sighting to the most likely landmark of its own map, the most likely pair of the scan first, and uses no
     landmark twice. A sighting that is more likely to belong to a new landmark creates one. New landmarks are
-    provisional. Their evidence is the number of their sightings minus the number of observed steps in which they should
+    provisional. Their counter of existence is the number of sightings minus that of observed steps in which they should
     have been seen and were not, counted when the step is over. A landmark should be seen well within the limits of the
-    sensor (``max_range``, ``field_of_view``); a limit that it does not have is that of all sightings so far. With
-    evidence 0 a landmark is dropped, from 2 on it is confirmed, and from 3 on it is permanent. A step is observed if
+    sensor (``max_range``, ``field_of_view``); a limit that it does not have is that of all sightings so far. At
+    0 a landmark is dropped, from 2 on it is confirmed, and from 3 on it is permanent. A step is observed if
     `observe` was called in it, even without sightings; a step of a log is observed if it has sightings. Maps number
     landmarks in the order of creation and leave out unconfirmed ones, except on request.
 
@@ -74,7 +74,7 @@ class FastSLAM1(ParticleFilter):
 
     With ``landmarks``, a map that is known beforehand (`landmark_map.as_map` says in which forms), every particle
     begins with its landmarks and their own covariances. Correlations between landmarks are not used, and exact ones have a
-    standard deviation of `EXACT`. The ids of the sightings must be those of the map, and its frame that of ``start``.
+    standard deviation of `HELD_STD`. The ids of the sightings must be those of the map, and its frame that of ``start``.
 
     A range or a bearing alone updates a landmark as the Kalman filter does. One of a landmark without a place waits until
     single numbers leave one place for the landmark along the trajectory of the heaviest particle, mirror images excluded;
@@ -194,7 +194,7 @@ class FastSLAM1(ParticleFilter):
                 )
             assert self._given is not None
             own = self._given.covariances.get(j, np.zeros((3, 3)))[:n, :n]
-            self._engine.place(j, place[:n], own + EXACT**2 * np.eye(n))
+            self._engine.place(j, place[:n], own + HELD_STD**2 * np.eye(n))
 
     @cached_property
     def _confusion(self) -> Array:
@@ -217,34 +217,34 @@ class FastSLAM1(ParticleFilter):
         return {"association": ids, "unconfirmed": np.isin(ids, doubtful)}
 
     def _gaussians(self, first: int, count: int) -> Iterator[tuple[int, Array, Array, Array]]:
-        """Yield for every landmark, in some particles: id, means (k, n), covariances (k, n, n) and evidence (k,).
+        """Yield for every landmark, in some particles: id, means (k, n), covariances (k, n, n) and counters (k,).
 
-        The evidence is 0 where a particle does not have the landmark, and infinite where its id is known.
+        The counter of existence is 0 where a particle does not have the landmark, and infinite where its id is known.
         """
         for j in self._engine.landmarks().tolist():
             yield j, *self._engine.landmark(j, first, count)
 
     def _gaussians_of(self, id: int) -> tuple[Array, Array, np.ndarray]:
-        means, covariances, evidence = self._engine.landmark(id, 0, self.particles)
-        return means, covariances, evidence > 0
+        means, covariances, counter = self._engine.landmark(id, 0, self.particles)
+        return means, covariances, counter > 0
 
     @property
     def _confirmed(self) -> float:
-        """The evidence from which on a landmark is part of the map."""
+        """The counter from which on a landmark is part of the map."""
         return 1.0 if self._needs_ids else CONFIRMED
 
     def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:
         return {
-            j: LandmarkEstimate(means[0], covariances[0], bool(evidence[0] >= self._confirmed))
-            for j, means, covariances, evidence in self._gaussians(particle, 1)
-            if evidence[0] > 0 and (provisional or evidence[0] >= self._confirmed)
+            j: LandmarkEstimate(means[0], covariances[0], bool(counter[0] >= self._confirmed))
+            for j, means, covariances, counter in self._gaussians(particle, 1)
+            if counter[0] > 0 and (provisional or counter[0] >= self._confirmed)
         }
 
     def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:
         estimates = {}
-        for j, means, covariances, evidence in self._gaussians(0, self.particles):
-            owned = evidence > 0
-            share, confirmed = weights @ owned, bool(weights @ (evidence >= self._confirmed) >= 0.5)
+        for j, means, covariances, counter in self._gaussians(0, self.particles):
+            owned = counter > 0
+            share, confirmed = weights @ owned, bool(weights @ (counter >= self._confirmed) >= 0.5)
             # landmarks of particles with most of the weight, as those particles estimate them
             if share < 0.5 or not (confirmed or provisional):
                 continue

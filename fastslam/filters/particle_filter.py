@@ -25,10 +25,11 @@ from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
-from ..motions import Record, check_motion, checked_control, checked_motion, robot_poses, sensor_motions
-from ..options import FilterOptions, check_memory, check_one_drive, draw_key, index, measurements
-from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, ParticleState, Samples
-from ..positions import first_poses, in_frame, log_likelihoods, one_position
+from ..arguments import check_motion, checked_control, checked_motion, index, measurements, one_position
+from ..motions import Record, robot_poses, sensor_motions
+from ..options import FilterOptions, check_memory, check_one_drive
+from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, ParticleState, Samples, draw_key
+from ..positions import first_poses, in_frame, log_likelihoods
 
 #: the variance of a number that was not measured: it multiplies all likelihoods by the same factor
 NOT_MEASURED = 1e12
@@ -67,7 +68,7 @@ class ParticleFilter(ABC):
     in another frame than they, the filter starts where positions and odometry put it. With smoothing they are left out with
     a warning.
 
-    Random numbers come from one generator in this order: for each motion `options.standard_normals`, five per particle
+    Random numbers come from one generator in this order: for each motion `particles.standard_normals`, five per particle
     (nu, omega, x, y, theta; the first three for a Gaussian drawn at once), for each resampling what the scheme draws.
     The same seed gives exactly the same result for any number of threads.
 

@@ -42,9 +42,9 @@ WINDOWS, SHORTEST = 30, 10
 #: the standard deviation sideways of motions that hardly hold the robot, over the median distance of a motion
 LOOSE = 0.1
 #: the noise model stays unless the slip has more than so many times its variance
-CLEAR = 10.0
+MIN_VARIANCE_RATIO = 10.0
 #: windows are left out where the sightings determine less than this part of the sum
-MIN_INFORMATION = 0.5
+MIN_DETERMINED = 0.5
 #: parameters that change by less than this part of their standard deviations have settled
 FINE = 0.3
 #: the most times that parameters are estimated from the ids, and ids found in the corrected log
@@ -104,12 +104,12 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
         rows[nodes[: count * N], :, window] += B[: count * N, 1]
     V = np.einsum("nic,nic->c", rows, Uncertainty(solved.graph, solved.state).solve(rows))
     k = 1 - V / (N * loose**2)
-    informed = k > MIN_INFORMATION
+    informed = k > MIN_DETERMINED
     if np.count_nonzero(informed) < count / 2:
         return robot
     variance = float(np.mean(sums[informed] ** 2 / k[informed] ** 2 - V[informed] / k[informed])) / N
     allowed = float(np.mean(np.linalg.inv(usual.information)[:, 1, 1]))
-    if variance <= CLEAR * allowed:
+    if variance <= MIN_VARIANCE_RATIO * allowed:
         return robot
     slip = np.sqrt(robot.motion.slip**2 + (variance - allowed) / float(np.mean(far)))
     return replace(robot, motion=replace(robot.motion, slip=float(slip)))

@@ -116,7 +116,7 @@ MOST_ITEMS = 40
 #: ... a piece by at most so many pairs at a time: their joint covariance has the square of that number of blocks
 MOST_PAIRS = 1_000
 #: and compares at most so many hypotheses
-MOST = 3_000
+MAX_HYPOTHESES = 3_000
 
 
 @dataclass(frozen=True)
@@ -228,6 +228,6 @@ def _decided(
     noise = solved.own_covariances[item] + solved.slack_of(item, other)
     candidates, order = Candidates.of(np.unique(item, return_inverse=True)[1], other, nu, S, weights, noise)
     item, other = item[order], other[order]
-    chosen, evidence = candidates.best(gate, most=MOST)
-    margins = candidates.margins(chosen, evidence, gate, most=MOST // 10)
+    chosen, evidence = candidates.best(gate, most=MAX_HYPOTHESES)
+    margins = candidates.margins(chosen, evidence, gate, most=MAX_HYPOTHESES // 10)
     return [Merge(int(item[c]), int(other[c]), float(m), float(evidence)) for c, m in zip(chosen, margins) if c >= 0]

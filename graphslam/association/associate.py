@@ -32,10 +32,10 @@ from .front_end import run_front_end
 from .map_solution import Problem
 from .problem import AssociationOptions, Field
 from .problem import names as names_of
-from .refining import ROUNDS
+from .refining import TRIAL_ROUNDS
 
 #: the evidence for a reliable map over that for any other one [nats]; with 30, one of 42 maps called good was bad
-CLEAR = 40.0
+MIN_LEAD = 40.0
 #: so many starts have to end alike
 ALIKE = 2
 
@@ -87,9 +87,9 @@ def verdict(competition: Competition, field: Field) -> Verdict:
         reasons.append(f"only one of {len(competition.ends)} starts of the search ended in its trajectory")
     if lead <= 0:
         reasons.append("another map that was tried is as likely")
-    elif lead < CLEAR:
+    elif lead < MIN_LEAD:
         reasons.append(
-            f"another map that was tried is less likely by a factor of {readable(lead)}, and {readable(CLEAR)} is needed"
+            f"another map that was tried is less likely by a factor of {readable(lead)}, and {readable(MIN_LEAD)} is needed"
         )
     return Verdict(not reasons, tuple(reasons), lead, len(competition.ends), agreeing, spread(best))
 
@@ -339,7 +339,8 @@ def _report(
     if end.unsettled:
         notes.append(
             f"alternatives that had not settled when they were compared, after "
-            f"{_counted(min(options.rounds, ROUNDS), 'round')}: {end.unsettled} of {end.tried}; their evidence may be higher"
+            f"{_counted(min(options.rounds, TRIAL_ROUNDS), 'round')}: {end.unsettled} of {end.tried}; their "
+            "evidence may be higher"
         )
     if end.left:
         notes.append(

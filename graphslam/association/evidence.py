@@ -81,7 +81,7 @@ def _inside(poses: Array, landmarks: Array, origin: Array, limits: Array) -> np.
 
 
 #: the most hypotheses that one search compares; the best so far is then the result
-MOST = 20_000
+MAX_HYPOTHESES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,9 @@ class Candidates:
             covariance[np.ix_(columns, columns)], weights[order], np.maximum(weights - 0.5 * log_volume(noise), 0.0)[order],
         ), order  # fmt: skip
 
-    def best(self, gate: float, allowed: np.ndarray | None = None, most: int = MOST) -> tuple[np.ndarray, float]:
+    def best(
+        self, gate: float, allowed: np.ndarray | None = None, most: int = MAX_HYPOTHESES
+    ) -> tuple[np.ndarray, float]:
         """The candidate (I,) of each item that has some in the best hypothesis, -1 for none, and its evidence E.
 
         Args:
@@ -149,7 +151,7 @@ class Candidates:
             gates(gate, d, items), most,
         )  # fmt: skip
 
-    def margins(self, chosen: np.ndarray, evidence: float, gate: float, most: int = MOST) -> Array:
+    def margins(self, chosen: np.ndarray, evidence: float, gate: float, most: int = MAX_HYPOTHESES) -> Array:
         """For each item (I,) how much worse the best hypothesis without its chosen candidate is; infinite for none."""
         margins = np.full(len(chosen), np.inf)
         for i in np.flatnonzero(chosen >= 0):

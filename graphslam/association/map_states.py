@@ -50,9 +50,9 @@ from .problem import INSIDE, Field
 #: standard deviations of the shift [m] and the turn [rad] of a landmark that has moved
 MOVE, TURN = 1.0, 1.0
 #: exact landmarks of a map are taken as known to this standard deviation [m, rad]
-EXACT = 1e-3
+EXACT_STD = 1e-3
 #: the most graphs that are solved
-ROUNDS = 20
+MAX_SOLVES = 20
 #: the states
 AGREES, MOVED, VANISHED, NOT_IN_VIEW, NEW = "agrees", "moved", "vanished", "not in view", "new"
 #: means and sizes a + b of the beta distributions of detection that are compared
@@ -178,7 +178,7 @@ def map_states(
         log = log.without_orientation()
     away: set[int] = set()
     tried: list[set[int]] = []
-    for _ in range(ROUNDS):
+    for _ in range(MAX_SOLVES):
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
         solution = solve(Graph.from_log(renamed, map=used, **options))
@@ -239,7 +239,7 @@ def _uncertain(known: LandmarkMap) -> LandmarkMap:
     """The map with exact landmarks as nearly exact ones, so that they have nodes with errors."""
     if known.joint is not None and len(known.covariances) == len(known):
         return known
-    own = {j: known.covariances.get(j, EXACT**2 * np.eye(len(place))) for j, place in known.items()}
+    own = {j: known.covariances.get(j, EXACT_STD**2 * np.eye(len(place))) for j, place in known.items()}
     if known.joint is None:
         return LandmarkMap(known, own, classes=known.classes)
     ids = sorted(known)

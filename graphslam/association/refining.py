@@ -186,9 +186,9 @@ def _kept(problem: Problem, solved: MapSolution, labels: np.ndarray) -> tuple[np
 #: alternatives are tried whose linearised evidence is at most this much lower [nats]
 PROMISING = 30.0
 #: the rounds of association and solving of a trial
-ROUNDS = 4
+TRIAL_ROUNDS = 4
 #: alternatives of each return that are tried
-MOST = 3
+MAX_ALTERNATIVES = 3
 #: so many poses are solved in all to examine the returns of a drive, and so many returns at least
 WORK, LEAST_EVENTS = 75_000, 10
 
@@ -200,7 +200,7 @@ class SearchResult:
     Attributes:
         refined: the association.
         alternatives: the alternatives of the result.
-        tried, unsettled: how many alternatives were tried, and how many of them had not settled after `ROUNDS` rounds.
+        tried, unsettled: how many alternatives were tried, and how many of them had not settled after `TRIAL_ROUNDS` rounds.
         left: how many alternatives of the result are promising and were not tried, because no tries were left.
         rivals: what else was solved on the way, the promising alternatives of the result as they are among it: the evidence
             for the association over that for the rival [nats], and its poses (T+1, 3).
@@ -218,12 +218,12 @@ def search(problem: Problem, refined: Refined) -> SearchResult:
     """Try alternatives while the evidence rises, with the densities of the association that it begins with."""
     problem, options = replace(problem, densities=refined.densities), problem.options
     events, unsettled = max(LEAST_EVENTS, WORK // problem.log.num_poses), 0
-    brief = replace(problem, options=replace(options, rounds=min(options.rounds, ROUNDS)))
+    brief = replace(problem, options=replace(options, rounds=min(options.rounds, TRIAL_ROUNDS)))
     best = evidence(problem, refined.solved)
     tried: set[bytes] = set()
     solved: list[tuple[float, Array]] = []
     while True:
-        found = all_alternatives(problem, refined.solved, most=MOST, events=events)
+        found = all_alternatives(problem, refined.solved, most=MAX_ALTERNATIVES, events=events)
         promising = sorted((a for a in found if a.log_factor < PROMISING), key=lambda a: a.log_factor)
         for alternative in promising:
             if len(tried) == options.tries or (key := alternative.labels.tobytes()) in tried:

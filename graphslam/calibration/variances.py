@@ -24,7 +24,7 @@ from ..errors import LogError
 from ..se2 import Array
 
 #: limits of nu; at the upper one the distribution is practically Gaussian
-FEWEST, MOST = 1.0, 1e4
+MIN_NU, MAX_NU = 1.0, 1e4
 
 #: the starts of the search: the fraction of the residuals that the parts explain together, and nu
 STARTS = ((1.0, 10.0), (0.1, 4.0))
@@ -150,7 +150,7 @@ class _Likelihood:
     def position(self, variances: Mapping[str, float], nu: float) -> Array:
         """The q of given variances and nu."""
         theta = np.array([variances[name] for name in self.names])
-        return np.append(np.log(np.maximum(theta / self.unit, 10 * NEGLIGIBLE)), np.log(min(nu, MOST)))
+        return np.append(np.log(np.maximum(theta / self.unit, 10 * NEGLIGIBLE)), np.log(min(nu, MAX_NU)))
 
     def theta(self, q: Array) -> Array:
         """The variances. One at its lower limit becomes zero, or the least if the covariance is singular without it."""
@@ -164,7 +164,7 @@ class _Likelihood:
     def nu(self, q: Array) -> float:
         """The degrees of freedom."""
         nu = float(np.exp(q[-1])) if self.degrees is None else self.degrees
-        return nu if nu < 0.9 * MOST else np.inf
+        return nu if nu < 0.9 * MAX_NU else np.inf
 
     def information(self, theta: Array) -> Array:
         """C_e^-1 (E, d, d)."""
@@ -177,7 +177,7 @@ class _Likelihood:
 
     def search(self, begin: Array, fixed: int | None = None) -> tuple[float, Array]:
         """The lowest negative log likelihood per residual, and its q; the part ``fixed`` stays where it begins."""
-        limits = [(low, np.log(MOST_EXPLAINED)) for low in self.low] + [(np.log(FEWEST), np.log(MOST))]
+        limits = [(low, np.log(MOST_EXPLAINED)) for low in self.low] + [(np.log(MIN_NU), np.log(MAX_NU))]
         if fixed is not None:
             limits[fixed] = (begin[fixed], begin[fixed])
         # L-BFGS-B ends up to 0.2 below this likelihood, and six times as late where BLAS threads wait for busy cores

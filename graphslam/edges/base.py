@@ -16,7 +16,7 @@ import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError, quoted
-from ..errors.checks import check_choice, first, make_read_only, real_array
+from ..errors.checks import array_or_none, check_choice, first, make_read_only
 from ..linear.information import BlockSystem
 from ..se2 import Array, lever_matrix, turn_matrix
 
@@ -145,12 +145,8 @@ def check_rows(owner: object, **shapes: tuple[int, ...]) -> None:
     """
     for name, shape in shapes.items():
         given = getattr(owner, name)
-        try:
-            array = real_array(given)
-        except (TypeError, ValueError, OverflowError):
-            raise GraphError(
-                f"{type(owner).__name__}: {name} must be an array of numbers, not {quoted(given)}"
-            ) from None
+        if (array := array_or_none(given)) is None:
+            raise GraphError(f"{type(owner).__name__}: {name} must be an array of numbers, not {quoted(given)}")
         if array.shape != shape:
             raise GraphError(
                 f"{type(owner).__name__}: {name} must have the shape {shape}, one row for each of the {shape[0]} edges, not "

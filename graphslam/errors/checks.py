@@ -22,8 +22,11 @@ from numpy.typing import ArrayLike
 
 from . import OptionError, quoted, shortened
 
-#: the largest angle of a sighting in radians, with what printing it to six digits may add
-WHOLE_TURN = 2 * math.pi + 1e-6
+#: beyond these values numbers are probably in another unit: range [m], speed [m/s], turn rate [rad/s], time of a control [s].
+#: Tables with such numbers are refused unless their unit is stated, `log_checks` reports them, and factors refuse turn rates.
+FARTHEST, FASTEST, QUICKEST, LONGEST = 1000.0, 100.0, 2 * math.pi, 5.0
+#: larger angles [rad] are probably in degrees: of a sighting or a turn, with what printing it to six digits may add; headings
+WHOLE_TURN, FOUR_TURNS = 2 * math.pi + 1e-6, 8 * math.pi
 
 
 def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
@@ -103,10 +106,7 @@ def check_count(**values: int) -> None:
 
 
 def check_sighted(name: str, angles: Iterable[float]) -> None:
-    """Raise `OptionError` where a bearing or an orientation is beyond 2 pi, as those of degrees are.
-
-    Tables of sightings are refused by the same limit.
-    """
+    """Raise `OptionError` where a bearing or an orientation is beyond 2 pi, as those of degrees are."""
     for angle in angles:
         if not abs(angle) <= WHOLE_TURN:
             raise OptionError(
@@ -116,8 +116,8 @@ def check_sighted(name: str, angles: Iterable[float]) -> None:
 
 
 def check_heading(name: str, heading: float) -> None:
-    """Raise `OptionError` where a heading is beyond 8 pi, as those of degrees are; tables are refused by the same limit."""
-    if abs(heading) > 4 * WHOLE_TURN:
+    """Raise `OptionError` where a heading is beyond 8 pi, as those of degrees are."""
+    if abs(heading) > FOUR_TURNS:
         raise OptionError(
             f"the heading of {name} is {heading:g} rad, beyond 8 pi: is it in degrees? Give radians, np.deg2rad(...); if it "
             "is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"
@@ -145,13 +145,10 @@ def checked_offset(name: str, value: Any) -> tuple[float, float]:
     Raises:
         OptionError: it is neither, or not finite.
     """
-    try:
-        offset = real_array(value)
-    except (TypeError, ValueError, OverflowError):
-        offset = np.empty(0)
-    if offset.size == 1:
+    offset = array_or_none(value)
+    if offset is not None and offset.size == 1:
         offset = np.array([offset.item(), 0.0])
-    if offset.shape != (2,) or not np.all(np.isfinite(offset)):
+    if offset is None or offset.shape != (2,) or not np.all(np.isfinite(offset)):
         raise OptionError(f"{name} must be (ahead, to the left) in m, or one number ahead, not {quoted(value)}")
     return float(offset[0]), float(offset[1])
 
@@ -168,16 +165,23 @@ def real_array(value: Any) -> np.ndarray:
     return np.asarray(value, dtype=float)
 
 
+def array_or_none(value: Any) -> np.ndarray | None:
+    """A value as an array of floating-point numbers of any shape, not copied where it is one; None where it is none."""
+    try:
+        return real_array(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
 def array_of(name: str, value: Any) -> np.ndarray:
     """A value as an array of floating-point numbers of any shape.
 
     Raises:
         OptionError: it is none.
     """
-    try:
-        return real_array(value)
-    except (TypeError, ValueError, OverflowError):
-        raise OptionError(f"{name} must be an array of numbers, not {quoted(value)}") from None
+    if (array := array_or_none(value)) is None:
+        raise OptionError(f"{name} must be an array of numbers, not {quoted(value)}")
+    return array
 
 
 def first(wrong: ArrayLike) -> int | None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..edges.robust import KERNELS
 from ..errors import FactorError, FormatError, OptionError, quoted, reason_of
-from ..files import write_whole
+from ..files import write_text
 from ..models import MotionModel, SensorModel
 
 #: the factor types by name; each enters itself when its class is defined
@@ -169,9 +169,7 @@ def save_factors(
             places.append({"gtsam": natives.size()})
             natives.add(factor)
     data = {"format": "graphslam factors", "version": 2, "factors": places, "gtsam": _serialized(natives)}
-    text = json.dumps(data, indent=1)
-    with write_whole(path) as temporary:
-        temporary.write_text(text)
+    write_text(path, json.dumps(data, indent=1))
 
 
 def load_factors(path: str | Path, functions: Functions | None = None) -> gtsam.NonlinearFactorGraph:

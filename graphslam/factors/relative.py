@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError
-from ..errors.checks import check_heading, check_positive
+from ..errors.checks import QUICKEST, check_heading, check_positive
 from ..linear.precision import check_size, model_of, small_inverse
-from ..models import QUICKEST, MotionModel, sinc_slope_near_zero
+from ..models import MotionModel, sinc_slope_near_zero
 from ..se2 import Array, turned_by
 from .arguments import PoseLike, frozen_at, in_world_frame, numbers, pose, positive_definite
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped

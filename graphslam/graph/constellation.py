@@ -42,7 +42,7 @@ NEAR = 8
 #: cells of the table of the nearest landmark
 CELLS = 40_000
 #: how often partners are chosen again, and how often for places that are alike, within a factor of e^CLOSE
-ROUNDS, LAST_ROUNDS, CLOSE = 3, 6, 20.0
+REFINEMENTS, LAST_REFINEMENTS, CLOSE = 3, 6, 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +172,7 @@ def match(landmarks: Merged, known: Constellations) -> list[tuple[Match, np.ndar
     near = known.near(moved)
     squares = np.sum((moved - known.places[near, :2]) ** 2, axis=2) / variance
     first = distinct(squares, np.where(squares <= GATE, near + 1, 0), REFINED)
-    return _ranked(*_refined(landmarks, known, poses[first], ROUNDS))
+    return _ranked(*_refined(landmarks, known, poses[first], REFINEMENTS))
 
 
 def with_alike(
@@ -192,7 +192,7 @@ def with_alike(
     poses = np.array([each.pose for each, _ in alike if each.evidence > alike[0][0].evidence - CLOSE])
     if len(poses) < 2:
         return found
-    matches, again = _refined(landmarks, known, poses, LAST_ROUNDS)
+    matches, again = _refined(landmarks, known, poses, LAST_REFINEMENTS)
     return _ranked([*matches, *(each for each, _ in found)], [*again, *(each for _, each in found)])
 
 

@@ -52,7 +52,7 @@ CHANGES = {
     "in feet: give it in metres": (0.3048, 0.3048),
 }
 #: the part of the sightings that agree beyond which no other of these mistakes is tried
-CLEAR = 0.9
+SURE_SHARE = 0.9
 #: attempts with more sightings and less evidence after which no more are taken
 PATIENCE = 3
 
@@ -423,6 +423,6 @@ def _cause(log: Stretch, landmarks: LandmarkMap) -> str:
         share = len(fix.agree) / (len(fix.agree) + len(fix.disagree))
         if share > most:
             likely, most = f"; they would with the map {name}", share
-        if share > CLEAR:
+        if share > SURE_SHARE:
             break
     return likely

@@ -36,7 +36,7 @@ import numpy as np
 
 from ..errors import FormatError, named, quoted
 from ..errors.checks import check_choice, first
-from ..files import number, read_text, whole, write_whole
+from ..files import number, read_text, whole, write_text
 from ..se2 import Array, compose, inverse, transform, turned_by, wrap
 
 DIALECTS = ("g2o", "toro", "isam")
@@ -332,8 +332,7 @@ def write_g2o(data: PoseGraphFile, path: Path) -> None:
             information = turned_by(information, -measured[:, 2])
         upper = information[:, *np.triu_indices(d)]
         out += [f"{_G2O[kind]} {_text(ends)} {_text(z)} {_text(omega)}" for ends, z, omega in zip(ids, measured, upper)]
-    with write_whole(path) as temporary:
-        temporary.write_text("\n".join(out) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(out) + "\n")
 
 
 def _text(values: np.ndarray) -> str:

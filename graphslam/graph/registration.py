@@ -31,7 +31,7 @@ RIGHT = 0.8
 #: measurements agree up to this squared Mahalanobis distance; 1 % of the right ones with two coordinates lie beyond it
 GATE = 9.21
 #: the most measurements that make hypotheses, the hypotheses that are refined, and the steps of each
-MOST, REFINED, STEPS = 60, 8, 8
+MAX_MEASUREMENTS, REFINED, STEPS = 60, 8, 8
 #: the condition number of the information of a pose from which it is not determined
 ALONE = 1e14
 
@@ -85,7 +85,7 @@ M = TypeVar("M", bound=Match)
 
 def register(points: Points) -> list[Match]:
     """The hypotheses that differ, by decreasing evidence; none where no two landmarks agree with any."""
-    chosen = points.among(evenly(len(points.ids), MOST))
+    chosen = points.among(evenly(len(points.ids), MAX_MEASUREMENTS))
     poses = _hypotheses(chosen)
     if not len(poses):
         return []

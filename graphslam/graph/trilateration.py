@@ -21,7 +21,7 @@ from ..models import SensorModel
 from ..se2 import Array, mounted
 
 #: a place is clear when J at the second best one is higher by this much
-CLEAR = 30.0
+MIN_GAP = 30.0
 #: other places of a landmark are tried where J there, on the same trajectory, is higher by at most this much
 TRIED = 200.0
 #: directions, and distances as parts of the greatest one, from which places are searched
@@ -53,7 +53,7 @@ class Places:
     @property
     def clear(self) -> bool:
         """Whether one place is far more likely than all others."""
-        return self.known and (len(self.costs) == 1 or self.costs[1] - self.costs[0] > CLEAR)
+        return self.known and (len(self.costs) == 1 or self.costs[1] - self.costs[0] > MIN_GAP)
 
 
 def edges_of_single_numbers(

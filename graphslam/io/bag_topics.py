@@ -17,7 +17,7 @@ from typing import Any
 
 from ..errors import FormatError, named, quoted, shortened
 from ..errors.checks import suggestion
-from ..files import check_unpacked
+from ..files import check_unpacked, first_bytes
 from ..log.table import NAMES, plain
 
 #: the first bytes of files
@@ -114,9 +114,7 @@ def _check_head(path: Path) -> None:
     """Raise `FormatError` for a file that is empty, compressed as a whole, or begins as no bag does."""
     if path.is_dir():
         return
-    with path.open("rb") as stream:
-        head = stream.read(16)
-    if not head:
+    if not (head := first_bytes(path)):
         raise FormatError(path, None, "the file is empty; was the recording ended before anything was written?")
     check_unpacked(path, head)
     for suffix, kind in SUFFIXES.items():

@@ -13,7 +13,7 @@ from typing import Any
 
 from ..errors import FormatError, OptionError, quoted
 from ..errors.checks import check_choice, check_known
-from ..files import check_file, check_path, check_unpacked, path_of
+from ..files import check_file, check_path, check_unpacked, first_bytes, path_of
 from ..graph import Graph
 from ..graph.pose_graph import DIALECTS, is_pose_graph
 from ..log import Log, check_is_log
@@ -75,16 +75,8 @@ def read(path: str | PathLike[str], *, format: str | None = None, **options: Any
     return load(path, format=format, **options)
 
 
-def _head(path: Path) -> bytes:
-    """The first bytes of a file; none of a folder."""
-    if path.is_dir():
-        return b""
-    with path.open("rb") as stream:
-        return stream.read(4096)
-
-
 def _is_graph(path: Path) -> bool:
-    head = _head(path)
+    head = first_bytes(path)
     return is_pose_graph(head) and not any(form.recognises(path, head) for form in FORMATS.values())
 
 
@@ -130,7 +122,7 @@ def _format_of(path: Path, format: str | None) -> Format:
 
 
 def _recognised(path: Path) -> Format:
-    head = _head(path)
+    head = first_bytes(path)
     if not path.is_dir() and not head.strip():
         raise FormatError(path, None, "the file is empty; a log has at least one pose and its sightings")
     for candidate in FORMATS.values():

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError, quoted
-from ..files import number, read_text, whole, write_whole
+from ..files import number, read_text, whole, write_text
 from ..log import Log
 from ..log.rows import Fault, ReadOptions, sound_rows
 from ..models import MotionModel, SensorModel
@@ -178,8 +178,7 @@ def _write(log: Log, path: Path) -> None:
         out.append(f"x {t} " + " ".join(map(repr, pose)))
         for k in range(starts[t], starts[t + 1]):
             out.append(f"z {t} {log.landmarks[k]} " + " ".join(map(repr, log.sightings[k].tolist())))
-    with write_whole(path) as temporary:
-        temporary.write_text("\n".join(out) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(out) + "\n")
 
 
 FORMAT = Format("lnpr", _recognises, _read, _write, (".txt", ".lnpr"))

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError, OptionError, quoted
-from ..files import check_unpacked
+from ..files import check_unpacked, first_bytes
 from ..log import Log
 from ..log.drive import ROLES
 from ..log.join import Drive, read_drive
@@ -167,8 +167,7 @@ def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:
             found[table] = paths[0]
         elif table in ("odometry", "sightings"):
             for packed in sorted(folder.glob(f"{table}.*.*")):
-                with packed.open("rb") as stream:
-                    check_unpacked(packed, stream.read(16))
+                check_unpacked(packed, first_bytes(packed))
             message = (
                 f"this file is missing; it would hold {holds}. A file of another name can be named in {RECIPE}, as in "
                 f"[{table}] file = 'NAME.csv'"

@@ -27,7 +27,7 @@ from .text_table import MISSING
 #: nanoseconds of each unit
 UNITS = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 #: floating-point numbers of seconds resolve nanoseconds up to here, with their rounding and that of the product
-_EXACT = 2.0**51
+_RESOLVED = 2.0**51
 #: whole nanoseconds in 64 bits are below this
 _LARGEST = 2.0**63
 #: date and time of day as in ISO 8601, with the hours and minutes by which it is ahead of UTC
@@ -64,7 +64,7 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     factor = UNITS[unit or by_size(values)]
     if (beyond := np.flatnonzero(np.abs(values) >= _LARGEST / factor)).size:
         raise _beyond(table, int(beyond[0]), column)
-    if np.all(np.abs(values) * factor < _EXACT):
+    if np.all(np.abs(values) * factor < _RESOLVED):
         return np.rint(values * factor).astype(np.int64)
     words = table.texts(column)
     if words.dtype.kind in "iu":

@@ -162,7 +162,7 @@ def with_poses_every(log: Log, seconds: float) -> Log:
     if log.controls is None or log.dt is None:
         raise LogError(f"{log.name} has no controls, so there is nothing between its poses to keep")
     # without the start time, which may be so large that fractions of a second are lost
-    old = np.concatenate([[0.0], np.cumsum(log.dt)])[log.control_starts]
+    old = log.control_times[log.control_starts]
     # between two sessions there is nothing to keep
     times = filled(old, seconds, [each.start - 1 for each in log.sessions[1:]])
     return log if len(times) == len(old) else _with_poses(log, times)
@@ -179,7 +179,7 @@ def with_poses_at(log: Log, times: Array) -> Log:
     begin, end = log.times[[0, -1]].tolist()
     if (k := first((times < begin) | (times > end))) is not None:
         raise LogError(f"{log.name} has no pose at {times[k]:.3f} s: its poses are from {begin:.3f} to {end:.3f} s")
-    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
+    ends = log.control_times
     wanted = times - log.start_time
     there = ends[nearest_of(ends, wanted)]
     wanted = np.where(np.abs(there - wanted) <= CLOCK, there, wanted)
@@ -195,7 +195,7 @@ def nearest_of(times: Array, wanted: Array) -> np.ndarray:
 def _with_poses(log: Log, times: Array) -> Log:
     """The log with poses at these times since its first one, which contain those of its own poses."""
     assert log.dt is not None and log.controls is not None
-    ends = np.concatenate([[0.0], np.cumsum(log.dt)])
+    ends = log.control_times
     old = ends[log.control_starts]
     # a part that ends where a control does needs no further cut
     nearest = np.clip(np.searchsorted(ends, times - SAME), 0, len(ends) - 1)

@@ -13,8 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import LogError, named, quoted
-from ..errors.checks import checked_offset, first
-from ..models import FARTHEST, FASTEST, LONGEST, QUICKEST
+from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, LONGEST, QUICKEST, WHOLE_TURN, checked_offset, first
 from ..se2 import Array
 from .cells import (
     Doubt,
@@ -55,8 +54,6 @@ ORDERS: dict[str, dict[int, tuple[str, ...]]] = {
     "relations": {8: ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS)},
     "positions": {4: ("t", "x", "y", "sigma")},
 }
-#: bearings and turns beyond the first angle, and headings beyond the second, are probably in degrees [rad]
-MOST_TURN, MOST_TURNS = 2 * np.pi + 1e-6, 8 * np.pi
 #: poses that move sideways for a larger share of their way are no poses of a robot with wheels
 _SIDEWAYS = 0.3
 
@@ -359,7 +356,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         reader.need("range", "bearing", instead=instead)
         rows = reader.numbers("range", "bearing", finite=reader.has("orientation"))
     if reader.has("bearing"):
-        reader.refuse("bearing", rows[:, 1], MOST_TURN, "the bearing is {:g} rad, beyond 2 pi: is it in degrees?")
+        reader.refuse("bearing", rows[:, 1], WHOLE_TURN, "the bearing is {:g} rad, beyond 2 pi: is it in degrees?")
     if np.nanmedian([*rows[:, 0], 0.0]) > FARTHEST:
         role = "range" if reader.has("range") else "x"
         reader.refuse(role, rows[:, 0], FARTHEST, "the range is {:g} m: is it in mm?")
@@ -417,7 +414,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     if not known.all():
         notes = (f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out",)
     if rows.shape[1] == 3 and not reader.has("qz"):
-        reader.refuse("theta", rows[:, 2], MOST_TURNS, "the heading is {:g} rad: is it in degrees?")
+        reader.refuse("theta", rows[:, 2], FOUR_TURNS, "the heading is {:g} rad: is it in degrees?")
     kept = np.flatnonzero(known)
     ns, order, more = ordered(reader, ns[kept], kept)
     rows = rows[kept][order]

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import LogError, OptionError
-from ..errors.checks import check_known, check_type, checked_offset, first
+from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, checked_offset, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
 from .cells import Doubt, seconds
-from .drive import MOST_TURN, MOST_TURNS, Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
+from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
 from .rows import ReadOptions, TableOptions
@@ -77,7 +77,7 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
         )
     # an empty cell: the heading is not known there
     motions = np.column_stack([reader.numbers("dx", "dy"), reader.numbers("dtheta", finite=False)])
-    reader.refuse("dtheta", motions[:, 2], MOST_TURN, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
+    reader.refuse("dtheta", motions[:, 2], WHOLE_TURN, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
     rows = np.column_stack([motions, _noise(reader, np.isfinite(motions[:, 2])).reshape(-1, 9)])
     order = np.argsort(ns, kind="stable")
     return Timed(table, ns[order], rows[order], reader.described(), ends=ends[order])
@@ -115,7 +115,7 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     if reader.has("theta"):
         # an empty cell: the heading is not known there
         places[:, 2:] = reader.numbers("theta", finite=False)
-        reader.refuse("theta", places[:, 2], MOST_TURNS, "the heading is {:g} rad: is it in degrees?")
+        reader.refuse("theta", places[:, 2], FOUR_TURNS, "the heading is {:g} rad: is it in degrees?")
     covariances = _noise(reader, np.isfinite(places[:, 2]))
     levers = np.zeros((len(ns), 2))
     for column, role in enumerate(("lever_x", "lever_y")):

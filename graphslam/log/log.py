@@ -305,12 +305,17 @@ class Log:
             or self.recorded_dt is not None
         )
 
+    @property
+    def control_times(self) -> Array:
+        """The times since the first pose at which each control starts, and at which the last one ends [s], (S+1,)."""
+        return np.concatenate([[0.0], np.cumsum(() if self.dt is None else self.dt)])
+
     @cached_property
     def times(self) -> Array | None:
         """The time of each pose [s], (T+1,), read-only; None without controls."""
         if self.dt is None:
             return None
-        times = self.start_time + np.concatenate([[0.0], np.cumsum(self.dt)])[self.control_starts]
+        times = self.start_time + self.control_times[self.control_starts]
         times.flags.writeable = False
         return times
 

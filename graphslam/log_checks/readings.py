@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import decimals
+from ..errors.checks import FARTHEST, FASTEST, LONGEST, QUICKEST
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
-from ..models import FARTHEST, FASTEST, LONGEST, QUICKEST, MotionModel, SensorModel
+from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .findings import Finding
 
@@ -148,9 +149,7 @@ class SightingPairs:
 
     def _clocks(self, path: Array, starts: np.ndarray) -> Iterator[tuple[str, str, Array, Array]]:
         """The sightings read as later or earlier."""
-        dt = self.log.dt
-        assert dt is not None
-        times = np.concatenate([[0.0], np.cumsum(dt)])
+        times = self.log.control_times
         for late in (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0):
             for shift in (-late, late):
                 moved = np.stack([np.interp(times[starts] + shift, times, column) for column in path.T], axis=-1)

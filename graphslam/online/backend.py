@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import OptionError, quoted
-from ..errors.checks import real_array
+from ..errors.checks import array_or_none
 from ..graph.tracker import Tracker
 from ..graph.trilateration import NumberRow
 from ..linear.precision import inverses
 from ..se2 import Array
 
 #: the variances [m², m², rad²] of a first pose that only a map or absolute positions hold
-ANYWHERE = (1e4, 1e4, 1e2)
+FREE_START = (1e4, 1e4, 1e2)
 
 #: the same of a first pose that was held at the origin until the first absolute position came
-RELEASED = (1e8, 1e8, 1e2)
+RELEASED_START = (1e8, 1e8, 1e2)
 
 #: a measured pose z (3,) of node b in the axes of node a with its information: (a, b, z, Omega)
 Relation = tuple[int, int, Array, Array]
@@ -119,14 +119,6 @@ class Backend(ABC):
         """
 
 
-def array_or_none(value: ArrayLike) -> Array | None:
-    """A value as an array of numbers, or None where it is none."""
-    try:
-        return real_array(value).copy()
-    except (TypeError, ValueError, OverflowError):
-        return None
-
-
 def numbers(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> Array:
     """Finite numbers of a shape.
 
@@ -136,7 +128,7 @@ def numbers(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> Array
     array = None if value is None else array_or_none(value)
     if array is None or array.shape != shape or not np.isfinite(array).all():
         raise OptionError(f"{name} must be finite numbers of shape {shape}, not {quoted(value)}")
-    return array
+    return array.copy()
 
 
 def information_of(covariance: ArrayLike | None, d: int = 3) -> Array:

@@ -21,7 +21,7 @@ from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..models import RESIDUALS, SensorModel
 from ..se2 import Array, between, compose, inverse, turn_matrix
 from ..solvers.gtsam_factors import factors_of_single_numbers
-from .backend import RELEASED, Backend, Relation, information_of
+from .backend import RELEASED_START, Backend, Relation, information_of
 
 EDGES = ("landmark+motion", "virtual+motion")
 #: how ISAM2 eliminates nodes
@@ -150,7 +150,7 @@ class Isam2Backend(Backend):
                     values.insert(key, moved.compose(before.atPose2(key)))
             self._hold_first(values, None)
             position()
-            self._hold_first(self._isam.calculateEstimate(), np.diag(1 / np.array(RELEASED)))
+            self._hold_first(self._isam.calculateEstimate(), np.diag(1 / np.array(RELEASED_START)))
 
     def _hold_first(self, values: gtsam.Values, information: Array | None) -> None:
         """Begin anew at values, with the first pose anchored there with other information."""

@@ -17,7 +17,7 @@ from ..graph.tracking import DOUBT, elsewhere, sure_fix
 from ..log import UNIDENTIFIED
 from ..models import SensorModel
 from ..se2 import Array, between
-from .backend import ANYWHERE, Backend, Relation
+from .backend import FREE_START, Backend, Relation
 
 #: how much more must have been seen until another fix is tried
 GROWTH = 1.5
@@ -58,7 +58,7 @@ class Localizer:
         passed = list(relations)
         if fix is not None and leading is not None:
             moved = between(last, fix.pose)
-            passed[leading] = (before, new, moved, np.diag(1 / np.array(ANYWHERE)))
+            passed[leading] = (before, new, moved, np.diag(1 / np.array(FREE_START)))
             # the next calls begin with what the robot did instead of what it measured
             first, second, _, information = relations[leading]
             relations = (*relations[:leading], (first, second, moved, information), *relations[leading + 1 :])
@@ -94,7 +94,7 @@ class Localizer:
         (start, covariance), fix = self._start, self.fixes.get(0)
         if fix is not None:
             # the landmarks hold the first pose
-            start, covariance = fix.pose, np.diag(ANYWHERE)
+            start, covariance = fix.pose, np.diag(FREE_START)
         held = {} if start is None else {"map": self._landmarks, "start_covariance": covariance}
         self._backend = self._make(np.zeros(3) if start is None else start, **held)
         self.tracker: Tracker | None = None

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..edges import PositionEdges
 from ..graph.defaults import into_world
-from ..graph.trilateration import CLEAR, MORE, NumberRow, WaitingNumbers, edges_of_rows, other_places, places_of_rows
+from ..graph.trilateration import MIN_GAP, MORE, NumberRow, WaitingNumbers, edges_of_rows, other_places, places_of_rows
 from ..models import SensorModel
 from ..se2 import Array, wrap
 
@@ -73,7 +73,7 @@ class OtherEnds:
         for id, row in rows:
             nodes = np.concatenate([state, place(id)[None]])
             for each in edges_of_rows(id, [row], self.sensor, len(state)):
-                if each.linearize(nodes, nodes).mahalanobis[0] > CLEAR:
+                if each.linearize(nodes, nodes).mahalanobis[0] > MIN_GAP:
                     return list(self.numbers)
         return [id for id, _ in rows if len(self.numbers[id]) + 1 >= MORE * self.tried[id]]
 

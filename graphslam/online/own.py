@@ -21,7 +21,7 @@ from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..linear.precision import inverses
 from ..models import SensorModel
 from ..se2 import Array, compose, inverse, wrap
-from .backend import RELEASED, Backend, Relation, information_of
+from .backend import RELEASED_START, Backend, Relation, information_of
 from .other_ends import SWEEPS, OtherEnds
 
 #: kinds of edges: to a new pose, a sighting of a landmark, another relation of poses, single numbers, absolute positions
@@ -29,7 +29,7 @@ MOTION, SIGHTING, RELATION, RANGE, BEARING, POSITION = range(6)
 #: the most passes of one update, after which the batch solver takes over
 PASSES = 15
 #: the standard deviation [m, rad] of landmarks that are exact in a map
-EXACT = 1e-5
+HELD_STD = 1e-5
 #: the part of J below which updates leave it
 TOLERANCE = 3e-8
 #: the fewest steps from one pose that stays a node, with a lag, to the next
@@ -53,7 +53,7 @@ class OwnBackend(Backend):
             nodes, and so does one pose in each stretch of ``lag`` steps, at least `STRETCH`, in which landmarks were new:
             the prior of a stretch is relative to it. None keeps all poses.
         map: landmarks that are known beforehand, in a form that `Graph.from_log` takes; exact ones have a standard deviation
-            of `EXACT`. Sightings have psi where all its landmarks have headings, and else not. Give ``start`` in its frame.
+            of `HELD_STD`. Sightings have psi where all its landmarks have headings, else not. Give ``start`` in its frame.
         start_covariance: (3, 3) of the first pose; default: it is anchored. After a first fix, four times its covariance.
 
     Raises:
@@ -283,7 +283,7 @@ class OwnBackend(Backend):
             self.system = before
             raise
         self._final[: self.num_final] = compose(motion, self._final[: self.num_final])
-        self._hold_first(self.system.values(nodes[:1])[0], np.diag(1 / np.array(RELEASED)))
+        self._hold_first(self.system.values(nodes[:1])[0], np.diag(1 / np.array(RELEASED_START)))
 
     def _hold_first(
         self, place: Array, information: Array, nodes: Sequence[int] = (), values: Array | None = None
@@ -401,7 +401,7 @@ def _priors_of(known: LandmarkMap, columns: int) -> tuple[list[int], Array, Arra
             *(known.own_information(j, columns) if j in known.covariances else np.zeros((3, 3)) for j in ids)
         )
     exact = np.repeat([j not in known.covariances for j in ids], 3) & np.tile(np.arange(3) < columns, count)
-    information[exact, exact] = EXACT**-2
+    information[exact, exact] = HELD_STD**-2
     return ids, places, information
 
 

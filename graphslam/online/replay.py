@@ -36,7 +36,7 @@ from ..solvers.corrected import motion_edges
 from ..solvers.initialize import image_notes, partial_edges
 from ..solvers.iteration import Run
 from ..solvers.solution import Solution, make_solution
-from .backend import ANYWHERE, Relation
+from .backend import FREE_START, Relation
 from .solver import OnlineSolver, backend_options
 
 
@@ -200,7 +200,7 @@ def _first_held(graph: Graph) -> dict[str, Array]:
 
     With a map, its landmarks hold the first pose, and positions may hold all of it or its place alone (`defaults.anchors`).
     """
-    anchor = np.diag(1 / np.array(ANYWHERE))
+    anchor = np.diag(1 / np.array(FREE_START))
     for family in graph.families if graph.map is None else ():
         if type(family) is AnchorEdges:
             anchor += family.information[family.nodes == 0].sum(axis=0)

@@ -16,6 +16,7 @@ from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import (
+    array_or_none,
     check_choice,
     check_count,
     check_heading,
@@ -31,7 +32,7 @@ from ..log.rows import NO_ID, UNIDENTIFIED
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, transform, wrap
 from ..solvers.uncertainty import ids_of, split
-from .backend import Backend, array_or_none, information_of, numbers
+from .backend import Backend, information_of, numbers
 from .localizer import Localizer
 from .own import OwnBackend
 
@@ -415,7 +416,7 @@ class OnlineSolver:
             raise OptionError("a range or a bearing alone needs the id of its landmark")
         if columns not in (None, z.shape[1]) and not (in_map and z.shape[1] == 3):
             raise OptionError(f"the sightings so far have {columns} numbers each, these have {z.shape[1]}")
-        return landmarks.tolist(), z
+        return landmarks.tolist(), z.copy()
 
     @staticmethod
     def _completed(z: Array) -> Array:

@@ -46,7 +46,7 @@ SWEEPS = 5
 #: the fewest sightings of each other from which an offset is estimated
 FEWEST = 5
 #: the most estimates, and the part of the standard deviation below which a step is the last
-ROUNDS, FINE = 5, 0.1
+MAX_ESTIMATES, FINE = 5, 0.1
 #: the offsets count where one is larger than so many standard errors. Correlated errors make these too small: by half on
 #: MR.CLAM 6, whose clocks agree.
 SURE = 6.0
@@ -119,7 +119,7 @@ def clock_offsets(robots: Mapping[int, Log]) -> ClockOffsets:
     poses = landmarks.split(solve(Graph.from_log(landmarks.log, edges="landmark+motion")).poses)
     logs = {n: log.replace(initial_poses=own) for (n, log), own in zip(logs.items(), poses)}
     found = _searched(logs)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ESTIMATES):
         step, covariance, count = _step(ClockOffsets(found, found, 0).applied(logs))
         deviations = np.sqrt(np.diagonal(covariance))
         found |= {n: found[n] + float(each) for n, each in zip(names, step)}

@@ -40,11 +40,11 @@ from .starts import dead_reckoning, odometry
 from .uncertainty import Uncertainty
 
 #: neighbours are at most so many poses apart, and each relation is compared with at most so many others
-APART, MOST = 20, 50
+APART, MAX_NEIGHBOURS = 20, 50
 #: so many pairs agree by chance, all together, if all relations are at random
 EXPECTED = 1.0
 #: the most rounds, and the damped steps in each
-ROUNDS, STEPS = 40, 20
+MAX_ROUNDS, STEPS = 40, 20
 #: a relation that was left out so often stays out
 LEFT_OUT = 2
 #: trust grows carefully where less than this part of the relations agree in pairs
@@ -92,7 +92,7 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
     covariances, state = np.linalg.inv(edges.information), dead_reckoning(graph)
     own_size, volume = np.sqrt(np.linalg.det(covariances)), _volume(edges.measured)
     rounds, settled, bent = 0, False, bool(pairs.any())
-    while rounds < min(ROUNDS, max_rounds) and not settled:
+    while rounds < min(MAX_ROUNDS, max_rounds) and not settled:
         rounds += 1
         trusting = graph.with_trust(trusted.astype(float))
         if bent:
@@ -120,7 +120,7 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
             settled, share = share == 1.0, 1.0
         trusted = trusted & ~out
         trusted[new] = True
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         before, trusted = trusted, (edges.squares(state) <= limit) & ~chance
         if np.array_equal(trusted, before):
             break
@@ -197,7 +197,7 @@ def _neighbours(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     a, b = a[order], b[order]
     firsts = [np.zeros(0, dtype=np.int64)]
     offsets = [np.zeros(0, dtype=np.int64)]
-    for d in range(1, min(MOST, len(order) - 1) + 1):
+    for d in range(1, min(MAX_NEIGHBOURS, len(order) - 1) + 1):
         near = a[d:] - a[:-d] <= APART
         if not near.any():
             break

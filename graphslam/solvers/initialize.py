@@ -3,8 +3,8 @@
 Landmarks that were seen by range or bearing alone are placed along a trajectory that grows. Ranges from a straight way leave
 two places for a landmark, mirror images, and other single numbers may leave several. So the graph grows along the odometry,
 and a landmark enters when its sightings from the trajectory so far leave one place: J at the second best is higher by
-`trilateration.CLEAR`. What is left open enters at the end where J is lowest. Then, for every landmark with another place that
-is not much worse, the whole graph is solved from there, and the lower J counts.
+`trilateration.MIN_GAP`. What is left open enters at the end where J is lowest. Then, for every landmark with another place
+that is not much worse, the whole graph is solved from there, and the lower J counts.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ from .iteration import Run
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
-MOST = 50_000_000
+MAX_JOINT_NUMBERS = 50_000_000
 
 
 def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> LandmarkMap:
@@ -63,7 +63,7 @@ def solved_map(graph: Graph, state: Array, uncertainty: Uncertainty) -> Landmark
     classes = known.classes | _classes(log)
     # landmarks of the graph's map that are no nodes are as they were
     others = {j: C for j, C in known.covariances.items() if j not in means_of_nodes}
-    if 9 * len(free) * graph.num_nodes > MOST or not len(free):
+    if 9 * len(free) * graph.num_nodes > MAX_JOINT_NUMBERS or not len(free):
         covariances = dict(zip(ids, uncertainty.diagonal[free, :d, :d]))
         return LandmarkMap(means, others | covariances, classes=classes)
     kept = np.tile(np.arange(3) < d, len(free))

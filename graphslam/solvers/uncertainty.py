@@ -161,7 +161,7 @@ BY_TURNS = ("sensor_ahead", "sensor_left", "sensor_delay")
 #: the parameters that change the size of the world; only their quotient is identifiable
 SCALES = ("wheel_scale", "range_scale")
 #: a scale that is so many standard deviations from 1 is wrong, or the other one is
-CLEAR = 3.0
+SIGNIFICANT = 3.0
 #: doubtful where the motion edges cost less than this part of what they should
 SMALL = 0.3
 #: the expected cost from which the ratio is judged: its standard deviation is then sqrt(2 / 30), a quarter
@@ -187,7 +187,7 @@ def doubt_of_scale(parameters: Parameters, deviations: Array) -> str:
         return ""
     k = parameters.names.index(names[0])
     value, other = parameters.values[k], SCALES[1 - SCALES.index(names[0])]
-    if abs(value - 1) < CLEAR * deviations[k]:
+    if abs(value - 1) < SIGNIFICANT * deviations[k]:
         return ""
     return (
         f"{names[0]} is {value:.3f} if {other} is 1, and a log explains itself as well with {other} {1 / value:.3f} instead. "

@@ -8,8 +8,8 @@ import pytest
 from comparisons.comparison import compare, run
 from comparisons.estimators import ESTIMATORS, Estimator, default_estimators, make_graph, pair_count
 from comparisons.options import RunOptions
+from comparisons.results.documents import jsonable
 from comparisons.results.results import parameters_of
-from comparisons.results.saving import jsonable
 from comparisons.show.tables import as_text
 from graphslam import Log, MotionModel, OptionError, SensorModel, SlamError, simulate, solve, textbook
 from graphslam.graph import EDGES

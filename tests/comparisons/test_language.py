@@ -32,9 +32,9 @@ from comparisons.cli.output import language_of_words
 from comparisons.cli.verb import name_of
 from comparisons.estimators import filters
 from comparisons.results import exchange
-from comparisons.show import canvas, log_tables, tables
+from comparisons.show import canvas, log_tables, studies, tables
 from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
-from comparisons.show.report import charts, matches, page
+from comparisons.show.report import charts, matrix, page
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults, tracking
 from graphslam.identification.result import RobotEstimate
@@ -50,10 +50,10 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     comparison.Comparison._noise_findings, comparison.Comparison._unused_options,
     exchange.reason_without_graph, filters._one_run, filters.of_several_seeds,
     build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._convergence, page._matrix,
-    charts.remarks, matches.description, matches.association_table, defaults.pairs_overweight,
-    RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, tables.solver_tables, tables.backend_tables,
-    log_tables.import_tables, log_tables.overview_tables, log_tables.evaluation_tables, log_tables.particle_tables,
-    log_tables.consistency_tables, log_tables.summary_tables, log_tables.survey_tables, log_tables.calibration_tables,
+    charts.remarks, matrix.description, page.association_table, defaults.pairs_overweight,
+    RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, studies.solver_tables, studies.backend_tables,
+    log_tables.import_tables, log_tables.overview_tables, log_tables.evaluation_tables, studies.particle_tables,
+    studies.consistency_tables, studies.summary_tables, log_tables.survey_tables, log_tables.calibration_tables,
 )  # fmt: skip
 #: strings of these functions that are no sentences
 NO_SENTENCES = {

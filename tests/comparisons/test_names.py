@@ -14,7 +14,7 @@ from click.testing import Result
 import comparisons
 from comparisons.estimators.config import read_config
 from comparisons.options.toml_files import to_toml
-from comparisons.results.saving import json_text
+from comparisons.results.documents import json_text
 from comparisons.show.canvas import as_text, paper_figure
 from comparisons.show.tables import as_text as table_text
 from comparisons.show.tables import tables_as_html as as_html

@@ -30,7 +30,7 @@ from comparisons.show.canvas import (
     true_landmarks,
 )
 from comparisons.show.figures import CORNERS, comparison_figure, ellipses
-from comparisons.show.study_figures import study_figure
+from comparisons.show.studies import study_figure
 from comparisons.show.tables import RESULTS
 from comparisons.studies.backends import BackendComparison, BackendRow
 from comparisons.studies.consistency import Consistency, ConsistencyStudy
@@ -281,9 +281,7 @@ def test_matplotlib_is_left_as_it_was(comparison: Comparison) -> None:
 
 @pytest.mark.slow
 def test_pyplot_is_never_imported() -> None:
-    modules = (
-        "comparisons.show.figures, comparisons.show.study_figures, comparisons.show.films, comparisons.show.report"
-    )
+    modules = "comparisons.show.figures, comparisons.show.studies, comparisons.show.films, comparisons.show.report"
     code = f"import sys, {modules}; assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
 

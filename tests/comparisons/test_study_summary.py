@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.show.study_figures import study_figure
+from comparisons.show.studies import study_figure
 from comparisons.show.tables import write_latex
 from comparisons.studies.database import COLUMNS
 from comparisons.studies.particles import quartiles

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from fastslam import FastSLAM1, FastSLAM2, textbook
-from fastslam.options import standard_normals
+from fastslam.particles import standard_normals
 from graphslam import MotionModel, OptionError, SensorModel, simulate
 
 UNKNOWN = {"association": "maximum-likelihood"}

@@ -7,7 +7,7 @@ import pytest
 from error_rates import bound
 
 from fastslam import FastSLAM1, FastSLAM2, textbook
-from fastslam.options import standard_normals
+from fastslam.particles import standard_normals
 from graphslam import SensorModel, simulate
 
 # with such a precise sensor the two versions differ

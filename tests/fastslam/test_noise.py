@@ -7,7 +7,7 @@ import pytest
 from error_rates import ERROR_RATE, bound
 from scipy import stats
 
-from fastslam.options import standard_normals
+from fastslam.particles import standard_normals
 
 
 def test_normals_are_normal() -> None:

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from graphslam import Graph, GraphError, LandmarkMap, OptionError, SensorModel, join_logs, simulate, solve
-from graphslam.association.map_states import EXACT, MOVE, TURN, map_states, session_states
+from graphslam.association.map_states import EXACT_STD, MOVE, TURN, map_states, session_states
 
 FIRST = simulate(seed=1, clean=True, landmarks=20, steps=80, arena=6.0)
 MAP = solve(Graph.from_log(FIRST, edges="landmark+motion")).map
@@ -85,7 +85,7 @@ def test_chi_square_has_its_distribution_where_nothing_has_changed():
 def test_every_use_of_a_map(use):
     known = MAP if use != "fixed" else LandmarkMap(FIRST.true_landmarks)
     found = map_states(second(2, {3: (1.5, 0.0)}), known.used_as(use), kernel="cauchy")
-    assert found.of("moved") == [3] and EXACT < 0.01
+    assert found.of("moved") == [3] and EXACT_STD < 0.01
 
 
 def test_a_map_with_and_one_without_headings():

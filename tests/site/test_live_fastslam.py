@@ -7,7 +7,7 @@ import pytest
 from live_pages import FIGURE, MARKS, Open, switch
 
 from fastslam import FastSLAM1, FastSLAM2
-from fastslam.options import draw_key
+from fastslam.particles import draw_key
 from graphslam import MotionModel, SensorModel
 
 pytestmark = MARKS

@@ -22,7 +22,7 @@ from graphslam.solvers.minimize import METHODS
 
 from ...estimators import ESTIMATORS, isam2_options, make_graph, online_keywords
 from ...options import AnimationOptions, RunOptions
-from ...results.sightings import CLUTTER, CONFIRMED, UNCONFIRMED, status_of
+from ...results.results import CLUTTER, CONFIRMED, UNCONFIRMED, status_of
 from ..canvas import RESIDUALS, SIGHTINGS
 from .scene import Film, Frame, Scene, kept
 

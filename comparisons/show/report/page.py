@@ -12,21 +12,31 @@ from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.table import Table
 
 from graphslam import Log, OptionError
-from graphslam.files import write_whole
+from graphslam.files import write_text
+from graphslam.log import UNIDENTIFIED
 
 from ...comparison import Comparison, run
 from ...estimators.config import versions
-from ...results import sentence
-from ...results.saving import check_can_write, jsonable
+from ...results import EstimatorResult, sentence
+from ...results.documents import jsonable
+from ...results.results import sightings_of
+from ...results.saving import check_can_write
 from ..canvas import MATRIX, colour_of, reference_of
+from ..cells import NOTHING, LeanTable, number, word
 from ..language import catalogue, language_of, translated, translated_table
 from ..tables import landmark_table, table_as_html, tables_of
 from .charts import COLUMNS, convergence_figure, costs_figure, errors_figure, iterations, paths_figure, remarks
-from .matches import ENTRY, FILL, association_table, description, matches_of, matrix_figure, pictures
+from .matrix import ENTRY, FILL, description, matrix_figure, pictures
 from .view import Figure, View, line_of, view_of
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 #: layers of the map: name, label, whether it is shown at first
 LAYERS = (
@@ -90,9 +100,7 @@ def write_report(
         raise OptionError(
             f"the comparison has been run: it takes no options ({', '.join(options)}); give the log instead"
         )
-    text = page_of(comparison, language)
-    with write_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, page_of(comparison, language))
 
 
 def page_of(comparison: Comparison, language: str = "en") -> str:
@@ -243,6 +251,75 @@ def _landmarks(comparison: Comparison, language: str) -> str:
                 f'<details><summary>{escape(title)}</summary><div class="wide">{table_as_html(table)}</div></details>'
             )
     return "\n".join(parts)
+
+
+#: in longer logs a click shows nothing: the page has to stay small
+MOST_SIGHTINGS = 100_000
+
+
+def matches_of(comparison: Comparison) -> dict[str, Any]:
+    """``of``: the number of the association that each estimator has; ``associations``: {landmark: what is known of it} each.
+
+    Of a landmark are known the ``steps`` of its sightings, those of them that are ``doubtful``, the ``true`` landmark and
+    the ``share`` of its sightings that are of it, and its ``class``. Estimators with the same ids share an association.
+    """
+    log = comparison.log
+    known: dict[tuple[bytes, bytes], int] = {}
+    of: dict[str, int] = {}
+    associations: list[dict[str, Any]] = []
+    if len(log.steps) > MOST_SIGHTINGS:
+        return {"of": {}, "associations": []}
+    for result in comparison.results:
+        ids = log.landmarks if result.association is None else result.association
+        key = ids.tobytes(), b"" if result.unconfirmed is None else result.unconfirmed.tobytes()
+        if key not in known:
+            known[key] = len(associations)
+            associations.append(_matches(comparison, result, ids))
+        of[result.name] = known[key]
+    return {"of": of, "associations": associations}
+
+
+def _matches(comparison: Comparison, result: EstimatorResult, ids: np.ndarray) -> dict[str, Any]:
+    log, scores = comparison.log, comparison.associations[result.name]
+    found = {}
+    for each in sightings_of(log, ids):
+        steps = log.steps[each.rows]
+        doubtful = steps[:0] if result.unconfirmed is None else steps[result.unconfirmed[each.rows]]
+        entry: dict[str, Any] = {"steps": steps.tolist(), "doubtful": doubtful.tolist(), "class": each.of_class}
+        if scores is not None:
+            true = scores.matches.get(each.landmark, UNIDENTIFIED)
+            entry["true"] = None if true == UNIDENTIFIED else true
+            entry["share"] = round(float(np.mean(log.landmarks[each.rows] == true)), 3)
+        found[str(each.landmark)] = entry
+    return found
+
+
+def association_table(comparison: Comparison, result: EstimatorResult) -> Table | None:
+    """The landmarks of a result with ids of its own, with the true ones that they are matched with; None where it has none.
+
+    The share is that of the sightings that truly are of the matched landmark.
+    """
+    if result.association is None:
+        return None
+    log, scores = comparison.log, comparison.associations[result.name]
+    headings = ["sightings", "unconfirmed", "steps"]
+    if log.classes is not None:
+        headings += ["class", "share of\nthe class"]
+    if scores is not None:
+        headings += ["true\nlandmark", "correct\nshare"]
+    table = LeanTable(f"Landmarks of {result.name}, and what was matched to them", ["landmark"], headings)
+    for each in sightings_of(log, result.association):
+        steps = log.steps[each.rows]
+        doubtful = 0 if result.unconfirmed is None else int(np.sum(result.unconfirmed[each.rows]))
+        cells: list[RenderableType] = [str(len(each.rows)), str(doubtful), f"{steps.min()}-{steps.max()}"]
+        if log.classes is not None:
+            cells += [word(each.of_class), number(each.share, 2)]
+        if scores is not None:
+            true = scores.matches.get(each.landmark, UNIDENTIFIED)
+            share = float(np.mean(log.landmarks[each.rows] == true))
+            cells += [NOTHING, NOTHING] if true == UNIDENTIFIED else [str(true), f"{share:.2f}"]
+        table.add_row(str(each.landmark), *cells)
+    return table
 
 
 def _error_texts(view: View) -> tuple[str, str]:
