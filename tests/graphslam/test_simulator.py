@@ -17,7 +17,19 @@ SMOOTH = MotionFaults(kicks_per_metre=0, velocity_bias_std=0)
 
 
 def test_the_sample_log_is_what_its_command_makes():
-    assert load(sample_log_path()).equals(simulate(WORLDS["garden"], seed=1))
+    """Up to a tenth of a millimetre: the driver steers back towards its way point, which enlarges the last digits.
+
+    Those of sine and cosine depend on the processor: with and without AVX-512 the end of the drive differs by 4e-6 m.
+    """
+    sample, made = load(sample_log_path()), simulate(WORLDS["garden"], seed=1)
+    assert made.steps.tolist() == sample.steps.tolist() and made.landmarks.tolist() == sample.landmarks.tolist()
+    assert made.replace(
+        controls=sample.controls, sightings=sample.sightings, true_poses=sample.true_poses,
+        initial_poses=sample.initial_poses,
+    ).equals(sample)  # fmt: skip
+    np.testing.assert_allclose(made.controls, sample.controls, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(made.true_poses, sample.true_poses, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(made.sightings, sample.sightings, rtol=0, atol=1e-4)
 
 
 def test_the_same_seed_makes_the_same_log():
