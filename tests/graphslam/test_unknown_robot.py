@@ -178,6 +178,18 @@ def test_noise_that_no_robot_has_is_doubted() -> None:
     assert any("range_rate, estimated as" in doubt and "units" in doubt for doubt in centimetres.doubts)
 
 
+def test_noise_of_ways_is_doubted_by_the_speed() -> None:
+    """A drive a hundred times as large has ten times the noise in m/√m; speeds that are all noise are doubted in any unit."""
+    log, _, found = warehouse()
+    large = replace(found, errors={"nn": 0.1}, log=found.log.replace(controls=found.log.controls * [100.0, 1.0]))
+    assert not replace(large, motion=replace(found.motion, nn=1.0)).doubts
+    assert replace(found, errors={"nn": 0.1}, motion=replace(found.motion, nn=1.0)).doubts
+    speed = np.sqrt(np.mean(large.log.controls[:, 0] ** 2))
+    assert any("another unit" in doubt for doubt in replace(large, motion=replace(found.motion, nn=speed**0.5)).doubts)
+    degrees = estimate_robot(log.replace(controls=log.controls * [1.0, 180 / np.pi]))
+    assert any("unit" in doubt or "radians" in doubt for doubt in degrees.doubts)
+
+
 def test_few_sightings_are_told() -> None:
     found = estimate_robot(Drive.random(1064).simulate()[0])
     assert any("has only 124 sightings" in doubt for doubt in found.doubts)
