@@ -71,7 +71,7 @@ def _corrected(log: Log, found: RobotEstimate) -> Log:
     """The log without the biases that were found, with the noise that was found as its own."""
     biases = {name: value for name, value in zip(found.parameters.names, found.parameters.values) if name not in PLACE}
     corrected = without_biases(log, motion=found.motion, sensor=found.sensor, **biases)
-    return corrected.replace(motion=found.motion, sensor=found.sensor)
+    return corrected.replace(motion=found.motion, sensor=found.sensor, control_variances=found.log.control_variances)
 
 
 def _with_found_ids(log: Log, corrected: Log, motion: MotionModel, sensor: SensorModel) -> tuple[Log, str]:

@@ -18,12 +18,14 @@ import numpy as np
 from ..errors import LogError
 from ..errors.checks import check_choice, check_number, check_positive, first
 from ..log import Log, check_is_log
-from ..models import MotionModel, SensorModel
+from ..models import MotionModel, SensorModel, additional_variances
 from ..se2 import Array
 from .declared import CORRECTIONS, PARAMETERS, Parameters, of_sensor_alone
 
 #: the control at a pose is the mean over at most this time before and after it [s]
 LONGEST = 0.5
+#: where recorded controls last longer [s], speeds change within them by more than the noise of the odometry
+LASTING = 0.3
 _WITHOUT_NOISE = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0)
 
 _Averages: TypeAlias = tuple[Array, Array, dict[str, Array]]
@@ -145,6 +147,37 @@ def controls_at_steps(parameters: Parameters) -> Array:
     """
     ends = _ends(parameters.recorded)
     return _averaged(parameters, ends, ends[parameters.recorded.control_starts])
+
+
+def changes_within(log: Log) -> Array:
+    """The variances (S, 3) of single controls whose speeds change before the next one, as `Log.control_variances`.
+
+    A control says the mean over its duration D. With d the differences from the controls before and after it, d² the mean of
+    both squares, and one jump at any time, the mean over a piece s D has a variance of (1 - s)² d². The robot also leaves the
+    arc sideways, with a mean speed of the variance (nu² d_omega² + omega² d_nu²) s (s D)² / 40.
+
+    They are zero where the controls of the log last at most `LASTING`.
+    """
+    assert log.controls is not None and log.dt is not None
+    recorded = log.dt if log.recorded_dt is None else log.recorded_dt
+    share, changed = log.dt / recorded, np.flatnonzero(np.any(np.diff(log.controls, axis=0) != 0, axis=1))
+    if np.median(recorded) <= LASTING or len(changed) == 0:
+        return np.zeros((len(log.dt), 3))
+    # the row of each piece: a row ends where its control changes, and others end whole rows before and after that
+    rows = np.floor(np.cumsum(share) - share / 2 - np.sum(share[: changed[0] + 1]))
+    _, first_piece, row = np.unique(rows, return_index=True, return_inverse=True)
+    d = np.pad(np.diff(log.controls[first_piece], axis=0), ((1, 1), (0, 0)), mode="edge")
+    squares = ((d[1:] ** 2 + d[:-1] ** 2) / 2)[row.ravel()]
+    sideways = np.sum(log.controls**2 * squares[:, ::-1], axis=1) * share * log.dt**2 / 40
+    return np.column_stack([squares * (1 - share[:, None]) ** 2, sideways])
+
+
+def honest_variances(log: Log) -> Array | None:
+    """The variances (S, 3) of single controls that a log has, at least those of `changes_within`; None for none."""
+    within = changes_within(log)
+    if not within.any():
+        return log.control_variances
+    return np.maximum(within, additional_variances(log.control_variances, len(within)))
 
 
 def _ends(log: Log) -> Array:

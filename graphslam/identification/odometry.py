@@ -28,7 +28,7 @@ from ..linear.precision import inverses
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, chained, perpendicular, turn_matrix
-from .corrections import controls_at_steps, corrected_controls, motion_slopes
+from .corrections import changes_within, controls_at_steps, corrected_controls, honest_variances, motion_slopes
 from .declared import Parameters
 
 Model = TypeVar("Model", MotionModel, SensorModel)
@@ -82,7 +82,8 @@ def ordinary(log: Log) -> np.ndarray:
     """The motions (T,) bool whose noise is the model's alone: those across no gap in the odometry."""
     if log.control_variances is None:
         return np.ones(log.num_poses - 1, dtype=bool)
-    return np.maximum.reduceat(log.control_variances.max(axis=1), log.control_starts[:-1]) == 0
+    more = np.any(log.control_variances > changes_within(log) * (1 + 1e-9), axis=1)
+    return ~np.logical_or.reduceat(more, log.control_starts[:-1])
 
 
 def sighting_times(log: Log) -> Array:
@@ -110,16 +111,18 @@ class Odometry:
     Attributes:
         log: the log.
         times: (T+1,) of its poses [s].
+        changing: whether speeds change within controls (`changes_within`).
     """
 
     def __init__(self, log: Log) -> None:
         assert log.controls is not None and log.dt is not None and log.times is not None
         self.log, self.times = log, log.times
         self._parts = motion_parts(log, ESTIMATED)
-        # the log's own variances of single controls, such as those across a silence of the odometry
-        self._recorded, self._of_gaps = replace(STILL, epsilon=1e-20).accumulate(
-            log.controls, log.dt, log.control_starts, log.control_variances
+        # variances of single controls, such as those across a silence of the odometry
+        self._recorded, self._of_controls = replace(STILL, epsilon=1e-20).accumulate(
+            log.controls, log.dt, log.control_starts, honest_variances(log)
         )
+        self.changing = bool(changes_within(log).any())
         self._evaluated: tuple[Array, Array, Array] | None = None
 
     def covers(self, log: Log) -> bool:
@@ -133,16 +136,16 @@ class Odometry:
         return np.searchsorted(self.times, log.times)
 
     def parts(self, steps: np.ndarray) -> tuple[Mapping[str, Array], Array]:
-        """C_p (n, 3, 3) of each field of the motion model for the motions between poses, and the covariance of gaps."""
+        """C_p (n, 3, 3) of each field of the motion model for the motions between poses, and C of `honest_variances`."""
         if len(steps) == len(self.times):
-            return self._parts, self._of_gaps
+            return self._parts, self._of_controls
         inside = slice(steps[0], steps[-1])
         levers = _joined(self._recorded[inside], steps - steps[0])[1]
 
         def joined(C: Array) -> Array:
             return np.add.reduceat(levers @ C[inside] @ np.swapaxes(levers, 1, 2), steps[:-1] - steps[0])
 
-        return {name: joined(C) for name, C in self._parts.items()}, joined(self._of_gaps)
+        return {name: joined(C) for name, C in self._parts.items()}, joined(self._of_controls)
 
     def motions(self, parameters: Parameters, steps: np.ndarray) -> tuple[Array, Array]:
         """The motions (n, 3) of the corrected controls between poses, and their derivative (n, 3, K) by the parameters."""

@@ -147,7 +147,8 @@ CAUSES = {
     "sensor_left": "is the place of the sensor right (sensor offset)?",
     "sensor_delay": "do odometry and sensor have the same clock?",
 }
-#: noise above this is that of hardly any robot, for which these are likely causes; {name: (value, what it may be)}
+#: noise above this is that of hardly any robot, for which these are likely causes; {name: (value, what it may be)}. That of
+#: ways [m/√m] is for ways of at most a metre in a second, and grows with the root of the way, of which it is the same part.
 UNUSUAL = {
     "nn": (0.3, "the speed is in another unit, or ids are wrong"),
     "on": (0.2, "the turn rate has another sign or unit, or bearings count clockwise"),
@@ -228,10 +229,12 @@ class RobotEstimate:
         # of single sightings
         of_sensor = {name: value / self.inflation**0.5 for name, value in vars(self.sensor).items() if name in UNUSUAL}
         values = vars(self.motion) | of_sensor
+        speed = 0.0 if self.log.controls is None else float(np.sqrt(np.mean(self.log.controls[:, 0] ** 2)))
+        larger = dict.fromkeys(("nn", "slip"), max(speed, 1.0) ** 0.5)
         lines += [
-            f"{name}, estimated as {values[name]:.2g}, is more than usual robots have (at most {most:g}): perhaps {why}"
-            for name, (most, why) in UNUSUAL.items()
-            if name in self.errors and self.errors[name] < 1 and values[name] > most
+            f"{name}, estimated as {values[name]:.2g}, is more than usual robots have (at most {most:.2g}): perhaps {why}"
+            for name, (usual, why) in UNUSUAL.items()
+            if name in self.errors and self.errors[name] < 1 and values[name] > (most := usual * larger.get(name, 1.0))
         ]
         if self.ids.share > MANY_MISREAD:
             lines.append(

@@ -29,7 +29,7 @@ from ..errors import GraphError, LogError
 from ..errors.checks import check_count, check_type
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from .corrections import corrected_log
+from .corrections import corrected_log, honest_variances
 from .declared import ParameterEstimate
 from .odometry import OF_SENSOR, sighting_times
 from .restricted_likelihood import improve_variances, log_likelihood
@@ -208,7 +208,9 @@ def _estimate(
     corrected = corrected_log(parameters).replace(
         motion=motion, sensor=seen, uncertain={**held, **(log.uncertain or {}), **dict(zip(names, deviations))}
     )
-    corrected = corrected.replace(initial_poses=corrected.dead_reckoning())
+    corrected = corrected.replace(
+        initial_poses=corrected.dead_reckoning(), control_variances=honest_variances(corrected)
+    )
     estimate = ParameterEstimate(
         tuple(names), parameters.values[free], last.linearized().parameter_covariance[np.ix_(free, free)],
         {name: (m, s) for name, m, s in zip(names, means, deviations)},
