@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-import graphslam
 from comparisons.cli import app
 from graphslam import MotionModel, SensorModel, World, load, simulate
 from graphslam.simulation.simulator import MotionFaults, SensorFaults
