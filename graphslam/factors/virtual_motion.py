@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from math import cos, sin
-
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..engine import engine
 from ..errors import OptionError
 from ..linear.precision import model_of
 from ..models import SensorModel
 from .arguments import PoseLike, frozen_at, in_robot_frame, in_world_frame, noise_sighting, sighted_covariance, sighting
-from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model, wrapped
+from .base import POSE, Coordinates, Factor, KernelLike, Linearized, noise_model
 
 
 class VirtualMotionFactor(Factor):
@@ -59,7 +58,7 @@ class VirtualMotionFactor(Factor):
         if len(z_1) != len(z_2):
             raise OptionError("z_1 and z_2 must both have psi, or both lack it")
         oriented = len(z_1) == 3
-        (_, phi1, psi1), (_, phi2, psi2) = ((*z, 0.0)[:3] for z in (z_1.tolist(), z_2.tolist()))
+        _, phi1, psi1 = (*z_1.tolist(), 0.0)[:3]
         frozen = frozen_at(at, needed=not (body and oriented), rows=2, frame=frame)
         at_1, at_2 = z_1.tolist(), z_2.tolist()
         if noise_at is not None:
@@ -69,34 +68,14 @@ class VirtualMotionFactor(Factor):
         # poses that see the landmark in the axes of the first sighting, if the information does not depend on the poses
         headings = [at_1[-1] - at_1[1] - psi1, at_2[-1] - at_2[1] - psi1] if frozen is None else frozen[:, 2].tolist()
         covariance = sighted_covariance(headings[0], at_1, sensor) + sighted_covariance(headings[1], at_2, sensor)
-        # the landmark in the frame of the robot, by each sighting
-        (px, py), (qx, qy) = (in_robot_frame(z, sensor) for z in (z_1, z_2))
-        # the angle from the heading of the first pose to the axes of e in the body frame, and what does not depend on poses
+        # in the body frame e is in axes that stand at this angle to the heading of the first pose
         ahead = phi1 if oriented else -headings[0]
-        ca, sa = cos(ahead), sin(ahead)
-        ux, uy = ca * px + sa * py, ca * py - sa * px
-        by_place, of_psi = ([-ca, -sa], [sa, -ca]), phi2 - psi2 - phi1 + psi1
+        pair = engine.LandmarkPair(z_1.tolist(), z_2.tolist(), sensor.offset, ahead, body)
 
         def residual(a: Coordinates, b: Coordinates) -> Linearized:
-            # the landmark from both poses and the way between these, in the axes of e; derivatives by GTSAM's
-            # perturbations, each pose's in its own axes
-            axes = a[2] + ahead if body else 0.0
-            c, s, cb, sb = cos(axes), sin(axes), cos(b[2] - axes), sin(b[2] - axes)
-            x, y = b[0] - a[0], b[1] - a[1]
-            wx, wy, vx, vy = c * x + s * y, c * y - s * x, cb * qx - sb * qy, sb * qx + cb * qy
-            if body:
-                e = [wx + vx - ux, wy + vy - uy]
-                by_a = [[*by_place[0], wy + vy], [*by_place[1], -wx - vx]]
-            else:
-                cw, sw = cos(a[2]), sin(a[2])
-                tx, ty = cw * px - sw * py, sw * px + cw * py
-                e, by_a = [wx + vx - tx, wy + vy - ty], [[-cw, sw, ty], [-sw, -cw, -tx]]
-            by_b = [[cb, -sb, -vy], [sb, cb, vx]]
-            if oriented:
-                e.append(wrapped(b[2] - a[2] + of_psi))
-                by_a.append([0.0, 0.0, -1.0])
-                by_b.append([0.0, 0.0, 1.0])
-            return e, (by_a, by_b)
+            # derivatives by GTSAM's perturbations, each pose's in its own axes
+            e_and_columns = pair.linearized(a, b)
+            return e_and_columns[0], (e_and_columns[1:4].T, e_and_columns[4:].T)
 
         options = {"frame": frame, "at": frozen, "scale": scale, "kernel": kernel}
         options["noise_at"] = None if noise_at is None else np.array([at_1, at_2])

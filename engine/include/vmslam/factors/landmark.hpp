@@ -1,6 +1,7 @@
-// All pairs of sightings of one landmark in one factor of GTSAM: the sums that it needs at every evaluation.
+// Pairs of sightings of one landmark as factors of GTSAM: one pair, or all of them in one factor with the sums that it needs.
 #pragma once
 
+#include <array>
 #include <span>
 #include <vector>
 
@@ -17,6 +18,26 @@ struct PlacedSighting {
     edges::Vector y;
     edges::Lever lever;
     edges::Rotation axes;
+};
+
+/// A sighting (l, phi[, psi]) by a sensor that stands at `offset` on the robot.
+struct Sighting {
+    const double* z;
+    int dimension;
+    double offset_x, offset_y;
+
+    PlacedSighting placed(Index node, const double* pose, double ahead, bool turning) const;
+};
+
+/// Two sightings of one landmark, from two poses: e = y_b - y_a, in axes that turn with the first pose, or in the world's.
+struct LandmarkPair {
+    std::array<double, 3> z_a, z_b;
+    int dimension;
+    double offset_x, offset_y, ahead;
+    bool turning;
+
+    /// e (d), and the columns of de/da (d, 3) and de/db (d, 3) by perturbations of the poses in their own axes.
+    std::vector<double> linearized(const std::array<double, 3>& a, const std::array<double, 3>& b) const;
 };
 
 /// Sightings, and the pairs (a, b) of them with the information of e = y_b - y_a in the axes of a.
