@@ -111,7 +111,6 @@ class Odometry:
     Attributes:
         log: the log.
         times: (T+1,) of its poses [s].
-        changing: whether speeds change within controls (`changes_within`).
     """
 
     def __init__(self, log: Log) -> None:
@@ -122,7 +121,6 @@ class Odometry:
         self._recorded, self._of_controls = replace(STILL, epsilon=1e-20).accumulate(
             log.controls, log.dt, log.control_starts, honest_variances(log)
         )
-        self.changing = bool(changes_within(log).any())
         self._evaluated: tuple[Array, Array, Array] | None = None
 
     def covers(self, log: Log) -> bool:

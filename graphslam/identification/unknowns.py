@@ -255,12 +255,6 @@ class Unknowns:
         a, b = self.trajectory[:-1], self.trajectory[1:]
         moved = between(a, b)
         residuals = difference(moved, measured)
-        if not self.odometry.changing:
-            # the scale multiplies the turn of the state: the noise of the recorded one is in the residual, too
-            slopes, k = slopes.copy(), self.parameters.names.index("turn_scale")
-            more = -(measured[:, 2] + residuals[:, 2]) / self.parameters.values[k] - slopes[:, 2, k]
-            slopes[:, :2, k] += more[:, None] / 2 * perpendicular(moved[:, :2])
-            slopes[:, 2, k] += more
         by_second = turn_matrix(-a[:, 2])
         by_first = -by_second
         by_first[:, :2, 2] = -perpendicular(moved[:, :2])
