@@ -445,7 +445,7 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     if measured and rate >= WIDE and len(log.steps):
         notes.append(
             f"the noise of a range, {rate:.0%} of it, is taken at the measured range, as in the lectures, which alone makes "
-            f"lengths up to {2 * rate**2:.0%} too short; --range-noise estimated does not"
+            f"lengths up to {2 * rate**2:.0%} too short; --range-noise estimated does not, where sightings have ids"
         )
     if solution.graph is not None and (kernel := solution.graph.verdict[0]) is not None and len(log.steps):
         weights = solution.graph.sighting_weights(solution.state)

@@ -269,6 +269,7 @@ class Graph:
         ``solve(graph, range_noise="estimated")`` repeats this until the solution no longer moves. Ranges and bearings
         measured alone keep their information.
         """
+        self._check_states(state)
         return self.with_families(
             f.with_noise_at(f.predicted(state)) if isinstance(f, SightingEdges) else f for f in self.families
         )

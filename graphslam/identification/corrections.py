@@ -163,11 +163,15 @@ def changes_within(log: Log) -> Array:
     share, changed = log.dt / recorded, np.flatnonzero(np.any(np.diff(log.controls, axis=0) != 0, axis=1))
     if np.median(recorded) <= LASTING or len(changed) == 0:
         return np.zeros((len(log.dt), 3))
-    # the row of each piece: a row ends where its control changes, and others end whole rows before and after that
-    rows = np.floor(np.cumsum(share) - share / 2 - np.sum(share[: changed[0] + 1]))
-    _, first_piece, row = np.unique(rows, return_index=True, return_inverse=True)
+    # the row of each piece: counted back from the end of each stretch of one control, and in the last one from its beginning
+    ends = np.cumsum(share)
+    stretch = np.searchsorted(changed, np.arange(len(share)))
+    at = np.append(changed, changed[-1])
+    rows = np.floor(ends - share / 2 - ends[at][stretch])
+    begins = np.append(True, (np.diff(rows) != 0) | (np.diff(stretch) != 0))
+    first_piece, row = np.flatnonzero(begins), np.cumsum(begins) - 1
     d = np.pad(np.diff(log.controls[first_piece], axis=0), ((1, 1), (0, 0)), mode="edge")
-    squares = ((d[1:] ** 2 + d[:-1] ** 2) / 2)[row.ravel()]
+    squares = ((d[1:] ** 2 + d[:-1] ** 2) / 2)[row]
     sideways = np.sum(log.controls**2 * squares[:, ::-1], axis=1) * share * log.dt**2 / 40
     return np.column_stack([squares * (1 - share[:, None]) ** 2, sideways])
 

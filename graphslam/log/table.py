@@ -219,8 +219,8 @@ UNITS = {
 #: units in brackets that are not converted: a column with one of them would be read by a wrong factor
 OTHER_UNITS = frozenset((
     "km", "dm", "ft", "feet", "foot", "in", "inch", "inches", "yd", "mi", "miles", "km/h", "kmh", "kph", "ft/s", "mph",
-    "kn", "kt", "knots", "min", "minutes", "h", "hours", "days", "rpm", "rev/s", "hz", "mrad", "mrad/s", "gon", "grad",
-    "arcmin", "arcsec",
+    "kn", "kt", "knots", "min", "minutes", "h", "hours", "days", "rpm", "rev/s", "deg/min", "deg/h", "rad/min",
+    "m/min", "mm/min", "cm/min", "µm", "μm", "hz", "mrad", "mrad/s", "gon", "grad", "arcmin", "arcsec",
 ))  # fmt: skip
 _LENGTHS = ("nu", "x", "y", "z", "range", "dx", "dy", "sigma", "sigma_x", "sigma_y", "lever_x", "lever_y")
 _ANGLES = ("omega", "theta", "bearing", "orientation", "dtheta", "sigma_theta")

@@ -108,7 +108,7 @@ def clock_offsets(robots: Mapping[int, Log]) -> ClockOffsets:
         robots: as for `join_robots`; clocks may differ by up to `REACH` seconds.
 
     Raises:
-        LogError: a robot and the others saw each other less than `FEWEST` times.
+        LogError: a robot and the others saw each other less than `FEWEST` times, or their sightings agree at no offset.
         GraphError: the robots share no landmarks, or the sightings do not determine the offsets, as when no robot moves.
     """
     logs = dict(zip(robots, with_common_noise(list(robots.values()))))
@@ -145,7 +145,17 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
             places, covariances = (other.sensor or SensorModel()).places(z, x)
             at = other.times[other.steps[rows]][:, None] + grid
             inside = (at >= path.times[0]) & (at <= path.times[-1])
-            apart = [np.interp(at, path.times, along[:, k]) - places[:, k, None] for k in (0, 1)]
+            passed = [np.interp(at, path.times, along[:, k]) for k in (0, 1)]
+            # sightings of a robot that stands all the time cost the same at every offset
+            telling = sum(np.ptp(each, axis=1) ** 2 for each in passed) > np.trace(
+                covariances[:, :2, :2], axis1=1, axis2=2
+            )
+            if not telling.any():
+                pair = (min(a, b), max(a, b))
+                counts[pair] = counts.get(pair, 0) + (len(rows) if inside.any() else 0)
+                continue
+            rows, inside, covariances, places = rows[telling], inside[telling], covariances[telling], places[telling]
+            apart = [passed[k][telling] - places[:, k, None] for k in (0, 1)]
             scale = np.trace(covariances[:, :2, :2], axis1=1, axis2=2)[:, None] + np.median(
                 np.min(np.where(inside, apart[0] ** 2 + apart[1] ** 2, np.inf), axis=1)
             )
@@ -212,6 +222,9 @@ def _cost_of(n: int, found: Mapping[int, float], grid: Array, costs: Mapping[tup
 
 def _lowest(cost: Array, grid: Array) -> tuple[float, bool]:
     """The offset with the lowest cost, one beyond `LIKELY` only where that is clearly lower; and whether sightings agree."""
+    if not cost.any():
+        # no robot that was seen moves; `_step` says so
+        return 0.0, True
     best, near = int(np.argmin(cost)), np.flatnonzero(np.abs(grid) <= LIKELY)
     likely = near[np.argmin(cost[near])]
     chosen = best if cost[best] < CLEARLY * cost[likely] else likely

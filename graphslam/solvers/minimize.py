@@ -117,7 +117,7 @@ def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run]
 
 
 #: the most passes to the noise at the sightings that the solution predicts, and the move [m, rad] below which these are found
-PASSES, SAME = 30, 1e-7
+PASSES, SAME = 100, 1e-7
 
 
 def at_estimated_ranges(graph: Graph, initialize: str, solved: Callable[[Graph, str], Solution]) -> Solution:

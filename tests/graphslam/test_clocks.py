@@ -108,6 +108,41 @@ def test_offsets_of_more_than_half_a_minute_are_found() -> None:
     assert after.seconds[3] == pytest.approx(before.seconds[3] - 60, abs=0.05)
 
 
+def test_a_robot_that_stands_says_nothing_about_the_offset_of_its_clock() -> None:
+    """A robot that stands is where it is seen at every offset: these sightings hid those that tell the offset."""
+    rng, (a, b) = np.random.default_rng(3), (team(1)[1], team(1)[2])
+    place = np.array([0.7, 0.4, 0.5])
+    still = b.replace(
+        controls=np.zeros_like(b.controls), true_poses=np.tile(place, (b.num_poses, 1)), initial_poses=None
+    )
+    logs = {}
+    for n, log, other, number, at in (
+        (1, a, still, 2, np.arange(0, 300, 3)),
+        (2, still, a, 1, np.arange(20, 300, 50)),
+    ):
+        own = log.with_sightings(log.classes == "")
+        if n == 2:
+            seen = np.array(list(a.true_landmarks.values()))[:, :2]
+            steps = np.repeat(np.arange(0, 300, 10), len(seen))
+            z = SENSOR.h(log.true_poses[steps], np.tile(seen, (30, 1)))
+            ids = np.tile(np.array(list(a.true_landmarks)), 30)
+        else:
+            steps, z, ids = own.steps, own.sightings, own.landmarks
+        met = SENSOR.h(log.true_poses[at], other.true_poses[at][:, :2])
+        z = np.concatenate([z, met])
+        z[len(steps) :] += rng.standard_normal(met.shape) * np.sqrt(np.diagonal(SENSOR.Q(met), axis1=1, axis2=2))
+        classes = np.array([""] * len(steps) + [f"robot {number}"] * len(at))
+        every = np.concatenate([steps, at])
+        order = np.argsort(every, kind="stable")
+        logs[n] = log.replace(
+            steps=every[order], landmarks=np.concatenate([ids, np.full(len(at), UNIDENTIFIED)])[order],
+            sightings=z[order], classes=classes[order],
+        )  # fmt: skip
+    found = clock_offsets(late(logs, {2: 1.5}))
+    assert found.seconds[2] == pytest.approx(1.5, abs=5 * found.deviations[2])
+    assert found.deviations[2] < 0.5
+
+
 def test_sightings_that_agree_at_no_offset_are_said() -> None:
     rng = np.random.default_rng(0)
     wrong = {}

@@ -82,6 +82,8 @@ def test_every_method_has_estimated_ranges(method: str) -> None:
 
 def test_impossible_range_noise() -> None:
     graph = Graph.from_log(simulate(seed=4, steps=10))
+    with pytest.raises(OptionError, match="state"):
+        graph.with_noise_at(graph.initial[:5])
     for solver in (solve, solve_with_gtsam):
         with pytest.raises(OptionError, match="range_noise must be one of measured, estimated"):
             solver(graph, range_noise="true")  # type: ignore[operator]

@@ -51,6 +51,7 @@ from graphslam.identification.unknowns import (
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
 from graphslam.se2 import between, wrap
+from graphslam.sessions import join_logs
 from graphslam.simulation.drives import SENSORS, DriveTruth
 from graphslam.solvers.uncertainty import Uncertainty
 
@@ -501,3 +502,16 @@ def test_what_the_log_does_not_tell_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(robot, "_estimate", singular)
     with pytest.raises(GraphError, match="do not determine noise and biases together"):
         Graph.from_log(log, noise="auto")
+
+
+def test_rows_of_joined_logs_are_those_of_each() -> None:
+    """The last row of a drive may be cut, so that rows of the next one are no whole number of rows further."""
+    first, second = (
+        Drive(seed=500, odometry_rate=1.0, sensor_rate=0.5, duration=t).simulate()[0] for t in (100.0, 160.0)
+    )
+    joined = join_logs([first, second]).log
+    assert joined.dt is not None and second.dt is not None
+    pieces = len(second.dt)
+    alone, together = changes_within(second), changes_within(joined)[-pieces:]
+    assert np.any(alone > 0)
+    np.testing.assert_allclose(together[2:], alone[2:], rtol=1e-9, atol=1e-12)
