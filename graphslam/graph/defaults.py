@@ -17,7 +17,7 @@ from ..errors import GraphError
 from ..linear.precision import inverses
 from ..log import Log
 from ..log.measurements import AbsolutePositions
-from ..models import MotionModel
+from ..models import RESIDUALS, MotionModel
 from ..se2 import Array, transform
 
 
@@ -71,6 +71,31 @@ def suitable_for_isam2(
         robust = kernel != "none" and log.controls is not None
         edges = "landmark+motion" if robust else suitable_edges(log)
     return edges, kernel
+
+
+def notes_on_options(
+    log: Log, edges: str, weight: str, residual: str, motion_weight: float, missing: list[str]
+) -> list[str]:
+    """Sentences on options of `Graph.from_log` that have no effect with these edges, and on what covariances do not contain.
+
+    ``missing`` are the biases taken out of the log whose uncertainty the graph leaves out.
+    """
+    notes = []
+    if missing:
+        notes.append(
+            f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}"
+        )
+    if edges.startswith("landmark"):
+        if weight != "pairs":
+            notes.append(f"weight={weight!r} has no effect: with landmark nodes each sighting counts once")
+    else:
+        if residual != RESIDUALS[0]:
+            notes.append(f"residual={residual!r} has no effect: there are no landmark nodes with edges={edges!r}")
+        if weight == "pairs" and (note := pairs_overweight(log)):
+            notes.append(note)
+    if motion_weight != 1 and not edges.endswith("motion"):
+        notes.append(f"motion_weight={motion_weight:g} has no effect: there are no motion edges with edges={edges!r}")
+    return notes
 
 
 def pairs_overweight(log: Log) -> str | None:

@@ -32,7 +32,7 @@ from ..log import Log, check_is_log
 from ..models import RESIDUALS, MotionModel, SensorModel
 from ..se2 import Array
 from .build import graph_of_log, node_names, with_closures, with_dimensions
-from .defaults import edges_for_map, in_frame_of_positions, pairs_overweight, suitable_edges, suitable_kernel
+from .defaults import edges_for_map, in_frame_of_positions, notes_on_options, suitable_edges, suitable_kernel
 from .landmark_map import LandmarkMap, as_map, estimate_map
 from .tracking import in_frame_of
 
@@ -198,22 +198,8 @@ class Graph:
         if parameters is None and once and residual == RESIDUALS[0]:
             held = declared(log.uncertain, log, motion, sensor, edges, residual, motion_weight)
         known = parameters or held
-        if missing := [name for name in log.uncertain or () if known is None or name not in known.names]:
-            notes.append(
-                f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}"
-            )
-        if edges.startswith("landmark"):
-            if weight != WEIGHTS[0]:
-                notes.append(f"weight={weight!r} has no effect: with landmark nodes each sighting counts once")
-        else:
-            if residual != RESIDUALS[0]:
-                notes.append(f"residual={residual!r} has no effect: there are no landmark nodes with edges={edges!r}")
-            if weight == "pairs" and (note := pairs_overweight(log)):
-                notes.append(note)
-        if motion_weight != 1 and not edges.endswith("motion"):
-            notes.append(
-                f"motion_weight={motion_weight:g} has no effect: there are no motion edges with edges={edges!r}"
-            )
+        missing = [name for name in log.uncertain or () if known is None or name not in known.names]
+        notes += notes_on_options(log, edges, weight, residual, motion_weight, missing)
         return graph_of_log(
             cls, log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
             kernel=kernel_of(kernel), residual=residual, landmark_map=known_map, notes=notes,
@@ -266,8 +252,7 @@ class Graph:
     def with_noise_at(self, state: Array) -> Graph:
         """The same graph with the noise of the sensor at the sightings that a state (n, 3) predicts; see `with_families`.
 
-        ``solve(graph, range_noise="estimated")`` repeats this until the solution no longer moves. Ranges and bearings
-        measured alone keep their information.
+        ``solve(graph, range_noise="estimated")`` repeats this. Single ranges and bearings keep their information.
         """
         self._check_states(state)
         return self.with_families(

@@ -223,7 +223,7 @@ def _cost_of(n: int, found: Mapping[int, float], grid: Array, costs: Mapping[tup
 def _lowest(cost: Array, grid: Array) -> tuple[float, bool]:
     """The offset with the lowest cost, one beyond `LIKELY` only where that is clearly lower; and whether sightings agree."""
     if not cost.any():
-        # no robot that was seen moves; `_step` says so
+        # all robots that were seen stand, which is an error of `_step`
         return 0.0, True
     best, near = int(np.argmin(cost)), np.flatnonzero(np.abs(grid) <= LIKELY)
     likely = near[np.argmin(cost[near])]
