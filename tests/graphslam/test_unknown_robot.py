@@ -31,13 +31,11 @@ from graphslam import (
 from graphslam.calibration import Calibration
 from graphslam.identification import robot, sighting_errors
 from graphslam.identification.corrections import (
-    changes_within,
     corrected_controls,
-    honest_variances,
     motion_slopes,
     without_biases,
 )
-from graphslam.identification.odometry import Odometry, motion_parts, ordinary
+from graphslam.identification.odometry import Odometry, motion_parts
 from graphslam.identification.robot import RobotEstimate
 from graphslam.identification.sighting_errors import LAGS, _unlikely, inflation, smoothed
 from graphslam.identification.unknowns import (
@@ -51,7 +49,6 @@ from graphslam.identification.unknowns import (
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
 from graphslam.se2 import between, wrap
-from graphslam.sessions import join_logs
 from graphslam.simulation.drives import SENSORS, DriveTruth
 from graphslam.solvers.uncertainty import Uncertainty
 
@@ -74,50 +71,6 @@ def test_biases_are_within_their_standard_errors() -> None:
     for name, deviation in found.parameters.deviations.items():
         assert abs(found.parameters[name] - truth.parameters[name]) < many * deviation, name
     assert found.parameters.deviations["wheel_scale"] < 0.01
-
-
-@pytest.mark.slow
-def test_speeds_that_change_between_rows_of_odometry_are_no_delay() -> None:
-    # with one row per second, the place of the sensor and its delay were 3.5 standard errors off on these drives
-    errors = []
-    for seed in range(500, 508):
-        log, truth = Drive(seed=seed, odometry_rate=1.0, sensor_rate=0.5).simulate()
-        found = estimate_robot(log)
-        p = found.parameters
-        names = {"sensor_ahead", "sensor_delay"} & set(p.names)
-        errors += [(p[name] - truth.parameters[name]) / p.deviations[name] for name in names]
-        # a second estimate adds nothing to what the first one has added
-        assert Odometry(found.log).log.control_variances is not None
-        np.testing.assert_allclose(honest_variances(found.log), found.log.control_variances)
-        assert ordinary(found.log).all()
-    assert np.sqrt(np.mean(np.square(errors))) < 2.0
-
-
-def test_changes_within_controls_are_those_of_one_jump() -> None:
-    """A turn rate that jumps at any time within the second of three rows, at a speed of 1 m/s; pieces of 0.3 and 0.7 s."""
-    jump, times = 0.01, np.linspace(0, 1, 1001)
-    middle = (times[1:] + times[:-1]) / 2
-    squares, variances = [], []
-    for at in middle[::10]:
-        turn = jump * np.maximum(times - at, 0)
-        mean = turn[-1]
-        for cut, pieces in ((300, slice(1, 3)), (1000, slice(1, 2))):
-            dt = np.array([1.0, 0.3, 0.7, 1.0]) if cut < 1000 else np.ones(3)
-            controls = np.zeros((len(dt), 2))
-            controls[:, 0], controls[pieces, 1], controls[-1, 1] = 1.0, mean, jump
-            log = Log(
-                name="jump", controls=controls, dt=dt, recorded_dt=np.ones(len(dt)), steps=np.array([1]),
-                landmarks=np.array([1]), sightings=np.array([[1.0, 0.0]]), initial_poses=np.zeros((len(dt) + 1, 3)),
-            )  # fmt: skip
-            variances.append(changes_within(log)[1, 1:])
-            # how much more the robot turns in the first piece than the row says; and over a whole row its way sideways
-            aside = np.mean((turn[1:] + turn[:-1]) / 2 - mean / 2)
-            squares.append(((turn[cut] / times[cut] - mean) ** 2, aside**2))
-    found, true = (np.mean(np.reshape(each, (-1, 2, 2)), axis=0) for each in (variances, squares))
-    assert found[0, 0] == pytest.approx(true[0, 0], rel=0.01)
-    assert found[1] == pytest.approx(true[1], rel=0.01, abs=1e-12)
-    often = log.replace(dt=log.dt / 4, recorded_dt=None)
-    assert not changes_within(often).any()
 
 
 def test_the_noise_of_the_sensor_is_found() -> None:
@@ -502,16 +455,3 @@ def test_what_the_log_does_not_tell_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(robot, "_estimate", singular)
     with pytest.raises(GraphError, match="do not determine noise and biases together"):
         Graph.from_log(log, noise="auto")
-
-
-def test_rows_of_joined_logs_are_those_of_each() -> None:
-    """The last row of a drive may be cut, so that rows of the next one are no whole number of rows further."""
-    first, second = (
-        Drive(seed=500, odometry_rate=1.0, sensor_rate=0.5, duration=t).simulate()[0] for t in (100.0, 160.0)
-    )
-    joined = join_logs([first, second]).log
-    assert joined.dt is not None and second.dt is not None
-    pieces = len(second.dt)
-    alone, together = changes_within(second), changes_within(joined)[-pieces:]
-    assert np.any(alone > 0)
-    np.testing.assert_allclose(together[2:], alone[2:], rtol=1e-9, atol=1e-12)
