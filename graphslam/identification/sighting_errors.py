@@ -118,6 +118,7 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
 
     A landmark that was seen much less often than others may be made of misread ids alone, so its sightings are compared with
     the others as well. Where these do not fit, they keep their ids, as those of landmarks do that the solution does not have.
+    The best of J landmarks fits where its density is above J times that of a sighting anywhere in view.
 
     Args:
         alone: (M,) bool, the sightings that stand alone in time, which the solution has not used. Before a loop is closed
@@ -137,12 +138,15 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     tried = np.flatnonzero((own > CONTRADICTS) | ~supported)
     if len(tried) == 0 or len(strong) == 0:
         return Ids(landmarks, changed, dropped, np.ones_like(dropped))
-    others = np.stack([predictions.distances(log, tried, np.full(len(tried), j))[0] for j in strong.tolist()])
+    each = [predictions.distances(log, tried, np.full(len(tried), j)) for j in strong.tolist()]
+    others, densities = (np.stack(values) for values in zip(*each))
     # an id that is more probably wrong than right does not come back
     others[np.isin(tried, unlikely) & (ids[strong][:, None] == landmarks[tried])] = UNLIKELY
     best = others.argmin(axis=0)
     nearest = np.sort(others, axis=0)
-    fits = nearest[0] < FITS
+    # where the prediction is wide, one of many landmarks fits a sighting that is anywhere in view
+    gain = densities[best, np.arange(len(tried))] - _anywhere(log)
+    fits = (nearest[0] < FITS) & (gain > np.log(len(strong)))
     if len(strong) > 1:
         fits &= nearest[1] > nearest[0] + BETTER
     landmarks[tried[fits]] = ids[strong[best[fits]]]
@@ -161,13 +165,17 @@ def _unlikely(log: Log, rows: np.ndarray, density: Array) -> np.ndarray:
     if len(rows) == 0:
         return rows
     predicted = np.isfinite(density[rows])
-    in_view = -np.sum(np.log(np.maximum(np.ptp(log.sightings, axis=0), 1e-6)))
-    gain = np.where(predicted, np.exp(np.clip(density[rows] - in_view, -700, 700)), 1.0)
+    gain = np.where(predicted, np.exp(np.clip(density[rows] - _anywhere(log), -700, 700)), 1.0)
     part = 0.5
     for _ in range(50):
         right = part * gain / (part * gain + 1 - part)
         part = (float(right[predicted].sum()) + RIGHT) / (np.count_nonzero(predicted) + RIGHT)
     return rows[right < BELIEVED]
+
+
+def _anywhere(log: Log) -> float:
+    """The logarithm of the density of a sighting that is anywhere in view."""
+    return -float(np.sum(np.log(np.maximum(np.ptp(log.sightings, axis=0), 1e-6))))
 
 
 def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.Generator) -> Array:

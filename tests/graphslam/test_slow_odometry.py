@@ -28,6 +28,15 @@ def test_speeds_that_change_between_rows_of_odometry_are_no_delay() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 2.0
 
 
+@pytest.mark.parametrize("seed", [316, 400, 410])
+def test_right_ids_stay_where_the_predictions_are_wide(seed) -> None:
+    # landmarks that are seen two or three times at the beginning; on seed 316 five sightings closed false loops: 1.13 m
+    log, truth = Drive(seed=seed, odometry_rate=1.0, sensor_rate=0.5).simulate()
+    ids = estimate_robot(log).ids
+    assert not np.any(ids.changed & (log.landmarks == truth.landmarks))
+    assert np.all(ids.landmarks[ids.changed] == truth.landmarks[ids.changed])
+
+
 def test_changes_within_controls_are_those_of_one_jump() -> None:
     """A turn rate that jumps at any time within the second of three rows, at a speed of 1 m/s; pieces of 0.3 and 0.7 s."""
     jump, times = 0.01, np.linspace(0, 1, 1001)
