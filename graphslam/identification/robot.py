@@ -212,7 +212,7 @@ def _estimate(
         initial_poses=corrected.dead_reckoning(), control_variances=honest_variances(corrected)
     )
     estimate = ParameterEstimate(
-        tuple(names), parameters.values[free], last.linearized().parameter_covariance[np.ix_(free, free)],
+        tuple(names), parameters.values[free], last.parameter_covariance()[np.ix_(free, free)],
         {name: (m, s) for name, m, s in zip(names, means, deviations)},
     )  # fmt: skip
     return RobotEstimate(

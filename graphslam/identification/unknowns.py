@@ -70,6 +70,8 @@ DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
 #: fitted to Gaussian errors of d numbers, Student's t has so much of their variance: the s² of
 #: E[(nu + d) q / (nu s² + q)] = d, q chi-squared with d degrees of freedom; of sightings by d, and of motions
 OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {2: 0.7267, 3: 0.7559}, 0.8389
+#: and its edges have so many times the information of the solution, see `Unknowns.parameter_covariance`
+OVERSTATED_SIGHTINGS, OVERSTATED_MOTIONS = {2: 1.552, 3: 1.495}, 1.259
 #: where nothing speaks against exact odometry, its noise has this part of the estimate (docs/decisions.md)
 EXACT = 1 / 3
 #: what counts as no variance
@@ -331,6 +333,19 @@ class Unknowns:
         motions.weigh(self.covariances(motions), DEGREES_MOTIONS, self.hidden[0])
         sightings.weigh(self.covariances(sightings), DEGREES_SIGHTINGS, self.hidden[1])
         return Linear(self, (motions, sightings))
+
+    def parameter_covariance(self) -> Array:
+        """The covariance (K, K) of the parameters, for Gaussian errors.
+
+        For errors e ~ N(0, I), the solution of sum psi(e) = 0, psi = u e / s², has the information A² / V an edge, with
+        A = E[tr dpsi/de] / d and V = E[psi' psi] / d. The normal equations have E[u] / s² instead.
+
+        Source: Huber, *Robust estimation of a location parameter*, Annals of Mathematical Statistics 35(1), 1964.
+        """
+        edges = self.linearized().edges
+        for each, part in zip(edges, (OVERSTATED_MOTIONS, OVERSTATED_SIGHTINGS[self.sightings.shape[1]])):
+            each.information /= part
+        return Linear(self, edges).parameter_covariance
 
     def hide(self, linear: Linear) -> list[Array]:
         """Set what edges hide (`hidden`); and F (E, d, d) of motions and sightings."""

@@ -11,7 +11,14 @@ from graphslam import Drive, SensorModel
 from graphslam.identification import restricted_likelihood
 from graphslam.identification import unknowns as unknowns_module
 from graphslam.identification.restricted_likelihood import improve_variances, log_likelihood
-from graphslam.identification.unknowns import Linear, Unknowns
+from graphslam.identification.unknowns import (
+    DEGREES_MOTIONS,
+    DEGREES_SIGHTINGS,
+    OF_GAUSSIAN_MOTIONS,
+    OF_GAUSSIAN_SIGHTINGS,
+    Linear,
+    Unknowns,
+)
 
 
 def test_the_jacobians_are_those_of_finite_differences() -> None:
@@ -117,3 +124,41 @@ def test_the_likelihood_is_that_of_dense_matrices() -> None:
             values.append((dense, log_likelihood(unknowns)))
     (dense, own), (dense_after, own_after) = values
     assert own_after - own == pytest.approx(dense_after - dense, abs=1e-4)
+
+
+@pytest.mark.parametrize(("d", "degrees"), [(2, DEGREES_SIGHTINGS), (3, DEGREES_SIGHTINGS), (3, DEGREES_MOTIONS)])
+def test_weights_of_student_t_overstate_the_information_of_gaussian_errors(d, degrees) -> None:
+    """20,000 estimates of a place and of a variance, each from 60 errors N(0, I) of d numbers."""
+    of_motions = degrees == DEGREES_MOTIONS
+    part = OF_GAUSSIAN_MOTIONS if of_motions else OF_GAUSSIAN_SIGHTINGS[d]
+    places = unknowns_module.OVERSTATED_MOTIONS if of_motions else unknowns_module.OVERSTATED_SIGHTINGS[d]
+    variances = (
+        restricted_likelihood.OVERSTATED_MOTIONS if of_motions else restricted_likelihood.OVERSTATED_SIGHTINGS[d]
+    )
+    e = np.random.default_rng(0).standard_normal((20_000, 60, d))
+    place, variance = np.zeros((20_000, 1, d)), np.full((20_000, 1), part)
+    for _ in range(30):
+        squares = np.sum((e - place) ** 2, axis=2)
+        weights = (degrees + d) / (degrees + squares / part)
+        place = np.sum(weights[:, :, None] * e, axis=1, keepdims=True) / weights.sum(axis=1)[:, None, None]
+        # about the true place: an estimated one takes degrees of freedom
+        lengths = np.sum(e**2, axis=2)
+        variance = np.mean((degrees + d) * lengths / (degrees + lengths / variance), axis=1, keepdims=True) / d
+    claimed = weights.sum(axis=1).mean() / part
+    # 60 errors are few, which adds some 3 %
+    assert claimed * np.mean(place**2) == pytest.approx(places, rel=0.05)
+    assert 60 * d / 2 * np.var(np.log(variance)) == pytest.approx(variances, rel=0.05)
+
+
+def test_standard_errors_are_those_of_gaussian_errors() -> None:
+    """Without priors, the covariance of the biases is larger by what motions and by what sightings overstate."""
+    log, _ = Drive(seed=8, duration=60.0, landmarks=12, misread=0.0).simulate()
+    unknowns = Unknowns(log, log.landmarks, SensorModel())
+    unknowns.iterate(5)
+    p = unknowns.parameters
+    unknowns.parameters = replace(p, deviations=np.full(len(p), 1e3))
+    claimed, honest = unknowns.linearized().parameter_covariance, unknowns.parameter_covariance()
+    ratios = np.linalg.eigvals(np.linalg.solve(claimed, honest)).real
+    assert ratios.min() > unknowns_module.OVERSTATED_MOTIONS - 1e-3
+    assert ratios.max() < unknowns_module.OVERSTATED_SIGHTINGS[2] + 1e-3
+    assert np.ptp(ratios) > 0.1
