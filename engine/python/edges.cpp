@@ -67,6 +67,8 @@ void bind_families(nb::module_& m) {
                 return f.accumulate({state.data(), reference.data()}, &system, span(pairs));
             },
             release())
+        .def("squares",
+             [](const Family& f, In<double> state, In<double> trust) { return array(f.squares(state.data(), span(trust))); })
         // the nodes (E,) and (E,), values and information of the relative headings, or positions, that the edges measure
         .def("headings",
              [](const Family& f) {

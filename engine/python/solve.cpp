@@ -9,7 +9,7 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
-#include "vmslam/solve/run.hpp"
+#include "vmslam/solve/graduated.hpp"
 #include "vmslam/solve/start.hpp"
 
 namespace vmslam::python::solve_bindings {
@@ -23,17 +23,39 @@ Out<double> state_array(const double* at, std::size_t size) {
     return array(std::vector<double>(at, at + size), {size / 3, 3});
 }
 
-/// A family written in Python: accumulate(state, reference, whether to add to the system) is the cost; headings() and
-/// positions(state) are `base.Relations`, or None.
+/// A family written in Python, whose accumulate adds to a `BlockSystem`; headings() and positions(state) are `base.Relations`,
+/// or None. One of measurements that may be wrong is a `robust.SingleEdges`.
 class PythonFamily : public edges::Family {
    public:
-    PythonFamily(nb::callable accumulate, nb::object family, std::size_t size)
-        : accumulate_(std::move(accumulate)), family_(std::move(family)), size_(size) {}
+    PythonFamily(nb::object family, nb::object system, std::size_t size)
+        : family_(std::move(family)), system_(std::move(system)), size_(size) {}
+    PythonFamily(const PythonFamily&) = delete;
+    PythonFamily& operator=(const PythonFamily&) = delete;
+    ~PythonFamily() override {
+        // those of `trusting` end while the engine runs, without Python's lock
+        const nb::gil_scoped_acquire python;
+        family_.reset();
+        system_.reset();
+    }
 
     double accumulate(const edges::State& state, edges::System* system, std::span<const Index>) const override {
         const nb::gil_scoped_acquire python;
-        return nb::cast<double>(
-            accumulate_(state_array(state.at, size_), state_array(state.reference, size_), system != nullptr));
+        return nb::cast<double>(family_.attr("accumulate")(state_array(state.at, size_), state_array(state.reference, size_),
+                                                           system ? system_ : nb::object(nb::none())));
+    }
+
+    std::unique_ptr<const edges::Family> trusting(std::span<const double> trust) const override {
+        const nb::gil_scoped_acquire python;
+        return std::make_unique<PythonFamily>(family_.attr("with_trust")(array(std::vector(trust.begin(), trust.end()))),
+                                              system_, size_);
+    }
+
+    std::vector<double> squares(const double* state, std::span<const double> trust) const override {
+        const nb::gil_scoped_acquire python;
+        In<double> found;
+        require(nb::try_cast(family_.attr("squares")(state_array(state, size_)), found) && found.size() == trust.size(),
+                "squares(state) of edges that may be wrong must be one number for each measurement");
+        return copy_of(found);
     }
 
     std::vector<edges::HeadingRelation> headings() const override {
@@ -77,8 +99,7 @@ class PythonFamily : public edges::Family {
         return out;
     }
 
-    nb::callable accumulate_;
-    nb::object family_;
+    nb::object family_, system_;
     std::size_t size_;
 };
 
@@ -140,7 +161,7 @@ class PythonObjective : public Objective {
 };
 
 void bind_objectives(nb::module_& m) {
-    nb::class_<PythonFamily, edges::Family>(m, "PythonFamily").def(nb::init<nb::callable, nb::object, std::size_t>());
+    nb::class_<PythonFamily, edges::Family>(m, "PythonFamily").def(nb::init<nb::object, nb::object, std::size_t>());
     nb::class_<Objective>(m, "Objective")
         .def_rw("state_dependent", &Objective::state_dependent)
         .def_rw("reweighted", &Objective::reweighted);
@@ -219,8 +240,39 @@ void bind_runs(nb::module_& m) {
     m.def("rounding", [](In<double> state, In<double> diagonal) { return rounding(span(state), span(diagonal)); });
 }
 
+void bind_graduation(nb::module_& m) {
+    nb::class_<Graduation>(m, "Graduation")
+        // doubted: (place among the families, number of measurements, c², edges that give their squares or None for themselves)
+        .def(
+            "__init__",
+            [](Graduation* at, const BoundGraph& graph, nb::tuple doubted, double tolerance, int most_steps, In<double> state,
+               In<double> trust) {
+                std::vector<Doubted> families;
+                for (const nb::handle each : doubted) {
+                    const auto [member, count, limit, measured] =
+                        nb::cast<std::tuple<std::size_t, std::size_t, double, std::optional<const edges::Family*>>>(each);
+                    families.push_back({member, count, limit, measured.value_or(graph.families().at(member).family)});
+                }
+                new (at) Graduation(graph, std::move(families), {tolerance, most_steps}, copy_of(state), copy_of(trust));
+            },
+            nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>())
+        .def("graduate", &Graduation::graduate, release())
+        .def("settle", &Graduation::settle, release())
+        .def("judge", &Graduation::judge, release())
+        .def_prop_ro("truncated", &Graduation::truncated, release())
+        .def_prop_ro(
+            "state", [](const Graduation& at) { return state_array(at.state.data(), at.state.size()); }, nb::rv_policy::move)
+        .def_prop_ro(
+            "trust", [](const Graduation& at) { return array(at.trust); }, nb::rv_policy::move)
+        .def_ro("rounds", &Graduation::rounds)
+        .def_ro("settled", &Graduation::settled)
+        .def_ro("stuck", &Graduation::stuck);
+    m.attr("LEAST_TRUST") = least_trust;
+}
+
 void bind(nb::module_& m) {
     bind_objectives(m);
+    bind_graduation(m);
     bind_runs(m);
 }
 

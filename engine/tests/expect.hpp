@@ -5,6 +5,7 @@ void expect(bool holds, const char* what, unsigned seed);
 
 void test_association();
 void test_gibbs();
+void test_graduated();
 void test_linearized();
 void test_numbers();
 void test_online();

@@ -176,6 +176,7 @@ int main() {
     test_online();
     test_particles();
     test_start();
+    test_graduated();
     std::printf("%s\n", failures == 0 ? "all tests passed" : "tests failed");
     return failures == 0 ? 0 : 1;
 }

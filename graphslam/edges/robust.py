@@ -201,7 +201,7 @@ def _efficiency(code: int, width: float, dimension: int) -> float:
 
 
 #: the least trust: a landmark all of whose sightings are wrong must still be somewhere
-NO_TRUST = 1e-9
+NO_TRUST: float = engine.LEAST_TRUST
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -199,10 +199,9 @@ class MarginalEdges(LandmarkSightings):
         """m̂ (G, 3) of each landmark, the third column zero without psi."""
         return self._around_means(state, reference)[4]
 
-    def squares(self, state: Array, reference: Array) -> Array:
+    def squares(self, state: Array) -> Array:
         """The squared Mahalanobis norm (M,) of each sighting about m̂, without kernel and trust on the sighting itself."""
-        e, W, *_ = self._around_means(state, reference)
-        return np.einsum("mi,mij,mj->m", e, W[:, SYMMETRIC], e)
+        return np.asarray(self.in_engine.squares(state, self.trusted))
 
     def map(self, poses: Array) -> tuple[Array, Array]:
         """m̂ (G, d) of each landmark, and its covariance given the poses (G, d, d): (s sum of w Omega)^-1.

@@ -313,8 +313,8 @@ class Graph:
         if kept is None or kept[1] is not factor:
             own = [family if _is_of_engine(family) else None for family in self.families]
             families = tuple(
-                _python_family(family, self.system) if of_engine is None else of_engine.in_engine
-                for family, of_engine in zip(self.families, own)
+                engine.PythonFamily(f, self.system, self.initial.size) if of_engine is None else of_engine.in_engine
+                for f, of_engine in zip(self.families, own)
             )
             pairs = tuple(_none() if family is None else family.blocks(self.system) for family in own)
             fixed = np.ascontiguousarray(self.fixed, dtype=np.int64)
@@ -447,7 +447,7 @@ class Graph:
         if family.kernel is None:
             return np.ones(len(family.sightings))
         if isinstance(family, LandmarkSightings):
-            squares = family.marginal.squares(state, state)
+            squares = family.marginal.squares(state)
         else:
             squares = family.linearize(state, state).mahalanobis
         return family.kernel.weight(squares)
@@ -482,15 +482,6 @@ def _is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
 
 
 _OF_ENGINE = EngineEdges.accumulate, EngineEdges.headings, EngineEdges.positions
-
-
-def _python_family(family: EdgeFamily, system: BlockSystem) -> Any:
-    """A family in NumPy as one of the engine."""
-
-    def accumulate(state: Array, reference: Array, add: bool) -> float:
-        return family.accumulate(state, reference, system if add else None)
-
-    return engine.PythonFamily(accumulate, family, 3 * system.num_nodes)
 
 
 def check_graph(graph: object, name: str = "graph") -> None:

@@ -3,12 +3,9 @@
 Sightings, also those of one number, relations of two poses and absolute positions may be wrong; motion edges are always
 trusted. In a pose graph the loop closures are the relations. Truncated least squares counts a measurement with
 r² = e' Omega e as at most c². A wrong one then costs the same however wrong it is, and has no influence on the solution. This
-cost has very many minima. Graduated
-non-convexity searches a good one by a sequence of problems. The first is close to least squares (mu near 0), the last to
-truncated least squares (mu large). For each mu the graph is solved with a trust w between 0 and 1 in every measurement. Then
-the trust is computed again:
-
-    w = 1 for r² <= mu / (mu + 1) c²,   w = 0 for r² >= (mu + 1) / mu c²,   w = c sqrt(mu (mu + 1)) / r - mu between.
+cost has very many minima. Graduated non-convexity searches a good one by a sequence of problems. The first is close to least
+squares, the last to truncated least squares. Each is solved with a trust between 0 and 1 in every measurement. Then the trust
+is computed again. These rounds run in the engine (``engine/include/vmslam/solve/graduated.hpp``).
 
 Each sighting has one trust, not each edge: one wrong sighting affects K - 1 pair edges, and its trust reduces the weight of
 all of them. Therefore the sequence is computed with landmark nodes and Cartesian residuals, whatever the edges of the graph,
@@ -25,23 +22,24 @@ from __future__ import annotations
 import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ..edges import (
     BearingEdges,
     DoubtedEdges,
-    EdgeFamily,
     MarginalEdges,
     ObservationEdges,
     PositionEdges,
     RangeEdges,
     RelationEdges,
     SightingEdges,
-    SingleEdges,
     VirtualMotionEdges,
 )
 from ..edges.robust import Cauchy
+from ..engine import engine
 from ..errors import GraphError, OptionError
 from ..graph import Graph
 from ..graph.transform import poses_only, with_landmark_nodes
@@ -49,21 +47,17 @@ from ..se2 import Array
 from .agreement import Trusted, grown_trust
 from .corrected import corrected, sighted_edges
 from .initialize import partial_edges
-from .iteration import end_of, levenberg_marquardt, rough
+from .iteration import refuse, rough
 from .minimize import minimize, without_parameters
 from .solution import Solution
 from .starts import place_landmarks
 
-#: mu grows by this factor from one graph to the next
-GROWTH = 1.4
 #: the most damped steps in a round: the next one changes the problem anyway
 STEPS = 5
 #: the same for graphs without sightings, where wrong relations bend the whole trajectory
 STEPS_OF_RELATIONS = 30
 #: a second sequence is computed where there are at most so many pairs of sightings
 PAIRS = 5_000
-#: the most rounds in which the trust is computed again after a sequence on other edges
-LAST_ROUNDS = 20
 #: a sighting with less trust than this counts as rejected
 REJECTED = 0.5
 
@@ -83,8 +77,13 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
         graph = graph.with_closures()
     if graph.parameters is not None:
         graph = _at_robust_parameters(graph, initialize)
-    best = _best_sequence(without_parameters(graph), probability, max_rounds, initialize)
-    weighted = graph.with_trust(best.trust)
+    if graph.measurements == 0:
+        raise GraphError("graduated non-convexity needs sightings, relations or positions, and this graph has none")
+    nodes, order = _by_landmark(without_parameters(graph))
+    best = _best_sequence(nodes, probability, max_rounds, initialize)
+    trust = np.empty(len(order))
+    trust[order] = best.trust
+    weighted = graph.with_trust(trust)
     if len(best.state) == graph.num_nodes:
         # landmarks that were seen by single numbers alone have no other place
         weighted = weighted.with_initial(best.state)
@@ -146,165 +145,137 @@ def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
 
 
 @dataclass(frozen=True, eq=False)
-class _Measurements:
-    """The residuals of what may be wrong in a graph, and its other edges. Those of sightings are about the landmarks that
-    the trusted ones give.
+class _Doubts:
+    """A graph whose measurements may be wrong, sightings by landmark, then those of other families.
 
     Attributes:
-        sightings: grouped by landmark, in the order ``order`` (M,); None where there are none.
-        single: the families of relations and positions.
-        others: the other edges.
-        limits: c² (N,), at which the squares of each measurement are truncated; squares are counted in units of it.
+        graph: without kernels.
+        sightings: about the landmarks that the trusted ones give; None where there are none.
+        probability: c² of a measurement with d numbers is this quantile of chi-square with d degrees of freedom.
     """
 
+    graph: Graph
     sightings: MarginalEdges | None
-    order: np.ndarray
-    single: tuple[SingleEdges, ...]
-    others: tuple[EdgeFamily, ...]
-    limits: Array
+    probability: float
 
-    @classmethod
-    def of(cls, graph: Graph, probability: float) -> _Measurements:
-        """Those of a graph whose sightings, if it has any, are of landmark nodes."""
-        grouped, order = None, np.zeros(0, dtype=np.int64)
+    def rounds(self, state: Array, trust: Array | None = None, steps: int = STEPS) -> Any:
+        """The rounds in the engine (``engine/include/vmslam/solve/graduated.hpp``), from a state (n, 3) and trust (N,)."""
+        trusting, about_landmarks = self._trusting, None if self.sightings is None else self.sightings.in_engine
+        doubted = tuple(
+            (k, f.measurements, self.limit(f.dimension), about_landmarks if isinstance(f, SightingEdges) else None)
+            for k, f in enumerate(trusting.families)
+            if isinstance(f, DoubtedEdges)
+        )
+        trust = np.ones(trusting.measurements) if trust is None else trust
+        return engine.Graduation(trusting.objective, doubted, rough(trusting), steps, state, trust)
+
+    @cached_property
+    def _trusting(self) -> Graph:
+        return self.graph.with_trust(np.ones(self.graph.measurements))
+
+    def limit(self, dimension: int) -> float:
+        """c² of measurements with so many numbers."""
         from scipy.special import gammaincinv
 
-        edges = next((family for family in graph.families if isinstance(family, ObservationEdges)), None)
-        if edges is not None:
-            order = np.lexsort((edges.first, edges.second))
-            _, starts = np.unique(edges.second[order], return_index=True)
-            by_landmark = np.append(starts, len(order)), edges.first[order], edges.sightings[order], edges.sensor
-            grouped = MarginalEdges(*by_landmark)
-        single = tuple(family for family in graph.families if isinstance(family, SingleEdges))
-        doubted = [family for family in graph.families if isinstance(family, DoubtedEdges)]
-        # the quantiles of chi-square with d degrees of freedom
-        limits = [np.full(f.measurements, 2 * gammaincinv(f.dimension / 2, probability)) for f in doubted]
-        others = tuple(family for family in graph.families if not isinstance(family, DoubtedEdges))
-        return cls(grouped, order, single, others, np.concatenate([np.zeros(0), *limits]))
+        return float(2 * gammaincinv(dimension / 2, self.probability))
 
-    def squares(self, state: Array, trust: Array) -> Array:
-        """r² / c² (N,) of every measurement, as if it were fully trusted itself."""
-        squares, start = np.empty(len(self.limits)), len(self.order)
-        if self.sightings is not None and start:
-            seen = replace(self.sightings, trust=trust[: len(self.order)][self.order])
-            squares[self.order] = seen.squares(state, state)
-        for family in self.single:
-            squares[start : start + family.count] = family.squares(state)
-            start += family.count
-        return squares / self.limits
+    def after(self, rounds: Any, before: int = 0) -> Trusted:
+        """What the rounds have led to, after so many other ones.
+
+        Raises:
+            GraphError: the edges do not determine the nodes.
+        """
+        if rounds.stuck is not None:
+            refuse(self.graph.with_trust(rounds.trust), rounds.state, rounds.stuck)
+        return Trusted(rounds.state, rounds.trust, before + rounds.rounds, rounds.settled)
 
     def cost(self, sequence: Trusted) -> float:
         """The truncated squares of the measurements, and the cost of all other edges."""
         state = sequence.state
-        squares = np.minimum(self.squares(state, sequence.trust), 1.0) * self.limits
-        return float(squares.sum() + sum(other.cost(state, state) for other in self.others))
+        others = sum(f.cost(state, state) for f in self.graph.families if not isinstance(f, DoubtedEdges))
+        return float(self.rounds(state, sequence.trust).truncated + others)
 
 
-def _best_sequence(graph: Graph, probability: float, max_rounds: int, initialize: str) -> Trusted:
-    """The better of two sequences, one on landmark nodes, one on pair edges."""
-    if graph.measurements == 0:
-        raise GraphError("graduated non-convexity needs sightings, relations or positions, and this graph has none")
+def _by_landmark(graph: Graph) -> tuple[Graph, np.ndarray]:
+    """The graph with landmark nodes, without kernels, its sightings by landmark, and the order (N,) of its measurements."""
     nodes = (with_landmark_nodes(graph) or graph).without_kernel
-    nodes = nodes.with_initial(place_landmarks(nodes, nodes.initial[: len(nodes.steps)]))
-    measured = _Measurements.of(nodes, probability)
+    order = np.arange(nodes.measurements)
+    edges = next((family for family in nodes.families if isinstance(family, ObservationEdges)), None)
+    if edges is not None:
+        order[: len(edges.first)] = np.lexsort((edges.first, edges.second))
+        by_landmark = edges.among(order[: len(edges.first)])
+        nodes = replace(nodes, families=tuple(by_landmark if f is edges else f for f in nodes.families))
+    return nodes.with_initial(place_landmarks(nodes, nodes.initial[: len(nodes.steps)])), order
+
+
+def _grouped(edges: ObservationEdges) -> tuple[Any, ...]:
+    """The arguments of `LandmarkSightings` for sightings that are ordered by landmark."""
+    ends = np.flatnonzero(np.diff(edges.second, append=-1)) + 1
+    return np.append(0, ends), edges.first, edges.sightings, edges.sensor
+
+
+def _best_sequence(nodes: Graph, probability: float, max_rounds: int, initialize: str) -> Trusted:
+    """The better of two sequences, one on landmark nodes, one on pair edges; the graph is that of `_by_landmark`."""
+    edges = next((family for family in nodes.families if isinstance(family, ObservationEdges)), None)
+    doubts = _Doubts(nodes, None if edges is None else MarginalEdges(*_grouped(edges)), probability)
     if partial_edges(nodes):
-        return _from_kernel(nodes, measured, initialize)
-    if measured.sightings is None:
-        return _of_relations(nodes, measured, max_rounds, initialize)
-    best = _sequence(nodes, np.arange(len(measured.limits)), measured, max_rounds, initialize)
+        return _from_kernel(doubts, initialize)
+    if edges is None:
+        return _of_relations(doubts, max_rounds, initialize)
+    best = _sequence(doubts, max_rounds, initialize)
     if best.rounds == 0:
         return best
-    f = measured.sightings
-    pairs = VirtualMotionEdges(f.starts, f.nodes, f.sightings, f.sensor)
+    pairs = VirtualMotionEdges(*_grouped(edges))
     if pairs.count > PAIRS:
         return best
-    order = np.append(measured.order, np.arange(len(measured.order), len(measured.limits)))
     try:
-        paired = poses_only(nodes, [pairs, *measured.others, *measured.single])
-        other = _sequence(paired, order, measured, max_rounds, initialize)
+        paired = replace(doubts, graph=poses_only(nodes, [pairs if f is edges else f for f in nodes.families]))
+        other = _sequence(paired, max_rounds, initialize)
     except GraphError:
         return best  # without psi, pair edges may leave poses undetermined that landmark nodes determine
-    other = _finished(nodes, other, measured)
+    if other.settled:
+        # on to the nearest minimum of the truncated squares with landmark nodes
+        state = place_landmarks(nodes.with_trust(other.trust), other.state)
+        rounds = doubts.rounds(state, other.trust)
+        rounds.settle()
+        other = replace(doubts.after(rounds, other.rounds), settled=True)
     # a sequence that has not settled is used only where none has
-    return min(best, other, key=lambda each: (not each.settled, measured.cost(each)))
+    return min(best, other, key=lambda each: (not each.settled, doubts.cost(each)))
 
 
-def _of_relations(graph: Graph, measured: _Measurements, max_rounds: int, initialize: str) -> Trusted:
+def _of_relations(doubts: _Doubts, max_rounds: int, initialize: str) -> Trusted:
     """That of a graph without sightings: from relations that agree, or where that is doubtful the better of two."""
     found: list[Trusted] = []
-    if len(measured.single) == 1 and isinstance(edges := measured.single[0], RelationEdges):
+    single = [family for family in doubts.graph.families if isinstance(family, DoubtedEdges)]
+    if len(single) == 1 and isinstance(edges := single[0], RelationEdges):
         with suppress(GraphError):  # the odometry alone does not determine the poses
-            grown = grown_trust(graph, edges, float(measured.limits[0]), max_rounds, initialize)
+            grown = grown_trust(doubts.graph, edges, doubts.limit(edges.dimension), max_rounds, initialize)
             found.append(grown)
             if grown.certain:
                 return grown
     # the search for the optimum of plain squares would be one among wrong relations
     given = "given" if initialize == "auto" else initialize
-    found.append(_sequence(graph, np.arange(len(measured.limits)), measured, max_rounds, given, STEPS_OF_RELATIONS))
-    return min(found, key=lambda each: (not each.settled, measured.cost(each)))
+    found.append(_sequence(doubts, max_rounds, given, STEPS_OF_RELATIONS))
+    return min(found, key=lambda each: (not each.settled, doubts.cost(each)))
 
 
-def _sequence(
-    graph: Graph, order: np.ndarray, measured: _Measurements, max_rounds: int, initialize: str, steps: int = STEPS
-) -> Trusted:
-    """The sequence from plain squares to squares truncated at c²; the edges have the measurements in an order (N,)."""
-    trust = np.ones(len(order))
-    state = minimize(graph, tolerance=rough(graph), initialize=initialize).state
-    squares = measured.squares(state, trust)
-    largest = float(squares.max(initial=0.0))
-    mu = 1 / (2 * largest - 1) if 2 * largest > 1 else np.inf
-    rounds, settled = 0, largest <= 1
-    while rounds < max_rounds and not settled:
-        rounds += 1
-        trust = truncated_trust(squares, 1.0, mu)
-        settled = bool(np.all((trust == 0) | (trust == 1)))
-        state = _damped(graph, trust[order], state, steps)
-        squares = measured.squares(state, trust)
-        mu *= GROWTH
-    return Trusted(state, trust, rounds, settled)
+def _sequence(doubts: _Doubts, max_rounds: int, initialize: str, steps: int = STEPS) -> Trusted:
+    """The sequence from plain squares to squares truncated at c²."""
+    start = minimize(doubts.graph, tolerance=rough(doubts.graph), initialize=initialize).state
+    rounds = doubts.rounds(start, steps=steps)
+    rounds.graduate(max_rounds)
+    return doubts.after(rounds)
 
 
-def _from_kernel(graph: Graph, measured: _Measurements, initialize: str) -> Trusted:
+def _from_kernel(doubts: _Doubts, initialize: str) -> Trusted:
     """The end from the minimum of a robust kernel, for graphs with ranges or bearings alone.
 
     Plain squares put their landmarks so far from where they are that the sequence from there rejects most of them.
     """
+    graph = doubts.graph
     robust = tuple(replace(f, kernel=Cauchy()) if isinstance(f, DoubtedEdges) else f for f in graph.families)
-    state = minimize(replace(graph, families=robust), tolerance=rough(graph), initialize=initialize).state
-    trust = truncated_trust(measured.squares(state, np.ones(len(measured.limits))), 1.0, np.inf)
-    return _settled(graph, Trusted(state, trust, 0, settled=True), measured)
-
-
-def _finished(graph: Graph, sequence: Trusted, measured: _Measurements) -> Trusted:
-    """The end of another graph's sequence, taken on to the nearest minimum of the truncated squares with landmark nodes."""
-    if not sequence.settled:
-        return sequence
-    state = place_landmarks(graph.with_trust(sequence.trust), sequence.state)
-    return _settled(graph, replace(sequence, state=state), measured)
-
-
-def _settled(graph: Graph, sequence: Trusted, measured: _Measurements) -> Trusted:
-    """The nearest minimum of the truncated squares."""
-    state, trust, rounds = sequence.state, sequence.trust, sequence.rounds
-    for _ in range(LAST_ROUNDS):
-        rounds += 1
-        state = _damped(graph, trust, state)
-        before, trust = trust, truncated_trust(measured.squares(state, trust), 1.0, np.inf)
-        if np.array_equal(trust, before):
-            break
-    return replace(sequence, trust=trust, state=state, rounds=rounds)
-
-
-def _damped(graph: Graph, trust: Array, state: Array, steps: int = STEPS) -> Array:
-    """The state (n, 3) after some damped steps with this trust."""
-    return end_of(levenberg_marquardt, graph.with_trust(trust), state, max_iterations=steps)
-
-
-def truncated_trust(squares: Array, limit: float, mu: float) -> Array:
-    """The trust (M,) in measurements with squared norms (M,), truncated at ``limit`` = c²; 0 or 1 for infinite mu."""
-    if not np.isfinite(mu):
-        return (squares <= limit).astype(float)
-    between = np.sqrt(limit * mu * (mu + 1) / np.maximum(squares, 1e-300)) - mu
-    return np.where(
-        squares <= mu / (mu + 1) * limit, 1.0, np.where(squares >= (mu + 1) / mu * limit, 0.0, np.clip(between, 0, 1))
-    )
+    start = minimize(replace(graph, families=robust), tolerance=rough(graph), initialize=initialize).state
+    rounds = doubts.rounds(start)
+    rounds.judge(np.inf)
+    rounds.settle()
+    return replace(doubts.after(rounds), settled=True)

@@ -92,12 +92,16 @@ def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: fl
     run.state, run.costs, run.step_norms = inside.state, inside.costs, inside.norms
     run.converged, run.factorizations = inside.converged, inside.factorizations
     if inside.end == engine.End.not_determined:
-        # repeated in Python, whose error names the nodes
-        factorized(graph, run.state, inside.damping).solve(graph.system.xi)
-        raise AssertionError("a factorisation that failed in the engine succeeded")
+        refuse(graph, run.state, inside.damping)
     run.reason = _reason(run, inside)
     if inside.damped_from >= 0:
         run.reason += f", with damped steps from step {inside.damped_from + 1} on because plain ones oscillated"
+
+
+def refuse(graph: Any, state: Array, damping: float) -> None:
+    """Raise the `GraphError` of a factorisation that failed in the engine; that in Python, repeated here, names the nodes."""
+    factorized(graph, state, damping).solve(graph.system.xi)
+    raise AssertionError("a factorisation that failed in the engine succeeded")
 
 
 def _reason(run: Run, inside: Any) -> str:

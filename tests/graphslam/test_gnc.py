@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, GraphError, OptionError, simulate, solve
-from graphslam.edges import MarginalEdges
+from graphslam.edges import EdgeFamily, MarginalEdges, PositionEdges
 from graphslam.graph.transform import with_landmark_nodes
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 from graphslam.simulation.worlds import WORLDS
-from graphslam.solvers.gnc import truncated_trust
 
 SEEDS = range(10)
 
@@ -120,14 +119,32 @@ def test_all_good_sightings_need_no_round(seed):
     assert solution.cost == pytest.approx(solve(graph).cost, rel=1e-9)
 
 
-def test_trust_goes_from_squares_to_all_or_nothing():
-    squares = np.array([0.0, 1.0, 8.0, 9.0, 10.0, 400.0])
-    # the surrogate: trust falls as 1 / r, so that no sighting pulls harder the farther it is
-    early = truncated_trust(squares, 9.0, 1e-4)
-    np.testing.assert_allclose((early * np.sqrt(squares))[1:5], 0.03, rtol=0.05)
-    np.testing.assert_array_equal(truncated_trust(squares, 9.0, np.inf), [1, 1, 1, 1, 0, 0])
-    middle = truncated_trust(squares, 9.0, 1.0)
-    assert np.all(np.diff(middle) <= 0) and middle[0] == 1 and middle[-1] == 0 and 0 < middle[3] < 1
+class InNumPy(PositionEdges):
+    """Positions as a user would write them, whose sums are computed in NumPy."""
+
+    def accumulate(self, state, reference, system):
+        return EdgeFamily.accumulate(self, state, reference, system)
+
+
+@pytest.mark.parametrize("kernel", [None, "cauchy"])
+def test_edges_written_in_numpy_take_part(kernel):
+    """Some of them are wrong; trust, rounds and cost are those of the engine's edges."""
+    rng = np.random.default_rng(3)
+    log = simulate(seed=3, steps=30, clean=True)
+    places = log.true_poses[:, :2] + rng.normal(scale=0.1, size=(log.num_poses, 2))
+    places[[4, 17]] += [[3.0, -2.0], [-1.5, 2.5]]
+    graph = Graph.from_log(log, edges="landmark+motion", kernel="none")
+    information = np.broadcast_to(np.eye(2) / 0.01, (log.num_poses, 2, 2))
+    found = []
+    for kind in (PositionEdges, InNumPy):
+        edges = kind(np.arange(log.num_poses), places, information, np.zeros((log.num_poses, 2)), kernel=kernel)
+        found.append(solve(replace(graph, families=(*graph.families, edges)), method="gnc"))
+    own, user = found
+    assert set(np.flatnonzero(user.other_trust["positions"] < 0.5)) >= {4, 17}
+    np.testing.assert_array_equal(user.other_trust["positions"], own.other_trust["positions"])
+    np.testing.assert_array_equal(user.trust, own.trust)
+    assert user.notes[-1] == own.notes[-1] and "in 0 rounds" not in own.notes[-1]
+    assert user.cost == pytest.approx(own.cost, rel=1e-9)
 
 
 def test_what_cannot_be(book_log):

@@ -56,12 +56,12 @@ void divide(const LowerRoot& L, const Symmetric& W, const Lever& t, Block& V) {
 
 }  // namespace
 
-AroundMeans MarginalEdges::around_means(const State& state) const {
+AroundMeans MarginalEdges::around_means(const State& state, std::span<const double> trust) const {
     const State at{state.at, body_ ? state.at : state.reference};
     const std::vector<Placed> places = placed(at, Covariance::reference);
     AroundMeans out{std::vector<AroundMean>(places.size()), std::vector<Vector>(landmarks())};
     for (std::size_t k = 0; k < places.size(); ++k)
-        out.sightings[k] = {{}, inverse(places[k].C, seen_.oriented), seen_.trust[k], places[k].lever};
+        out.sightings[k] = {{}, inverse(places[k].C, seen_.oriented), trust[k], places[k].lever};
     std::vector<Vector> relative;
     for (Index g = 0; g < landmarks(); ++g) {
         const Index first = starts_[g], count = starts_[g + 1] - first;
@@ -70,7 +70,7 @@ AroundMeans MarginalEdges::around_means(const State& state) const {
         relative.clear();
         for (Index k = first; k < first + count; ++k)
             relative.push_back({places[k].y.x - origin.x, places[k].y.y - origin.y, places[k].y.t - origin.t});
-        const Cluster cluster{relative, std::span(seen_.trust).subspan(first, count), seen_.kernel, seen_.oriented};
+        const Cluster cluster{relative, trust.subspan(first, count), seen_.kernel, seen_.oriented};
         const std::span<AroundMean> sightings = std::span(out.sightings).subspan(first, count);
         const PlainMean plain(cluster, sightings);
         Mean mean{plain.at, plain.cost};
@@ -78,6 +78,12 @@ AroundMeans MarginalEdges::around_means(const State& state) const {
         out.cost += mean.cost;
         out.means[g] = {origin.x + mean.at.x, origin.y + mean.at.y, wrap(origin.t + mean.at.t)};
     }
+    return out;
+}
+
+std::vector<double> MarginalEdges::squares(const double* state, std::span<const double> trust) const {
+    std::vector<double> out;
+    for (const AroundMean& s : around_means({state, state}, trust).sightings) out.push_back(dot(s.W * s.e, s.e));
     return out;
 }
 

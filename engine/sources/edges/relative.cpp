@@ -5,6 +5,18 @@
 #include "vmslam/edges/rotations.hpp"
 
 namespace vmslam::edges {
+namespace {
+
+/// Append edges with the weights that a kernel gives them at a state.
+void append(std::span<const ConstantEdge> edges, const Kernel& kernel, const double* state, ConstantEdges& out) {
+    out.edges.reserve(out.edges.size() + edges.size());
+    for (const ConstantEdge& edge : edges) {
+        out.edges.push_back(edge);
+        if (kernel) out.edges.back().information = kernel.weight(edge.squares(state)) * edge.information;
+    }
+}
+
+}  // namespace
 
 template <bool poses, bool world>
 double RelativeEdges::add(const State& state, System* system, std::span<const Index> pairs) const {
@@ -70,13 +82,15 @@ std::vector<PositionRelation> RelativeEdges::positions(const double* state) cons
 
 bool RelativeEdges::constant(const double* state, Index, ConstantEdges& out) const {
     if (world_) return false;
-    out.edges.reserve(out.edges.size() + edges_.size());
-    for (const auto& [i, j, z, omega] : edges_) {
-        ConstantEdge edge{i, j, {z.x, z.y}, {}, z.t, poses_, omega};
-        if (kernel_) edge.information = kernel_.weight(edge.squares(state)) * omega;
-        out.edges.push_back(edge);
-    }
+    append(listed(), kernel_, state, out);
     return true;
+}
+
+std::vector<ConstantEdge> RelativeEdges::listed() const {
+    std::vector<ConstantEdge> out;
+    out.reserve(edges_.size());
+    for (const auto& [i, j, z, omega] : edges_) out.push_back({i, j, {z.x, z.y}, {}, z.t, poses_, omega});
+    return out;
 }
 
 double PositionEdges::accumulate(const State& state, System* system, std::span<const Index>) const {
@@ -97,17 +111,20 @@ double PositionEdges::accumulate(const State& state, System* system, std::span<c
     return total;
 }
 
-// A relative pose, or point, measured from the origin of the world.
 bool PositionEdges::constant(const double* state, Index, ConstantEdges& out) const {
+    append(listed(), kernel_, state, out);
+    return true;
+}
+
+// A relative pose, or point, measured from the origin of the world.
+std::vector<ConstantEdge> PositionEdges::listed() const {
     const bool oriented = std::any_of(positions_.begin(), positions_.end(), [](const Position& p) {
         return p.omega.tt != 0 || p.omega.xt != 0 || p.omega.yt != 0;
     });
-    for (const auto& [i, z, omega, lever] : positions_) {
-        ConstantEdge edge{-1, i, {z.x, z.y}, {lever.x, lever.y}, z.t, oriented, omega};
-        if (kernel_) edge.information = kernel_.weight(edge.squares(state)) * omega;
-        out.edges.push_back(edge);
-    }
-    return true;
+    std::vector<ConstantEdge> out;
+    for (const auto& [i, z, omega, lever] : positions_)
+        out.push_back({-1, i, {z.x, z.y}, {lever.x, lever.y}, z.t, oriented, omega});
+    return out;
 }
 
 }  // namespace vmslam::edges

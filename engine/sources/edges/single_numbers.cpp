@@ -23,4 +23,15 @@ double NumberEdges::accumulate(const State& state, System* system, std::span<con
     return total;
 }
 
+std::vector<double> NumberEdges::squares(const double* state, std::span<const double>) const {
+    std::vector<double> out;
+    for (const auto& [i, j, z, omega, offset] : edges_) {
+        const double *const a = state + 3 * i, *const b = state + 3 * j;
+        const Vector seen = turned(Rotation(-a[2]), Vector{b[0] - a[0], b[1] - a[1], 0.0});
+        const double e = number_seen(kind_, z, seen.x - offset.x, seen.y - offset.y).e;
+        out.push_back(omega * e * e);
+    }
+    return out;
+}
+
 }  // namespace vmslam::edges

@@ -1,6 +1,7 @@
 // What all edge families have in common.
 #pragma once
 
+#include <memory>
 #include <span>
 
 #include "vmslam/edges/constant.hpp"
@@ -43,9 +44,21 @@ class Family {
     virtual std::vector<HeadingRelation> headings() const { return {}; }
     /// The relative positions that they measure, with the headings of a state; none by default.
     virtual std::vector<PositionRelation> positions(const double* /* state */) const { return {}; }
+    /// The same edges with a trust from 0 to 1 in each measurement, a factor on its information. None where no measurement may be
+    /// wrong.
+    virtual std::unique_ptr<const Family> trusting(std::span<const double> /* trust */) const { return nullptr; }
+    /// r² of each measurement at a state, as if it were fully trusted. The trust places landmarks that are no nodes.
+    virtual std::vector<double> squares(const double* /* state */, std::span<const double> /* trust */) const { return {}; }
     /// Append the edges with constant information at a state of `nodes` nodes; false where there is no such form. A kernel keeps
     /// the weights that it has there, and further nodes have the numbers from `nodes` on.
     virtual bool constant(const double* /* state */, Index /* nodes */, ConstantEdges& /* out */) const { return false; }
 };
+
+/// Edges with a trust in each.
+template <class Edge>
+std::vector<Edge> trusted(std::vector<Edge> edges, std::span<const double> trust) {
+    for (std::size_t k = 0; k < edges.size(); ++k) edges[k].omega = trust[k] * edges[k].omega;
+    return edges;
+}
 
 }  // namespace vmslam::edges

@@ -39,7 +39,10 @@ class MarginalEdges : public LandmarkSightings {
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
-    AroundMeans around_means(const State& state) const;
+    /// With the trust of the sightings, or another one.
+    AroundMeans around_means(const State& state) const { return around_means(state, seen_.trust); }
+    AroundMeans around_means(const State& state, std::span<const double> trust) const;
+    std::vector<double> squares(const double* state, std::span<const double> trust) const override;
 
    private:
     bool body_;

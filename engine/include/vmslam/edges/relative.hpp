@@ -31,10 +31,18 @@ class RelativeEdges : public Family {
     std::vector<HeadingRelation> headings() const override;
     std::vector<PositionRelation> positions(const double* state) const override;
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
+    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
+        return std::make_unique<RelativeEdges>(trusted(edges_, trust), poses_, world_, kernel_);
+    }
+    std::vector<double> squares(const double* state, std::span<const double>) const override {
+        return squares_of(listed(), state);
+    }
 
    private:
     template <bool poses, bool world>
     double add(const State& state, System* system, std::span<const Index> pairs) const;
+    /// The edges without their kernel.
+    std::vector<ConstantEdge> listed() const;
 
     std::vector<RelativeEdge> edges_;
     bool poses_, world_;
@@ -58,8 +66,17 @@ class PositionEdges : public Family {
         : positions_(std::move(positions)), kernel_(kernel) {}
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
+    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
+        return std::make_unique<PositionEdges>(trusted(positions_, trust), kernel_);
+    }
+    std::vector<double> squares(const double* state, std::span<const double>) const override {
+        return squares_of(listed(), state);
+    }
 
    private:
+    /// The edges without their kernel.
+    std::vector<ConstantEdge> listed() const;
+
     std::vector<Position> positions_;
     Kernel kernel_;
 };

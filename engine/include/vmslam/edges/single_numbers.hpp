@@ -49,6 +49,10 @@ class NumberEdges : public Family {
     NumberEdges(Number kind, std::vector<NumberEdge> edges, Kernel kernel)
         : kind_(kind), edges_(std::move(edges)), kernel_(kernel) {}
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
+        return std::make_unique<NumberEdges>(kind_, trusted(edges_, trust), kernel_);
+    }
+    std::vector<double> squares(const double* state, std::span<const double>) const override;
 
    private:
     Number kind_;

@@ -23,6 +23,12 @@ class VirtualMotionEdges : public LandmarkSightings {
           body_(body) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    /// The weights of landmarks stay.
+    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
+        auto out = std::make_unique<VirtualMotionEdges>(*this);
+        out->seen_.trust.assign(trust.begin(), trust.end());
+        return out;
+    }
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
 
    private:

@@ -59,6 +59,12 @@ class GraphObjective : public Objective {
     std::vector<double> diagonal() override;
 
     const std::vector<Member>& families() const { return families_; }
+    /// The same graph with other edges between the same nodes. Both use one system and one factor.
+    GraphObjective with(std::vector<Member> families) const {
+        GraphObjective out = *this;
+        out.families_ = std::move(families);
+        return out;
+    }
     const edges::System& system() const { return system_; }
     /// The ordering and structure of the factor.
     const sparse::Symbolic& symbolic() const { return factor_.symbolic(); }
