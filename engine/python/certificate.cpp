@@ -62,6 +62,14 @@ nb::tuple arrays(const edges::ConstantEdges& from) {
                           rows_of(from.edges, &Edge::information), rows_of(from.landmarks));
 }
 
+Out<Index> points_of_nodes(const edges::ConstantEdges& from, Index nodes) {
+    const std::vector<char> points = points_of(from.edges, nodes);
+    std::vector<Index> chosen;
+    for (Index k = 0; k < nodes; ++k)
+        if (points[k]) chosen.push_back(k);
+    return array(std::move(chosen));
+}
+
 /// A proof with the pattern that it needs.
 class OwnedProof : public Proof {
    public:
@@ -94,10 +102,16 @@ void bind(nb::module_& m) {
         .def("add", &add, nb::arg("first"), nb::arg("second"), nb::arg("start"), nb::arg("end"), nb::arg("turn").none(),
              nb::arg("information"), nb::arg("tolerance"))
         .def_prop_ro("arrays", &arrays)
-        // the pattern that a number of nodes have by the edges
-        .def("pattern", [](const edges::ConstantEdges& from, Index nodes) {
-            const sparse::WidePattern pattern = pattern_of(from.edges, nodes);
-            return std::pair(array(pattern.start), array(pattern.rows));
+        // the pattern that a number of nodes have by the edges, and the nodes whose headings no edge depends on
+        .def("pattern",
+             [](const edges::ConstantEdges& from, Index nodes) {
+                 const sparse::WidePattern pattern = pattern_of(from.edges, nodes);
+                 return std::tuple(array(pattern.start), array(pattern.rows), points_of_nodes(from, nodes));
+             })
+        // whether an edge depends on the heading of one of some nodes
+        .def("turn_with", [](const edges::ConstantEdges& from, Index nodes, In<Index> some) {
+            const std::vector<char> points = points_of(from.edges, nodes);
+            return std::ranges::any_of(span(some), [&](Index k) { return !points[k]; });
         });
     nb::class_<OwnedProof>(m, "Proof")
         .def(nb::init<const In<Index>&, const In<Index>&, std::shared_ptr<sparse::Symbolic>>())

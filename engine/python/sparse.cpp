@@ -71,13 +71,16 @@ void bind_symbolic(nb::module_& m) {
         .def_ro("blocks", &Symbolic::blocks);
     m.def(
         "analyze",
-        [](In<Index> start, In<Node> rows, std::optional<In<Node>> order, int threads) {
+        [](In<Index> start, In<Node> rows, std::optional<In<Node>> order, int threads, std::optional<In<Index>> points) {
             const Pattern pattern = pattern_of(start, rows);
             const nb::gil_scoped_release other_threads;
-            if (order) return std::make_shared<Symbolic>(analyze(pattern, span(*order), shape_of<Real3>, threads));
-            return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of<Real3>, threads));
+            std::vector<char> is_point(pattern.size(), 0);
+            if (points)
+                for (const Index node : span(*points)) is_point.at(node) = 1;
+            if (order) return std::make_shared<Symbolic>(analyze(pattern, span(*order), shape_of<Real3>, threads, is_point));
+            return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of<Real3>, threads, is_point));
         },
-        nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("threads"));
+        nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("threads"), nb::arg("points") = nb::none());
     m.def("for_proof", [](const Symbolic& s) { return std::make_shared<Symbolic>(reshaped(s, shape_of<Hermitian2>)); });
 }
 

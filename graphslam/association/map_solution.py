@@ -234,6 +234,8 @@ class MapSolution:
         order = system.symbolic.order
         last = np.isin(order, nodes)
         ordering = np.concatenate([order[~last], order[last]])
-        factor = analyze(system.indptr, system.indices, ordering=ordering).factorize(system.values.copy())
+        points = system.structure.points
+        symbolic = analyze(system.indptr, system.indices, ordering=ordering, points=points)
+        factor = symbolic.factorize(system.values.copy())
         d = self.graph.landmark_dimension
         return factor.joint_covariance(nodes).reshape(len(nodes), 3, len(nodes), 3)[:, :d, :, :d]

@@ -301,7 +301,7 @@ class Graph:
     @cached_property
     def system(self) -> BlockSystem:
         """Omega and xi: the pattern is made at the first use, the numbers by `linearize`."""
-        return BlockSystem.from_cliques(self.num_nodes, [family.cliques() for family in self.families])
+        return BlockSystem.from_cliques(self.num_nodes, [f.cliques() for f in self.families], self.without_heading)
 
     @property
     def objective(self) -> Any:

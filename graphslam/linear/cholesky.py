@@ -1,5 +1,7 @@
 """Sparse Cholesky factorisation of symmetric positive definite matrices of 3x3 blocks: analyse, factorise, solve.
 
+Nodes without a heading, points, have two numbers in the factor.
+
 The engine computes (``engine/include/vmslam/sparse``): the structure once per graph, the factor once per iteration.
 """
 
@@ -236,7 +238,12 @@ class Factor:
 
 
 def analyze(
-    indptr: NDArray[Any], indices: NDArray[Any], *, ordering: NDArray[Any] | None = None, check: bool = True
+    indptr: NDArray[Any],
+    indices: NDArray[Any],
+    *,
+    ordering: NDArray[Any] | None = None,
+    points: NDArray[Any] | None = None,
+    check: bool = True,
 ) -> Symbolic:
     """Symbolic analysis of a symmetric positive definite matrix of 3x3 blocks.
 
@@ -244,6 +251,8 @@ def analyze(
         indptr: (n+1,) column pointers of the upper triangle in block-CSC.
         indices: (nnzb,) row nodes i <= j, ascending in each column j, the diagonal last.
         ordering: an elimination order (n,); default: that of `fill_reducing`.
+        points: the nodes whose third row and column are those of the identity, such as landmarks without heading. The
+            factor leaves them out: solutions are zero there.
         check: whether the pattern is checked, which the engine trusts; not needed for one that the engine has made.
 
     Raises:
@@ -262,7 +271,7 @@ def analyze(
         order = np.ascontiguousarray(ordering, dtype=np.int32)
         if not np.array_equal(np.sort(order), np.arange(n)):
             raise ValueError(f"ordering must be a permutation of {n} nodes")
-    structure = engine.analyze(indptr, indices, order, threads=available_threads())
+    structure = engine.analyze(indptr, indices, order, available_threads(), points)
     return Symbolic(indptr, indices, structure)
 
 

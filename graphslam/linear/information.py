@@ -25,17 +25,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """The upper block-CSC pattern ``indptr`` (n + 1,) and ``indices`` of a symmetric matrix; both must not change."""
+    """The upper block-CSC pattern ``indptr`` (n + 1,) and ``indices`` of a symmetric matrix; they must not change.
+
+    ``points`` are the nodes without a heading.
+    """
 
     indptr: np.ndarray
     indices: np.ndarray
+    points: np.ndarray
     #: a proof that nobody uses, whose memory is used again
     spare: list[Any] = field(default_factory=list, repr=False)
 
     @cached_property
     def symbolic(self) -> Symbolic:
         """Ordering and structure of the factor, computed at the first use."""
-        return analyze(self.indptr, self.indices, check=False)
+        return analyze(self.indptr, self.indices, points=self.points, check=False)
 
     @cached_property
     def _for_proof(self) -> Any:
@@ -64,12 +68,18 @@ class BlockSystem:
     _slots: dict[tuple[int, int], tuple[np.ndarray, ...]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def from_cliques(cls, num_nodes: int, cliques: Iterable[tuple[np.ndarray, np.ndarray]]) -> BlockSystem:
-        """The empty system of nodes tied in groups, each given as (starts (G+1,), nodes), nodes not decreasing."""
+    def from_cliques(
+        cls, num_nodes: int, cliques: Iterable[tuple[np.ndarray, np.ndarray]], points: Iterable[int] = ()
+    ) -> BlockSystem:
+        """The empty system of nodes tied in groups, each given as (starts (G+1,), nodes), nodes not decreasing.
+
+        The nodes ``points`` have no heading: before it is factorised, `rest` must hold their third coordinates.
+        """
         parts = list(cliques)
         nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
         sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
-        structure = Structure(*engine.pattern(num_nodes, np.asarray(sizes, np.int64), np.asarray(nodes, np.int64)))
+        pattern = engine.pattern(num_nodes, np.asarray(sizes, np.int64), np.asarray(nodes, np.int64))
+        structure = Structure(*pattern, np.asarray(points, np.int64))
         values = np.zeros((len(structure.indices), 3, 3))
         return cls(structure, values, np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64))
 

@@ -235,7 +235,11 @@ def _problem(
             nodes = np.concatenate([nodes, landmarks])
     if reasons:
         raise GraphError("; ".join(dict.fromkeys(reasons)))
-    return _Problem(taken, nodes, fixed, len(state), structure if len(nodes) == len(state) else None)
+    if structure is not None and (
+        len(nodes) != len(state) or taken.turn_with(len(nodes), structure.points)
+    ):
+        structure = None
+    return _Problem(taken, nodes, fixed, len(state), structure)
 
 
 def _add(taken: Any, edges: ConstantEdges, nodes: int) -> None:

@@ -295,6 +295,16 @@ sparse::WidePattern pattern_of(std::span<const Edge> edges, Index nodes) {
     return sparse::pattern_of_groups(nodes, sizes, tied);
 }
 
+std::vector<char> points_of(std::span<const Edge> edges, Index nodes) {
+    std::vector<char> points(nodes, 1);
+    for (const Edge& edge : edges) {
+        if (edge.first >= 0) points[edge.first] = 0;
+        // see `write_quadratic_bound`
+        if (edge.oriented || edge.d_b != std::complex<double>{}) points[edge.second] = 0;
+    }
+    return points;
+}
+
 bool semidefinite(const edges::Symmetric& w) {
     // the sign of a c - b b, exactly
     const auto minor = [](double a, double b, double c) {
@@ -317,9 +327,10 @@ std::optional<Bound> lower_bound(std::span<const double> state, std::vector<Edge
     const sparse::WidePattern wide = pattern_of(edges, nodes);
     const std::vector<sparse::Node> rows(wide.rows.begin(), wide.rows.end());
     const sparse::Pattern pattern{wide.start, rows};
+    const std::vector<char> points = points_of(edges, nodes);
     Proof proof(wide.start, wide.rows,
                 std::make_shared<const sparse::Symbolic>(
-                    analyze(pattern, fill_reducing(pattern), {sparse::Hermitian2::rows, sparse::Hermitian2::columns}, 1)));
+                    analyze(pattern, fill_reducing(pattern), sparse::shape_of<sparse::Hermitian2>, 1, points)));
     proof.edges = std::move(edges);
     proof.begin(state, std::vector<char>(nodes, 1));
     // an edge with a split has positive semidefinite information

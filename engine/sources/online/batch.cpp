@@ -53,8 +53,10 @@ class BatchProblem {
         pattern_ = sparse::pattern_of_groups(static_cast<Index>(nodes_.size()), sizes, members);
         rows_.assign(pattern_.rows.begin(), pattern_.rows.end());
         const sparse::Pattern pattern{pattern_.start, rows_};
+        std::vector<char> points(nodes_.size(), 0);
+        for (const Index k : points_) points[k] = 1;
         factor_ = std::make_unique<sparse::Factor<sparse::Real3>>(std::make_shared<sparse::Symbolic>(
-            sparse::analyze(pattern, sparse::fill_reducing(pattern), sparse::shape_of<sparse::Real3>, 1)));
+            sparse::analyze(pattern, sparse::fill_reducing(pattern), sparse::shape_of<sparse::Real3>, 1, points)));
         values_.resize(9 * rows_.size());
         xi_.resize(state.size());
         slots_.resize(nodes_.size());

@@ -12,34 +12,35 @@ namespace {
 // that the parent adds. Fitted by timing settings on seven pose graphs, a field of 10^4 poses and a path of 10^5.
 constexpr double cost_node = 150.0, cost_panel = 2.0, cost_flop = 0.04, cost_update = 2.0;
 
-double cost(const BlockShape& shape, double w, double r) {
-    const double width = shape.rows * w, below = shape.rows * r;
-    const double flops = width * width * width / 3.0 + width * width * below + width * below * below;
-    const double numbers = static_cast<double>(shape.columns) / shape.rows;
-    return cost_node + numbers * (cost_panel * width * (width + below) + cost_update * 0.5 * below * below) +
-           numbers * numbers * cost_flop * flops;
+double flops_of_columns(double width, double below) {
+    return width * width * width / 3.0 + width * width * below + width * below * below;
+}
+
+double cost(int planes, double width, double below) {
+    return cost_node + planes * (cost_panel * width * (width + below) + cost_update * 0.5 * below * below) +
+           planes * planes * cost_flop * flops_of_columns(width, below);
 }
 
 /// The tree of columns during amalgamation: its children, and the columns of each supernode as a chain.
 class ColumnTree {
    public:
-    ColumnTree(const EliminationTree& tree, const BlockShape& shape)
-        : shape_(shape),
+    ColumnTree(const EliminationTree& tree, int planes)
+        : planes_(planes),
           parent_(tree.parent),
-          below_(tree.count),
-          width_(tree.parent.size(), 1),
+          count_(tree.count),
+          below_(tree.numbers),
+          width_(tree.sizes),
           child_(tree.parent.size(), -1),
           sibling_(tree.parent.size(), -1),
           head_(tree.parent.size()),
           next_(tree.parent.size(), -1),
           cost_(tree.parent.size()) {
-        for (Node& b : below_) --b;
         std::iota(head_.begin(), head_.end(), 0);
     }
 
     Supernodes amalgamate() {
         for (Node p = 0; p < size(); ++p) {
-            cost_[p] = cost(shape_, 1, below_[p]);
+            cost_[p] = cost(planes_, width_[p], below_[p]);
             // the children that add no zeros first, so that the others are compared with the full width
             for (const bool relaxed : {false, true}) merge_children(p, relaxed);
             if (const Node q = parent_[p]; q >= 0) {
@@ -59,12 +60,12 @@ class ColumnTree {
             following = sibling_[c];
             const Node w = width_[c] + width_[p];
             const bool merge =
-                relaxed ? cost(shape_, w, below_[p]) < cost_[c] + cost_[p] : below_[c] == width_[p] + below_[p];
+                relaxed ? cost(planes_, w, below_[p]) < cost_[c] + cost_[p] : below_[c] == width_[p] + below_[p];
             if (!merge) {
                 previous = c;
                 continue;
             }
-            cost_[p] = cost(shape_, w, below_[p]);
+            cost_[p] = cost(planes_, w, below_[p]);
             width_[p] = w;
             next_[c] = head_[p];
             head_[p] = head_[c];
@@ -94,9 +95,8 @@ class ColumnTree {
                     continue;
                 }
                 result.first.push_back(static_cast<Node>(result.columns.size()));
-                result.below.push_back(below_[p]);
-                Node j = head_[p];
-                for (Node k = 0; k < width_[p]; ++k, j = next_[j]) result.columns.push_back(j);
+                result.below.push_back(count_[p] - 1);
+                for (Node j = head_[p]; j >= 0; j = next_[j]) result.columns.push_back(j);
                 stack.pop_back();
             }
         }
@@ -104,9 +104,10 @@ class ColumnTree {
         return result;
     }
 
-    BlockShape shape_;
-    const std::vector<Node>& parent_;
-    std::vector<Node> below_, width_, child_, sibling_, head_, next_;
+    int planes_;
+    const std::vector<Node>&parent_, &count_;
+    std::vector<Node> below_, width_;  ///< in numbers
+    std::vector<Node> child_, sibling_, head_, next_;
     std::vector<double> cost_;
 };
 
@@ -149,8 +150,12 @@ RowLists permuted(const Pattern& pattern, std::span<const Node> position) {
 
 // Walking every row subtree costs one step for each block of L, which the factorisation pays tenfold; the near-linear count
 // of Gilbert, Ng and Peyton would save less than 1 % of the analysis here.
-EliminationTree::EliminationTree(const RowLists& lists)
-    : parent(lists.start.size() - 1, -1), count(parent.size(), 1), row_length(parent.size(), 0) {
+EliminationTree::EliminationTree(const RowLists& lists, std::vector<Node> of_nodes)
+    : parent(lists.start.size() - 1, -1),
+      count(parent.size(), 1),
+      row_length(parent.size(), 0),
+      sizes(std::move(of_nodes)),
+      numbers(parent.size(), 0) {
     std::vector<Node> mark(parent.size(), -1);
     for (Node k = 0; k < static_cast<Node>(parent.size()); ++k) {
         mark[k] = k;
@@ -158,6 +163,7 @@ EliminationTree::EliminationTree(const RowLists& lists)
             for (Node i = lists.columns[p]; mark[i] != k; i = parent[i]) {
                 if (parent[i] < 0) parent[i] = k;
                 ++count[i];
+                numbers[i] += sizes[k];
                 ++row_length[k];
                 mark[i] = k;
             }
@@ -166,19 +172,16 @@ EliminationTree::EliminationTree(const RowLists& lists)
 
 Index EliminationTree::blocks() const { return std::accumulate(count.begin(), count.end(), Index{0}); }
 
-double EliminationTree::flops(int rows) const {
+double EliminationTree::flops() const {
     double total = 0.0;
-    for (const Node c : count) {
-        const double below = rows * static_cast<double>(c - 1);
-        total += rows * rows * rows / 3.0 + rows * rows * below + rows * below * below;
-    }
+    for (std::size_t k = 0; k < sizes.size(); ++k) total += flops_of_columns(sizes[k], numbers[k]);
     return total;
 }
 
 double flops_of(const Pattern& pattern, std::span<const Node> order) {
-    return EliminationTree(permuted(pattern, inverse(order))).flops(3);
+    return EliminationTree(permuted(pattern, inverse(order)), std::vector<Node>(order.size(), 3)).flops();
 }
 
-Supernodes amalgamate(const EliminationTree& tree, const BlockShape& shape) { return ColumnTree(tree, shape).amalgamate(); }
+Supernodes amalgamate(const EliminationTree& tree, int planes) { return ColumnTree(tree, planes).amalgamate(); }
 
 }  // namespace vmslam::sparse

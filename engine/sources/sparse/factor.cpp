@@ -13,9 +13,10 @@ Factor<Block>::Factor(std::shared_ptr<const Symbolic> symbolic)
       members_(symbolic_->parts),
       panels_(symbolic_->panel_start.back()),
       updates_(symbolic_->stack_size),
-      limits_(Block::rows * symbolic_->nodes()),
-      rhs_(Block::planes * Block::rows * symbolic_->nodes()),
+      limits_(symbolic_->head.back()),
+      rhs_(Block::planes * symbolic_->head.back()),
       work_(Block::planes * symbolic_->tallest) {
+    std::memset(rhs_.data(), 0, rhs_.size() * sizeof(double));
     for (Node s = 0; s < symbolic_->supernodes(); ++s) members_[symbolic_->part[s]].push_back(s);
     for (int part = 0; part < std::max(symbolic_->parts, symbolic_->threads); ++part)
         packed_.emplace_back(packing<Block>(symbolic_->widest, symbolic_->tallest));
@@ -25,36 +26,43 @@ template <class Block>
 Index Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, double damping, std::span<Numbers> scratch) {
     const Symbolic& t = *symbolic_;
     const Panel<Block> panel{panels_.data() + t.panel_start[s], t.front(s), scratch};
+    const auto begin = t.begin<Block>(s);
     const Step h = panel.front.height;
     std::memset(panel.x, 0, Block::columns * panel.front.w * h * sizeof(double));
     for (Index q = t.entry_start[s]; q < t.entry_start[s + 1]; ++q) {
         const Entry& entry = t.entries[q];
-        Block::put(panel.node(entry.column) + panel.row(entry.row), h, values.data() + Block::size * entry.block(),
-                   entry.transposed());
+        double* const at = panel.x + Block::planes * begin[entry.column] * h + panel.front.pad + begin[entry.row];
+        const Value* const block = values.data() + Block::size * entry.block();
+        if (entry.row_point() || entry.column_point()) [[unlikely]]
+            put_of_points<Block>(at, h, block, entry);
+        else
+            Block::put(at, h, block, entry.transposed());
     }
-    double* const limits = limits_.data() + Block::rows * t.first[s];
-    for (Step j = 0; j < panel.front.w; ++j)
-        for (int c = 0; c < Block::rows; ++c) {
-            double& d = Block::diagonal(panel.node(j) + panel.row(j), h, c);
-            d *= 1.0 + damping;
-            limits[Block::rows * j + c] = d > 0.0 ? Block::tolerance * d : 0.0;
-        }
+    double* const limits = limits_.data() + t.head[s];
+    const Step used = begin[t.width(s) - 1] + t.size(t.first[s + 1] - 1);
+    for (Step i = 0; i < Block::rows * panel.front.w; ++i) {
+        double& d = panel.x[i * (Block::planes * h + 1) + panel.front.pad];
+        d = i < used ? d * (1.0 + damping) : 1.0;
+        limits[i] = d > 0.0 ? Block::tolerance * d : 0.0;
+    }
     for (Node q = t.child_start[s]; q < t.child_start[s + 1]; ++q) {
         const Node c = t.children[q];
-        extend<Block>(t.front(c), t.relative.data() + t.row_start[c], t.run_end.data() + t.row_start[c], 0, t.split[c],
-                      updates_.data() + t.stack_start[c], panel.x, h, panel.front.pad, 0);
+        extend<Block>(t, c, 0, t.split[c], updates_.data() + t.stack_start[c], panel.x, h, panel.front.pad, 0);
     }
-    if (const Index bad = panel.factorize(limits); bad >= 0) return Block::rows * t.first[s] + bad;
+    if (const Index bad = panel.factorize(limits); bad >= 0) {
+        Node k = t.width(s) - 1;
+        while (begin[k] > bad) --k;
+        return Block::rows * (t.first[s] + k) + t.first_number(t.first[s] + k) + bad - begin[k];
+    }
     if (panel.front.r == 0) return -1;
     // only the columns are needed before the factorisation, so the update matrix is written by the product and never cleared
     double* const update = updates_.data() + t.stack_start[s];
     panel.update_matrix(update);
+    if (t.points) panel.clear_above_diagonal(update);
     for (Node q = t.child_start[s]; q < t.child_start[s + 1]; ++q) {
         const Node c = t.children[q];
-        const Front front = t.front(c);
-        extend<Block>(front, t.relative.data() + t.row_start[c], t.run_end.data() + t.row_start[c], t.split[c], front.r,
-                      updates_.data() + t.stack_start[c], update, panel.front.update_height, panel.front.update_pad,
-                      panel.front.w);
+        extend<Block>(t, c, t.split[c], t.height_below(c), updates_.data() + t.stack_start[c], update,
+                      panel.front.update_height, panel.front.update_pad, Block::rows * panel.front.w);
     }
     return -1;
 }

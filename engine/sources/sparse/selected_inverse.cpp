@@ -169,11 +169,23 @@ SelectedInverse::SelectedInverse(const Factor<Real3>& factor)
             const Node c = t.children[q];
             const Front child = t.front(c);
             const Node* const relative = t.relative.data() + t.row_start[c];
-            for (Step j = 0; j < 3 * child.r; ++j) {
-                const double* const source = inverse.column(front.pad + 3 * relative[j / 3] + j % 3) + front.pad;
-                double* const target = updates.data() + t.stack_start[c] + j * child.update_height;
-                for (Step i = 0; i < child.r; ++i) std::memcpy(target + 3 * i, source + 3 * relative[i], 3 * sizeof(double));
-            }
+            const Node below_child = t.height_below(c), width = t.width(c);
+            const auto there = t.begin<Real3>(s), all = t.begin<Real3>(c);
+            const auto here = [&](Node k) { return all[width + k] - 3 * child.w; };
+            double* const update = updates.data() + t.stack_start[c];
+            if (t.points) std::fill_n(update, 3 * child.r * child.update_height, 0.0);
+            for (Node j = 0; j < below_child; ++j)
+                for (int k = 0; k < here(j + 1) - here(j); ++k) {
+                    const double* const source = inverse.column(front.pad + there[relative[j]] + k) + front.pad;
+                    double* const target = update + (here(j) + k) * child.update_height;
+                    for (Node i = 0; i < below_child; ++i) {
+                        const double* const from = source + there[relative[i]];
+                        if (here(i + 1) - here(i) == 3)
+                            std::copy_n(from, 3, target + here(i));
+                        else
+                            std::copy_n(from, Real3::point_rows, target + here(i));
+                    }
+                }
         }
     }
     for (Node node = 0; node < t.nodes(); ++node) {
@@ -189,17 +201,21 @@ std::optional<std::array<double, 9>> SelectedInverse::block(Node i, Node j) cons
     const Node s = t.owner(column);
     const Front front = t.front(s);
     Index local = row - t.first[s];
+    const auto begin = t.begin<Real3>(s);
     if (row >= t.first[s + 1]) {
         const auto low = t.rows.begin() + t.row_start[s], high = t.rows.begin() + t.row_start[s + 1];
         const auto found = std::lower_bound(low, high, row);
         if (found == high || *found != row) return std::nullopt;
-        local = front.w + (found - low);
+        local = t.width(s) + (found - low);
     }
     const double* const z =
-        panels_.data() + t.panel_start[s] + 3 * (column - t.first[s]) * front.height + front.pad + 3 * local;
-    std::array<double, 9> block;
-    for (int a = 0; a < 3; ++a)
-        for (int b = 0; b < 3; ++b) block[3 * (transposed ? b : a) + (transposed ? a : b)] = z[b * front.height + a];
+        panels_.data() + t.panel_start[s] + begin[column - t.first[s]] * front.height + front.pad + begin[local];
+    // the missing number of a point is that of the identity
+    std::array<double, 9> block{};
+    if (i == j) block[8] = 1.0;
+    for (int a = 0; a < t.size(row); ++a)
+        for (int b = 0; b < t.size(column); ++b)
+            block[3 * (transposed ? b : a) + (transposed ? a : b)] = z[b * front.height + a];
     return block;
 }
 

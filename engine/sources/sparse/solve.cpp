@@ -11,16 +11,6 @@ namespace {
 
 /// Right-hand sides of complex blocks are kept as two planes, the real and the imaginary parts.
 template <class Value>
-void put_value(double* b, Step plane, Step at, Value value) {
-    if constexpr (std::is_same_v<Value, double>) {
-        b[at] = value;
-    } else {
-        b[at] = value.real();
-        b[at + plane] = value.imag();
-    }
-}
-
-template <class Value>
 Value get_value(const double* b, Step plane, Step at) {
     if constexpr (std::is_same_v<Value, double>)
         return b[at];
@@ -34,45 +24,41 @@ Value entry_of(const double* x, Step h, Step row, Step column) {
     return get_value<Value>(x + (std::is_same_v<Value, double> ? 1 : 2) * column * h, h, row);
 }
 
-double conjugate(double a) { return a; }
-std::complex<double> conjugate(std::complex<double> a) { return std::conj(a); }
-
 }  // namespace
 
 template <class Block>
 bool Factor<Block>::gather(std::span<const Value> b) {
-    const Step plane = Block::rows * symbolic_->nodes();
-    Value zero{};  // NaN for what is not finite
-    for (Node k = 0; k < symbolic_->nodes(); ++k)
-        for (int c = 0; c < Block::rows; ++c) {
-            const Value value = b[Block::rows * symbolic_->order[k] + c];
-            put_value(rhs_.data(), plane, Block::rows * k + c, value);
-            zero += 0.0 * value;
-        }
-    return zero == Value{};
+    const Symbolic& t = *symbolic_;
+    const Step plane = t.head.back();
+    // what fills blocks up stays zero, also after a solution that is not finite
+    if (t.points) std::memset(rhs_.data(), 0, rhs_.size() * sizeof(double));
+    each_column<Block>(t, [&](Index node, Index at, auto count) {
+        for (int c = 0; c < count; ++c) put_value(rhs_.data() + at + c, plane, b[node + c]);
+    });
+    return all_finite(reinterpret_cast<const double*>(b.data()), Block::planes * static_cast<Step>(b.size()));
 }
 
 template <class Block>
 void Factor<Block>::forward() {
     const Symbolic& t = *symbolic_;
     constexpr int rows = Block::rows;
-    const Step plane = rows * t.nodes(), work_plane = t.tallest;
+    const Step plane = t.head.back(), work_plane = t.tallest;
     double *const b = rhs_.data(), *const work = work_.data();
     for (Node s = 0; s < t.supernodes(); ++s) {
         const Front front = t.front(s);
-        const Step h = front.height, head = rows * t.first[s];
+        const Step h = front.height, head = t.head[s];
         const double* const x = panels_.data() + t.panel_start[s];
         for (int p = 0; p < Block::planes; ++p) {
             std::memset(work + p * work_plane, 0, h * sizeof(double));
             std::memcpy(work + p * work_plane + front.pad, b + p * plane + head, rows * front.w * sizeof(double));
         }
         solve_forward<Block>(front, x, work, work_plane, [&](Step j, const auto& y) {
-            for (int c = 0; c < rows; ++c) put_value(b, plane, head + rows * j + c, y.v[c]);
+            for (int c = 0; c < rows; ++c) put_value(b + head + rows * j + c, plane, y.v[c]);
         });
-        Step i = front.pad + rows * front.w;
-        for (Index q = t.row_start[s]; q < t.row_start[s + 1]; ++q, i += rows)
+        each_below<Block>(t, s, [&](Index i, Index at, auto count) {
             for (int p = 0; p < Block::planes; ++p)
-                for (int c = 0; c < rows; ++c) b[p * plane + rows * t.rows[q] + c] += work[p * work_plane + i + c];
+                for (int c = 0; c < count; ++c) b[p * plane + at + c] += work[p * work_plane + front.pad + i + c];
+        });
     }
 }
 
@@ -80,18 +66,20 @@ template <class Block>
 void Factor<Block>::backward() {
     const Symbolic& t = *symbolic_;
     constexpr int rows = Block::rows;
-    const Step plane = rows * t.nodes(), work_plane = t.tallest;
+    const Step plane = t.head.back(), work_plane = t.tallest;
     double *const b = rhs_.data(), *const work = work_.data();
     for (Node s = t.supernodes() - 1; s >= 0; --s) {
         const Front front = t.front(s);
-        const Step head = rows * t.first[s];
+        const Step head = t.head[s];
         const double* const x = panels_.data() + t.panel_start[s];
         // rows that are not known yet are zero, so that the unused part of the panel does not enter the sums
         for (int p = 0; p < Block::planes; ++p) {
-            std::memset(work + p * work_plane, 0, (front.pad + rows * front.w) * sizeof(double));
-            double* const below = work + p * work_plane + front.pad + rows * front.w;
-            for (Index q = t.row_start[s], i = 0; q < t.row_start[s + 1]; ++q, i += rows)
-                for (int c = 0; c < rows; ++c) below[i + c] = b[p * plane + rows * t.rows[q] + c];
+            double* const own = work + p * work_plane + front.pad;
+            std::fill(own - front.pad, own + rows * front.w, 0.0);
+            if (t.points && front.r > 0) std::fill_n(own + rows * (front.w + front.r - 1), rows, 0.0);
+            each_below<Block>(t, s, [&](Index i, Index at, auto count) {
+                for (int c = 0; c < count; ++c) own[i + c] = b[p * plane + at + c];
+            });
         }
         const auto get = [&](Step j) {
             typename Block::Part y;
@@ -100,8 +88,8 @@ void Factor<Block>::backward() {
         };
         solve_backward<Block>(front, x, work, work_plane, get, [&](Step j, Step row, const auto& y) {
             for (int c = 0; c < rows; ++c) {
-                put_value(work, work_plane, row + c, y.v[c]);
-                put_value(b, plane, head + rows * j + c, y.v[c]);
+                put_value(work + row + c, work_plane, y.v[c]);
+                put_value(b + head + rows * j + c, plane, y.v[c]);
             }
         });
     }
@@ -112,10 +100,11 @@ bool Factor<Block>::solve(std::span<const Value> b, std::span<Value> x) {
     if (!gather(b)) return false;
     forward();
     backward();
-    const Step plane = Block::rows * symbolic_->nodes();
-    for (Node k = 0; k < symbolic_->nodes(); ++k)
-        for (int c = 0; c < Block::rows; ++c)
-            x[Block::rows * symbolic_->order[k] + c] = get_value<Value>(rhs_.data(), plane, Block::rows * k + c);
+    const Symbolic& t = *symbolic_;
+    if (t.points) std::fill(x.begin(), x.end(), Value{});
+    each_column<Block>(t, [&](Index node, Index at, auto count) {
+        for (int c = 0; c < count; ++c) x[node + c] = get_value<Value>(rhs_.data(), t.head.back(), at + c);
+    });
     return true;
 }
 
@@ -148,9 +137,10 @@ template <class Block>
 std::vector<typename Block::Value> Factor<Block>::null_vector(Index pivot) const {
     const Symbolic& t = *symbolic_;
     constexpr int R = Block::rows;
-    std::vector<Value> v(R * t.nodes());
+    std::vector<Value> v(t.head.back());
+    const Node column = static_cast<Node>(pivot / R), last = t.owner(column);
+    pivot = t.number_of(column) + pivot % R - t.first_number(column);
     v[pivot] = 1.0;
-    const Node last = t.owner(static_cast<Node>(pivot / R));
     std::vector<char> below(t.supernodes(), 0);
     below[last] = 1;
     for (Node s = last; s >= 0; --s) {
@@ -158,7 +148,7 @@ std::vector<typename Block::Value> Factor<Block>::null_vector(Index pivot) const
         if (!below[s]) continue;
         const Front front = t.front(s);
         const double* const x = panels_.data() + t.panel_start[s];
-        const Index head = R * t.first[s], end = R * t.first[s + 1];
+        const Index head = t.head[s], end = t.head[s + 1];
         for (Index j = std::min(end, pivot) - 1; j >= head; --j) {
             const Step row = front.pad + j - head;
             Value total{};
@@ -166,13 +156,14 @@ std::vector<typename Block::Value> Factor<Block>::null_vector(Index pivot) const
                 if (v[i] != Value{}) total += conjugate(entry_of<Value>(x, front.height, at, j - head)) * v[i];
             };
             for (Index i = j + 1; i < end; ++i) add(i, front.pad + i - head);
-            for (Index q = t.row_start[s], at = front.pad + R * front.w; q < t.row_start[s + 1]; ++q)
-                for (int c = 0; c < R; ++c, ++at) add(R * t.rows[q] + c, at);
+            each_below<Block>(t, s, [&](Index at, Index i, auto count) {
+                for (int c = 0; c < count; ++c) add(i + c, front.pad + at + c);
+            });
             v[j] = -total * entry_of<Value>(x, front.height, row, j - head);
         }
     }
-    std::vector<Value> out(v.size());
-    for (Node k = 0; k < t.nodes(); ++k) std::copy_n(v.begin() + R * k, R, out.begin() + R * t.order[k]);
+    std::vector<Value> out(R * t.nodes());
+    each_column<Block>(t, [&](Index node, Index at, int count) { std::copy_n(&v[at], count, &out[node]); });
     return out;
 }
 
@@ -181,15 +172,21 @@ std::vector<double> Factor<Block>::magnitude_square(std::span<const double> v) c
     const Symbolic& t = *symbolic_;
     constexpr int R = Block::rows;
     std::vector<double> result(v.size(), 0.0), size(t.tallest), local(t.tallest), sums(t.tallest);
+    const Index nowhere = static_cast<Index>(v.size());
     std::vector<Index> where(t.tallest);
+    result.push_back(0.0);
     for (Node s = 0; s < t.supernodes(); ++s) {
         const Front front = t.front(s);
         const Step width = R * front.w, height = width + R * front.r;
-        for (Step i = 0; i < width; ++i) where[i] = R * t.first[s] + i;
-        for (Index q = t.row_start[s], i = width; q < t.row_start[s + 1]; ++q)
-            for (int c = 0; c < R; ++c, ++i) where[i] = R * t.rows[q] + c;
+        std::fill_n(where.begin(), height, nowhere);
+        const auto begin = t.begin<Block>(s);
+        const auto put = [&](Node k, Index at) {
+            for (int c = 0; c < t.size(k); ++c) where[begin[at] + c] = R * k + t.first_number(k) + c;
+        };
+        for (Node k = t.first[s]; k < t.first[s + 1]; ++k) put(k, k - t.first[s]);
+        for (Index q = t.row_start[s]; q < t.row_start[s + 1]; ++q) put(t.rows[q], t.width(s) + q - t.row_start[s]);
         for (Step i = 0; i < height; ++i) {
-            local[i] = v[where[i]];
+            local[i] = where[i] == nowhere ? 0.0 : v[where[i]];
             sums[i] = 0.0;
         }
         for (Step j = 0; j < width; ++j) {
@@ -211,6 +208,7 @@ std::vector<double> Factor<Block>::magnitude_square(std::span<const double> v) c
         }
         for (Step i = 0; i < height; ++i) result[where[i]] += sums[i];
     }
+    result.pop_back();
     return result;
 }
 

@@ -9,7 +9,7 @@ namespace {
 
 using Row = Vector<lanes>;
 
-/// Rows of `lanes` right-hand sides; those of a node are three.
+/// Rows of `lanes` right-hand sides.
 class Rows {
    public:
     explicit Rows(std::size_t count) : numbers_(lanes * count) {}
@@ -63,38 +63,40 @@ void backward(const Front& front, const double* panel, Rows& b) {
 
 bool solve_columns(const Factor<Real3>& factor, std::span<const double> b, Index columns, std::span<double> x) {
     const Symbolic& t = factor.symbolic();
-    const Index rows = 3 * t.nodes();
-    double zero = 0.0;  // NaN for what is not finite
-    for (const double value : b) zero += 0.0 * value;
-    if (zero != 0.0) return false;
-    Rows all(rows), front_rows(t.tallest);
+    if (!all_finite(b.data(), static_cast<Step>(b.size()))) return false;
+    Rows all(t.head.back()), front_rows(t.tallest);
+    std::fill(x.begin(), x.end(), 0.0);
     for (Index begin = 0; begin < columns; begin += lanes) {
         const Index count = std::min<Index>(lanes, columns - begin);
-        for (Index row = 0; row < rows; ++row) {
-            all.set(row, Row{});
-            std::copy_n(b.data() + (3 * t.order[row / 3] + row % 3) * columns + begin, count, all.at(row));
-        }
+        for (Index row = 0; row < t.head.back(); ++row) all.set(row, Row{});
+        each_column<Real3>(t, [&](Index node, Index at, auto rows) {
+            for (int c = 0; c < rows; ++c) std::copy_n(b.data() + (node + c) * columns + begin, count, all.at(at + c));
+        });
         for (Node s = 0; s < t.supernodes(); ++s) {
             const Front front = t.front(s);
-            const Index own = 3 * front.w, head = 3 * t.first[s];
+            const Index own = 3 * front.w, head = t.head[s];
             for (Index i = 0; i < own; ++i) front_rows.set(i, all[head + i]);
             for (Index i = own; i < own + 3 * front.r; ++i) front_rows.set(i, Row{});
             forward(front, factor.panel(s), front_rows);
             for (Index i = 0; i < own; ++i) all.set(head + i, front_rows[i]);
-            for (Index q = t.row_start[s], i = own; q < t.row_start[s + 1]; ++q)
-                for (int c = 0; c < 3; ++c, ++i) all.set(3 * t.rows[q] + c, all[3 * t.rows[q] + c] + front_rows[i]);
+            each_below<Real3>(t, s, [&](Index i, Index at, auto rows) {
+                for (int c = 0; c < rows; ++c) all.set(at + c, all[at + c] + front_rows[i + c]);
+            });
         }
         for (Node s = t.supernodes() - 1; s >= 0; --s) {
             const Front front = t.front(s);
-            const Index own = 3 * front.w, head = 3 * t.first[s];
+            const Index own = 3 * front.w, head = t.head[s];
             for (Index i = 0; i < own; ++i) front_rows.set(i, all[head + i]);
-            for (Index q = t.row_start[s], i = own; q < t.row_start[s + 1]; ++q)
-                for (int c = 0; c < 3; ++c, ++i) front_rows.set(i, all[3 * t.rows[q] + c]);
+            for (Index i = own; i < own + 3 * front.r; ++i) front_rows.set(i, Row{});
+            each_below<Real3>(t, s, [&](Index i, Index at, auto rows) {
+                for (int c = 0; c < rows; ++c) front_rows.set(i + c, all[at + c]);
+            });
             backward(front, factor.panel(s), front_rows);
             for (Index i = 0; i < own; ++i) all.set(head + i, front_rows[i]);
         }
-        for (Index row = 0; row < rows; ++row)
-            std::copy_n(all.at(row), count, x.data() + (3 * t.order[row / 3] + row % 3) * columns + begin);
+        each_column<Real3>(t, [&](Index node, Index at, auto rows) {
+            for (int c = 0; c < rows; ++c) std::copy_n(all.at(at + c), count, x.data() + (node + c) * columns + begin);
+        });
     }
     return true;
 }

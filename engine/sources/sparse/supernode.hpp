@@ -82,6 +82,15 @@ struct Panel {
         return -1;
     }
 
+    /// Numbers above the diagonal of the update matrix, within three rows of it, have no meaning, and some are never written.
+    void clear_above_diagonal(double* u) const {
+        for (Step j = 0; j < Block::rows * front.r; ++j) {
+            const Step row = front.update_pad + j, top = group_of(std::max(front.update_pad, row + 1 - Block::rows));
+            for (int p = 0; p < Block::planes; ++p)
+                std::fill_n(u + (Block::planes * j + p) * front.update_height + top, row - top, 0.0);
+        }
+    }
+
     /// The lower triangle of -L21 L21^H.
     void update_matrix(double* u) const {
         const Step h = front.height, hu = front.update_height, depth = Block::columns * front.w;
@@ -93,22 +102,37 @@ struct Panel {
     }
 };
 
-/// Add the node columns `from` to `to` of the update matrix of a front to the panel or the update matrix of its parent, in
-/// which `skip` nodes are left out, and whose first row is `pad`. `relative` tells where its rows stand in the parent's front,
-/// and `run_end` where the runs of consecutive ones end.
+/// Add the columns of the nodes `from` to `to` below supernode c, in its update matrix, to the panel or the update matrix of its
+/// parent, in which `skip` numbers are left out, and whose first row is `pad`.
 template <class Block>
-void extend(const Front& front, const Node* relative, const Node* run_end, Step from, Step to, const double* update,
-            double* target, Step height, Step pad, Step skip) {
-    for (Step j = from; j < to; ++j) {
-        const double* const source = update + Block::columns * j * front.update_height + front.update_pad;
-        double* const column = target + Block::columns * (relative[j] - skip) * height + pad - Block::rows * skip;
-        for (Step i = j; i < front.r;) {
-            const Step end = run_end[i];
-            add_rows<Block::columns>({column + Block::rows * relative[i], height},
-                                     {source + Block::rows * i, front.update_height}, Block::rows * (end - i));
-            i = end;
+void extend(const Symbolic& t, Node c, Node from, Node to, const double* update, double* target, Step height, Step pad,
+            Step skip) {
+    const Front front = t.front(c);
+    const Step h = front.update_height, below = t.height_below(c);
+    const Node *const relative = t.relative.data() + t.row_start[c], *const run_end = t.run_end.data() + t.row_start[c];
+    const double* const source = update + front.update_pad;
+    // `there` and `here` tell where the numbers of nodes begin in the front of the parent, and in the update matrix
+    const auto add = [&](const auto& there, const auto& here) {
+        for (Step j = from; j < to; ++j) {
+            const double* const own = source + Block::planes * here(j) * h;
+            const Columns column{target + Block::planes * (there(relative[j]) - skip) * height + pad - skip, height};
+            const bool whole = here(j + 1) - here(j) == Block::rows;
+            for (Step i = j; i < below;) {
+                const Step end = run_end[i];
+                const Columns to_rows{column.at + there(relative[i]), height};
+                const ConstColumns from_rows{own + here(i), h};
+                if (whole)
+                    add_rows<Block::columns>(to_rows, from_rows, here(end) - here(i));
+                else
+                    add_rows<Block::planes * Block::point_rows>(to_rows, from_rows, here(end) - here(i));
+                i = end;
+            }
         }
-    }
+    };
+    const auto blocks = [](Step k) { return Block::rows * k; };
+    if (!t.points) return add(blocks, blocks);
+    const Node *const there = t.begin<Block>(t.parent[c]).list, *const here = t.begin<Block>(c).list + t.width(c);
+    add([=](Step k) { return there[k]; }, [=](Step k) { return here[k] - here[0]; });
 }
 
 /// L11 y = b and r -= L21 y for the rows (0, b, r) in `work`; calls put(j, y) for node column j.

@@ -44,7 +44,7 @@ void relate_to_parents(Symbolic& s) {
         const Node t = s.parent[c];
         if (t < 0) continue;
         const Index low = s.row_start[c], high = s.row_start[c + 1];
-        const Node w = s.first[t + 1] - s.first[t];
+        const Node w = s.width(t);
         Index q = s.row_start[t];
         for (Index p = low; p < high; ++p) {
             if (s.rows[p] < s.first[t + 1]) {
@@ -57,9 +57,48 @@ void relate_to_parents(Symbolic& s) {
         }
         Index end = high;
         for (Index p = high - 1; p >= low; --p) {
-            if (p + 1 < high && s.relative[p + 1] != s.relative[p] + 1) end = p + 1;
+            // with points, numbers may lie between the parent's own ones and those below
+            const bool apart = s.points && p + 1 == low + s.split[c];
+            if (p + 1 < high && (apart || s.relative[p + 1] != s.relative[p] + 1)) end = p + 1;
             s.run_end[p] = static_cast<Node>(end - low);
         }
+    }
+}
+
+/// Where the numbers of all nodes stand in fronts and vectors.
+void place_numbers(Symbolic& s) {
+    const Node count = s.supernodes();
+    const int block = s.shape.rows;
+    s.wide.resize(count);
+    s.tall.resize(count);
+    s.head.assign(count + 1, 0);
+    if (!s.points) {
+        for (Node t = 0; t < count; ++t) {
+            s.wide[t] = s.width(t);
+            s.tall[t] = s.height_below(t);
+            s.head[t + 1] = block * static_cast<Index>(s.first[t + 1]);
+        }
+        return;
+    }
+    s.begins.resize(s.nodes() + s.rows.size() + count);
+    s.number.resize(s.nodes());
+    Node* at = s.begins.data();
+    for (Node t = 0; t < count; ++t) {
+        Node end = 0;
+        for (Node k = s.first[t]; k < s.first[t + 1]; ++k, ++at) {
+            s.number[k] = s.head[t] + end;
+            *at = end;
+            end += s.size(k);
+        }
+        s.wide[t] = (end + block - 1) / block;
+        s.head[t + 1] = s.head[t] + block * s.wide[t];
+        end = block * s.wide[t];
+        for (Index q = s.row_start[t]; q < s.row_start[t + 1]; ++q, ++at) {
+            *at = end;
+            end += s.size(s.rows[q]);
+        }
+        *at++ = end;
+        s.tall[t] = (end + block - 1) / block - s.wide[t];
     }
 }
 
@@ -91,10 +130,10 @@ void place_entries(Symbolic& s, const Pattern& pattern, const std::vector<Node>&
             Node local = row - s.first[t];
             if (row >= s.first[t + 1]) {
                 const auto low = s.rows.begin() + s.row_start[t], high = s.rows.begin() + s.row_start[t + 1];
-                local = s.first[t + 1] - s.first[t] + static_cast<Node>(std::lower_bound(low, high, row) - low);
+                local = s.width(t) + static_cast<Node>(std::lower_bound(low, high, row) - low);
             }
             // the block has the row node above the column node, and L needs the one whose row is eliminated later
-            s.entries[fill[t]++] = {2 * p + (a <= b), local, column - s.first[t]};
+            s.entries[fill[t]++] = {p, a <= b, s.point[row] != 0, s.point[column] != 0, local, column - s.first[t]};
         }
 }
 
@@ -136,9 +175,13 @@ Node Symbolic::owner(Node column) const {
     return static_cast<Node>(std::upper_bound(first.begin(), first.end(), column) - first.begin()) - 1;
 }
 
-Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads) {
-    const EliminationTree tree(permuted(pattern, inverse(order)));
-    const Supernodes groups = amalgamate(tree, shape);
+Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads,
+                 std::span<const char> points) {
+    const auto is_point = [&](Node node) { return !points.empty() && points[node]; };
+    std::vector<Node> sizes;
+    for (const Node node : order) sizes.push_back(is_point(node) ? shape.point_rows : shape.rows);
+    const EliminationTree tree(permuted(pattern, inverse(order)), std::move(sizes));
+    const Supernodes groups = amalgamate(tree, shape.planes());
     Symbolic s;
     s.shape = shape;
     s.blocks = tree.blocks();
@@ -146,8 +189,11 @@ Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape
     const Node n = pattern.size();
     s.order.resize(n);
     s.row_length.resize(n);
+    s.point.resize(n);
     for (Node k = 0; k < n; ++k) {
         s.order[k] = order[groups.columns[k]];
+        s.point[k] = is_point(s.order[k]);
+        s.points |= s.point[k] != 0;
         s.row_length[k] = tree.row_length[groups.columns[k]];
     }
     s.position = inverse(s.order);
@@ -157,6 +203,7 @@ Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape
     find_rows(s, groups.below, permuted(pattern, s.position), owner);
     relate_to_parents(s);
     place_entries(s, pattern, owner);
+    place_numbers(s);
     place_panels(s);
     divide(s, threads);
     return s;
@@ -164,6 +211,7 @@ Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape
 
 Symbolic reshaped(Symbolic symbolic, BlockShape shape) {
     symbolic.shape = shape;
+    place_numbers(symbolic);
     place_panels(symbolic);
     divide(symbolic, symbolic.threads);
     return symbolic;
@@ -176,8 +224,8 @@ double time_of(const Symbolic& s, Node t) {
     const Front front = s.front(t);
     const double w = s.shape.rows * static_cast<double>(front.w), r = s.shape.rows * static_cast<double>(front.r);
     const double flops = w * w * w / 3.0 + w * w * r + w * r * r;
-    const double numbers = static_cast<double>(s.shape.columns) / s.shape.rows;
-    return 185.0 + numbers * (1.0 * w * (w + r) + 0.3 * r * r) + numbers * numbers * 0.012 * flops;
+    const int planes = s.shape.planes();
+    return 185.0 + planes * (1.0 * w * (w + r) + 0.3 * r * r) + planes * planes * 0.012 * flops;
 }
 
 constexpr double least = 1.0e6;  ///< the estimated time [ns] for which threads are started, which takes some 0.03 ms

@@ -114,8 +114,9 @@ class Proof {
 /// The relative gap (J - bound) / J up to which a state is proven to be a global minimum, and J itself where it is zero.
 inline constexpr double proven = 1e-6;
 
-/// The pattern that edges give their nodes.
+/// The pattern that edges give their nodes, and which of the nodes are points: no edge depends on their headings.
 sparse::WidePattern pattern_of(std::span<const Edge> edges, Index nodes);
+std::vector<char> points_of(std::span<const Edge> edges, Index nodes);
 
 /// The cost of a state, a lower bound on the cost of all states, and whether the state is a global minimum: `proven` of its cost
 /// is above the bound at most, or all residuals are zero.

@@ -1,4 +1,5 @@
-// The blocks that the factorisation is made for: real 3 x 3 and 2 x 2, and complex 2 x 2 of a Hermitian matrix.
+// The blocks that the factorisation is made for: real 3 x 3 and 2 x 2, and complex 2 x 2 of a Hermitian matrix. Points, which have
+// no heading, have a number less in blocks of poses.
 //
 // A complex column is stored as two real ones, its real part first. With a = a' + i a'' and b = b' + i b'' a product with the
 // adjoint, a conj(b) = (a' b' + a'' b'') + i (a'' b' - a' b''), is a real product of those columns with a right factor that
@@ -17,6 +18,7 @@ namespace vmslam::sparse {
 struct Real3 {
     using Value = double;
     static constexpr int rows = 3, columns = 3, planes = 1;
+    static constexpr int point_rows = 2, point_first = 0;  ///< of a point, the place is left
     static constexpr int size = 9;  ///< values of a block, by rows
     static constexpr double tolerance = 1e-12;  ///< smallest ratio of a pivot to its diagonal entry, see factor.hpp
 
@@ -41,9 +43,6 @@ struct Real3 {
 #pragma GCC unroll 3
             for (int i = 0; i < 3; ++i) t[c * h + i] = v[i * down + c * across];
     }
-
-    /// The diagonal entry in column c of a diagonal block.
-    static double& diagonal(double* d, Step h, int c) { return d[c * (h + 1)]; }
 
     /// L L' of a diagonal block; the first component whose pivot is not above its limit, or -1.
     static int factorize(const double* d, Step h, const double* limits, Pivot& p) {
@@ -115,6 +114,7 @@ struct Real3 {
 struct Real2 {
     using Value = double;
     static constexpr int rows = 2, columns = 2, planes = 1;
+    static constexpr int point_rows = 2, point_first = 0;  ///< points are as other nodes
     static constexpr int size = 4;
     static constexpr double tolerance = Real3::tolerance;
 
@@ -133,8 +133,6 @@ struct Real2 {
         t[0] = v[0], t[1] = v[down];
         t[h] = v[across], t[h + 1] = v[3];
     }
-
-    static double& diagonal(double* d, Step h, int c) { return d[c * (h + 1)]; }
 
     static int factorize(const double* d, Step h, const double* limits, Pivot& p) {
         p.i0 = 1.0 / std::sqrt(d[0]);
@@ -185,6 +183,7 @@ struct Real2 {
 struct Hermitian2 {
     using Value = std::complex<double>;
     static constexpr int rows = 2, columns = 4, planes = 2;
+    static constexpr int point_rows = 1, point_first = 1;  ///< of a point, the place is left
     static constexpr int size = 4;
     static constexpr double tolerance = 0.0;  ///< any positive pivot will do
 
@@ -208,8 +207,6 @@ struct Hermitian2 {
                 t[(2 * c + 1) * h + i] = a.imag();
             }
     }
-
-    static double& diagonal(double* d, Step h, int c) { return d[2 * c * h + c]; }
 
     static int factorize(const double* d, Step h, const double* limits, Pivot& p) {
         p.i0 = 1.0 / std::sqrt(d[0]);
@@ -277,6 +274,27 @@ struct Hermitian2 {
 };
 
 template <class Block>
-inline constexpr BlockShape shape_of{Block::rows, Block::columns};
+inline constexpr BlockShape shape_of{Block::rows, Block::columns, Block::point_rows, Block::point_first};
+
+inline double conjugate(double a) { return a; }
+inline std::complex<double> conjugate(std::complex<double> a) { return std::conj(a); }
+
+/// A number at its place, the imaginary part a `plane` further on.
+inline void put_value(double* b, Step, double value) { *b = value; }
+inline void put_value(double* b, Step plane, std::complex<double> value) { b[0] = value.real(), b[plane] = value.imag(); }
+
+/// A block of the matrix at its place in a panel, of which the row, the column or both are those of points.
+template <class Block>
+void put_of_points(double* t, Step h, const typename Block::Value* v, const Entry& entry) {
+    constexpr int R = Block::rows, point = Block::point_rows, first = Block::point_first;
+    const int height = entry.row_point() ? point : R, from = entry.row_point() ? first : 0;
+    const int width = entry.column_point() ? point : R, left = entry.column_point() ? first : 0;
+    for (int c = 0; c < width; ++c)
+        for (int i = 0; i < height; ++i) {
+            const int row = from + i, column = left + c;
+            put_value(t + Block::planes * c * h + i, h,
+                      entry.transposed() ? conjugate(v[R * column + row]) : v[R * row + column]);
+        }
+}
 
 }  // namespace vmslam::sparse

@@ -41,6 +41,16 @@ inline double sum(Vector<N> v) {
     return half[0];
 }
 
+/// Whether all of some numbers are finite.
+inline bool all_finite(const double* p, std::ptrdiff_t count) {
+    Vector<lanes> zero{};  // NaN for what is not finite
+    std::ptrdiff_t i = 0;
+    for (; i + lanes <= count; i += lanes) zero += 0.0 * load<lanes>(p + i);
+    double rest = sum<lanes>(zero);
+    for (; i < count; ++i) rest += 0.0 * p[i];
+    return rest == 0.0;
+}
+
 /// Memory for numbers that begins at a cache line; its content is undefined until it is written.
 class Numbers {
    public:
