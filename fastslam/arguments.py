@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import array_or_none, real_array
+from graphslam.errors.checks import array_or_none, check_sighted, real_array
 from graphslam.log.measurements import AbsolutePositions
 from graphslam.se2 import Array, wrap
 
@@ -67,6 +67,7 @@ def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
             "sightings must be finite and their ranges above zero; NaN stands for a range or a bearing that was not "
             "measured, in sightings without psi"
         )
+    check_sighted("sightings", (np.nanmin(z[:, 1:], initial=0.0), np.nanmax(z[:, 1:], initial=0.0)))
     z[:, 1:] = wrap(z[:, 1:])
     return numbers, z
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +37,8 @@ PROPOSAL_WEIGHTS = ("exact", "linearised")
 LANDMARK_UPDATES = ("kalman", "joint")
 #: the fewest trajectories that backward simulation draws, so that they have covariances
 FEWEST_SMOOTHED = 10
+#: the options that FastSLAM has with known ids only, with their defaults
+WITH_IDS: dict[str, Any] = {"landmark_update": "kalman", "range_noise": "measured", "smoothing": 0}
 #: how far the lectures' program has come: particles that only move, that are weighed, that are resampled
 STAGES = ("motion", "weights", "resampling")
 
@@ -100,13 +103,6 @@ class FilterOptions:
         if self.smoothing != 0 and self.smoothing < FEWEST_SMOOTHED:
             raise OptionError(
                 f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
-            )
-        names = ("landmark_update", "range_noise", "smoothing")
-        given = [name for name in names if getattr(self, name) != FilterOptions.__dataclass_fields__[name].default]
-        if given and not self.uses_ids:
-            raise OptionError(
-                f"{given[0]} {getattr(self, given[0])} needs the association known, so ids of all sightings; with the "
-                f"association {self.association}, which auto is where a log lacks ids, leave out {' and '.join(given)}"
             )
         if self.smoothing and self.stage == "motion":
             raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")

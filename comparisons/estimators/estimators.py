@@ -24,6 +24,7 @@ from graphslam.errors.checks import suggestion
 from graphslam.graph.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED
+from graphslam.models import RANGE_NOISES
 from graphslam.online import replay
 from graphslam.se2 import wrap
 from graphslam.solvers.iteration import Run
@@ -155,7 +156,10 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
 def _fixed(options: RunOptions, reason: str, **fixed: Any) -> tuple[RunOptions, tuple[str, ...]]:
     """The options with those that an estimator has fixed, and a note on those that were given another value."""
     given = [each.flag for each, value in options.changed() if each.name in fixed and value != fixed[each.name]]
-    return replace(options, **fixed), (f"does not use {', '.join(given)}: {reason}",) * bool(given)
+    notes = (f"does not use {', '.join(given)}: {reason}",) * bool(given)
+    if options.filter.range_noise != RANGE_NOISES[0]:
+        notes += ("does not use --range-noise: it takes the noise of ranges as they were measured",)
+    return replace(options, **fixed), notes
 
 
 def _counted_once(log: Log, options: RunOptions) -> str | None:
@@ -445,7 +449,7 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     if measured and rate >= WIDE and len(log.steps):
         notes.append(
             f"the noise of a range, {rate:.0%} of it, is taken at the measured range, as in the lectures, which alone makes "
-            f"lengths up to {2 * rate**2:.0%} too short; --range-noise estimated does not, where sightings have ids"
+            f"lengths up to {2 * rate**2:.0%} too short; --range-noise estimated does not"
         )
     if solution.graph is not None and (kernel := solution.graph.verdict[0]) is not None and len(log.steps):
         weights = solution.graph.sighting_weights(solution.state)

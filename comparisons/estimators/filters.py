@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 import fastslam
-from fastslam.options import GIGABYTE, Forecast, available_memory, check_one_drive, forecast
+from fastslam.options import GIGABYTE, WITH_IDS, Forecast, available_memory, check_one_drive, forecast
 from fastslam.particles import Samples
 from graphslam import Log, MotionModel, OptionError, SlamError, associate, first_fix
 from graphslam.association import Association
@@ -76,7 +76,7 @@ def _associated(log: Log, options: RunOptions) -> Association:
     def filtered(seed: int) -> Callable[[], tuple[np.ndarray, Array]]:
         return lambda: _filtered(log, replace(front, seed=seed), models)
 
-    front = replace(options.filter, particles=options.front_particles, association="maximum-likelihood")
+    front = replace(options.filter, particles=options.front_particles, association="maximum-likelihood", **WITH_IDS)
     best, rng = options.front_end == "best", np.random.default_rng(front.seed)
     # the first of two runs has the seed of the filters themselves
     others = rng.integers(2**31, size=STARTS if best else STARTS - 1).tolist()

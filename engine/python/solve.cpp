@@ -237,6 +237,7 @@ void bind_runs(nb::module_& m) {
             const std::vector<double> next = anderson.next(span(x), span(f));
             return state_array(next.data(), next.size());
         });
+    m.attr("promise") = promise;
     m.def("rounding", [](In<double> state, In<double> diagonal) { return rounding(span(state), span(diagonal)); });
 }
 

@@ -225,10 +225,23 @@ void a_refused_step_changes_nothing(unsigned seed) {
     const auto known = static_cast<Id>(system.graph().nodes.size());
     const Id pose = system.add_node();
     const NewEdge loose{drive.poses.back(), pose, Kind::motion, true, {1.0, 0.0, 0.0}, {0.0, 0.0, 0.0, 0.0, 0.0, 0.0}};
-    expect(!system.add(known, {&loose, 1}, {&pose, 1}), "a step without information is refused", seed);
+    const NewEdge range{drive.poses.back(), system.add_point(1.0, 2.0), Kind::range, false, {1.0, 0.0, 0.0}, {1.0}};
+    const NewEdge edges[] = {loose, range};
+    expect(!system.add(known, edges, {&pose, 1}), "a step without information is refused", seed);
     expect(system.save() == before, "and changes nothing", seed);
     drive.step();
     expect(system.converged, "the next step is taken", seed);
+}
+
+void what_has_never_been_set_is_not_saved(unsigned seed) {
+    Drive drive(seed, 1.0);
+    for (int k = 0; k < 30; ++k) drive.step();
+    const std::string before = drive.system.save();
+    for (Supernode& group : drive.system.tree().groups) {
+        const Front front = group.front();
+        for (Id j = 0; j < 3 * front.r; ++j) std::fill_n(group.update() + j * front.update_height, front.update_pad + j, 7.0);
+    }
+    expect(drive.system.save() == before, "what is above the diagonal of U is not saved", seed);
 }
 
 /// A loop closure after a heading error of a radian needs the batch solver.
@@ -270,6 +283,7 @@ void test_online() {
         priors_have_the_right_gradient(seed);
         edges_have_the_right_gradient(seed);
         a_refused_step_changes_nothing(seed);
+        what_has_never_been_set_is_not_saved(seed);
         the_batch_solver_takes_a_large_correction(seed);
     }
 }

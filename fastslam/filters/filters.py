@@ -32,7 +32,7 @@ from graphslam.graph.trilateration import WaitingNumbers, edges_of_rows
 from graphslam.log import Log
 from graphslam.se2 import Array
 
-from ..options import JOINT
+from ..options import JOINT, WITH_IDS
 from ..particles import LandmarkEstimate, weighted_covariance, weighted_mean
 from .particle_filter import ParticleFilter
 
@@ -99,6 +99,15 @@ class FastSLAM1(ParticleFilter):
         if self._given is not None and self.options.smoothing:
             raise OptionError(
                 "trajectories that are drawn backwards do not know a map: leave out smoothing, or the map"
+            )
+
+    def _check_options(self) -> None:
+        options = self.options
+        given = [name for name, default in WITH_IDS.items() if getattr(options, name) != default]
+        if given and not options.uses_ids:
+            raise OptionError(
+                f"{given[0]} {getattr(options, given[0])} needs the association known, so ids of all sightings; with the "
+                f"association {options.association}, which auto is where a log lacks ids, leave out {' and '.join(given)}"
             )
 
     @property
@@ -286,6 +295,7 @@ class FastSLAM2(FastSLAM1):
     _crosses_logs = True
 
     def _check_options(self) -> None:
+        super()._check_options()
         if self.options.range_noise == "estimated" and self.options.proposal_weight != "exact":
             raise OptionError(
                 f"FastSLAM 2.0 with range_noise {self.options.range_noise} needs the proposal_weight exact, not "

@@ -256,7 +256,7 @@ class ParticleFilter(ABC):
 
     @property
     def landmarks(self) -> dict[int, Array]:
-        """{id: (x, y) or (x, y, heading)}: the means of the mixture of all maps, by increasing id."""
+        """{id: (x, y) or (x, y, heading)}: the means of all maps, by increasing id; `FilterResult` has one particle's."""
         return {j: estimate.mean for j, estimate in sorted(self.state.mixture_map().items())}
 
     def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:

@@ -202,9 +202,9 @@ class ParticleGibbs:
         _check_memory(log, self.options)
         # the filters check log, models, seed and threads, and that the log can be used
         self._seeds = _seeds(seed, 2 * self.options.chains)
-        unlocated = log if log.positions is None else log.replace(positions=None)
+        plain = log.replace(**dict.fromkeys(log.measured)) if log.measured else log
         self._filters = [
-            FastSLAM2(unlocated, seed=s, threads=threads, motion=motion, sensor=sensor, start=start, particles=STARTS)
+            FastSLAM2(plain, seed=s, threads=threads, motion=motion, sensor=sensor, start=start, particles=STARTS)
             for s in self._seeds[::2]
         ]
         if log.num_poses < 2:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from os import PathLike
 from typing import Any
@@ -36,7 +37,8 @@ class LandmarkMap(dict[int, Array]):
     Args:
         means: the places; headings are wrapped to [-pi, pi).
         covariances: {id: (2, 2) or (3, 3)} of some or all landmarks; not given where ``joint`` is.
-        classes: {id: word or number}, what landmarks look like, where that is known.
+        classes: {id: word or number}, what landmarks look like, where that is known. "1" and 1.0 become the number 1, because
+            files do not distinguish them.
         joint: (N, N), the covariance of the coordinates of landmarks together, in increasing order of the ids ``joint_ids``.
         joint_ids: the ids of these landmarks; default: all.
 
@@ -56,7 +58,7 @@ class LandmarkMap(dict[int, Array]):
         if not isinstance(means, Mapping):
             raise OptionError(f"a map is a mapping {{id: (x, y) or (x, y, heading)}}, not {quoted(means)}")
         super().__init__({_id(j): _place(j, place) for j, place in sorted(means.items())})
-        self.classes: dict[int, str | int] = {j: kind for j, kind in (classes or {}).items() if j in self}
+        self.classes: dict[int, str | int] = {j: _class(kind) for j, kind in (classes or {}).items() if j in self}
         self.joint: Array | None = None
         if joint is None:
             given = covariances or {}
@@ -211,6 +213,12 @@ def as_map(value: object) -> LandmarkMap:
     if isinstance(value, (str, PathLike)):
         return LandmarkMap.load(value)
     raise OptionError(f"map must be a LandmarkMap, {{id: (x, y)}} or the path of a file, not {quoted(value)}")
+
+
+def _class(kind: object) -> str | int:
+    """A class as the whole number that it is, or else as a word."""
+    number = re.fullmatch(r"(-?[0-9]+)(\.0*)?", word := str(kind))
+    return int(number[1]) if number else word
 
 
 def _again(means: Any, covariances: Any, classes: Any, joint: Any) -> LandmarkMap:

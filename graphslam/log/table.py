@@ -210,7 +210,7 @@ WHOLE = (
 #: units at the end of the name of a column -> the unit
 UNITS = {
     "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms",
-    "us": "us", "usec": "us", "micros": "us", "microseconds": "us", "ns": "ns", "nanos": "ns",
+    "us": "us", "µs": "us", "μs": "us", "usec": "us", "micros": "us", "microseconds": "us", "ns": "ns", "nanos": "ns",
     "nanoseconds": "ns", "m": "m", "meters": "m", "metres": "m", "cm": "cm", "mm": "mm", "rad": "radians",
     "radian": "radians", "radians": "radians", "deg": "degrees", "degs": "degrees", "degree": "degrees",
     "degrees": "degrees", "m/s": "m", "mps": "m", "mm/s": "mm", "cm/s": "cm", "rad/s": "radians", "deg/s": "degrees",
@@ -222,6 +222,8 @@ OTHER_UNITS = frozenset((
     "kn", "kt", "knots", "min", "minutes", "h", "hours", "days", "rpm", "rev/s", "deg/min", "deg/h", "rad/min",
     "m/min", "mm/min", "cm/min", "µm", "μm", "hz", "mrad", "mrad/s", "gon", "grad", "arcmin", "arcsec",
 ))  # fmt: skip
+#: units at the end of a name; range_min and x_in are rather a minimum and an input
+_ENDS = UNITS | {unit: unit for unit in OTHER_UNITS - {"in", "min", "mi", "h", "hz", "kn", "kt", "grad", "foot"}}
 _LENGTHS = ("nu", "x", "y", "z", "range", "dx", "dy", "sigma", "sigma_x", "sigma_y", "lever_x", "lever_y")
 _ANGLES = ("omega", "theta", "bearing", "orientation", "dtheta", "sigma_theta")
 #: what each column measures, a key of `rows.UNITS_OF`
@@ -243,13 +245,15 @@ def plain(name: str) -> tuple[str, str | None]:
     name, unit = name.strip().strip("\"'#").strip().lower(), None
     if match := re.search(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$", name):
         unit, name = UNITS.get(match[1], match[1] if match[1] in OTHER_UNITS else None), name[: match.start()]
-    words = [word for word in re.split(r"[^0-9a-z°%]+", name.replace("%", "")) if word]
-    if len(words) > 1 and unit is None and words[-1] in UNITS:
+    words = [word for word in re.split(r"[^0-9a-z°%µμ]+", name.replace("%", "")) if word]
+    if words[-2:] == ["km", "h"]:
+        words[-2:] = ["kmh"]
+    if len(words) > 1 and unit is None and words[-1] in _ENDS:
         # "v_m_s" and "omega_rad_s" end in two words
         if words[-1] == "s" and len(words) > 2 and UNITS.get(words[-2]) in ("m", "mm", "cm", "radians", "degrees"):
             words, unit = words[:-2], UNITS[words[-2]]
         else:
-            words, unit = words[:-1], UNITS[words[-1]]
+            words, unit = words[:-1], _ENDS[words[-1]]
     return "_".join(words), unit
 
 
@@ -290,6 +294,8 @@ def find(
                     for k, (own, _) in enumerate(names)
                     if k not in taken and (own == name or (tail and name not in WHOLE and own.endswith(f"_{name}")))
                 ]
+                # beside a column whose unit is converted, one of another unit is left alone
+                fits = [k for k in fits if names[k][1] not in OTHER_UNITS] or fits
                 if len(fits) > 1:
                     titles = " and ".join(table.title(k) for k in fits[:2])
                     raise table.error(None, f"{titles} could both be {role}; say which: --columns {kind}.{role}=NAME")

@@ -30,8 +30,8 @@ def objective_of(graph: Any) -> Any:
 
 
 #: a step shorter than the tolerance ends an iteration only where it promises to lower J by less than this part of it,
-#: or less than the tolerance itself where that is greater: a rough tolerance asks for a rough end; `promise` in the engine
-PROMISE = 1e-6
+#: or less than the tolerance itself where that is greater: a rough tolerance asks for a rough end
+PROMISE: float = engine.promise
 
 
 @dataclass(frozen=True)

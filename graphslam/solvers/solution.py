@@ -354,6 +354,12 @@ def make_solution(
     Its ``cost`` and ``certificate`` are taken over where the solver knows them.
     """
     state = run.state
+    kernels = [each for family in graph.families if (each := getattr(family, "kernel", None)) is not None]
+    if kernels and not run.converged:
+        notes += (
+            f"with the kernel {kernels[0].name} solvers may converge slowly where many sightings are wrong: raise "
+            "max_iterations of solve, or use its method gnc (--kernel gnc), which decides which sightings are wrong",
+        )
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     cost = graph.cost(state) if cost is None else cost

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from inspect import signature
+from itertools import count
 from numbers import Real
 from typing import Any
 
@@ -58,7 +60,7 @@ def solve(
             given values. Unless it is proven, a lower one may exist: of 100 logs with up to three times the book's
             noise, one ended 0.003 % too high (benchmarks/hard_logs.py).
         callback: called after each step with an `Iteration`; with "auto" only after the search, once for each step of the
-            run that is returned.
+            run that is returned. It counts the steps of all passes to the estimated ranges.
         cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less
             than this fraction; 0 disables this rule. (A step norm of 1e-9 corresponds to a relative change of J of about
             1e-16; 1e-6 is enough for a figure.)
@@ -84,6 +86,9 @@ def solve(
         raise OptionError(f"callback must be a function of one Iteration, not {quoted(callback)}")
     if method == GNC and callback is not None:
         raise OptionError("the method gnc calls no callback: leave it out")
+    # the steps of all passes to the estimated ranges have one count
+    numbers = count(1)
+    counted = None if callback is None else lambda step: callback(replace(step, number=next(numbers)))
 
     def solved(graph: Graph, initialize: str) -> Solution:
         if method == GNC:
@@ -94,7 +99,7 @@ def solve(
             tolerance=tolerance,
             max_iterations=max_iterations,
             initialize=initialize,
-            callback=callback,
+            callback=counted,
             cost_tolerance=cost_tolerance,
         )
 

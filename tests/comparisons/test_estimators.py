@@ -377,6 +377,13 @@ def test_options_that_a_row_does_not_use_are_said(log: Log) -> None:
     assert compared.findings == ()
 
 
+def test_rows_that_take_the_noise_at_measured_ranges_say_so(log: Log) -> None:
+    rows = ("textbook", "graph", "gtsam", "online", "isam2")
+    compared = run(log, estimators=rows, range_noise="estimated", edges="landmark+motion")
+    said = {row: any(each.startswith("does not use --range-noise:") for each in compared[row].notes) for row in rows}
+    assert said == {"textbook": True, "graph": False, "gtsam": False, "online": True, "isam2": True}
+
+
 def test_options_that_no_row_uses_are_said(log: Log) -> None:
     unused = [each.message for each in run(log, estimators="graph", lag=5, particles=10, association="auto").findings]
     assert unused == [

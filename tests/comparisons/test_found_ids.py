@@ -150,6 +150,15 @@ def test_filters_find_the_landmarks_of_a_log_without_ids(log):
     assert run(log, particles=30, estimators="fastslam2")["fastslam2"].named
 
 
+def test_graphs_find_ids_with_options_that_fastslam_has_with_known_ids_only(log):
+    hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    for bare, ways in ((hidden, {}), (log, {"association": "maximum-likelihood"})):
+        outcome = run(bare, estimators=["graph", "fastslam2"], range_noise="estimated", smoothing=50, **ways)
+        assert outcome["graph"].options["range_noise"] == "estimated"
+        (left_out,) = outcome.skipped
+        assert left_out.reason.endswith("leave out range_noise and smoothing")
+
+
 def test_all_clutter_is_refused(log):
     rng = np.random.default_rng(0)
     steps = np.arange(8) * 20

@@ -8,7 +8,7 @@ from error_rates import bound, check_mean, mean_error
 from exact_posterior import exact_posterior
 
 import comparisons
-from fastslam import FastSLAM1, FastSLAM2, FilterOptions, MonteCarloLocalization
+from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
 from graphslam import MotionModel, OptionError, SensorModel, simulate
 from graphslam.se2 import wrap
 
@@ -127,7 +127,7 @@ def test_several_observations_of_one_step() -> None:
 )
 def test_bad_options(options: dict, message: str) -> None:
     with pytest.raises(OptionError, match=message):
-        FilterOptions(**options)
+        FastSLAM1(**options)
 
 
 def test_it_needs_memory(monkeypatch: pytest.MonkeyPatch) -> None:

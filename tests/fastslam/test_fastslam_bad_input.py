@@ -69,6 +69,13 @@ def test_control(cls: type, control: tuple) -> None:
         make(cls).move(control, 1.0)
 
 
+@pytest.mark.parametrize("cls", FILTERS)
+@pytest.mark.parametrize("sighting", [(1.0, 7.0), (np.nan, -7.0), (1.0, 0.2, 30.0)])
+def test_bearings_in_degrees(cls: type, sighting: tuple[float, ...]) -> None:
+    with pytest.raises(OptionError, match="beyond 2 pi: is it in degrees"):
+        make(cls).observe([0], [sighting])
+
+
 @pytest.mark.parametrize("dt", [-1.0, np.nan, np.inf, "long", None, [1.0, 2.0]])
 def test_negative_time(dt: float) -> None:
     with pytest.raises(OptionError, match="dt must be"):

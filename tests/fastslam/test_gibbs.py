@@ -12,7 +12,7 @@ from fastslam import GibbsOptions, GibbsResult, ParticleGibbs
 from fastslam.gibbs.chains import judge
 from fastslam.gibbs.low_rank import LowRank, Target
 from fastslam.motions import Problem
-from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, simulate, solve
+from graphslam import Graph, Log, LogError, MotionModel, OptionError, PoseRelations, SensorModel, simulate, solve
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import wrap
 
@@ -278,6 +278,13 @@ def test_noise_that_leaves_floating_point_is_refused() -> None:
 def test_bad_options(options: dict, message: str) -> None:
     with pytest.raises(OptionError, match=message):
         ParticleGibbs(**{"log": small(0, 2)} | options)
+
+
+def test_what_is_not_used_is_said_once() -> None:
+    rows = {"first": [0], "second": [2], "motions": np.zeros((1, 3)), "covariances": np.eye(3)[None]}
+    with pytest.warns(UserWarning, match="does not use") as caught:
+        ParticleGibbs(small(0, 3).replace(relations=PoseRelations(**rows)), chains=3)
+    assert [str(each.message) for each in caught] == ["particle Gibbs does not use the relations of the log"]
 
 
 def test_bad_logs() -> None:

@@ -42,6 +42,19 @@ def test_a_result_keeps_its_origin_and_is_printed_in_one_line() -> None:
     )
 
 
+def test_a_result_has_the_map_of_the_particle_whose_history_it_has_and_the_filter_that_of_all() -> None:
+    slam = FastSLAM2(simulate(seed=1, steps=10), particles=30, seed=4, ess_threshold=0.0)
+    result, state = slam.run(), slam.state
+    mixture, best = state.mixture_map(), state.map()
+    np.testing.assert_array_equal(result.poses[-1], state.best_pose)
+    np.testing.assert_array_equal(slam.pose, state.mean_pose)
+    assert slam.landmarks.keys() == result.landmarks.keys() == best.keys()
+    for j, place in result.landmarks.items():
+        np.testing.assert_array_equal(place, best[j].mean)
+        np.testing.assert_array_equal(slam.landmarks[j], mixture[j].mean)
+        assert not np.array_equal(place, slam.landmarks[j])
+
+
 def test_seed_none_is_refused() -> None:
     """It would give another result at every run."""
     with pytest.raises(OptionError, match="seed must be a whole number"):

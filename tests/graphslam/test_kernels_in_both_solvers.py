@@ -103,3 +103,14 @@ def test_levenberg_marquardt_with_a_kernel(log):
     options = {"initialize": "rotation-first", "max_iterations": 500}
     gn, lm = (solve(graph, method=m, **options) for m in ("gauss-newton", "levenberg-marquardt"))
     assert lm.converged and lm.cost == pytest.approx(gn.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("solver", [solve, solve_with_gtsam])
+def test_a_run_with_a_kernel_that_does_not_converge_says_what_to_do(solver):
+    log = simulate(seed=1, steps=30)
+    graphs = {kernel: Graph.from_log(log, edges="landmark+motion", kernel=kernel) for kernel in ("huber", "none")}
+    short = {kernel: solver(graph, max_iterations=1, initialize="given") for kernel, graph in graphs.items()}
+    assert not short["huber"].converged and not short["none"].converged
+    advice = "raise max_iterations of solve, or use its method gnc"
+    assert any("the kernel huber" in note and advice in note for note in short["huber"].notes)
+    assert not any(advice in note for note in (*short["none"].notes, *solver(graphs["huber"]).notes))

@@ -12,6 +12,7 @@ from graphslam.factors import InverseObservationFactor, LandmarkFactor, Observat
 from graphslam.metrics import ate
 from graphslam.se2 import difference
 from graphslam.solvers.gtsam_factors import eliminated_landmarks, to_gtsam, to_values
+from graphslam.solvers.iteration import Iteration
 
 GRAPHS: dict[str, dict[str, Any]] = {
     "pairs": {"edges": "virtual+motion"},
@@ -78,6 +79,16 @@ def test_every_method_has_estimated_ranges(method: str) -> None:
     many = next(iter(solve_many([graph], range_noise="estimated")))
     assert isinstance(many, Solution)
     assert np.array_equal(many.state, expected.state)
+
+
+@pytest.mark.parametrize("initialize", ["auto", "given"])
+def test_a_callback_counts_the_steps_of_all_passes(initialize: str) -> None:
+    graph = Graph.from_log(simulate(seed=4, steps=30), edges="landmark+motion")
+    steps: list[Iteration] = []
+    last = solve(graph, range_noise="estimated", initialize=initialize, callback=steps.append)
+    assert [step.number for step in steps] == list(range(1, len(steps) + 1))
+    assert len(steps) > 2 * last.iterations
+    assert [step.step_norm for step in steps[-last.iterations :]] == last.step_norms.tolist()
 
 
 def test_impossible_range_noise() -> None:

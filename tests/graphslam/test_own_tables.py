@@ -291,12 +291,16 @@ def test_names_of_columns():
     assert plain("yaw_rate (°/s)") == ("yaw_rate", "degrees")
     assert plain("Speed [km/h]") == ("speed", "km/h")
     assert plain("x [map]") == ("x", None)
+    assert plain("speed_kmh") == plain("speed km/h") == ("speed", "kmh")
+    assert plain("t [µs]") == plain("t_μs") == ("t", "us")  # micro sign, Greek letter
+    assert plain("range_min") == ("range_min", None)
 
 
 @pytest.mark.parametrize(
     ("table", "names", "unit", "option"),
     [
         ("odometry", "t,Speed [km/h],omega", "km/h", "--lengths odometry=m"),
+        ("odometry", "t,v_kmh,omega", "kmh", "--lengths odometry=m"),
         ("sightings", "t,id,range [ft],bearing", "ft", "--lengths sightings=m"),
         ("sightings", "t,id,range,bearing (mrad)", "mrad", "--angles sightings=radians"),
         ("sightings", "t [min],id,range,bearing", "min", "--time sightings=s"),
@@ -311,6 +315,19 @@ def test_units_in_names_that_are_not_converted_are_refused(drive, table, names, 
     kind, own = stated.split("=")
     recipe = f'[{kind}]\n{measure} = "{own}"\n'
     load(drive(**{table: text(names, rows)}, recipe=recipe))
+
+
+def test_of_two_units_the_one_that_is_converted_is_read(drive, expected):
+    rows = [(t, 3.6 * v, v, w) for t, v, w in ODOMETRY]
+    log = load(drive(odometry=text("t,speed_kmh,speed,omega", rows)))
+    np.testing.assert_array_equal(log.controls, expected.controls)
+
+
+@pytest.mark.parametrize("micro", ["µs", "μs"])
+def test_times_in_microseconds(drive, expected, micro):
+    rows = [(round(t * 1e6), v, w) for t, v, w in ODOMETRY]
+    log = load(drive(odometry=text(f"t [{micro}],v,omega", rows)))
+    np.testing.assert_allclose(log.dt, expected.dt, atol=1e-9)
 
 
 def test_columns_of_exported_messages(drive, expected):

@@ -33,6 +33,20 @@ def test_every_pose_of_m3500_against_gtsams_marginals(shared_data):
     np.testing.assert_array_equal(solution.covariance(17), ours[17])
 
 
+@pytest.mark.parametrize(
+    ("kernel", "larger"), [("none", 1.0), ("huber", 1.02), ("cauchy", 1.08), ("geman-mcclure", 1.07)]
+)
+def test_marginals_of_gtsam_with_a_kernel_are_larger(kernel, larger):
+    """The figures of docs/factors.md."""
+    graph = Graph.from_log(simulate(seed=0, clean=True, steps=60), edges="landmark+motion", kernel=kernel)
+    solution = solve(graph)
+    values = to_values(graph, solution.state)
+    marginals = gtsam.Marginals(to_gtsam(graph, solution.state), values)
+    theirs = [np.trace(marginals.marginalCovariance(k)[:2, :2]) for k in range(10, 60, 10)]
+    ours = [np.trace(solution.covariance(k)[:2, :2]) for k in range(10, 60, 10)]
+    np.testing.assert_allclose(np.sqrt(np.divide(theirs, ours)), larger, atol=0.02 if kernel != "none" else 1e-6)
+
+
 @pytest.mark.parametrize("dimensions", [3, 2])
 def test_landmarks_and_blocks_between_nodes(dimensions):
     log = load(sample_log_path())

@@ -1,4 +1,5 @@
 // An online system as bytes, and back. Fields are written one by one, because what lies between them is undefined.
+#include <algorithm>
 #include <cstring>
 #include <tuple>
 #include <type_traits>
@@ -64,14 +65,27 @@ class Writer {
         (*this)(numbers.size());
         raw(numbers.data(), numbers.size() * sizeof(double));
     }
+    void operator()(const Supernode& group) {
+        // what is above the diagonal of U has never been set
+        Supernode whole = group;
+        const Front front = whole.front();
+        for (sparse::Index j = 0; j < 3 * front.r; ++j)
+            std::fill_n(whole.update() + j * front.update_height, front.update_pad + j, 0.0);
+        record(whole);
+    }
     template <class T>
     void operator()(const T& value) {
         if constexpr (Record<const T>)
-            std::apply([&](const auto&... field) { ((*this)(field), ...); }, fields(value));
+            record(value);
         else {
             static_assert(std::is_trivially_copyable_v<T>);
             raw(&value, sizeof value);
         }
+    }
+
+   private:
+    void record(const auto& value) {
+        std::apply([&](const auto&... field) { ((*this)(field), ...); }, fields(value));
     }
 };
 

@@ -152,7 +152,7 @@ bool OnlineSystem::solve_as_batch(std::span<const Id> newest) {
         std::copy_n(found.begin() + 3 * k, 3, start[problem.nodes()[k]].begin());
     // where passes have failed, second derivatives of all edges did not help
     memory_.bent.convex = usual_bent().convex;
-    if (begin_at(start, newest) && iterate(newest)) return true;
+    if (begin_at(start, newest) && descends(newest)) return true;
     begin_at(start, newest);
     return false;
 }

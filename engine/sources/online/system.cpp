@@ -86,7 +86,8 @@ class OnlineSystem::Undo {
         : system_(system),
           known_(known),
           first_edge_(static_cast<Id>(system.graph_.edges.size())),
-          remembered_(system.memory_, system.ordered_, system.passes, system.converged, system.covariances_ready_) {
+          remembered_(system.memory_, system.ordered_, system.passes, system.converged, system.covariances_ready_,
+                      system.graph_.has_single_numbers) {
         for (const Id s : system.tree_.upwards(homes))
             for (const Id node : system.tree_.groups[s].columns()) nodes_.push_back({node, system.graph_.nodes[node]});
         for (const Prior& prior : system.priors_) of_priors_.push_back(prior.pull);
@@ -99,8 +100,8 @@ class OnlineSystem::Undo {
             system_.write_prior(system_.priors_[k], false);
         }
         system_.graph_.nodes.resize(known_);
-        std::tie(system_.memory_, system_.ordered_, system_.passes, system_.converged, system_.covariances_ready_) =
-            remembered_;
+        std::tie(system_.memory_, system_.ordered_, system_.passes, system_.converged, system_.covariances_ready_,
+                 system_.graph_.has_single_numbers) = remembered_;
     }
 
    private:
@@ -108,7 +109,7 @@ class OnlineSystem::Undo {
     Id known_, first_edge_;
     std::vector<std::pair<Id, Node>> nodes_;
     std::vector<std::vector<double>> of_priors_;
-    std::tuple<Memory, Id, int, bool, bool> remembered_;
+    std::tuple<Memory, Id, int, bool, bool, bool> remembered_;
 };
 
 bool OnlineSystem::add(Id known, std::span<const NewEdge> added, std::span<const Id> newest) {
@@ -159,11 +160,14 @@ bool OnlineSystem::solve(std::span<const Id> touched, std::span<const Id> fresh,
     }
     lost_ = false;
     ++tree_.step;
-    const double before = memory_.cost;
-    // undamped passes may end in a higher minimum
-    const auto falls = [&] { return !graph_.has_single_numbers || memory_.cost <= before + rises * (1.0 + before); };
-    converged = (iterate(newest) && falls()) || solve_as_batch(newest);
+    converged = descends(newest) || solve_as_batch(newest);
     return true;
+}
+
+/// `iterate`, and whether J has not risen: where there are single numbers, undamped passes may end in a higher minimum.
+bool OnlineSystem::descends(std::span<const Id> newest) {
+    const double before = memory_.cost;
+    return iterate(newest) && (!graph_.has_single_numbers || memory_.cost <= before + rises * (1.0 + before));
 }
 
 bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Id> newest) {

@@ -88,6 +88,7 @@ class OnlineSystem {
 
     /// Passes until the predicted decrease of the cost is below the tolerance.
     bool iterate(std::span<const Id> newest);
+    bool descends(std::span<const Id> newest);
     Outcome advance(int& done);
     /// One pass, but for subtrees that would change J by less than `least`: the decrease of J by the next one, and the edges and
     /// priors that are to be linearised again.
