@@ -1,0 +1,42 @@
+"""A sensor that is metres from where it is believed to be, as the laser of a car whose poses are those of the rear axle.
+
+The prior of the sensor's place (`PRIORS`) is a few centimetres wide, because lasting errors of a sensor look like a wrong
+place. Where the sensor is metres away, this prior ends at a wrong minimum: the sensor near its believed place, its own motion
+about the robot as slip, and a turned sensor. With a wide prior the same problem moves to the right one. Both are compared by
+the likelihood, which contains the densities of the priors, so that the wide one wins only where the sightings need it.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import GraphError
+from .declared import PLACE
+from .restricted_likelihood import fit, gain_over
+from .unknowns import Unknowns
+
+#: the standard deviation of the wide prior [m], and the gain of the log likelihood per sighting with which it is taken: at
+#: least 0.23 with a sensor a metre away, at most 0.15 where lasting errors look like a wrong place (docs/decisions.md)
+ANYWHERE, GAINED = 2.0, 0.2
+#: rounds of solving and improving the variances
+ROUNDS = 8
+
+
+def is_elsewhere(fitted: Unknowns) -> bool:
+    """Whether a problem of few, nearly independent sightings shows that the sensor is far from its believed place."""
+    try:
+        free = fit(with_sensor_anywhere(fitted), ROUNDS)[0]
+        return gain_over(free, fitted) > GAINED * len(fitted.seen)
+    except (GraphError, np.linalg.LinAlgError):
+        # sightings that do not tell the place are no reason to doubt it
+        return False
+
+
+def with_sensor_anywhere(unknowns: Unknowns) -> Unknowns:
+    """The same problem with the wide prior of the sensor's place."""
+    free, p = copy(unknowns), unknowns.parameters
+    free.parameters = replace(p, deviations=np.where(np.isin(p.names, PLACE), ANYWHERE, p.deviations))
+    return free
