@@ -156,22 +156,14 @@ def estimate_robot(
 
 
 def _estimate(
-    log: Log,
-    sensor: SensorModel,
-    given: tuple[MotionModel, SensorModel] | None,
-    rng: np.random.Generator,
-    *,
-    anywhere: bool = False,
+    log: Log, sensor: SensorModel, given: tuple[MotionModel, SensorModel] | None, rng: np.random.Generator
 ) -> RobotEstimate:
-    """`estimate_robot` for a log that has enough, with the sensor near its believed place, or ``anywhere``."""
-    drive, first, ids = _with_ids(log, sensor, rng, anywhere=anywhere)
+    """`estimate_robot` for a log that has enough."""
+    drive, first, ids = _with_ids(log, sensor, rng)
     named = ids.correct(drive)
     ids = ids.within(log.landmarks)
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
-    if not anywhere and is_elsewhere(second):
-        # from the beginning, because a wrong place bends episodes and makes right ids look wrong
-        return _estimate(log, sensor, given, rng, anywhere=True)
     exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held, held_with_exact = _hold_needless(second), _hold_needless(exact)
     place = {name: getattr(sensor, name) for name in SensorModel.GEOMETRY}
@@ -283,6 +275,9 @@ def _with_ids(
     local, doubtful, alone = _local(drive, sensor, motion, anywhere)
     fewer = _at_most(drive.with_sightings(~doubtful), MOST)
     first = _joined(fewer, sensor, local, ROUNDS[1])[0]
+    if motion is None and not anywhere and is_elsewhere(_of_sightings(_sparse(fewer)[0]), first):
+        # before the ids are checked, because a wrong place makes right ids look wrong
+        return _with_ids(log, sensor, rng, anywhere=True)
     return drive, first, checked_ids(drive, _everywhere(first, fewer), alone, rng)
 
 

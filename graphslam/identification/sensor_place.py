@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import GraphError
+from ..log import Log
 from .declared import PLACE
 from .restricted_likelihood import fit, gain_over
 from .unknowns import Unknowns
@@ -21,15 +22,20 @@ from .unknowns import Unknowns
 #: the standard deviation of the wide prior [m], and the gain of the log likelihood per sighting with which it is taken: at
 #: least 0.23 with a sensor a metre away, at most 0.15 where lasting errors look like a wrong place (docs/decisions.md)
 ANYWHERE, GAINED = 2.0, 0.2
-#: rounds of solving and improving the variances
-ROUNDS = 8
+#: rounds of solving and improving the variances with the usual prior, which start near their end, and with the wide one
+ROUNDS = (4, 8)
 
 
-def is_elsewhere(fitted: Unknowns) -> bool:
-    """Whether a problem of few, nearly independent sightings shows that the sensor is far from its believed place."""
+def is_elsewhere(log: Log, start: Unknowns) -> bool:
+    """Whether a log of few, nearly independent sightings shows that the sensor is far from its believed place.
+
+    Args:
+        start: a problem of the same drive, solved with the usual prior.
+    """
     try:
-        free = fit(with_sensor_anywhere(fitted), ROUNDS)[0]
-        return gain_over(free, fitted) > GAINED * len(fitted.seen)
+        usual = fit(Unknowns(log, log.landmarks, start.sensor, start), ROUNDS[0])[0]
+        free = fit(with_sensor_anywhere(usual), ROUNDS[1])[0]
+        return gain_over(free, usual) > GAINED * len(usual.seen)
     except (GraphError, np.linalg.LinAlgError):
         # sightings that do not tell the place are no reason to doubt it
         return False
