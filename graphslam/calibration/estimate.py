@@ -102,7 +102,8 @@ class Calibration:
             k = [list(priors).index(name) for name in one.parameters.names]
             own = np.linalg.inv(one.parameters.covariance)
             weights = [
-                0.0 if information[i, i] == 0 else priors[name][1] ** -2 for i, name in zip(k, one.parameters.names)
+                0.0 if information[i, i] == 0 else one.parameters.priors[name][1] ** -2
+                for i, name in zip(k, one.parameters.names)
             ]
             information[np.ix_(k, k)] += own - np.diag(weights)
             pulled[k] += own @ (one.parameters.values - [ideal[name] for name in one.parameters.names])

@@ -180,11 +180,10 @@ class Graph:
         if noise is not None:
             check_choice("noise", noise, (AUTO, BOOK))
         log = with_dimensions(log, dimensions)
-        if motion is None and sensor is None:
-            log, _ = known_robot(log, noise)
+        log, robot = known_robot(log, noise) if motion is None and sensor is None else (log, None)
         motion, sensor = log.noise_models(motion, sensor)
         known_map = None if map is None else as_map(map)
-        notes: list[str] = []
+        notes = [] if robot is None else list(robot.doubts)
         if known_map is None:
             log = in_frame_of_positions(log)
         else:

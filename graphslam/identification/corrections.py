@@ -149,6 +149,17 @@ def controls_at_steps(parameters: Parameters) -> Array:
     return _averaged(parameters, ends, ends[parameters.recorded.control_starts])
 
 
+def control_noise_at_steps(parameters: Parameters, rng: np.random.Generator) -> Array:
+    """Noise (T+1, 2) of `controls_at_steps`, drawn from the motion model."""
+    log, ends = parameters.recorded, _ends(parameters.recorded)
+    assert log.controls is not None and log.dt is not None
+    variances = np.diagonal(parameters.motion.M(log.controls, log.dt, log.recorded_dt), axis1=1, axis2=2)
+    noise = np.sqrt(variances) * rng.standard_normal(variances.shape)
+    columns = zip(noise.T, _smoothing(parameters))
+    times = ends[log.control_starts]
+    return np.column_stack([_means(_summed(each * log.dt), ends, times, window) for each, window in columns])
+
+
 def changes_within(log: Log) -> Array:
     """The variances (S, 3) of single controls whose speeds change before the next one, as `Log.control_variances`.
 

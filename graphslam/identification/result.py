@@ -27,7 +27,7 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .declared import ParameterEstimate
 from .sighting_errors import LAGS, Ids, Predictions
-from .unknowns import DEGREES_SIGHTINGS, Unknowns
+from .unknowns import DEGREES_SIGHTINGS, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
 #: before and after what edges hide is known
@@ -220,8 +220,8 @@ class RobotEstimate:
         """Why the result may be wrong although noise and biases were found, one sentence each."""
         p, lines = self.parameters, []
         for k, name in enumerate(p.names):
-            mean, deviation = p.priors[name]
-            if abs(p.values[k] - mean) > IMPLAUSIBLE * deviation:
+            mean, _ = p.priors[name]
+            if abs(p.values[k] - mean) > IMPLAUSIBLE * PRIORS[name]:
                 lines.append(
                     f"{name}, estimated as {p.values[k]:.3g}, is rarely so far from {mean:g}; {CAUSES[name]} If the value is "
                     "wrong, so are the trajectory and its standard deviations"

@@ -19,7 +19,6 @@ The second-order theory is that of `identification.unknowns` and `identification
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -32,7 +31,7 @@ from ..models import MotionModel, SensorModel
 from .corrections import corrected_log, honest_variances
 from .declared import ParameterEstimate
 from .odometry import OF_SENSOR, sighting_times
-from .restricted_likelihood import improve_variances, log_likelihood
+from .restricted_likelihood import fit, gain_over
 from .result import (
     BOOK_NOISE,
     DEAD_RECKONING,
@@ -46,6 +45,7 @@ from .result import (
     not_used,
     with_book,
 )
+from .sensor_place import is_elsewhere, with_sensor_anywhere
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 
@@ -57,8 +57,8 @@ RARE = 0.3
 CONTRADICTS = 30.0
 #: times between the sightings of a landmark [s] that are tried first, and the fewest sightings that are enough
 INTERVALS, ENOUGH = (5.0, 2.0, 1.0, 0.5, 0.2), 100
-#: rounds of solving and improving the variances, and the gain of the log likelihood below which they end
-ROUNDS, GAIN = (8, 4, 8, 8), 0.3
+#: rounds of solving and improving the variances
+ROUNDS = (8, 4, 8, 8)
 #: sightings correlated by more than this are thinned for the last round, and by less than that are all kept
 DEPENDENT, HARDLY = 0.2, 0.15
 #: where errors of a landmark are correlated in time, those of several landmarks have parts in common, which do not show in
@@ -164,13 +164,13 @@ def _estimate(
     ids = ids.within(log.landmarks)
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
-    exact = _fitted(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
+    exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held, held_with_exact = _hold_needless(second), _hold_needless(exact)
     place = {name: getattr(sensor, name) for name in SensorModel.GEOMETRY}
     other = (GIVEN_NOISE, given) if given else (BOOK_NOISE, (MotionModel(), SensorModel(**place)))
     part = _beginning(sparse, MOST_COMPARED)
     begun = second if part is sparse else Unknowns(part, part.landmarks, sensor, second)
-    dead_reckoning = _fitted(_with_dead_reckoning(begun), ROUNDS[1])[0]
+    dead_reckoning = fit(_with_dead_reckoning(begun), ROUNDS[1])[0]
     compared = _compared(part, second, dead_reckoning, *other, rng)
     nearly_exact = _is_exact(named, sparse, used, second, exact, rng)
     if nearly_exact:
@@ -258,17 +258,26 @@ def _with_dead_reckoning(fitted: Unknowns) -> Unknowns:
 
 
 def _with_ids(
-    log: Log, sensor: SensorModel, rng: np.random.Generator, motion: MotionModel | None = None
+    log: Log,
+    sensor: SensorModel,
+    rng: np.random.Generator,
+    motion: MotionModel | None = None,
+    *,
+    anywhere: bool = False,
 ) -> tuple[Log, Unknowns, Ids]:
     """The log with only its sightings with ids, the solution with the landmarks by their ids, and these ids checked.
 
     Args:
         motion: the noise of the motion is this, and that of the sensor that of ``sensor``. Default: both are estimated.
+        anywhere: the sensor may be metres from its believed place.
     """
     drive = _of_sightings(log.with_sightings(log.landmarks != UNIDENTIFIED))
-    local, doubtful, alone = _local(drive, sensor, motion)
+    local, doubtful, alone = _local(drive, sensor, motion, anywhere)
     fewer = _at_most(drive.with_sightings(~doubtful), MOST)
     first = _joined(fewer, sensor, local, ROUNDS[1])[0]
+    if motion is None and not anywhere and is_elsewhere(_of_sightings(_sparse(fewer)[0]), first):
+        # before the ids are checked, because a wrong place makes right ids look wrong
+        return _with_ids(log, sensor, rng, anywhere=True)
     return drive, first, checked_ids(drive, _everywhere(first, fewer), alone, rng)
 
 
@@ -318,7 +327,9 @@ def _check(log: Log) -> None:
         )
 
 
-def _local(log: Log, sensor: SensorModel, motion: MotionModel | None) -> tuple[Unknowns, np.ndarray, np.ndarray]:
+def _local(
+    log: Log, sensor: SensorModel, motion: MotionModel | None, anywhere: bool
+) -> tuple[Unknowns, np.ndarray, np.ndarray]:
     """The problem of episodes, solved; and (M,) bool which sightings stand alone in time or contradict their episode, and
     which stand alone."""
     for pause in PAUSES:
@@ -330,11 +341,12 @@ def _local(log: Log, sensor: SensorModel, motion: MotionModel | None) -> tuple[U
         # single sightings are normal
         alone = np.zeros(len(log.steps), dtype=bool)
     if len(log.steps) <= MOST:
-        local = _fitted(_begun(log, episodes, sensor, motion), ROUNDS[0])[0]
+        local = fit(_begun(log, episodes, sensor, motion, anywhere), ROUNDS[0])[0]
     else:
         # noise and biases from the beginning, and with them all poses
         beginning = _beginning(log, MOST)
-        part = _fitted(_begun(beginning, episodes[: len(beginning.steps)], sensor, motion), ROUNDS[0])[0]
+        begun = _begun(beginning, episodes[: len(beginning.steps)], sensor, motion, anywhere)
+        part = fit(begun, ROUNDS[0])[0]
         local = Unknowns(log, episodes, sensor, part)
         local.iterate(4)
     doubtful = alone.copy()
@@ -342,12 +354,12 @@ def _local(log: Log, sensor: SensorModel, motion: MotionModel | None) -> tuple[U
     return local, doubtful, alone
 
 
-def _begun(log: Log, groups: np.ndarray, sensor: SensorModel, motion: MotionModel | None) -> Unknowns:
+def _begun(log: Log, groups: np.ndarray, sensor: SensorModel, motion: MotionModel | None, anywhere: bool) -> Unknowns:
     """The first problem of a log; where the noise is known, it is held, and there are no biases."""
     unknowns = Unknowns(log, groups, sensor)
     if motion is not None:
         unknowns.hold_noise(motion, sensor)
-    return unknowns
+    return with_sensor_anywhere(unknowns) if anywhere else unknowns
 
 
 def _episodes(log: Log, pause: float) -> np.ndarray:
@@ -367,9 +379,9 @@ def _of_sightings(log: Log) -> Log:
 
 
 def _joined(log: Log, sensor: SensorModel, start: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
-    """`_fitted` with the landmarks by their ids, and only with the poses from which they were seen."""
+    """`fit` with the landmarks by their ids, and only with the poses from which they were seen."""
     few = _of_sightings(log)
-    return _fitted(Unknowns(few, few.landmarks, sensor, start), rounds)
+    return fit(Unknowns(few, few.landmarks, sensor, start), rounds)
 
 
 def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
@@ -381,21 +393,6 @@ def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
     whole.hide(whole.linearized())
     whole.iterate(1)
     return whole
-
-
-def _fitted(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
-    """Solve and improve the variances in turn; and the standard errors of the standard deviations, as parts of them."""
-    errors = np.zeros(0)
-    for k in range(rounds):
-        # a step of the nodes in between: without it, the variances do not converge
-        unknowns.iterate(1 if k else 4)
-        gain, errors = improve_variances(unknowns)
-        if gain < GAIN:
-            break
-    unknowns.take_noise()
-    unknowns.iterate(1)
-    names = [*unknowns.motion_parts, *unknowns.sensor_parts]
-    return unknowns, {name: float(error) / 2 for name, error in zip(names, errors)}
 
 
 def _hold_needless(fitted: Unknowns) -> dict[str, float]:
@@ -412,7 +409,7 @@ def _hold_needless(fitted: Unknowns) -> dict[str, float]:
             held |= {name: float(left * fitted.distance(name)) for name in names}
     if held:
         fitted.hold(held)
-        _fitted(fitted, ROUNDS[2])
+        fit(fitted, ROUNDS[2])
     return held
 
 
@@ -438,23 +435,13 @@ def _is_exact(
     if few < ENOUGH:
         return False
     rho = _correlations(log, sparse, used, exact, rng)
-    if _gain(fitted, exact) >= NEEDED * inflation(sparse, rho):
+    if gain_over(fitted, exact) >= NEEDED * inflation(sparse, rho):
         return False
     more = _at_most(_thinned(log, MORE)[0], MOST)
     if len(more.steps) <= few:
         return True
     fitted, exact = (_joined(more, fitted.sensor, each, ROUNDS[1])[0] for each in (fitted, exact))
-    return _gain(fitted, exact) < NEEDED * inflation(more, rho)
-
-
-def _gain(fitted: Unknowns, exact: Unknowns) -> float:
-    """The log likelihood of a problem over that of the same with exact odometry."""
-    fitted, exact = copy(fitted), copy(exact)
-    # with the same weights for edges without residuals
-    fitted.hidden, exact.hidden = [0.0, fitted.hidden[1]], [0.0, exact.hidden[1]]
-    for each in (fitted, exact):
-        each.iterate(2)
-    return log_likelihood(fitted) - log_likelihood(exact)
+    return gain_over(fitted, exact) < NEEDED * inflation(more, rho)
 
 
 def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:

@@ -12,7 +12,7 @@ import numpy as np
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
 from ..models import SensorModel
-from ..se2 import Array
+from ..se2 import Array, rotation
 from .findings import Distances, Finding, ways
 
 #: fewer sightings are not checked
@@ -168,10 +168,33 @@ def _by_truth(log: Log) -> tuple[int, str] | None:
     if log.robot_truth is None:
         return None
     rows = np.flatnonzero((log.landmarks != UNIDENTIFIED) & np.isfinite(log.robot_truth[log.steps]).all(axis=1))
-    steps, sightings = log.steps[rows], log.sightings[rows]
-    places = (log.sensor or SensorModel()).h_inverse(log.robot_truth[steps], sightings)[:, :2]
-    change = _change(log.landmarks[rows, None], steps, places, sightings[:, 0])
-    return change and (change[0], f"seen from the true poses {change[1]} of {change[2]} landmarks are elsewhere")
+    steps, sightings, ids = log.steps[rows], log.sightings[rows], log.landmarks[rows]
+    poses = log.robot_truth[steps]
+    places = (log.sensor or SensorModel()).h_inverse(poses, sightings)[:, :2]
+    change = _change(ids[:, None], steps, places, sightings[:, 0])
+    if change is None or _misplaced(places, poses[:, 2], ids, steps >= change[0]):
+        return None
+    return change[0], f"seen from the true poses {change[1]} of {change[2]} landmarks are elsewhere"
+
+
+def _misplaced(places: Array, headings: Array, ids: np.ndarray, after: np.ndarray) -> bool:
+    """Whether another place of the sensor explains places (M, 2) of landmarks better than other ids ``after`` a time.
+
+    The sum of the squares of p + R(theta) d about the mean of each landmark, at the best d, is then below that of p about the
+    means before and after: with a wrong d, landmarks are elsewhere wherever the robot has another heading.
+    """
+    rest = _about_means(places, ids).ravel()
+    slopes = _about_means(rotation(headings).reshape(-1, 4), ids).reshape(-1, 2)
+    d = np.linalg.lstsq(slopes, -rest, rcond=None)[0]
+    return bool(np.sum((rest + slopes @ d) ** 2) < np.sum(_about_means(places, np.column_stack([ids, after])) ** 2))
+
+
+def _about_means(values: Array, keys: np.ndarray) -> Array:
+    """Values (M, c) minus the mean over all with the same key."""
+    group, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)[1:]
+    total = np.zeros((len(count), values.shape[1]))
+    np.add.at(total, group.ravel(), values)
+    return np.asarray(values - (total / count[:, None])[group.ravel()])
 
 
 def _by_distances(found: Distances) -> tuple[int, str] | None:

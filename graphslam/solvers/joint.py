@@ -110,12 +110,18 @@ class JointGraph:
         """The step (n + r, 3)."""
         return self._factor.solve(self.xi)
 
-    def border(self, graph: Graph, nodes: Array, held: Array, scaled: bool = False) -> Border:
-        """C, D and g of `at` a state; ``scaled`` as `Graph.information` scales Omega."""
+    def border(
+        self, graph: Graph, nodes: Array, held: Array, scaled: bool = False, controls: Array | None = None
+    ) -> Border:
+        """C, D and g of `at` a state; ``scaled`` as `Graph.information` scales Omega.
+
+        Args:
+            controls: (M, 2) with which the delay of the sensor moves sightings; default: `controls_of`.
+        """
         parameters, seen, driven = graph.estimated, sighted_edges(graph), motion_edges(graph)
         factor = seen.information_per_weight if scaled else 1.0
         predicted = seen.predicted(held)
-        border = Border.of_sightings(self._copies, graph, seen, nodes, held, predicted).scaled(factor)
+        border = Border.of_sightings(self._copies, graph, seen, nodes, held, predicted, controls).scaled(factor)
         if driven is not None:
             _, slopes = motion_slopes(parameters, corrected_controls(parameters))
             border += Border.of_motions(driven, nodes, held, slopes)
@@ -146,15 +152,17 @@ class Border:
 
     @classmethod
     def of_sightings(
-        cls, copies: BlockSystem, graph: Graph, edges: SightingEdges, nodes: Array, held: Array, predicted: Array
-    ) -> Border:
+        cls, copies: BlockSystem, graph: Graph, edges: SightingEdges, nodes: Array, held: Array, predicted: Array,
+        controls: Array | None = None,
+    ) -> Border:  # fmt: skip
         """That of edges from sightings, with the predicted sightings (M, d); ``copies`` has room for Omega and xi."""
         parameters, poses, count = graph.estimated, len(graph.steps), len(edges.sightings)
         free, at = copied(edges, nodes, poses)
         copies.clear()
         free.accumulate(at, copied(edges, held, poses)[1], copies)
         moved = np.zeros((len(at), 3, len(parameters)))
-        moved[:count] = turn_matrix(at[:count, 2]) @ moves(parameters, predicted, controls_of(graph))
+        controls = controls_of(graph) if controls is None else controls
+        moved[:count] = turn_matrix(at[:count, 2]) @ moves(parameters, predicted, controls)
         weighed = _times(copies, moved)
         mixed = np.zeros((len(nodes), 3, len(parameters)))
         np.add.at(mixed, edges.first if isinstance(edges, ObservationEdges) else edges.nodes, weighed[:count])  # type: ignore[attr-defined]

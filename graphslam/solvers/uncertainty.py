@@ -17,6 +17,7 @@ import numpy as np
 from ..edges.base import Linearization
 from ..errors import OptionError, quoted
 from ..graph import Graph
+from ..identification.corrections import control_noise_at_steps
 from ..identification.declared import Parameters
 from ..linear.cholesky import Factor, FactorizationError
 from ..se2 import Array, perpendicular
@@ -72,6 +73,27 @@ class Uncertainty:
     def of_parameters(self) -> Array:
         """The covariance (K, K) of the parameters."""
         return np.zeros((0, 0)) if self._joint is None else self._joint.covariance
+
+    def noise_of_delay(self, samples: int, rng: np.random.Generator) -> float:
+        """How much of the information on ``sensor_delay`` is noise of the controls.
+
+        A delay moves sightings by tau (u + n), n the noise of the averaged controls. With S(v) the information that sightings
+        moved by v have beside the nodes, the estimate tends to tau (1 - E S(n) / S), S that on the delay beside the nodes and
+        other parameters.
+
+        Source: Fuller, *Measurement error models* (1987), section 1.1.
+        """
+        graph, parameters = self._graph, self._graph.estimated
+        assert self._joint is not None and graph.log is not None
+        k, joint, noise = parameters.names.index("sensor_delay"), JointGraph(graph), 0.0
+        rows = graph.log.steps[graph.sighting_rows]
+        for _ in range(samples):
+            moved = control_noise_at_steps(parameters, rng)[rows]
+            border = joint.border(graph, self._state, self._state, scaled=True, controls=moved)
+            border.mixed[graph.fixed] = 0.0
+            mixed = np.ascontiguousarray(border.mixed[:, :, k])
+            noise += border.own[k, k] - parameters.weights[k] - float(np.sum(mixed * self._factor.solve(mixed)))
+        return noise / samples / (1 / self.of_parameters[k, k] - parameters.weights[k])
 
     @cached_property
     def diagonal(self) -> Array:
@@ -162,6 +184,9 @@ BY_TURNS = ("sensor_ahead", "sensor_left", "sensor_delay")
 SCALES = ("wheel_scale", "range_scale")
 #: a scale that is so many standard deviations from 1 is wrong, or the other one is
 SIGNIFICANT = 3.0
+#: a delay is too small where noise is at least this part of what tells it, and explains at least so many standard deviations;
+#: the samples of this noise
+NOISY, SHORT, SAMPLES = 0.1, 1.0, 4
 #: doubtful where the motion edges cost less than this part of what they should
 SMALL = 0.3
 #: the expected cost from which the ratio is judged: its standard deviation is then sqrt(2 / 30), a quarter
@@ -172,7 +197,11 @@ def doubts(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
     """The sentences that apply; empty where nothing speaks against the parameters."""
     parameters = graph.estimated
     deviations = np.sqrt(np.diag(uncertainty.of_parameters))
-    found = (doubt_of_scale(parameters, deviations), doubt_of_turns(graph, state, uncertainty))
+    found = (
+        doubt_of_scale(parameters, deviations),
+        doubt_of_turns(graph, state, uncertainty),
+        doubt_of_delay(parameters, deviations, uncertainty),
+    )
     return ". ".join(each for each in found if each)
 
 
@@ -216,6 +245,25 @@ def doubt_of_turns(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
         f"{cost / expected:.2f} of its expected value. Noise of the sightings may then appear as turns of the robot, "
         f"so do not rely on {', '.join(names)}. Give the motion model the noise of the robot, "
         "for example with slam-compare calibrate, which needs to know the place of the sensor (--sensor-offset)"
+    )
+
+
+def doubt_of_delay(parameters: Parameters, deviations: Array, uncertainty: Uncertainty) -> str:
+    """A sentence where noise of the recorded controls makes the delay clearly too small; empty otherwise."""
+    if "sensor_delay" not in parameters.names:
+        return ""
+    k = parameters.names.index("sensor_delay")
+    value, deviation = float(parameters.values[k]), float(deviations[k])
+    noise = uncertainty.noise_of_delay(SAMPLES, np.random.default_rng(0))
+    # the smallest difference that counts, before it is divided by what is left
+    if noise < NOISY or abs(value) * noise < SHORT * deviation * (1 - noise):
+        return ""
+    rest = (
+        f"it is about {value / (1 - noise):.2g} +- {deviation / (1 - noise):.1g} s" if noise < 1 else "it is not told"
+    )
+    return (
+        f"{noise:.0%} of what tells sensor_delay is noise of the recorded controls, so that it is too small by this part: "
+        f"if the motion model is right, {rest}"
     )
 
 
