@@ -135,7 +135,8 @@ class Unknowns:
         self.hidden: list[Array | float] = [0.0, 0.0]
         self.take_noise()
         self.system = BlockSystem.from_cliques(
-            len(self.state), [_pairs(self.before, self.after), _pairs(self.seen_from, self.seen)],
+            len(self.state),
+            [_pairs(self.before, self.after), _pairs(self.seen_from, self.seen)],
             points=np.arange(len(poses), len(self.state)) if self.sightings.shape[1] == 2 else (),
         )
 

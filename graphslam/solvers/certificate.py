@@ -235,9 +235,7 @@ def _problem(
             nodes = np.concatenate([nodes, landmarks])
     if reasons:
         raise GraphError("; ".join(dict.fromkeys(reasons)))
-    if structure is not None and (
-        len(nodes) != len(state) or taken.turn_with(len(nodes), structure.points)
-    ):
+    if structure is not None and (len(nodes) != len(state) or taken.turn_with(len(nodes), structure.points)):
         structure = None
     return _Problem(taken, nodes, fixed, len(state), structure)
 
