@@ -78,8 +78,8 @@ class BlockSystem:
         parts = list(cliques)
         nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
         sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
-        pattern = engine.pattern(num_nodes, np.asarray(sizes, np.int64), np.asarray(nodes, np.int64))
-        structure = Structure(*pattern, np.asarray(points, np.int64))
+        start, rows = engine.pattern(num_nodes, np.asarray(sizes, np.int64), np.asarray(nodes, np.int64))
+        structure = Structure(start, rows, np.asarray(points, np.int64))
         values = np.zeros((len(structure.indices), 3, 3))
         return cls(structure, values, np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64))
 
