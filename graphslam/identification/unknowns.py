@@ -134,11 +134,9 @@ class Unknowns:
         #: tr(W F) of motions and sightings, see `Edges.weigh`; `hide` sets it
         self.hidden: list[Array | float] = [0.0, 0.0]
         self.take_noise()
-        self.system = BlockSystem.from_cliques(
-            len(self.state),
-            [_pairs(self.before, self.after), _pairs(self.seen_from, self.seen)],
-            points=np.arange(len(poses), len(self.state)) if self.sightings.shape[1] == 2 else (),
-        )
+        cliques = [_pairs(self.before, self.after), _pairs(self.seen_from, self.seen)]
+        points = range(len(poses), len(self.state)) if self.sightings.shape[1] == 2 else ()
+        self.system = BlockSystem.from_cliques(len(self.state), cliques, points)
 
     def take_noise(self) -> None:
         """Use the present variances where the controls around each pose are averaged for the delay of the sensor."""

@@ -258,12 +258,12 @@ def doubt_of_delay(parameters: Parameters, deviations: Array, uncertainty: Uncer
     # the smallest difference that counts, before it is divided by what is left
     if noise < NOISY or abs(value) * noise < SHORT * deviation * (1 - noise):
         return ""
-    rest = (
-        f"it is about {value / (1 - noise):.2g} +- {deviation / (1 - noise):.1g} s" if noise < 1 else "it is not told"
-    )
+    rest = "its value cannot be told from this log"
+    if noise < 1:
+        rest = f"it is about {value / (1 - noise):.2g} +- {deviation / (1 - noise):.1g} s"
     return (
-        f"{noise:.0%} of what tells sensor_delay is noise of the recorded controls, so that it is too small by this part: "
-        f"if the motion model is right, {rest}"
+        f"{noise:.0%} of the information on sensor_delay is noise of the recorded controls, so that it is too small by this "
+        f"part: if the motion model is right, {rest}"
     )
 
 
