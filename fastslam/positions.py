@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike
 
 from graphslam import Graph, solve
 from graphslam.edges import AnchorEdges
-from graphslam.errors import OptionError
-from graphslam.graph.localization import Fix
+from graphslam.errors import GraphError, OptionError
+from graphslam.graph.landmark_map import LandmarkMap
+from graphslam.graph.localization import Fix, first_fix
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
@@ -34,6 +35,27 @@ def first_poses(start: ArrayLike | Fix | None, log: Log | None, particles: int, 
     poses[:] = finite("start", start, expected, [(3,), (particles, 3)])
     poses[:, 2] = wrap(poses[:, 2])
     return poses
+
+
+def in_map(
+    start: ArrayLike | Fix | None, log: Log | None, known: LandmarkMap | None, motion: MotionModel, sensor: SensorModel
+) -> ArrayLike | Fix | None:
+    """A start that is given; else the first fix in a map where the log's own first pose is in another frame, or None.
+
+    As with positions (`in_frame`), the two are compared by the Mahalanobis distance. Positions say themselves where a log
+    begins. Without a fix, as with too few sightings, the log's own first pose has to do.
+    """
+    if start is not None or log is None or known is None or log.positions is not None or not len(log.steps):
+        return start
+    try:
+        # of a log with impossible numbers the filter says so itself
+        with np.errstate(all="ignore"):
+            fix = first_fix(log, known, motion=motion, sensor=sensor)
+    except (GraphError, np.linalg.LinAlgError):
+        return None
+    way = log.initial_poses[0] - fix.pose
+    way[2] = wrap(way[2])
+    return fix if way @ np.linalg.solve(fix.covariance, way) > OTHER_FRAME**2 else None
 
 
 def log_likelihoods(positions: AbsolutePositions, poses: Array) -> Array:

@@ -74,7 +74,8 @@ class FastSLAM1(ParticleFilter):
 
     With ``landmarks``, a map that is known beforehand (`landmark_map.as_map` says in which forms), every particle
     begins with its landmarks and their own covariances. Correlations between landmarks are not used, and exact ones have a
-    standard deviation of `HELD_STD`. The ids of the sightings must be those of the map, and its frame that of ``start``.
+    standard deviation of `HELD_STD`. The ids of the sightings must be those of the map, and its frame that of ``start``;
+    without one, the first fix is taken where the log's own first pose is in another frame.
 
     A range or a bearing alone updates a landmark as the Kalman filter does. One of a landmark without a place waits until
     single numbers leave one place for the landmark along the trajectory of the heaviest particle, mirror images excluded;
@@ -91,9 +92,10 @@ class FastSLAM1(ParticleFilter):
     _coordinates: int | None = None
 
     def __init__(self, log: Log | None = None, *, landmarks: Any = None, **keywords: Any) -> None:
-        super().__init__(log, **keywords)
+        given = None if landmarks is None else as_map(landmarks)
+        super().__init__(log, landmark_map=given, **keywords)
         self._waiting = WaitingNumbers(self.sensor)
-        self._given = None if landmarks is None else as_map(landmarks)
+        self._given = given
         if self._given is not None and not self._needs_ids:
             raise OptionError("a map is used by the ids of its landmarks: leave out the option association, or the map")
         if self._given is not None and self.options.smoothing:
@@ -315,7 +317,8 @@ class MonteCarloLocalization(ParticleFilter):
     Args:
         log: controls and sightings; None for a filter that is used with `move` and `observe`.
         landmarks: the map {id: (x, y) or (x, y, heading)} [m, m, rad], or what `landmark_map.as_map` takes; default: the
-            log's true landmarks.
+            log's true landmarks, in whose frame its first initial pose is. In a map that is given, the robot begins at the
+            first fix where its initial pose is in another frame.
         keywords: all other arguments of `ParticleFilter`.
 
     Raises:
@@ -330,7 +333,7 @@ class MonteCarloLocalization(ParticleFilter):
     )
 
     def __init__(self, log: Log | None = None, *, landmarks: Any = None, **keywords: Any) -> None:
-        super().__init__(log, **keywords)
+        super().__init__(log, landmark_map=None if landmarks is None else as_map(landmarks), **keywords)
         if landmarks is None:
             landmarks = getattr(log, "true_landmarks", None)
         if landmarks is None:

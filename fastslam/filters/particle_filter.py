@@ -29,7 +29,7 @@ from ..arguments import check_motion, checked_control, checked_motion, index, me
 from ..motions import Record, robot_poses, sensor_motions
 from ..options import FilterOptions, check_memory, check_one_drive
 from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, ParticleState, Samples, draw_key
-from ..positions import first_poses, in_frame, log_likelihoods
+from ..positions import first_poses, in_frame, in_map, log_likelihoods
 
 #: the variance of a number that was not measured: it multiplies all likelihoods by the same factor
 NOT_MEASURED = 1e12
@@ -79,8 +79,8 @@ class ParticleFilter(ABC):
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose, in the frame of
-            its positions. Of a `Fix`, poses are drawn with `positions.SPREAD` times its standard deviations, because its
-            sightings weigh the particles again.
+            its positions, or the first fix in ``landmark_map`` where that is far from it. Of a `Fix`, poses are drawn with
+            `positions.SPREAD` times its standard deviations, because its sightings weigh the particles again.
 
     Raises:
         OptionError: an option has an impossible value, the log has sightings without ids and the filter needs them, or the
@@ -104,6 +104,7 @@ class ParticleFilter(ABC):
         motion: MotionModel | None = None,
         sensor: SensorModel | None = None,
         start: ArrayLike | Fix | None = None,
+        landmark_map: Any = None,
         **keywords: Any,
     ) -> None:
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
@@ -132,8 +133,7 @@ class ParticleFilter(ABC):
         self.motion = motion or getattr(log, "motion", None) or MotionModel()
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()
         self._rng = np.random.default_rng(self.options.seed)
-
-        poses = first_poses(start, log, self.particles, self._rng)
+        poses = first_poses(in_map(start, log, landmark_map, self.motion, self.sensor), log, self.particles, self._rng)
         if log is not None and log.positions is not None and self._takes_positions:
             poses = in_frame(poses, log, self.motion, self.sensor, self._rng, given=start is not None)
         poses = self.sensor.mount(poses)

@@ -3,9 +3,9 @@
 The first fix needs no start pose: the first sightings of landmarks of the map, carried back to the first pose by the
 odometry, are registered in the map (`graph.registration`). More of them are taken until the odds of the fix, against any
 other place and against the map of another place, are above `SURE` by their joint evidence (`graph.map_evidence`), and until
-three landmarks agree, because two fit a mirrored map as well, or two with headings, because one fits a map in any unit, and
-more than contradict. Where all sightings together do not reach `SURE`, the fix says its odds. The pose and its covariance are
-those of the drive smoothed by the sightings that agree (`graph.carried`).
+three landmarks agree, because two fit a mirrored map as well, or two with headings, because one fits a map in any unit. More
+sightings must agree than contradict, and more landmarks (`_agreed`). Where all sightings together do not reach `SURE`, the
+fix says its odds. The pose and its covariance are those of the drive smoothed by the sightings that agree (`graph.carried`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .carried import paired, points_of, seen_from, smoothed, together
 from .constellation import Constellations, Merged, match, merged, with_alike
 from .landmark_map import LandmarkMap, as_map
 from .map_evidence import Weighed, log_sum
-from .registration import Match, Points, evenly, register
+from .registration import RIGHT, Match, Points, evenly, register
 from .stretch import Drift, Stretch, backwards, moved
 from .tracker import Tracker
 
@@ -37,7 +37,8 @@ OPEN = 0.5
 ENOUGH = 300
 #: how many more sightings are taken at a time
 GROWTH = 1.5
-#: without ids, the sightings with which a fix is tried first, the most that are tried, and the fewest landmarks that agree
+#: without ids, the sightings with which a fix is tried first, the most that are tried, and the fewest landmarks that agree,
+#: which also holds where ids are misread
 BEGIN, LONGEST, FEWEST = 8, 400, 4
 #: windows that begin later on the way, and the sightings between their beginnings
 WINDOWS, LATER = 16, 40
@@ -126,10 +127,13 @@ def first_fix(
 
 
 def _searched(
-    log: Stretch, landmarks: LandmarkMap, rows: np.ndarray
+    log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, first: int = 1
 ) -> tuple[Fix | None, Points, list[Match], list[Weighed]]:
-    """The fix by the first sightings ``rows`` that suffice, or None; and what was last tried, one by one and together."""
-    count, drift = 1, Drift(log)
+    """The fix by the first sightings ``rows`` that suffice, or None; and what was last tried, one by one and together.
+
+    More than ``first`` of them are used, or all.
+    """
+    count, drift = first, Drift(log)
     while True:
         count = min(max(count + 1, int(count * GROWTH)), len(rows))
         step = int(log.steps[rows[count - 1]])
@@ -153,13 +157,33 @@ def _searched(
             if odds > (LEAST if whole else SURE):
                 best = found[0]
                 # one landmark with a heading fits a map in any unit, and two without one a mirrored map
-                enough = best.fits > best.contradict and (whole or best.fits > 2 - best.oriented)
+                enough = whole or best.fits > 2 - best.oriented
+                enough &= _agreed(best, points.ids, len(landmarks), odds > SURE)
                 if best.covariance[2, 2] < OPEN**2 and enough:
                     agree, others = used[best.agree], used[~best.agree]
                     end = smoothed(log, landmarks, agree, best)
                     return Fix(end.pose, end.covariance, step, agree, others, odds), points, matches, found
         if whole:
             return None, points, matches, found
+
+
+def _agreed(best: Weighed, ids: np.ndarray, size: int, sure: bool) -> bool:
+    """Whether more landmarks and more sightings (of landmarks ``ids``) agree than contradict.
+
+    Where twice as many landmarks agree as contradict, sightings need not: some landmarks are seen more often than others.
+    Misread ids name any of the ``size`` landmarks of the map: on a long drive nearly all, most of them never in view, so
+    that more landmarks contradict than agree although the map is right. So where the odds are sure and most sightings
+    agree, landmarks do not count that contradict as seldom as misread ids explain, up to three standard deviations beyond
+    their mean. Twice as many as of the others must agree, and `FEWEST`: in a map that is some percent too large, those nearby
+    agree, and in a mirrored one those on a line.
+    """
+    more = 2 * int(best.agree.sum()) > len(best.agree)
+    if best.fits > best.contradict and (more or best.fits > 2 * best.contradict):
+        return True
+    times = np.unique(ids[~np.isin(ids, ids[best.agree])], return_counts=True)[1]
+    misread = (1 - RIGHT) * len(ids) / size
+    often = int(np.sum(times > misread + 3 * misread**0.5))
+    return sure and more and best.fits > max(2 * often, FEWEST - 1)
 
 
 def possible_fixes(
@@ -384,7 +408,7 @@ def _no_fix(
             "two are needed"
         )
     what = f"{len(points.ids)} sightings of {listed('landmark', np.unique(points.ids).tolist(), most=4)} of the map"
-    cause = _cause(log, landmarks)
+    cause = _cause(log, landmarks, found)
     if not cause and matches and matches[0].covariance[2, 2] >= OPEN**2 and odds_of(matches) > LEAST:
         wide = np.degrees(matches[0].covariance[2, 2] ** 0.5)
         return GraphError(
@@ -406,17 +430,20 @@ def _no_fix(
     return GraphError(f"{what} fit no first pose of {log.name}: at the best place {best} of them agree{cause}")
 
 
-def _cause(log: Stretch, landmarks: LandmarkMap) -> str:
-    """The change with which the map surely fits: a mirrored map or another unit; "" where there is none."""
+def _cause(log: Stretch, landmarks: LandmarkMap, found: list[Weighed]) -> str:
+    """The change with which the map surely fits better than as it is: mirrored, or another unit; "" where there is none.
+
+    All sightings are used, because the first few may agree with the landmarks of a map in a wrong unit by chance.
+    """
     rows = _rows(log, landmarks)
-    likely, most = "", 0.0
+    likely, most = "", max((float(np.mean(each.agree)) for each in found[:1]), default=0.0)
     for name, scale in CHANGES.items():
         turn = np.diag(scale)
         changed = LandmarkMap(
             {j: turn @ place[:2] for j, place in landmarks.items()},
             {j: turn @ C[:2, :2] @ turn for j, C in landmarks.covariances.items()},
         )
-        fix = _searched(log, changed, rows)[0]
+        fix = _searched(log, changed, rows, first=len(rows))[0]
         if fix is None or fix.odds <= SURE or len(np.unique(log.landmarks[fix.agree])) <= 2:
             continue
         # in a joined log, whose drives may begin anywhere, a wrong unit may fit some of them

@@ -417,6 +417,10 @@ def repeated_times(
     return ((), ((f"{kind} repeats", message),)) if count > _SHARE * len(ns) else ((message,), ())
 
 
+#: the check that finds sightings whose rows are there twice
+DOUBLED = "doubled sightings"
+
+
 def repeated_sightings(
     table: Table, ns: np.ndarray, ids: np.ndarray, rows: Array, numbers: np.ndarray
 ) -> tuple[Doubt, ...]:
@@ -429,7 +433,7 @@ def repeated_sightings(
     if twice.any():
         which = f"{_first(table, numbers[1:][twice], 'sighting')} (of {len(ns)}) with the time, id and numbers of another row"
         cause = "the rows were probably written twice, or two files joined, and these sightings count twice"
-        doubts.append(("doubled sightings", f"{which}: {cause}"))
+        doubts.append((DOUBLED, f"{which}: {cause}"))
     other = same & ~twice & (ids[1:] != UNIDENTIFIED)
     if np.sum(other) > _SHARE * len(ns) and np.ptp(ids) > 0:
         later = np.maximum(numbers[1:], numbers[:-1])[other]

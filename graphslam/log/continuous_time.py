@@ -172,12 +172,13 @@ def with_poses_at(log: Log, times: Array) -> Log:
     """The log with poses at further times (N,) [s] within those of its poses; the new ones have no sightings.
 
     Raises:
-        LogError: the log has no controls, or a time is before its first or after its last pose.
+        LogError: the log has no controls, or a time is more than `CLOCK` before its first or after its last pose.
     """
     if log.times is None or log.dt is None:
         raise LogError(f"{log.name} has no controls, so there is nothing between its poses to keep")
     begin, end = log.times[[0, -1]].tolist()
-    if (k := first((times < begin) | (times > end))) is not None:
+    # a sum of durations is rounded: those of one second may end 4e-15 s apart
+    if (k := first((times < begin - CLOCK) | (times > end + CLOCK))) is not None:
         raise LogError(f"{log.name} has no pose at {times[k]:.3f} s: its poses are from {begin:.3f} to {end:.3f} s")
     ends = log.control_times
     wanted = times - log.start_time

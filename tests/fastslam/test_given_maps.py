@@ -5,6 +5,7 @@ import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
 from graphslam import LandmarkMap, OptionError, SensorModel, first_fix, simulate
+from graphslam.se2 import compose
 
 LOG = simulate(seed=1, clean=True)
 
@@ -59,6 +60,19 @@ def test_particles_begin_around_the_first_fix():
     assert np.all(np.abs(poses.mean(axis=0) - fix.pose) < 0.04 * np.sqrt(np.diagonal(expected)))
     assert np.allclose(np.cov(poses.T) / np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected))),
                        expected / np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected))), atol=0.04)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [MonteCarloLocalization, FastSLAM1, FastSLAM2])
+def test_a_filter_begins_at_the_first_fix_where_its_log_begins_in_another_frame(kind):
+    there = np.array([5.0, -3.0, 2.0])
+    moved = {j: compose(there, m) for j, m in LOG.true_landmarks.items()}
+    fix = first_fix(LOG, moved)
+    here = kind(LOG, landmarks=moved, particles=500, seed=0).state.poses
+    assert np.array_equal(here, kind(LOG, landmarks=moved, particles=500, seed=0, start=fix).state.poses)
+    # a pose that is given, and one that is in the frame of the map, stay
+    assert np.allclose(kind(LOG, landmarks=moved, particles=5, start=np.zeros(3)).state.poses, 0)
+    own = LOG.initial_poses[0]
+    assert np.allclose(kind(LOG, landmarks=LOG.true_landmarks, particles=5).state.poses, own)
 
 
 def test_a_map_needs_the_ids_and_headings_where_sightings_have_psi():

@@ -7,7 +7,10 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from graphslam import Graph, GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, simulate, solve
+from graphslam.graph.localization import _agreed, _cause
+from graphslam.graph.map_evidence import Weighed
 from graphslam.graph.registration import Points, register
+from graphslam.graph.stretch import Stretch
 from graphslam.se2 import between, compose, wrap
 
 ANGLES, PLACES = st.floats(-np.pi, np.pi), st.floats(-50, 50)
@@ -92,6 +95,66 @@ def test_misread_ids_do_not_move_the_fix(share):
     squares = errors_of_fixes(100, share, steps=30)
     # of right fixes one in 10^5 has an error beyond 26
     assert np.all(squares < 26)
+
+
+def drive_with_misread_ids(share, seed, steps=240, count=40, reach=5.0):
+    """A log of a circle among many landmarks, most of them never in view, the map, and the true first pose."""
+    rng = np.random.default_rng(seed)
+    places, motion = rng.uniform(-12, 12, (count, 2)), MotionModel.constant(0.05, 0.03, epsilon=1e-6)
+    sensor, controls = SensorModel(range_rate=0, range_std=0.05, bearing_std=0.01), np.tile([0.5, 0.1], (steps, 1))
+    poses = [rng.uniform([-4, -4, -3], [4, 4, 3])]
+    for control in controls:
+        poses.append(motion.f(poses[-1], control, 0.25))
+    rows = []
+    for k, pose in enumerate(poses):
+        for j, place in enumerate(places):
+            z = sensor.h(pose, place)
+            if 0.3 < z[0] < reach and abs(z[1]) < np.pi / 2:
+                read = int(rng.integers(count)) if rng.random() < share else j
+                rows.append((k, read, z + rng.normal(0, [0.05, 0.01])))
+    at, ids, z = zip(*rows)
+    controls = controls + rng.normal(0, [0.05, 0.03], controls.shape)
+    log = Log(dt=np.full(steps, 0.25), controls=controls, steps=at, landmarks=ids, sightings=np.array(z), motion=motion,
+              sensor=sensor)  # fmt: skip
+    return log, dict(enumerate(places)), poses[0]
+
+
+@pytest.mark.parametrize(("share", "seed"), [(0.1, 2), (0.2, 1), (0.2, 2), (0.3, 1), (0.3, 2)])
+def test_misread_ids_of_landmarks_out_of_view_do_not_contradict_the_right_map(share, seed):
+    """More landmarks contradict than agree here: those that are never in view, named by a few misread ids each."""
+    log, known, pose = drive_with_misread_ids(share, seed)
+    fix = first_fix(log, known)
+    off = fix.pose - pose
+    off[2] = wrap(off[2])
+    assert fix.odds > 1000
+    assert off @ np.linalg.solve(fix.covariance, off) < 26
+    with pytest.raises(GraphError, match="with the map in centimetres"):
+        first_fix(log, {j: 100 * place for j, place in known.items()})
+
+
+@pytest.mark.parametrize(("share", "seed"), [(0.2, 2), (0.3, 1), (0.3, 2)])
+def test_no_unit_is_blamed_whose_map_fits_the_first_sightings_by_chance(share, seed):
+    """Four to six sightings at one place agree with a map in centimetres, which is but a point there."""
+    log, known, _ = drive_with_misread_ids(share, seed)
+    # the cause that the right map would be given if it were refused
+    assert _cause(Stretch.of(log), LandmarkMap(known), []) == ""
+
+
+@pytest.mark.parametrize(
+    ("fits", "contradict", "agree", "rows", "accepted"),
+    [
+        (9, 8, 639, 1393, False),  # a map 5 % too large: landmarks nearby agree
+        (9, 8, 754, 1393, True),
+        (5, 1, 26, 56, True),  # a third of the ids of six landmarks misread
+        (3, 3, 6, 11, False),
+    ],
+)
+def test_more_landmarks_and_more_sightings_must_agree(fits, contradict, agree, rows, accepted):
+    ids = np.concatenate(
+        [np.resize(np.arange(fits), agree), np.resize(np.arange(fits, fits + contradict), rows - agree)]
+    )
+    best = Weighed(np.zeros(3), np.eye(3), np.arange(rows) < agree, 30.0, fits, contradict, False)
+    assert _agreed(best, ids, 30, sure=True) == accepted
 
 
 @pytest.mark.parametrize("orientation", [False, True])

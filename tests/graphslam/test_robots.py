@@ -142,6 +142,18 @@ def test_a_robot_gets_a_pose_when_another_one_sees_it() -> None:
     assert np.array_equal(kept[late.steps], finer.steps)
 
 
+def test_a_robot_may_be_seen_at_its_last_pose_whatever_rounding_makes_of_its_time() -> None:
+    """300 durations of 0.1 s and 600 of 0.05 s do not add up to the same time."""
+    log = simulate(seed=1, steps=20, clean=True)
+    for end in log.times[-1] + np.array([-4e-15, 0.0, 4e-15, 9e-7]):
+        assert with_poses_at(log, np.array([end])).num_poses == log.num_poses
+    # robot 1 sees the other one at its 59th pose
+    one, two = (log.at_steps(np.arange(59)) for log in team(3).values())
+    one = one.replace(start_time=float(np.spacing(two.times[-1])))
+    assert one.times[-1] > two.times[-1] and one.classes[-1] == "robot 2"
+    assert 2 * 59 - 1 in join_robots({1: one, 2: two}).log.relations.second
+
+
 def test_the_robots_of_a_team_need_one_clock_and_their_classes() -> None:
     robots = team(1)
     with pytest.raises(LogError, match=r"clocks of the robots do not overlap .*robot 2 from 90000.0 to"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from own_tables import NU, ODOMETRY, OMEGA, SEEN, T, as_deg, text, write_tables
 
-from graphslam import FormatError, Log, LogError, MotionModel, OptionError, load, save
+from graphslam import FormatError, Graph, Log, LogError, MotionModel, OptionError, SensorModel, load, save, solve
 from graphslam.io.tables import read_recipe
 from graphslam.log_checks import check_log
 
@@ -48,6 +48,10 @@ def test_rows_that_come_twice_are_a_doubt(drive, expected, tmp_path):
     log = load(drive(sightings=text("t,id,range,bearing", [*SEEN[:4], *SEEN])))
     (message,) = messages(log, "doubled sightings")
     assert "sightings.csv:6: the first of 4 sightings (of 11) with the time, id and numbers of another row" in message
+    # they count twice in a graph, so that its solution says so, too
+    models = {"motion": MotionModel(), "sensor": SensorModel()}
+    assert message in solve(Graph.from_log(log, edges="landmark+motion", **models)).notes
+    assert message not in Graph.from_log(expected, edges="landmark+motion", **models).notes
     save(log, tmp_path / "log.npz")
     assert messages(load(tmp_path / "log.npz"), "doubled sightings") == [message]
     # a log without lines tells the step
