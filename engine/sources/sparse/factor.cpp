@@ -58,7 +58,7 @@ Index Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
     // only the columns are needed before the factorisation, so the update matrix is written by the product and never cleared
     double* const update = updates_.data() + t.stack_start[s];
     panel.update_matrix(update);
-    if (t.points) panel.clear_above_diagonal(update);
+    if (t.mixed<Block>()) panel.clear_above_diagonal(update);
     for (Node q = t.child_start[s]; q < t.child_start[s + 1]; ++q) {
         const Node c = t.children[q];
         extend<Block>(t, c, t.split[c], t.height_below(c), updates_.data() + t.stack_start[c], update,

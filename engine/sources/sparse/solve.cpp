@@ -31,7 +31,7 @@ bool Factor<Block>::gather(std::span<const Value> b) {
     const Symbolic& t = *symbolic_;
     const Step plane = t.head.back();
     // what fills blocks up stays zero, also after a solution that is not finite
-    if (t.points) std::memset(rhs_.data(), 0, rhs_.size() * sizeof(double));
+    if (t.mixed<Block>()) std::memset(rhs_.data(), 0, rhs_.size() * sizeof(double));
     each_column<Block>(t, [&](Index node, Index at, auto count) {
         for (int c = 0; c < count; ++c) put_value(rhs_.data() + at + c, plane, b[node + c]);
     });
@@ -76,7 +76,7 @@ void Factor<Block>::backward() {
         for (int p = 0; p < Block::planes; ++p) {
             double* const own = work + p * work_plane + front.pad;
             std::fill(own - front.pad, own + rows * front.w, 0.0);
-            if (t.points && front.r > 0) std::fill_n(own + rows * (front.w + front.r - 1), rows, 0.0);
+            if (t.mixed<Block>() && front.r > 0) std::fill_n(own + rows * (front.w + front.r - 1), rows, 0.0);
             each_below<Block>(t, s, [&](Index i, Index at, auto count) {
                 for (int c = 0; c < count; ++c) own[i + c] = b[p * plane + at + c];
             });
@@ -101,7 +101,7 @@ bool Factor<Block>::solve(std::span<const Value> b, std::span<Value> x) {
     forward();
     backward();
     const Symbolic& t = *symbolic_;
-    if (t.points) std::fill(x.begin(), x.end(), Value{});
+    if (t.mixed<Block>()) std::fill(x.begin(), x.end(), Value{});
     each_column<Block>(t, [&](Index node, Index at, auto count) {
         for (int c = 0; c < count; ++c) x[node + c] = get_value<Value>(rhs_.data(), t.head.back(), at + c);
     });

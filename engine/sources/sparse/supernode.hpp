@@ -130,7 +130,7 @@ void extend(const Symbolic& t, Node c, Node from, Node to, const double* update,
         }
     };
     const auto blocks = [](Step k) { return Block::rows * k; };
-    if (!t.points) return add(blocks, blocks);
+    if (!t.mixed<Block>()) return add(blocks, blocks);
     const Node *const there = t.begin<Block>(t.parent[c]).list, *const here = t.begin<Block>(c).list + t.width(c);
     add([=](Step k) { return there[k]; }, [=](Step k) { return here[k] - here[0]; });
 }

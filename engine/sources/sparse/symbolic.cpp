@@ -72,7 +72,9 @@ void place_numbers(Symbolic& s) {
     s.wide.resize(count);
     s.tall.resize(count);
     s.head.assign(count + 1, 0);
-    if (!s.points) {
+    if (!s.points || s.shape.point_rows == block) {
+        s.begins.clear();
+        s.number.clear();
         for (Node t = 0; t < count; ++t) {
             s.wide[t] = s.width(t);
             s.tall[t] = s.height_below(t);

@@ -97,13 +97,18 @@ struct Symbolic {
     int size(Node column) const { return point[column] ? shape.point_rows : shape.rows; }
     /// Of a column, the first number in a block that belongs to its node.
     int first_number(Node column) const { return point[column] ? shape.point_first : 0; }
+    /// Whether nodes have blocks of different sizes.
+    template <class Block>
+    bool mixed() const {
+        return Block::point_rows < Block::rows && points;
+    }
     /// Where the numbers of the nodes of supernode s, and of those below, begin in its front; then where the last ones end.
     template <class Block>
     Begins<Block> begin(Node s) const {
-        return {points ? begins.data() + first[s] + row_start[s] + s : nullptr};
+        return {mixed<Block>() ? begins.data() + first[s] + row_start[s] + s : nullptr};
     }
     /// Where the numbers of a column begin in a vector.
-    Index number_of(Node column) const { return points ? number[column] : shape.rows * static_cast<Index>(column); }
+    Index number_of(Node column) const { return number.empty() ? shape.rows * static_cast<Index>(column) : number[column]; }
     /// The supernode of a column.
     Node owner(Node column) const;
 };
@@ -113,16 +118,19 @@ struct Symbolic {
 template <class Block, class Work>
 void each_below(const Symbolic& t, Node s, const Work& work) {
     Index i = Block::rows * static_cast<Index>(t.wide[s]);
-    if (!t.points) {
-        for (Index q = t.row_start[s]; q < t.row_start[s + 1]; ++q, i += Block::rows)
-            work(i, Block::rows * static_cast<Index>(t.rows[q]), std::integral_constant<int, Block::rows>());
-        return;
-    }
-    for (Index q = t.row_start[s]; q < t.row_start[s + 1]; ++q) {
-        const int count = t.size(t.rows[q]);
-        work(i, t.number[t.rows[q]], count);
-        i += count;
-    }
+    // for real blocks loops whose length the compiler knows; complex ones are solved with seldom
+    if constexpr (Block::planes == 1)
+        if (!t.mixed<Block>()) {
+            for (Index q = t.row_start[s]; q < t.row_start[s + 1]; ++q, i += Block::rows)
+                work(i, Block::rows * static_cast<Index>(t.rows[q]), std::integral_constant<int, Block::rows>());
+            return;
+        }
+    if constexpr (Block::point_rows < Block::rows)
+        for (Index q = t.row_start[s]; q < t.row_start[s + 1]; ++q) {
+            const int count = t.size(t.rows[q]);
+            work(i, t.number_of(t.rows[q]), count);
+            i += count;
+        }
 }
 
 /// work(node, at, count) for all columns: the first of the `count` numbers of its node is number `node` of a vector in the order
@@ -130,11 +138,14 @@ void each_below(const Symbolic& t, Node s, const Work& work) {
 template <class Block, class Work>
 void each_column(const Symbolic& t, const Work& work) {
     constexpr Index rows = Block::rows;
-    for (Node k = 0; k < t.nodes(); ++k)
-        if (!t.points)
-            work(rows * t.order[k], rows * k, std::integral_constant<int, Block::rows>());
-        else
-            work(rows * t.order[k] + t.first_number(k), t.number[k], t.size(k));
+    if constexpr (Block::planes == 1)
+        if (!t.mixed<Block>()) {
+            for (Node k = 0; k < t.nodes(); ++k)
+                work(rows * t.order[k], rows * k, std::integral_constant<int, Block::rows>());
+            return;
+        }
+    if constexpr (Block::point_rows < Block::rows)
+        for (Node k = 0; k < t.nodes(); ++k) work(rows * t.order[k] + t.first_number(k), t.number_of(k), t.size(k));
 }
 
 /// The structure of L for an order of elimination, which amalgamation may change to an equivalent one. `points` (n, or none) says
