@@ -271,7 +271,7 @@ class OwnBackend(Backend):
         if solved and other.cost_with_priors() < self.system.cost_with_priors() - least:
             self.system = other
 
-    def release(self, motion: Array, position: Callable[[], None]) -> None:
+    def release(self, motion: Array, position: Callable[[], None], information: Array | None = None) -> None:
         before = deepcopy(self.system)
         # the first pose stays a node also where it is final
         nodes = [*self._kept, *self._poses, *self._landmarks.values()]
@@ -283,12 +283,14 @@ class OwnBackend(Backend):
             self.system = before
             raise
         self._final[: self.num_final] = compose(motion, self._final[: self.num_final])
-        self._hold_first(self.system.values(nodes[:1])[0], np.diag(1 / np.array(RELEASED_START)))
+        free = np.diag(1 / np.array(RELEASED_START))
+        self._hold_first(self.system.values(nodes[:1])[0], free if information is None else free + information)
 
     def _hold_first(
         self, place: Array, information: Array, nodes: Sequence[int] = (), values: Array | None = None
     ) -> None:
         """Give the first pose another prior, put nodes at values, and solve."""
+        self._start = (place, information)
         self.system.loosen(place, np.ascontiguousarray(information))
         values = np.zeros((0, 3)) if values is None else values
         self.system.solve_from(list(nodes), np.ascontiguousarray(values), self._poses[-1:])

@@ -6,6 +6,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from inspect import signature
 from typing import Any
 
@@ -153,7 +154,13 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
             "the solver step by step needs a graph of edges='landmark+motion' with residual='cartesian' and frame='body'"
         )
     total, known, d = len(graph.steps), graph.map, graph.landmark_dimension
-    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=kernel, **(_first_held(graph) | options))
+    relations, positions = _arriving(graph)
+    held, release = _first_held(graph), None
+    if held and (known or positions) and "start_covariance" not in options:
+        # until a position or a landmark of the map is seen, what a free start says is less than rounding errors of precise
+        # odometry
+        held, release = {}, _anchored(graph)
+    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=kernel, **(held | options))
     backend: Any = solver._backend
     if known is not None:
         if any(len(known[j]) < d for j in graph.landmark_ids.tolist() if j in known):
@@ -166,12 +173,20 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         sighted = _no_sightings(graph, d)
     ids = graph.landmark_ids[sighted.second - total]
     seen = sighted.relative
-    relations, positions = _arriving(graph)
 
     log, noise = graph.log, np.linalg.inv(motions.information)
     tracker: Tracker | None = None
     if known and log is not None and graph.sensor is not None:
         backend.tracker = tracker = unlocated(known, graph.sensor, graph.initial[0])
+
+    def put(call: Callable[[], None], holds: bool) -> None:
+        """Add something, which may hold the first pose."""
+        nonlocal release
+        if release is None or not holds:
+            call()
+        else:
+            backend.release(np.zeros(3), call, release)
+            release = None
 
     def add(step: int, now: np.ndarray) -> None:
         arriving: list[tuple[Relation, Kernel | None]] = []
@@ -188,9 +203,12 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
                 tracker.see(step, now, ids[now], log.sightings[graph.sighting_rows[now]])
         whole = ids[now].tolist(), seen.measured[now], seen.information[now]
         doubted = [kernel is not None for _, kernel in arriving]
-        backend.update([relation for relation, _ in arriving], step, *whole, numbers[step], doubted=doubted)
+        follow = partial(
+            backend.update, [relation for relation, _ in arriving], step, *whole, numbers[step], doubted=doubted
+        )
+        put(follow, known is not None and any(id in known for id in [*whole[0], *(id for id, _ in numbers[step])]))
         for z, kernel in positions[step]:
-            backend.locate(step, *z, doubted=kernel is not None)
+            put(partial(backend.locate, step, *z, doubted=kernel is not None), True)
 
     return _steps(solver, total, sighted.first, add)
 
@@ -200,11 +218,17 @@ def _first_held(graph: Graph) -> dict[str, Array]:
 
     With a map, its landmarks hold the first pose, and positions may hold all of it or its place alone (`defaults.anchors`).
     """
-    anchor = np.diag(1 / np.array(FREE_START))
+    anchor = np.diag(1 / np.array(FREE_START)) + _anchored(graph)
+    return {"start_covariance": np.linalg.inv(anchor)} if np.any(anchor < ANCHOR_INFORMATION) else {}
+
+
+def _anchored(graph: Graph) -> Array:
+    """The information (3, 3) of the anchors of the first pose; none in a map."""
+    held = np.zeros((3, 3))
     for family in graph.families if graph.map is None else ():
         if type(family) is AnchorEdges:
-            anchor += family.information[family.nodes == 0].sum(axis=0)
-    return {"start_covariance": np.linalg.inv(anchor)} if np.any(anchor < ANCHOR_INFORMATION) else {}
+            held += family.information[family.nodes == 0].sum(axis=0)
+    return held
 
 
 def _arriving(graph: Graph) -> tuple[dict[int, list[Any]], dict[int, list[Any]]]:

@@ -54,7 +54,8 @@ class Run:
             at most 1e-6 of J (or this tolerance, where that is greater), or no more than rounding makes of J.
         max_iterations: the most steps to take.
         cost_tolerance: it has also converged where J changes, or is predicted to change, by less than this part; 0: never. A
-            third rule ends it where the predicted decrease is below 1e-15 J and steps no longer become shorter.
+            third rule ends it where the predicted decrease is below 1e-15 J, or below what rounding makes of J, and steps no
+            longer become shorter.
         callback: called after each step.
         costs, step_norms: J before each step, and the norm of each step.
         descend: whether damped steps must lower J itself, with state-dependent information evaluated at both ends.

@@ -72,7 +72,8 @@ def solve(
             Costs and iterations are those of the last pass. Graphs with parameters do this in any case.
 
     Whatever the tolerances, the iteration has also converged when the steps no longer become shorter and the predicted
-    decrease of J is below its rounding error (1e-15 of J). `solvers.iteration` has all stop rules.
+    decrease of J is below its rounding error (1e-15 of J, or what rounding of the coordinates makes of J: in UTM they are
+    millions of metres). `solvers.iteration` has all stop rules.
 
     Raises:
         GraphError: the edges do not determine the nodes, or "gnc" finds no sightings.

@@ -16,6 +16,7 @@ from graphslam import (
     Graph,
     GraphError,
     LogError,
+    MotionModel,
     OnlineSolver,
     PoseRelations,
     associate,
@@ -161,6 +162,26 @@ def test_positions_are_the_frame(bare, log):
     np.testing.assert_allclose(two.poses[:, :2], compose(motion, one.poses)[:, :2], atol=1e-5)
 
 
+@pytest.mark.parametrize("method", ["gauss-newton", "levenberg-marquardt"])
+def test_positions_in_utm_converge_although_rounding_keeps_steps_long(bare, method):
+    """A northing of millions of metres is rounded to 1e-9 m, which no step of precise odometry goes below."""
+    motion = replace(bare.motion or MotionModel(), epsilon=1e-9)
+    steps = np.arange(5, bare.num_poses, 10)
+    rng = np.random.default_rng(0)
+    places = bare.true_poses[steps, :2] + rng.normal(0, 0.1, (len(steps), 2))
+    found = []
+    for origin in (np.zeros(2), np.array([450_000.0, 4_200_000.0])):
+        positions = AbsolutePositions(
+            steps=steps, places=places + origin, covariances=0.01 * np.eye(2), levers=(0.0, 0.0)
+        )
+        log = with_poses_every(bare.replace(positions=positions, motion=motion), 0.2)
+        found.append(solve(Graph.from_log(log, edges="landmark+motion"), method=method))
+    here, there = found
+    assert there.converged and there.iterations <= 2 * here.iterations
+    assert there.cost == pytest.approx(here.cost, rel=1e-7)
+    np.testing.assert_allclose(there.poses[:, :2] - origin, here.poses[:, :2], atol=1e-5)
+
+
 def test_one_position_leaves_the_direction_to_the_anchor(bare):
     one = AbsolutePositions(steps=[10], places=[[5.0, 5.0]], covariances=0.01 * np.eye(2), levers=(1.0, 0.0))
     graph = Graph.from_log(bare.replace(positions=one))
@@ -182,6 +203,27 @@ def test_one_position_leaves_the_direction_to_the_anchor_step_by_step(bare, back
     np.testing.assert_allclose(solver.poses, batch.poses, atol=1e-4)
     # the loose hold on the place, 1 km, is all that differs from the graph
     np.testing.assert_allclose(solver.covariance(), batch.covariance()[-1], rtol=1e-3, atol=1e-7)
+
+
+@pytest.mark.parametrize("epsilon", [1e-6, 1e-9, 1e-10])
+def test_a_free_start_is_determined_step_by_step_however_precise_the_odometry_is(bare, epsilon):
+    """Until the first position, or landmark of a map, what a free start says was below rounding errors."""
+    motion = replace(bare.motion or MotionModel(), epsilon=epsilon)
+    steps = np.arange(5, bare.num_poses, 10)
+    places = bare.true_poses[steps, :2] + np.random.default_rng(0).normal(0, 0.1, (len(steps), 2))
+    positions = AbsolutePositions(steps=steps, places=places, covariances=0.01 * np.eye(2), levers=(0.0, 0.0))
+    # short motions, whose covariances have rank 2 but for epsilon
+    log = with_poses_every(bare.replace(positions=positions, motion=motion), 0.01)
+    graph = Graph.from_log(log.at_steps(np.arange(2500)), edges="landmark+motion")
+    online, batch = solve_online(graph), solve(graph)
+    assert online.converged
+    np.testing.assert_allclose(online.poses, batch.poses, atol=1e-3)
+    late = log.replace(positions=None).with_sightings(log.steps > 40).at_steps(np.arange(2500))
+    graph = Graph.from_log(late, map=bare.true_landmarks)
+    online, batch = solve_online(graph), solve(graph)
+    assert online.converged
+    np.testing.assert_allclose(online.poses, batch.poses, atol=1e-3)
+    assert online.cost == pytest.approx(batch.cost, rel=1e-4)
 
 
 @pytest.mark.slow

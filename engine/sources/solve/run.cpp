@@ -71,16 +71,17 @@ bool Run::settled(double cost) {
 // the state (about 1e-15 of each coordinate) does to J.
 //
 // On badly scaled graphs rounding keeps the steps from becoming shorter than some 1e-7 (INTEL). Therefore a step that no
-// longer shrinks is also the last one, if its predicted decrease is below the rounding error of J. Mixed steps may grow for a
-// while and shrink again, so ten of them are compared.
+// longer shrinks is also the last one, if its predicted decrease is below the rounding error of J, or what rounding of the state
+// does to J: of coordinates in UTM, which are millions of metres, and precise edges that is more. Mixed steps may grow for a while
+// and shrink again, so ten of them are compared.
 bool Run::finished(double decrease, Objective& objective) {
     predicted = decrease;
     const double norm = norms.back(), small = rules.cost_tolerance * costs.back();
     const std::size_t window = mixed() ? 10 : 1;
     if (norm < rules.tolerance && negligible(decrease, objective)) return converge(End::short_step);
     if (std::abs(decrease) <= small && small != 0) return converge(End::small_decrease);
-    if (std::abs(decrease) < 1e-15 * costs.back() && norms.size() > window &&
-        norm > 0.5 * *std::min_element(norms.end() - 1 - window, norms.end() - 1))
+    if (norms.size() > window && norm > 0.5 * *std::min_element(norms.end() - 1 - window, norms.end() - 1) &&
+        (std::abs(decrease) < 1e-15 * costs.back() || std::abs(decrease) < rounding(state, objective.diagonal())))
         return converge(End::rounding_floor);
     return converged;
 }
