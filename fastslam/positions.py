@@ -9,7 +9,7 @@ from graphslam import Graph, solve
 from graphslam.edges import AnchorEdges
 from graphslam.errors import GraphError, OptionError
 from graphslam.graph.landmark_map import LandmarkMap
-from graphslam.graph.localization import Fix, first_fix
+from graphslam.graph.localization import SURE, Fix, first_fix
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
@@ -42,8 +42,8 @@ def in_map(
 ) -> ArrayLike | Fix | None:
     """A start that is given; else the first fix in a map where the log's own first pose is in another frame, or None.
 
-    As with positions (`in_frame`), the two are compared by the Mahalanobis distance. Positions say themselves where a log
-    begins. Without a fix, as with too few sightings, the log's own first pose has to do.
+    As with positions (`in_frame`), the two are compared by the Mahalanobis distance. With positions, `in_frame` finds the
+    start. Without a fix, or with one that is not sure, the filter begins at the log's own first pose.
     """
     if start is not None or log is None or known is None or log.positions is not None or not len(log.steps):
         return start
@@ -55,7 +55,8 @@ def in_map(
         return None
     way = log.initial_poses[0] - fix.pose
     way[2] = wrap(way[2])
-    return fix if way @ np.linalg.solve(fix.covariance, way) > OTHER_FRAME**2 else None
+    far = way @ np.linalg.solve(fix.covariance, way) > OTHER_FRAME**2
+    return fix if far and fix.odds > SURE else None
 
 
 def log_likelihoods(positions: AbsolutePositions, poses: Array) -> Array:

@@ -216,8 +216,8 @@ def as_map(value: object) -> LandmarkMap:
 
 
 def _class(kind: object) -> str | int:
-    """A class as the whole number that it is, or else as a word."""
-    number = re.fullmatch(r"(-?[0-9]+)(\.0*)?", word := str(kind))
+    """A class as the whole number that it is, or else as a word; 007 is a word."""
+    number = re.fullmatch(r"(0|-?[1-9][0-9]*)(\.0*)?", word := str(kind))
     return int(number[1]) if number else word
 
 

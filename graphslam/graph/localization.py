@@ -4,8 +4,9 @@ The first fix needs no start pose: the first sightings of landmarks of the map, 
 odometry, are registered in the map (`graph.registration`). More of them are taken until the odds of the fix, against any
 other place and against the map of another place, are above `SURE` by their joint evidence (`graph.map_evidence`), and until
 three landmarks agree, because two fit a mirrored map as well, or two with headings, because one fits a map in any unit. More
-sightings must agree than contradict, and more landmarks (`_agreed`). Where all sightings together do not reach `SURE`, the
-fix says its odds. The pose and its covariance are those of the drive smoothed by the sightings that agree (`graph.carried`).
+landmarks must agree than contradict, and most sightings or twice as many landmarks (`_agreed`). Where all sightings together
+do not reach `SURE`, the fix says its odds. The pose and its covariance are those of the drive smoothed by the sightings that
+agree (`graph.carried`).
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ from .restricted_likelihood import fit, gain_over
 from .unknowns import Unknowns
 
 #: the standard deviation of the wide prior [m], and the gain of the log likelihood per sighting with which it is taken: at
-#: least 0.23 with a sensor a metre away, at most 0.15 where lasting errors look like a wrong place (docs/decisions.md)
+#: least 0.22 with a sensor 0.58 m away or more; lasting errors that look like a wrong place gain up to 0.15 on whole logs,
+#: and 0.30 on one half of a log (docs/decisions.md)
 ANYWHERE, GAINED = 2.0, 0.2
 #: rounds of solving and improving the variances with the usual prior, which start near their end, and with the wide one
 ROUNDS = (4, 8)

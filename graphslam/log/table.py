@@ -284,7 +284,9 @@ def find(
         return found | {role: Chosen(k) for k, role in enumerate(order) if role}
     taken = {chosen.column for chosen in found.values()}
     names = [plain(name) for name in table.names]
-    for tail in (False, True):
+    other = {k for k, (_, unit) in enumerate(names) if unit in OTHER_UNITS}
+    # beside a column whose unit is converted, one of another unit is left alone, whatever it is called
+    for tail, left_alone in ((False, other), (True, other), (False, set[int]()), (True, set[int]())):
         for role in roles:
             if role in found:
                 continue
@@ -292,10 +294,9 @@ def find(
                 fits = [
                     k
                     for k, (own, _) in enumerate(names)
-                    if k not in taken and (own == name or (tail and name not in WHOLE and own.endswith(f"_{name}")))
+                    if k not in taken | left_alone
+                    and (own == name or (tail and name not in WHOLE and own.endswith(f"_{name}")))
                 ]
-                # beside a column whose unit is converted, one of another unit is left alone
-                fits = [k for k in fits if names[k][1] not in OTHER_UNITS] or fits
                 if len(fits) > 1:
                     titles = " and ".join(table.title(k) for k in fits[:2])
                     raise table.error(None, f"{titles} could both be {role}; say which: --columns {kind}.{role}=NAME")

@@ -272,7 +272,8 @@ class OwnBackend(Backend):
             self.system = other
 
     def release(self, motion: Array, position: Callable[[], None], information: Array | None = None) -> None:
-        before = deepcopy(self.system)
+        """Hold the first pose until `position` is added; its prior is then that of a free start, and ``information``."""
+        before, start = deepcopy(self.system), self._start
         # the first pose stays a node also where it is final
         nodes = [*self._kept, *self._poses, *self._landmarks.values()]
         moved = compose(motion, self.system.values(nodes))
@@ -280,7 +281,7 @@ class OwnBackend(Backend):
         try:
             position()
         except GraphError:
-            self.system = before
+            self.system, self._start = before, start
             raise
         self._final[: self.num_final] = compose(motion, self._final[: self.num_final])
         free = np.diag(1 / np.array(RELEASED_START))

@@ -93,7 +93,7 @@ class Uncertainty:
             border.mixed[graph.fixed] = 0.0
             mixed = np.ascontiguousarray(border.mixed[:, :, k])
             noise += border.own[k, k] - parameters.weights[k] - float(np.sum(mixed * self._factor.solve(mixed)))
-        return noise / samples / (1 / self.of_parameters[k, k] - parameters.weights[k])
+        return noise / samples / max(1 / self.of_parameters[k, k] - parameters.weights[k], 1e-300)
 
     @cached_property
     def diagonal(self) -> Array:
@@ -184,9 +184,9 @@ BY_TURNS = ("sensor_ahead", "sensor_left", "sensor_delay")
 SCALES = ("wheel_scale", "range_scale")
 #: a scale that is so many standard deviations from 1 is wrong, or the other one is
 SIGNIFICANT = 3.0
-#: a delay is too small where noise is at least this part of what tells it, and explains at least so many standard deviations;
-#: the samples of this noise
-NOISY, SHORT, SAMPLES = 0.1, 1.0, 4
+#: a delay is too close to zero where noise is at least this part of the information on it, and explains at least so many
+#: standard deviations; it is not told where noise is more than the next part; the samples of this noise
+NOISY, SHORT, DROWNED, SAMPLES = 0.1, 1.0, 0.8, 4
 #: doubtful where the motion edges cost less than this part of what they should
 SMALL = 0.3
 #: the expected cost from which the ratio is judged: its standard deviation is then sqrt(2 / 30), a quarter
@@ -255,15 +255,18 @@ def doubt_of_delay(parameters: Parameters, deviations: Array, uncertainty: Uncer
     k = parameters.names.index("sensor_delay")
     value, deviation = float(parameters.values[k]), float(deviations[k])
     noise = uncertainty.noise_of_delay(SAMPLES, np.random.default_rng(0))
+    if noise > DROWNED:
+        return (
+            "nearly all of the information on sensor_delay is noise of the recorded controls, if the motion model is right: "
+            "this log does not tell its value"
+        )
     # the smallest difference that counts, before it is divided by what is left
-    if noise < NOISY or abs(value) * noise < SHORT * deviation * (1 - noise):
+    if noise < NOISY or abs(value) < deviation or abs(value) * noise < SHORT * deviation * (1 - noise):
         return ""
-    rest = "its value cannot be told from this log"
-    if noise < 1:
-        rest = f"it is about {value / (1 - noise):.2g} +- {deviation / (1 - noise):.1g} s"
+    rest = f"{value / (1 - noise):.2g} +- {deviation / (1 - noise):.1g} s"
     return (
-        f"{noise:.0%} of the information on sensor_delay is noise of the recorded controls, so that it is too small by this "
-        f"part: if the motion model is right, {rest}"
+        f"{noise:.0%} of the information on sensor_delay is noise of the recorded controls, so that it is too close to zero "
+        f"by this part: if the motion model is right, it is about {rest}"
     )
 
 

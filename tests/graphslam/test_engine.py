@@ -11,7 +11,6 @@ import pytest
 
 from graphslam.engine import engine
 from graphslam.linear.information import BlockSystem
-from graphslam.solvers.iteration import PROMISE
 
 ROOT = Path(__file__).parents[2]
 
@@ -144,7 +143,3 @@ def test_an_array_that_would_be_written_into_as_a_copy_is_refused(xi):
     given[11] = xi
     with pytest.raises(TypeError):
         engine.add_linearized(*given)
-
-
-def test_the_rule_of_short_steps_is_that_of_the_engine():
-    assert PROMISE == engine.promise == 1e-6

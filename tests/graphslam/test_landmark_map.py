@@ -41,9 +41,9 @@ def test_a_written_map_is_read_exactly(mixed, name, tmp_path):
 
 @pytest.mark.parametrize("name", ["map.csv", "map.npz", "map.yaml", "map.geojson"])
 def test_classes_that_are_numbers_stay_numbers(name, tmp_path):
-    kinds = {1: 1, 2: 1.0, 3: "1", 4: np.int64(-2), 5: "tree", 6: "1.5"}
+    kinds = {1: 1, 2: 1.0, 3: "1", 4: np.int64(-2), 5: "tree", 6: "1.5", 7: "007"}
     known = LandmarkMap({j: (j, 0.0) for j in kinds}, classes=kinds)
-    assert known.classes == {1: 1, 2: 1, 3: 1, 4: -2, 5: "tree", 6: "1.5"}
+    assert known.classes == {1: 1, 2: 1, 3: 1, 4: -2, 5: "tree", 6: "1.5", 7: "007"}
     known.save(tmp_path / name)
     assert LandmarkMap.load(tmp_path / name).classes == known.classes
 

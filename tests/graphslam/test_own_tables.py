@@ -317,9 +317,12 @@ def test_units_in_names_that_are_not_converted_are_refused(drive, table, names, 
     load(drive(**{table: text(names, rows)}, recipe=recipe))
 
 
-def test_of_two_units_the_one_that_is_converted_is_read(drive, expected):
+@pytest.mark.parametrize(
+    "names", ["t,speed_kmh,speed,omega", "t,v_kmh,linear_velocity,omega", "t,v_kmh,odom_speed,omega"]
+)
+def test_of_two_units_the_one_that_is_converted_is_read(drive, expected, names):
     rows = [(t, 3.6 * v, v, w) for t, v, w in ODOMETRY]
-    log = load(drive(odometry=text("t,speed_kmh,speed,omega", rows)))
+    log = load(drive(odometry=text(names, rows)))
     np.testing.assert_array_equal(log.controls, expected.controls)
 
 

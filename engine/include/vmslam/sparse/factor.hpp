@@ -65,7 +65,7 @@ class Factor {
     Numbers rhs_, work_;           ///< planes in the order of elimination; of one front
 };
 
-/// Solve A X = B for the columns of B (n, 3, columns), in node order; false where B is not finite.
+/// Solve A X = B for the columns of B (n, 3, columns), in node order; false where B is not finite. X must not be B.
 bool solve_columns(const Factor<Real3>& factor, std::span<const double> b, Index columns, std::span<double> x);
 
 /// The blocks of the inverse on the pattern of L (Takahashi, Fagan and Chen 1973; Erisman and Tinney 1975).

@@ -86,7 +86,7 @@ struct Symbolic {
     std::vector<Node> part;        ///< (s) the thread of each supernode; see `divide`
     int parts = 1, threads = 1;
     Index tallest = 0;   ///< the rows of the tallest front
-    Index widest = 0;    ///< the most nodes of a supernode
+    Index widest = 0;    ///< the most blocks of a supernode
     Index blocks = 0;    ///< of L, without the zeros that amalgamation adds
 
     Node nodes() const { return static_cast<Node>(order.size()); }
