@@ -23,9 +23,10 @@ from ..se2 import Array
 from .odometry import Edges
 from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, SPREAD, Unknowns
 
-#: the average information over that of the estimate where errors are Gaussian. With q = e' C^-1 e of Student's t that is
-#: fitted to them, an edge has d / 2 and A² / V, A = E[(nu + d) nu q / (nu + q)²] / 2, V = var((nu + d) q / (nu + q)) / 4.
-OVERSTATED_SIGHTINGS, OVERSTATED_MOTIONS = {2: 1.207, 3: 1.222}, 1.097
+#: the average information on a variance over that of its estimate, where errors are Gaussian. With q = e' C^-1 e of Student's
+#: t that is fitted to them, an edge has d / 2 and A² / V, A = E[(nu + d) nu q / (nu + q)²] / 2,
+#: V = var((nu + d) q / (nu + q)) / 4
+OVERSTATED_BY_SIGHTINGS, OVERSTATED_BY_MOTIONS = {2: 1.207, 3: 1.222}, 1.097
 #: a gain of the log likelihood below which the rounds of `fit` end
 GAIN = 0.3
 
@@ -79,8 +80,8 @@ def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
     prior = SPREAD**-2
     now = np.array([unknowns.logarithms[name] for name in names])
     gradient -= prior * (now - np.array([unknowns.centres[name] for name in names]))
-    part = [OVERSTATED_MOTIONS] * len(unknowns.motion_parts)
-    part += [OVERSTATED_SIGHTINGS[unknowns.sightings.shape[1]]] * len(unknowns.sensor_parts)
+    part = [OVERSTATED_BY_MOTIONS] * len(unknowns.motion_parts)
+    part += [OVERSTATED_BY_SIGHTINGS[unknowns.sightings.shape[1]]] * len(unknowns.sensor_parts)
     information = (information + information.T) / 2
     honest = information / np.sqrt(np.outer(part, part)) + prior * np.eye(len(names))
     information += prior * np.eye(len(names))

@@ -133,7 +133,7 @@ def test_weights_of_student_t_overstate_the_information_of_gaussian_errors(d, de
     part = OF_GAUSSIAN_MOTIONS if of_motions else OF_GAUSSIAN_SIGHTINGS[d]
     places = unknowns_module.OVERSTATED_MOTIONS if of_motions else unknowns_module.OVERSTATED_SIGHTINGS[d]
     variances = (
-        restricted_likelihood.OVERSTATED_MOTIONS if of_motions else restricted_likelihood.OVERSTATED_SIGHTINGS[d]
+        restricted_likelihood.OVERSTATED_BY_MOTIONS if of_motions else restricted_likelihood.OVERSTATED_BY_SIGHTINGS[d]
     )
     e = np.random.default_rng(0).standard_normal((20_000, 60, d))
     place, variance = np.zeros((20_000, 1, d)), np.full((20_000, 1), part)

@@ -42,7 +42,7 @@ class FrontInverse {
         pad_ = front.pad;
     }
 
-    /// The columns of `w` nodes, given the inverse over the rows below.
+    /// The columns of `w` blocks, given the inverse over the rows below.
     void extend(Step w) {
         if (w <= narrow) {
             extend_by_nodes(0, w, height_);

@@ -9,7 +9,7 @@
 
 namespace vmslam::sparse {
 
-/// Nodes of a wide panel that are factorised before the rest is updated at once; the update of the rest of a wider panel is
+/// Blocks of a wide panel that are factorised before the rest is updated at once; the update of the rest of a wider panel is
 /// large enough to copy its operands.
 inline constexpr Step inner = 16, outer = 64;
 
@@ -22,7 +22,7 @@ struct Panel {
 
     double* packed() const { return scratch[0].data(); }
 
-    /// work(from, to, packed) for all of `nodes` node columns, on several threads where the flops are worth it. Every number is
+    /// work(from, to, packed) for all of `nodes` block columns, on several threads where the flops are worth it. Every number is
     /// computed as on one thread.
     template <class Work>
     void share(Step nodes, Step rows, Step depth, const Work& work) const {
@@ -40,7 +40,7 @@ struct Panel {
     double* node(Step j) const { return x + Block::columns * j * front.height; }
     Step row(Step j) const { return front.pad + Block::rows * j; }
 
-    /// Left-looking factorisation of node columns `begin` to `end`, those before being done with; the bad pivot, or -1.
+    /// Left-looking factorisation of block columns `begin` to `end`, those before being done with; the bad pivot, or -1.
     Index factorize_columns(Step begin, Step end, const double* limits) const {
         const Step h = front.height;
         for (Step j = begin; j < end; ++j) {
@@ -59,7 +59,7 @@ struct Panel {
         return -1;
     }
 
-    /// Node columns `stop` to `end` minus the product with the finished ones from `begin` on.
+    /// Block columns `stop` to `end` minus the product with the finished ones from `begin` on.
     void update_rest(Step begin, Step stop, Step end) const {
         const Step h = front.height, depth = Block::columns * (stop - begin);
         share(end - stop, h - row(stop), depth, [&](Step from, Step to, double* packed) {
@@ -135,7 +135,7 @@ void extend(const Symbolic& t, Node c, Node from, Node to, const double* update,
     add([=](Step k) { return there[k]; }, [=](Step k) { return here[k] - here[0]; });
 }
 
-/// L11 y = b and r -= L21 y for the rows (0, b, r) in `work`; calls put(j, y) for node column j.
+/// L11 y = b and r -= L21 y for the rows (0, b, r) in `work`; calls put(j, y) for block column j.
 template <class Block, class Put>
 void solve_forward(const Front& front, const double* x, double* work, Step plane, const Put& put) {
     const Step h = front.height;
@@ -148,7 +148,7 @@ void solve_forward(const Front& front, const double* x, double* work, Step plane
     }
 }
 
-/// L11^H a = y - L21^H r for the rows (0, 0, r) in `work`, with y of node column j from get(j); calls put(j, row, a).
+/// L11^H a = y - L21^H r for the rows (0, 0, r) in `work`, with y of block column j from get(j); calls put(j, row, a).
 template <class Block, class Get, class Put>
 void solve_backward(const Front& front, const double* x, double* work, Step plane, const Get& get, const Put& put) {
     const Step h = front.height;
