@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
+from heapq import merge
 
 import numpy as np
 
@@ -263,7 +264,7 @@ def _turns(graph: Graph, state: Array) -> Iterator[tuple[tuple[int, int, float],
     variance[1:] = _turn_variance(information[1:])
     deviation[1:] = wrap(np.diff(state[: len(driven), 2]) - driven[1:, 2])
     E, V, headings = np.cumsum(deviation), np.cumsum(variance), np.cumsum(driven[:, 2])
-    for first, last in _stretches(E, V):
+    for _, first, last in merge(*(_stretches(E, V, *lengths) for lengths in LENGTHS)):
         sign, stretch = float(np.sign(E[last] - E[first])), slice(first, last + 1)
         share = (V[stretch] - V[first]) / (V[last] - V[first])
         turn = headings[stretch] - headings[first] + E[stretch] - E[first] - 2 * np.pi * sign * share
@@ -277,22 +278,25 @@ def _turns(graph: Graph, state: Array) -> Iterator[tuple[tuple[int, int, float],
         yield (first, last, sign), start
 
 
-def _stretches(E: Array, V: Array) -> list[tuple[int, int]]:
-    """The first and last poses of the stretches whose other turn raises the cost little, the least first."""
-    found = list[tuple[float, int, int]]()
-    for shortest, longest in LENGTHS:
-        group = list[tuple[float, int, int]]()
-        for length in range(shortest, min(longest, len(E) - 1) + 1):
-            variance = np.maximum(V[length:] - V[:-length], 1e-300)
-            rise = 4 * np.pi * (np.pi - np.abs(E[length:] - E[:-length])) / variance
-            cheap = np.flatnonzero(rise < MOST_RISE)
-            group += zip(rise[cheap].tolist(), cheap.tolist(), (cheap + length).tolist())
-        taken = np.zeros(len(E), dtype=bool)
-        for rise, first, last in sorted(group):
-            if not taken[first:last].any():
-                taken[first:last] = True
-                found.append((rise, first, last))
-    return [(first, last) for _, first, last in sorted(found)]
+def _stretches(E: Array, V: Array, shortest: int, longest: int) -> Iterator[tuple[float, int, int]]:
+    """The rise of the cost, first and last pose of each stretch of a group whose other turn raises it little, the least first.
+
+    A stretch that overlaps one before it is left out.
+    """
+    rises, firsts, lasts = [np.zeros(0)], [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for length in range(shortest, min(longest, len(E) - 1) + 1):
+        variance = np.maximum(V[length:] - V[:-length], 1e-300)
+        rise = 4 * np.pi * (np.pi - np.abs(E[length:] - E[:-length])) / variance
+        cheap = np.flatnonzero(rise < MOST_RISE)
+        rises.append(rise[cheap])
+        firsts.append(cheap)
+        lasts.append(cheap + length)
+    rise, first, last = (np.concatenate(each) for each in (rises, firsts, lasts))
+    order, taken = np.lexsort((last, first, rise)), bytearray(len(E))
+    for cost, start, end in zip(rise[order].tolist(), first[order].tolist(), last[order].tolist()):
+        if taken.find(1, start, end) < 0:
+            taken[start:end] = b"\1" * (end - start)
+            yield cost, start, end
 
 
 #: the lengths that are tried, as changes of the heading [rad] that turns most
