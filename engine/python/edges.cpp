@@ -122,9 +122,9 @@ void bind_families(nb::module_& m) {
     nb::class_<VirtualMotionEdges, Family>(m, "VirtualMotionEdges")
         .def("__init__",
              [](VirtualMotionEdges* at, In<Index> starts, In<Index> nodes, In<double> z, In<double> noisy, In<double> trust,
-                std::array<double, 6> sensor, int code, double width, In<double> weights, bool body) {
+                std::array<double, 6> sensor, int code, double width, bool tempered, bool body) {
                  new (at) VirtualMotionEdges(copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width),
-                                             copy_of(weights), body);
+                                             tempered, body);
              });
     nb::class_<MarginalEdges, Family>(m, "MarginalEdges")
         .def("__init__",

@@ -10,6 +10,7 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "vmslam/solve/graduated.hpp"
+#include "vmslam/solve/grow.hpp"
 #include "vmslam/solve/start.hpp"
 
 namespace vmslam::python::solve_bindings {
@@ -23,31 +24,45 @@ Out<double> state_array(const double* at, std::size_t size) {
     return array(std::vector<double>(at, at + size), {size / 3, 3});
 }
 
-/// A family written in Python, whose accumulate adds to a `BlockSystem`; headings() and positions(state) are `base.Relations`,
-/// or None. One of measurements that may be wrong is a `robust.SingleEdges`.
+/// A family written in Python, whose accumulate adds to a `BlockSystem`, which `view` makes of the arrays of a system; headings()
+/// and positions(state) are `base.Relations`, or None. One of measurements that may be wrong is a `robust.SingleEdges`.
 class PythonFamily : public edges::Family {
    public:
-    PythonFamily(nb::object family, nb::object system, std::size_t size)
-        : family_(std::move(family)), system_(std::move(system)), size_(size) {}
+    PythonFamily(nb::object family, nb::object view, std::size_t size)
+        : family_(std::move(family)), view_(std::move(view)), size_(size) {}
     PythonFamily(const PythonFamily&) = delete;
     PythonFamily& operator=(const PythonFamily&) = delete;
     ~PythonFamily() override {
         // those of `trusting` end while the engine runs, without Python's lock
         const nb::gil_scoped_acquire python;
         family_.reset();
+        view_.reset();
         system_.reset();
     }
 
     double accumulate(const edges::State& state, edges::System* system, std::span<const Index>) const override {
         const nb::gil_scoped_acquire python;
+        if (system && system->values != shown_) {
+            shown_ = system->values;
+            system_ = view_(shown(system->start), shown(system->rows), shown(system->values, {system->rows.size(), 3, 3}),
+                            shown(system->xi, {size_ / 3, 3}), shown(system->slot_of, {size_ / 3}));
+        }
         return nb::cast<double>(family_.attr("accumulate")(state_array(state.at, size_), state_array(state.reference, size_),
                                                            system ? system_ : nb::object(nb::none())));
+    }
+
+    std::unique_ptr<const edges::Family> among(std::span<const Index> number) const override {
+        const nb::gil_scoped_acquire python;
+        nb::object part = family_.attr("renumbered")(array(std::vector(number.begin(), number.end())));
+        if (part.is_none()) return nullptr;
+        const auto count = std::count_if(number.begin(), number.end(), [](Index k) { return k >= 0; });
+        return std::make_unique<PythonFamily>(std::move(part), view_, 3 * static_cast<std::size_t>(count));
     }
 
     std::unique_ptr<const edges::Family> trusting(std::span<const double> trust) const override {
         const nb::gil_scoped_acquire python;
         return std::make_unique<PythonFamily>(family_.attr("with_trust")(array(std::vector(trust.begin(), trust.end()))),
-                                              system_, size_);
+                                              view_, size_);
     }
 
     std::vector<double> squares(const double* state, std::span<const double> trust) const override {
@@ -99,8 +114,10 @@ class PythonFamily : public edges::Family {
         return out;
     }
 
-    nb::object family_, system_;
+    nb::object family_, view_;
     std::size_t size_;
+    mutable nb::object system_;              ///< the view of the last system, ...
+    mutable const double* shown_ = nullptr;  ///< ... and its numbers
 };
 
 /// A graph whose families and arrays Python owns.
@@ -186,6 +203,15 @@ void bind_objectives(nb::module_& m) {
         return std::tuple(state_array(start.state.data(), start.state.size()), array(std::move(start.unturned)), start.untied,
                           start.unlisted);
     });
+    // initial values (n, 3), or None where a family cannot be divided
+    m.def("grow",
+          [](const BoundGraph& graph, In<double> state, Index poses, Index each, In<Index> parents, In<double> offsets,
+             In<Index> from) -> std::optional<Out<double>> {
+              const auto grown = grow(graph, copy_of(state), {poses, each, span(parents), span(offsets), span(from)});
+              if (!grown) return std::nullopt;
+              return state_array(grown->data(), grown->size());
+          });
+    m.def("most_steps_of_growth", [](Index poses, Index each) { return Growth{poses, each, {}, {}, {}}.most_steps(); });
     nb::class_<PythonObjective, Objective>(m, "PythonObjective").def(nb::init<nb::object>());
 }
 

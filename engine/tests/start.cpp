@@ -6,6 +6,7 @@
 
 #include "expect.hpp"
 #include "vmslam/solve/graph.hpp"
+#include "vmslam/solve/grow.hpp"
 
 namespace {
 
@@ -59,6 +60,45 @@ void test_ring(unsigned seed) {
     const auto other = graph.lower_bound(wound);
     expect(other && !other->global, "a worse state is not proven", seed);
     expect(other && (seed % 2 || other->lowest <= least->cost), "a lower bound is below the minimum", seed);
+}
+
+/// Growth along odometry that turns 3 % too fast ends near the minimum, because sightings correct it on the way.
+void test_growth(unsigned seed) {
+    const double turn = 2 * std::numbers::pi / 20;
+    Log log;
+    log.start = {1.0, 2.0, 0.5};
+    log.oriented = seed % 2;
+    for (int t = 0; t < 45; ++t) log.controls.push_back({0.5, turn, 1.0});
+    const std::vector<double> truth = dead_reckoning(log);
+    for (std::size_t t = 0; t < log.poses(); ++t)
+        for (std::int64_t j = 0; j < 6; ++j) {
+            const double x = 1.0 + 2 * std::cos(j), y = 3.6 + 2 * std::sin(j), dx = x - truth[3 * t],
+                         dy = y - truth[3 * t + 1];
+            const double direction = std::atan2(dy, dx);
+            log.sightings.push_back(
+                {t, j, {std::hypot(dx, dy), edges::wrap(direction - truth[3 * t + 2]), edges::wrap(direction)}});
+        }
+    for (Control& u : log.controls) u.omega *= 1.03;
+
+    const solve::Graph graph = solve::graph_of(log);
+    solve::Run run{{.tolerance = 1e-9}, truth};
+    graph.solve(run);
+    expect(run.converged, "the iteration converges", seed);
+    const auto apart = [&](const std::vector<double>& state) {
+        double farthest = 0.0;
+        for (std::size_t t = 0; t < log.poses(); ++t)
+            farthest =
+                std::max(farthest, std::hypot(state[3 * t] - run.state[3 * t], state[3 * t + 1] - run.state[3 * t + 1]));
+        return farthest;
+    };
+    const auto grown = graph.grown(7);
+    expect(grown && apart(*grown) < 0.02 && apart(dead_reckoning(log)) > 0.5, "growth corrects drift", seed);
+
+    solve::Graph broken(3);
+    broken.add_relative({{0, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 1.0, 0.0, 0.0, 1.0}}});
+    expect(!broken.grown(), "no edge leads to the last pose", seed);
+    expect(std::abs(solve::Growth{25, 10, {}, {}, {}}.most_steps() - 4.0 * (11 + 21 + 25) / 25) < 1e-12,
+           "the steps of growth", seed);
 }
 
 void test_loose() {
@@ -132,6 +172,7 @@ void test_wrong_arguments() {
 
 void test_start() {
     for (unsigned seed = 0; seed < 50; ++seed) test_ring(seed);
+    for (unsigned seed = 0; seed < 2; ++seed) test_growth(seed);
     test_loose();
     test_no_proof();
     test_wrong_arguments();

@@ -84,9 +84,8 @@ struct LogGraph {
             const LandmarkSighting &a = log.sightings[pairs[2 * k]], &b = log.sightings[pairs[2 * k + 1]];
             const std::vector<edges::Index> starts{0, 2}, nodes = {place(a), place(b)};
             edges::Sightings seen{{a.z, b.z}, {a.z, b.z}, {1.0, 1.0}, robot.sensor, kernel, robot.oriented};
-            graph.add_groups(
-                std::make_unique<edges::VirtualMotionEdges>(starts, nodes, std::move(seen), std::vector{1.0}, options.body),
-                starts, nodes);
+            graph.add_groups(std::make_unique<edges::VirtualMotionEdges>(starts, nodes, std::move(seen), false, options.body),
+                             starts, nodes);
         }
         graph.state_dependent = !constant();
         graph.reweighted = static_cast<bool>(kernel);

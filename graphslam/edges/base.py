@@ -208,6 +208,10 @@ class EdgeFamily(ABC):
         of_edges = {name: each for name, each in columns.items() if isinstance(each, np.ndarray)}
         return replace(self, **{name: each[chosen] for name, each in of_edges.items() if len(each) == len(chosen)})  # type: ignore[type-var]
 
+    def renumbered(self, number: np.ndarray) -> Self | None:
+        """The edges between nodes with a new number (n,), not -1, and these numbers; None where they cannot be divided."""
+        return None
+
     @cached_property
     def node_range(self) -> tuple[int, int]:
         """The lowest and the highest node that the edges tie; (0, -1) without edges.
@@ -359,6 +363,10 @@ class NodeEdges(EdgeFamily):
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         return np.arange(self.count + 1), self.nodes
 
+    def renumbered(self, number: np.ndarray) -> Self | None:
+        here = number[self.nodes] >= 0
+        return replace(self.among(here), nodes=number[self.nodes[here]])
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PairEdges(EdgeFamily):
@@ -393,6 +401,10 @@ class PairEdges(EdgeFamily):
         np.minimum(self.first, self.second, out=ends[:, 0])
         np.maximum(self.first, self.second, out=ends[:, 1])
         return np.arange(0, 2 * self.count + 1, 2), ends.ravel()
+
+    def renumbered(self, number: np.ndarray) -> Self | None:
+        here = (number[self.first] >= 0) & (number[self.second] >= 0)
+        return replace(self.among(here), first=number[self.first[here]], second=number[self.second[here]])
 
     def blocks(self, system: BlockSystem) -> np.ndarray:
         """The block between the ends of each edge, (E,)."""

@@ -16,7 +16,7 @@ from the origin of the world, which the certificate covers, and without a lever 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import atan2
 from typing import Any, NamedTuple
@@ -178,6 +178,10 @@ class PriorEdges(EdgeFamily):
 
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         return np.array([0, len(self.nodes)]), self.nodes
+
+    def renumbered(self, number: np.ndarray) -> PriorEdges | None:
+        nodes = number[self.nodes]
+        return None if (nodes < 0).any() else replace(self, nodes=nodes)
 
     def linearize(self, state: Array, reference: Array) -> Linearization:
         """One edge with one end for each node; of priors without ``rhs`` only."""

@@ -132,6 +132,12 @@ class LandmarkSightings(SightingEdges, FramedEdges):
     def cliques(self) -> tuple[np.ndarray, np.ndarray]:
         return self.starts, self.nodes
 
+    def renumbered(self, number: np.ndarray) -> Self | None:
+        here = number[self.nodes] >= 0
+        counts = np.bincount(self.group[here])
+        starts = np.concatenate([[0], np.cumsum(counts[counts > 0])])
+        return replace(self.among(here), starts=starts, nodes=number[self.nodes[here]])
+
     @property
     def numbers(self) -> tuple[int, float]:
         # the landmark itself takes the numbers of one sighting

@@ -124,7 +124,7 @@ class VirtualMotionEdges(LandmarkSightings):
 
     def _to_engine(self) -> Any:
         sightings = self.starts, self.nodes, *self._for_engine
-        return engine.VirtualMotionEdges(*sightings, self.group_weights, self.frame == "body")
+        return engine.VirtualMotionEdges(*sightings, self.tempered, self.frame == "body")
 
     def kernel_weights(self, state: Array) -> Array:
         if self.kernel is None:

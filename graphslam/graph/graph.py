@@ -312,7 +312,9 @@ class Graph:
         if kept is None or kept[1] is not factor:
             own = [family if _is_of_engine(family) else None for family in self.families]
             families = tuple(
-                engine.PythonFamily(f, self.system, self.initial.size) if of_engine is None else of_engine.in_engine
+                engine.PythonFamily(f, BlockSystem.of_arrays, self.initial.size)
+                if of_engine is None
+                else of_engine.in_engine
                 for f, of_engine in zip(self.families, own)
             )
             pairs = tuple(_none() if family is None else family.blocks(self.system) for family in own)

@@ -25,7 +25,7 @@ optimum of the graph Omega and xi are the same with these weights as with the ke
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -47,7 +47,6 @@ from ..edges import (
     SightingEdges,
     VirtualMotionEdges,
 )
-from ..edges.base import NodeEdges, PairEdges
 from ..errors import GraphError
 from ..errors.checks import array_of
 from ..se2 import Array, between, chained, inverse, lever_matrix, perpendicular, rotation, turn_matrix
@@ -144,7 +143,11 @@ def coarse(graph: Graph, every: int) -> tuple[Graph, np.ndarray] | None:
         return None
     poses = len(graph.steps)
     kept = np.unique(np.append(np.arange(0, poses, every), poses - 1))
-    used = _with_landmarks(graph, kept)
+    used = np.zeros(graph.num_nodes, dtype=bool)
+    used[kept] = True
+    for family in graph.families:
+        if isinstance(family, ObservationEdges):
+            used[family.second[used[family.first]]] = True
     piece, nodes = of_nodes(graph, used)
     families = [_joined(chain, kept) if isinstance(f, RelativePoseEdges) else f for f in piece.families]
     return replace(piece, families=tuple(families), steps=np.arange(len(kept))), nodes
@@ -152,19 +155,19 @@ def coarse(graph: Graph, every: int) -> tuple[Graph, np.ndarray] | None:
 
 def first_poses(graph: Graph, count: int) -> tuple[Graph, np.ndarray]:
     """The graph of the first poses and of the landmarks that they see, and the nodes of the whole graph that it keeps."""
-    return of_nodes(graph, _with_landmarks(graph, np.arange(count)))
+    return of_nodes(graph, first_seen(graph) < count)
 
 
-def _with_landmarks(graph: Graph, poses: np.ndarray) -> np.ndarray:
-    """Which nodes (n,) are the given poses, or landmarks that they see."""
-    used = np.zeros(graph.num_nodes, dtype=bool)
-    used[poses] = True
+def first_seen(graph: Graph) -> np.ndarray:
+    """The first pose (n,) that sees each landmark; 0 where a joint prior gives it; poses themselves; n where none does."""
+    seen = np.full(graph.num_nodes, graph.num_nodes)
     for family in graph.families:
         if isinstance(family, ObservationEdges | RelativePointEdges | PartialEdges):
-            used[family.second[used[family.first]]] = True
+            np.minimum.at(seen, family.second, family.first)
         elif isinstance(family, PriorEdges):
-            used[family.nodes] = True
-    return used
+            seen[family.nodes] = 0
+    seen[: len(graph.steps)] = np.arange(len(graph.steps))
+    return seen
 
 
 def of_nodes(graph: Graph, used: np.ndarray) -> tuple[Graph, np.ndarray]:
@@ -174,27 +177,21 @@ def of_nodes(graph: Graph, used: np.ndarray) -> tuple[Graph, np.ndarray]:
     number[nodes] = np.arange(len(nodes))
     kept, landmarks = nodes[nodes < poses], nodes[nodes >= poses] - poses
     return replace(
-        graph, initial=graph.initial[nodes], families=tuple(_edges_of_nodes(f, used, number) for f in graph.families),
+        graph, initial=graph.initial[nodes], families=tuple(_divided(family, number) for family in graph.families),
         steps=graph.steps[kept], trajectory=graph.initial[kept], pose_ids=graph.pose_ids[kept],
         landmark_ids=graph.landmark_ids[landmarks], fixed=number[graph.fixed[used[graph.fixed]]], log=None,
     ), nodes  # fmt: skip
 
 
-def _edges_of_nodes(family: EdgeFamily, used: np.ndarray, number: np.ndarray) -> EdgeFamily:
-    """The edges between nodes that are used (n,), with the new number (n,) of each node."""
-    if isinstance(family, PriorEdges):
-        return replace(family, nodes=number[family.nodes])
-    if not isinstance(family, PairEdges | LandmarkSightings | NodeEdges):
+def _divided(family: EdgeFamily, number: np.ndarray) -> EdgeFamily:
+    """The edges between the nodes that have a new number (n,), not -1.
+
+    Raises:
+        GraphError: they cannot be divided.
+    """
+    if (kept := family.renumbered(number)) is None:
         raise GraphError(f"{type(family).__name__} cannot be divided: only families of edges between two nodes can")
-    if isinstance(family, LandmarkSightings):
-        ends: tuple[str, ...] = ("nodes",)
-        counts = np.bincount(family.group[used[family.nodes]])
-        others = {"starts": np.concatenate([[0], np.cumsum(counts[counts > 0])])}
-    else:
-        ends, others = (("nodes",) if isinstance(family, NodeEdges) else ("first", "second")), {}
-    here = np.all([used[getattr(family, end)] for end in ends], axis=0)
-    renumbered: dict[str, Any] = {end: number[getattr(family, end)[here]] for end in ends}
-    return replace(family.among(here), **(renumbered | others))
+    return kept
 
 
 def filled(graph: Graph, kept: np.ndarray, poses: Array) -> Array:

@@ -83,6 +83,13 @@ class BlockSystem:
         values = np.zeros((len(structure.indices), 3, 3))
         return cls(structure, values, np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64))
 
+    @classmethod
+    def of_arrays(
+        cls, indptr: np.ndarray, indices: np.ndarray, values: Array, xi: Array, workspace: np.ndarray
+    ) -> BlockSystem:
+        """The system whose arrays are given, such as those of the engine."""
+        return cls(Structure(indptr, indices, np.zeros(0, np.int64)), values, xi, workspace)
+
     @property
     def indptr(self) -> np.ndarray:
         """The index (n + 1,) at which each column begins in ``indices`` and ``values``."""

@@ -26,7 +26,6 @@ cost about E² / V there, and (2 pi - abs(E))² / V after the other turn.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from heapq import merge
 
 import numpy as np
@@ -35,9 +34,9 @@ from ..edges import AnchorEdges, ObservationEdges, PriorEdges, RelationEdges, Re
 from ..engine import engine
 from ..errors import GraphError, quoted
 from ..graph import Graph
-from ..graph.transform import first_poses, with_cartesian_sightings
-from ..se2 import Array, chained, compose, rotation, wrap
-from .iteration import Run, end_of, gauss_newton
+from ..graph.transform import first_poses, first_seen, with_cartesian_sightings
+from ..se2 import Array, chained, rotation, wrap
+from .iteration import Run, gauss_newton
 
 
 def rotation_first(graph: Graph) -> Array:
@@ -147,48 +146,25 @@ def _held(graph: Graph, state: Array) -> np.ndarray:
     return nodes if len(nodes) else np.zeros(1, dtype=np.int64)
 
 
-#: beyond this number of poses, more are added at a time in proportion, so that the time grows little faster than them
-MANY = 300
-#: the most steps of Gauss-Newton after each addition
-STEPS_EACH = 4
-
-
 def most_steps(total: int, poses: int) -> float:
     """The most steps of `sequential_start` for ``total`` poses, each counted as the part of the poses that it moves."""
-    steps, count = 0.0, 1
-    while count < total:
-        count = _next(count, poses, total)
-        steps += STEPS_EACH * count / total
-    return steps
-
-
-def _next(count: int, poses: int, total: int) -> int:
-    """The number of poses after some more were added to ``count``."""
-    return min(count + poses * max(count, MANY) // MANY, total)
+    return engine.most_steps_of_growth(total, poses)
 
 
 def sequential_start(graph: Graph, poses: int) -> Array:
     """A state (n, 3) from solving the first poses, then ``poses`` more, until all are there.
 
+    It runs in the engine (``engine/include/vmslam/solve/grow.hpp``).
+
     Raises:
-        GraphError: no chain of motion edges leads through all poses.
+        GraphError: no chain of motion edges leads through all poses, or a family of edges cannot be divided.
     """
-    (parents, offsets), count, total = _tree(graph), 1, len(graph.steps)
-    state, seen_from = graph.initial.copy(), parents[total:]
-
-    def place(nodes: np.ndarray) -> None:
-        """Put nodes where their parents see them."""
-        state[nodes] = compose(state[parents[nodes]], offsets[nodes])
-
-    place(np.flatnonzero(seen_from == 0) + total)
-    while count < total:
-        before, count = count, _next(count, poses, total)
-        for pose in range(before, count):
-            place(np.array([pose]))
-        place(np.flatnonzero((seen_from >= before) & (seen_from < count)) + total)
-        piece, nodes = first_poses(graph, count)
-        with suppress(GraphError):  # more poses may determine what these leave open
-            state[nodes] = end_of(gauss_newton, piece, state[nodes], max_iterations=STEPS_EACH)
+    parents, offsets = _tree(graph)
+    state = engine.grow(graph.objective, graph.initial, len(graph.steps), poses, parents, offsets, first_seen(graph))
+    if state is None:
+        # dividing them in Python, too, names the family
+        first_poses(graph, 1)
+        raise AssertionError("a family that cannot be divided in the engine can be divided")
     return state
 
 
@@ -279,7 +255,7 @@ def _turns(graph: Graph, state: Array) -> Iterator[tuple[tuple[int, int, float],
 
 
 def _stretches(E: Array, V: Array, shortest: int, longest: int) -> Iterator[tuple[float, int, int]]:
-    """The rise of the cost, first and last pose of each stretch of a group whose other turn raises it little, the least first.
+    """The rise of the cost, first and last pose of the stretches of a group whose other turn raises it little; least first.
 
     A stretch that overlaps one before it is left out.
     """

@@ -45,4 +45,16 @@ double PolarEdges::accumulate(const State& state, System* system, std::span<cons
     return total;
 }
 
+std::unique_ptr<const Family> PolarEdges::among(std::span<const Index> number) const {
+    auto out = std::make_unique<PolarEdges>(std::vector<Index>{}, std::vector<Index>{}, seen_.emptied());
+    for (std::size_t k = 0; k < first_.size(); ++k) {
+        const Index i = number[first_[k]], j = number[second_[k]];
+        if (std::min(i, j) < 0) continue;
+        out->first_.push_back(i);
+        out->second_.push_back(j);
+        out->seen_.add(seen_, k);
+    }
+    return out;
+}
+
 }  // namespace vmslam::edges

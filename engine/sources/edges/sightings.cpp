@@ -22,6 +22,26 @@ LandmarkSightings::LandmarkSightings(std::vector<Index> starts, std::vector<Inde
     std::partial_sum(node_starts_.begin(), node_starts_.end(), node_starts_.begin());
 }
 
+void Sightings::add(const Sightings& from, std::size_t k) {
+    z.push_back(from.z[k]);
+    noisy.push_back(from.noisy[k]);
+    trust.push_back(from.trust[k]);
+}
+
+ByLandmark LandmarkSightings::from_nodes(std::span<const Index> number) const {
+    ByLandmark out{{0}, {}, seen_.emptied()};
+    for (Index g = 0; g < landmarks(); ++g) {
+        for (Index k = starts_[g]; k < starts_[g + 1]; ++k) {
+            if (number[nodes_[k]] < 0) continue;
+            out.nodes.push_back(number[nodes_[k]]);
+            out.sightings.add(seen_, k);
+        }
+        const auto end = static_cast<Index>(out.nodes.size());
+        if (end > out.starts.back()) out.starts.push_back(end);
+    }
+    return out;
+}
+
 std::vector<Placed> LandmarkSightings::placed(const State& state, Covariance mode) const {
     const Sensor& sensor = seen_.sensor;
     std::vector<Placed> out(nodes_.size());

@@ -1,5 +1,7 @@
 #include "vmslam/edges/virtual_motion.hpp"
 
+#include <numeric>
+
 #include "vmslam/edges/rotations.hpp"
 
 namespace vmslam::edges {
@@ -14,6 +16,15 @@ std::vector<Rotation> axes_of(std::span<const Placed> at) {
 }
 
 }  // namespace
+
+VirtualMotionEdges::VirtualMotionEdges(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings,
+                                       bool tempered, bool body)
+    : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)), tempered_(tempered), body_(body) {
+    for (Index g = 0; g < landmarks(); ++g) {
+        const auto first = seen_.trust.begin() + starts_[g], last = seen_.trust.begin() + starts_[g + 1];
+        weights_.push_back(tempered_ ? 2 / std::accumulate(first, last, 0.0) : 1.0);
+    }
+}
 
 // Column by column of Omega: the system maps the rows of a column to blocks, so that no list of pairs is needed.
 double VirtualMotionEdges::accumulate(const State& state, System* system, std::span<const Index>) const {

@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "vmslam/edges/marginal.hpp"
+#include "vmslam/solve/grow.hpp"
 #include "vmslam/sparse/ordering.hpp"
 #include "vmslam/sparse/pattern.hpp"
 
@@ -94,19 +95,44 @@ void Graph::assemble(int threads, const std::function<void(GraphObjective&, Fact
     work(objective, factor);
 }
 
-Start Graph::rotation_first(int threads) const {
+std::vector<double> Graph::anchored() const {
     std::vector<double> state(3 * nodes_, 0.0);
-    std::vector<Index> held;
-    for (const auto& [node, value] : anchors_) {
-        held.push_back(node);
+    for (const auto& [node, value] : anchors_)
         state[3 * node] = value.x, state[3 * node + 1] = value.y, state[3 * node + 2] = value.t;
-    }
+    return state;
+}
+
+Start Graph::rotation_first(int threads) const {
+    std::vector<Index> held;
+    for (const auto& [node, value] : anchors_) held.push_back(node);
     if (held.empty()) held.push_back(0);
     Start start;
-    assemble(threads, [&](GraphObjective& objective, Factor&) {
-        start = solve::rotation_first(objective, std::move(state), held, nodes_);
-    });
+    assemble(threads,
+             [&](GraphObjective& objective, Factor&) { start = solve::rotation_first(objective, anchored(), held, nodes_); });
     return start;
+}
+
+std::optional<std::vector<double>> Graph::grown(Index each, int threads) const {
+    std::vector<double> offsets(3 * nodes_), unturned(3 * nodes_);
+    std::vector<Index> parents(nodes_, -1), from(nodes_);
+    std::iota(from.begin(), from.end(), 0);
+    for (const Member& m : members_) {
+        if (m.first.empty()) continue;
+        // with headings of zero a relative position is the measured one
+        for (const edges::PositionRelation& r : m.family->positions(unturned.data()))
+            if (r.second == r.first + 1) {
+                parents[r.second] = r.first;
+                offsets[3 * r.second] = r.x, offsets[3 * r.second + 1] = r.y;
+            }
+        for (const edges::HeadingRelation& r : m.family->headings())
+            if (r.second == r.first + 1) offsets[3 * r.second + 2] = r.value;
+    }
+    if (std::find(parents.begin() + 1, parents.end(), -1) != parents.end()) return std::nullopt;
+    std::optional<std::vector<double>> state;
+    assemble(threads, [&](GraphObjective& objective, Factor&) {
+        state = grow(objective, anchored(), {nodes_, each, parents, offsets, from});
+    });
+    return state;
 }
 
 void Graph::solve(Run& run, int threads) const {
@@ -142,12 +168,12 @@ std::vector<double> Graph::covariances(std::span<const double> state) const {
     return blocks;
 }
 
-ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel) {
+edges::ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel) {
     std::vector<LandmarkSighting> seen = log.sightings;
     std::stable_sort(seen.begin(), seen.end(), [](const LandmarkSighting& a, const LandmarkSighting& b) {
         return a.landmark != b.landmark ? a.landmark < b.landmark : a.step < b.step;
     });
-    ByLandmark made{{}, {}, {{}, {}, std::vector<double>(seen.size(), 1.0), sensor, kernel, log.oriented}};
+    edges::ByLandmark made{{}, {}, {{}, {}, std::vector<double>(seen.size(), 1.0), sensor, kernel, log.oriented}};
     for (std::size_t k = 0; k < seen.size(); ++k) {
         if (k == 0 || seen[k].landmark != seen[k - 1].landmark) made.starts.push_back(static_cast<Index>(k));
         made.nodes.push_back(static_cast<Index>(seen[k].step));

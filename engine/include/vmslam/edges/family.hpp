@@ -47,6 +47,8 @@ class Family {
     /// The same edges with a trust from 0 to 1 in each measurement, a factor on its information. None where no measurement may be
     /// wrong.
     virtual std::unique_ptr<const Family> trusting(std::span<const double> /* trust */) const { return nullptr; }
+    /// The edges between the nodes that have a new number, not -1, with these numbers. None where they cannot be divided.
+    virtual std::unique_ptr<const Family> among(std::span<const Index> /* number */) const { return nullptr; }
     /// r² of each measurement at a state, as if it were fully trusted. The trust places landmarks that are no nodes.
     virtual std::vector<double> squares(const double* /* state */, std::span<const double> /* trust */) const { return {}; }
     /// Append the edges with constant information at a state of `nodes` nodes; false where there is no such form. A kernel keeps
@@ -59,6 +61,21 @@ template <class Edge>
 std::vector<Edge> trusted(std::vector<Edge> edges, std::span<const double> trust) {
     for (std::size_t k = 0; k < edges.size(); ++k) edges[k].omega = trust[k] * edges[k].omega;
     return edges;
+}
+
+/// The edges of nodes i, or of nodes i and j, all of which have a new number, with these numbers; see `Family::among`.
+template <class Edge>
+std::vector<Edge> renumbered(const std::vector<Edge>& edges, std::span<const Index> number) {
+    std::vector<Edge> out;
+    for (Edge edge : edges) {
+        edge.i = number[edge.i];
+        if constexpr (requires { edge.j; }) {
+            edge.j = number[edge.j];
+            if (edge.j < 0) continue;
+        }
+        if (edge.i >= 0) out.push_back(edge);
+    }
+    return out;
 }
 
 }  // namespace vmslam::edges

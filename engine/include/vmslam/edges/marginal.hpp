@@ -38,6 +38,10 @@ class MarginalEdges : public LandmarkSightings {
         : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)), body_(body) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    std::unique_ptr<const Family> among(std::span<const Index> number) const override {
+        auto [starts, nodes, sightings] = from_nodes(number);
+        return std::make_unique<MarginalEdges>(std::move(starts), std::move(nodes), std::move(sightings), body_);
+    }
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
     /// With the trust of the sightings, or another one.
     AroundMeans around_means(const State& state) const { return around_means(state, seen_.trust); }

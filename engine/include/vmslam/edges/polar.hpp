@@ -12,6 +12,7 @@ class PolarEdges : public Family {
         : first_(std::move(first)), second_(std::move(second)), seen_(std::move(sightings)) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    std::unique_ptr<const Family> among(std::span<const Index> number) const override;
 
    private:
     std::vector<Index> first_, second_;

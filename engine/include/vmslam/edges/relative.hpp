@@ -34,6 +34,9 @@ class RelativeEdges : public Family {
     std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
         return std::make_unique<RelativeEdges>(trusted(edges_, trust), poses_, world_, kernel_);
     }
+    std::unique_ptr<const Family> among(std::span<const Index> number) const override {
+        return std::make_unique<RelativeEdges>(renumbered(edges_, number), poses_, world_, kernel_);
+    }
     std::vector<double> squares(const double* state, std::span<const double>) const override {
         return squares_of(listed(), state);
     }
@@ -68,6 +71,9 @@ class PositionEdges : public Family {
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
     std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
         return std::make_unique<PositionEdges>(trusted(positions_, trust), kernel_);
+    }
+    std::unique_ptr<const Family> among(std::span<const Index> number) const override {
+        return std::make_unique<PositionEdges>(renumbered(positions_, number), kernel_);
     }
     std::vector<double> squares(const double* state, std::span<const double>) const override {
         return squares_of(listed(), state);

@@ -58,6 +58,17 @@ struct Sightings {
     Sensor sensor;
     Kernel kernel;
     bool oriented;
+
+    /// Add sighting k of other ones.
+    void add(const Sightings& from, std::size_t k);
+    /// None with this sensor and this kernel.
+    Sightings emptied() const { return {{}, {}, {}, sensor, kernel, oriented}; }
+};
+
+/// Sightings grouped by landmark: landmark g has those from starts[g] to starts[g + 1], by increasing node.
+struct ByLandmark {
+    std::vector<Index> starts, nodes;
+    Sightings sightings;
 };
 
 /// Sightings of landmarks that are no nodes: landmark g has the sightings starts[g] to starts[g + 1], by increasing node.
@@ -72,6 +83,9 @@ class LandmarkSightings : public Family {
     std::vector<PositionRelation> positions(const double* state) const override;
 
    protected:
+    /// The sightings from the nodes that have a new number, not -1, of the landmarks that these see.
+    ByLandmark from_nodes(std::span<const Index> number) const;
+
     Index landmarks() const { return static_cast<Index>(starts_.size()) - 1; }
     /// The sightings from a node, in order_.
     std::span<const Index> from(Index node) const {

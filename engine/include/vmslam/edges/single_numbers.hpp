@@ -52,6 +52,9 @@ class NumberEdges : public Family {
     std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
         return std::make_unique<NumberEdges>(kind_, trusted(edges_, trust), kernel_);
     }
+    std::unique_ptr<const Family> among(std::span<const Index> number) const override {
+        return std::make_unique<NumberEdges>(kind_, renumbered(edges_, number), kernel_);
+    }
     std::vector<double> squares(const double* state, std::span<const double>) const override;
 
    private:

@@ -15,12 +15,8 @@ namespace vmslam::edges {
 
 class VirtualMotionEdges : public LandmarkSightings {
    public:
-    /// `weights` are factors on the information of all edges of a landmark.
-    VirtualMotionEdges(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings, std::vector<double> weights,
-                       bool body)
-        : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)),
-          weights_(std::move(weights)),
-          body_(body) {}
+    /// `tempered` edges of a landmark have 2/K of their information, K the sum of the trust in its sightings.
+    VirtualMotionEdges(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings, bool tempered, bool body);
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
     /// The weights of landmarks stay.
@@ -29,11 +25,16 @@ class VirtualMotionEdges : public LandmarkSightings {
         out->seen_.trust.assign(trust.begin(), trust.end());
         return out;
     }
+    std::unique_ptr<const Family> among(std::span<const Index> number) const override {
+        auto [starts, nodes, sightings] = from_nodes(number);
+        return std::make_unique<VirtualMotionEdges>(std::move(starts), std::move(nodes), std::move(sightings), tempered_,
+                                                    body_);
+    }
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
 
    private:
-    std::vector<double> weights_;
-    bool body_;
+    bool tempered_, body_;
+    std::vector<double> weights_;  ///< the factor on the information of all edges of a landmark
 };
 
 }  // namespace vmslam::edges

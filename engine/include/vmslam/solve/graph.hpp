@@ -33,6 +33,9 @@ class Graph {
 
     /// Initial values by rotation first, or why there are none: the anchored nodes at their values, the others from the edges.
     Start rotation_first(int threads = 1) const;
+    /// Initial values by growth from the anchors along the relative edges from each node to the next, `each` nodes at a time. None
+    /// where one of these edges is missing, or the edges of a family cannot be divided.
+    std::optional<std::vector<double>> grown(Index each = 10, int threads = 1) const;
     /// Minimise J from run.state by `gauss_newton`.
     void solve(Run& run, int threads = 1) const;
     /// J of a state, a lower bound on J of all states, and whether the state is a global minimum. With a kernel all of these are
@@ -45,6 +48,8 @@ class Graph {
     std::vector<double> covariances(std::span<const double> state) const;
 
    private:
+    /// The anchored nodes at their values, the others at zero.
+    std::vector<double> anchored() const;
     void check_node(Index node) const;
     void check_state(std::span<const double> state) const;
 
@@ -64,11 +69,7 @@ class Graph {
 };
 
 /// The sightings of a log by increasing landmark and step, as the families of `edges/` take them.
-struct ByLandmark {
-    std::vector<Index> starts, nodes;
-    edges::Sightings sightings;
-};
-ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel);
+edges::ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel);
 
 /// The graph of a log: an anchor on its first pose, a motion edge for each control, and the sightings of each landmark as one
 /// marginal edge (`edges/marginal.hpp`) with a robust kernel, all in the body frame.

@@ -66,6 +66,7 @@ class GraphObjective : public Objective {
         return out;
     }
     const edges::System& system() const { return system_; }
+    const Held& held() const { return held_; }
     /// The ordering and structure of the factor.
     const sparse::Symbolic& symbolic() const { return factor_.symbolic(); }
 
