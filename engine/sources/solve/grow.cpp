@@ -96,8 +96,7 @@ Part::Part(const GraphObjective& whole, std::span<const char> used) {
     values_.resize(9 * rows_.size());
     xi_.resize(3 * n);
     workspace_.resize(n);
-    objective_.emplace(std::move(members),
-                       edges::System{start_, rows_, values_.data(), xi_.data(), workspace_.data()},
+    objective_.emplace(std::move(members), edges::System{start_, rows_, values_.data(), xi_.data(), workspace_.data()},
                        Held{held_blocks_, held_nodes_, points_}, 0.0, *factor_);
     objective_->state_dependent = whole.state_dependent;
     objective_->reweighted = whole.reweighted;
