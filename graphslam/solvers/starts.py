@@ -201,6 +201,8 @@ LENGTHS = ((2, 8), (9, 32), (33, 100))
 LOWER = 1e-6
 #: the most turns to try, at most one for so many poses, and the most steps after each
 TURNS, POSES_PER_TURN, STEPS = 40, 4, 30
+#: after a turn, the steps end where J changes by less than this part of it and is above the lowest one
+SETTLED = 3e-3
 
 
 def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
@@ -217,12 +219,17 @@ def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[A
             if stretch in tried or len(tried) == most or steps >= limit:
                 continue
             tried.add(stretch)
-            run = Run(start, tolerance=1e-6 * graph.num_nodes**0.5, max_iterations=STEPS)
+            run = Run(start, tolerance=1e-6 * graph.num_nodes**0.5, max_iterations=STEPS, cost_tolerance=SETTLED)
             try:
                 gauss_newton(graph, run)
+                steps += len(run.step_norms)
+                if graph.cost(run.state) < cost:
+                    # on to the minimum
+                    run = Run(run.state, tolerance=run.tolerance, max_iterations=STEPS)
+                    gauss_newton(graph, run)
+                    steps += len(run.step_norms)
             except GraphError:
                 continue
-            steps += len(run.step_norms)
             lower = graph.cost(run.state)
             if lower < cost * (1 - LOWER):
                 best, cost, again = run.state, lower, True
