@@ -119,6 +119,27 @@ class FilterOptions:
         return replace(self, association="known" if identified else WITHOUT_IDS)
 
 
+@dataclass(frozen=True, kw_only=True)
+class FrontEndOptions:
+    """How `graphslam.associate` finds the ids with which association and solving begin.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    front_end: str = option(
+        "auto", "What finds ids for the graph where sightings have none: fastslam2; batch, which solves graphs along "
+        "the drive; auto: both and, where they end differently, a second run of fastslam2 (on long logs up to three runs, "
+        "without batch), of which the end with the highest evidence is taken; or best: batch and three runs in any case. All "
+        "are then refined in the graph.",
+        choices=("auto", "fastslam2", "batch", "best"),
+    )  # fmt: skip
+    front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
 #: the density of the sightings that particle Gibbs samples
 DENSITIES = ("linearised", "exact")
 
