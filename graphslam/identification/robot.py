@@ -31,7 +31,7 @@ from ..models import MotionModel, SensorModel
 from .corrections import corrected_log, honest_variances
 from .declared import ParameterEstimate
 from .odometry import OF_SENSOR, sighting_times
-from .restricted_likelihood import fit, gain_over
+from .restricted_likelihood import fit, gain_over, is_elsewhere, with_sensor_anywhere
 from .result import (
     BOOK_NOISE,
     DEAD_RECKONING,
@@ -45,7 +45,6 @@ from .result import (
     not_used,
     with_book,
 )
-from .sensor_place import is_elsewhere, with_sensor_anywhere
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 

@@ -31,8 +31,20 @@ from ..canvas import MATRIX, colour_of, reference_of
 from ..cells import NOTHING, LeanTable, number, word
 from ..language import catalogue, language_of, translated, translated_table
 from ..tables import landmark_table, table_as_html, tables_of
-from .charts import COLUMNS, convergence_figure, costs_figure, errors_figure, iterations, paths_figure, remarks
-from .matrix import ENTRY, FILL, description, matrix_figure, pictures
+from .charts import (
+    COLUMNS,
+    ENTRY,
+    FILL,
+    convergence_figure,
+    costs_figure,
+    description,
+    errors_figure,
+    iterations,
+    matrix_figure,
+    paths_figure,
+    pictures,
+    remarks,
+)
 from .view import Figure, View, line_of, view_of
 
 if TYPE_CHECKING:
