@@ -39,6 +39,8 @@ LANDMARK_UPDATES = ("kalman", "joint")
 FEWEST_SMOOTHED = 10
 #: the options that FastSLAM has with known ids only, with their defaults
 WITH_IDS: dict[str, Any] = {"landmark_update": "kalman", "range_noise": "measured", "smoothing": 0}
+#: the options that localisation in a given map uses: not those of association, of landmark updates and of the proposal
+LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 #: how far the lectures' program has come: particles that only move, that are weighed, that are resampled
 STAGES = ("motion", "weights", "resampling")
 

@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 import fastslam
-from fastslam.options import GIGABYTE, Forecast, available_memory, check_one_drive, forecast
+from fastslam.options import GIGABYTE, LOCALISATION, Forecast, available_memory, check_one_drive, forecast
 from fastslam.particles import Samples
 from graphslam import Log, OptionError, SlamError, associate, first_fix
 from graphslam.association import Association
@@ -78,8 +78,6 @@ def unused_ids(log: Log) -> str | None:
 
 
 FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
-#: options that localisation in a given map does not use: those of association, of landmark updates and of the proposal
-LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 
 
 def mcl(log: Log, options: RunOptions) -> EstimatorResult:
