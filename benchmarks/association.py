@@ -95,7 +95,7 @@ def simulated(logs: int, apart: float, psi: bool) -> None:
         best = ate(log.true_poses, solved(known(log), models))
         for method, found in rows.items():
             begin = time.perf_counter()
-            a = associate(log, method=method, keep_ids=False, **models)
+            a = associate(log, front_end="batch", method=method, keep_ids=False, **models)
             seconds = time.perf_counter() - begin
             s = score(a.ids, log.landmarks)
             error = ate(log.true_poses, solved(a.log, models))

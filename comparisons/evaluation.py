@@ -26,7 +26,7 @@ from graphslam.graph.map_files import COVARIANCE, UPPER
 from graphslam.io.bag_poses import POSES, Poses
 from graphslam.io.bag_topics import SUFFIXES, is_bag, open_bag
 from graphslam.log.drive import truth_of
-from graphslam.log.measurements import finite_floats, not_positive
+from graphslam.log.measurements import finite_floats, not_positive, symmetric
 from graphslam.log.rows import TableOptions
 from graphslam.log.streams import poses_at
 from graphslam.log.table import plain
@@ -224,9 +224,7 @@ def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:
             )
         if len(timed.times) != len(table) or np.any(np.diff(timed.times) <= 0):
             raise table.error(None, "rows with covariances must be in the order of time, and each needs a pose")
-        numbers, covariances = table.numbers([columns[each] for each in COVARIANCE]), np.empty((len(table), 3, 3))
-        for k, (i, j) in enumerate(UPPER):
-            covariances[:, i, j] = covariances[:, j, i] = numbers[:, k]
+        covariances = symmetric(table.numbers([columns[each] for each in COVARIANCE]), UPPER)
     return Trajectory(name, timed.times, poses, covariances, timed.notes)
 
 

@@ -39,6 +39,8 @@ LANDMARK_UPDATES = ("kalman", "joint")
 FEWEST_SMOOTHED = 10
 #: the options that FastSLAM has with known ids only, with their defaults
 WITH_IDS: dict[str, Any] = {"landmark_update": "kalman", "range_noise": "measured", "smoothing": 0}
+#: the options that localisation in a given map uses: not those of association, of landmark updates and of the proposal
+LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 #: how far the lectures' program has come: particles that only move, that are weighed, that are resampled
 STAGES = ("motion", "weights", "resampling")
 
@@ -117,6 +119,27 @@ class FilterOptions:
         if self.association != "auto":
             return self
         return replace(self, association="known" if identified else WITHOUT_IDS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrontEndOptions:
+    """How `graphslam.associate` finds the ids with which association and solving begin.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    front_end: str = option(
+        "auto", "What finds ids for the graph where sightings have none: fastslam2; batch, which solves graphs along "
+        "the drive; auto: both and, where they end differently, a second run of fastslam2 (on long logs up to three runs, "
+        "without batch), of which the end with the highest evidence is taken; or best: batch and three runs in any case. All "
+        "are then refined in the graph.",
+        choices=("auto", "fastslam2", "batch", "best"),
+    )  # fmt: skip
+    front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 #: the density of the sightings that particle Gibbs samples

@@ -48,7 +48,7 @@ def in_map(
     if start is not None or log is None or known is None or log.positions is not None or not len(log.steps):
         return start
     try:
-        # of a log with impossible numbers the filter says so itself
+        # the filter itself refuses a log with impossible numbers
         with np.errstate(all="ignore"):
             fix = first_fix(log, known, motion=motion, sensor=sensor)
     except (GraphError, np.linalg.LinAlgError):

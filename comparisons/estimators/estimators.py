@@ -17,7 +17,7 @@ import numpy as np
 
 import fastslam
 import graphslam
-from fastslam.options import check_one_drive
+from fastslam.options import LOCALISATION, check_one_drive
 from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError, Solution, simulate
 from graphslam.errors import quoted
 from graphslam.errors.checks import suggestion
@@ -33,7 +33,7 @@ from graphslam.solvers.solution import make_solution
 from ..options import FrontEndOptions, GraphOptions, RunOptions
 from ..options.option import options_of
 from ..results import EstimatorResult, noted
-from .filters import FILTER, LOCALISATION, identified, mcl, of_several_seeds
+from .filters import FILTER, identified, mcl, of_several_seeds
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5

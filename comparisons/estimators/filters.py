@@ -16,22 +16,17 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 import fastslam
-from fastslam.options import GIGABYTE, WITH_IDS, Forecast, available_memory, check_one_drive, forecast
+from fastslam.options import GIGABYTE, LOCALISATION, Forecast, available_memory, check_one_drive, forecast
 from fastslam.particles import Samples
-from graphslam import Log, MotionModel, OptionError, SlamError, associate, first_fix
+from graphslam import Log, OptionError, SlamError, associate, first_fix
 from graphslam.association import Association
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
-from graphslam.se2 import Array
 
 from ..options import RunOptions
 from ..options.option import options_of
 from ..results import EstimatorResult
 
-#: runs of FastSLAM 2.0 that may compete
-STARTS = 3
-#: up to so many poses the drive with the local filter competes with two of them; on longer logs it takes far longer than they
-LONG = 4_000
 #: what was found for a log, or why nothing was, by what it was found with
 _FOUND: WeakKeyDictionary[Log, dict[tuple[object, ...], Association | SlamError]] = WeakKeyDictionary()
 
@@ -61,47 +56,13 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
 
 
 def _associated(log: Log, options: RunOptions) -> Association:
-    models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
-    # a slip that the options name stays
-    ways: dict[str, Any] = {
-        "keep_ids": options.filter.uses_ids,
-        "slip": "slip" not in options.numbers, "estimate": options.estimate,
-        "confusion": options.filter.class_confusion,
-    }  # fmt: skip
-    if options.front_end == "batch" or log.controls is None or len(log.steps) == 0:
-        # without controls or sightings this refuses the log
-        return associate(log, **models, **ways)
-    begin = time.perf_counter()
-
-    def filtered(seed: int) -> Callable[[], tuple[np.ndarray, Array]]:
-        return lambda: _filtered(log, replace(front, seed=seed), models)
-
-    front = replace(options.filter, particles=options.front_particles, association="maximum-likelihood", **WITH_IDS)
-    best, rng = options.front_end == "best", np.random.default_rng(front.seed)
-    # the first of two runs has the seed of the filters themselves
-    others = rng.integers(2**31, size=STARTS if best else STARTS - 1).tolist()
-    starts: list[Callable[[], tuple[np.ndarray, Array]] | None] = []
-    starts += [filtered(seed) for seed in (others if best else [front.seed, *others])]
-    # evidence under the book's noise does not compare starts on a robot with another noise: on MR.CLAM 6 robot 1 it prefers
-    # 9 landmarks of 15 (docs/decisions.md)
-    unknown = not log.simulated and log.motion is None and options.motion == MotionModel()
-    if options.front_end == "fastslam2" or (unknown and not best):
-        starts = starts[:1]
-    elif not best and log.num_poses <= LONG:
-        # two methods fail alike more rarely than two seeds of one
-        starts = [starts[0], None, starts[1]]
-    if best or (options.filter.uses_ids and np.any(log.landmarks != UNIDENTIFIED)):
-        # the filter does not use the ids that some sightings have
-        starts = [None, *(each for each in starts if each is not None)]
-    ways["agreeing"] = 0 if best else 2
-    found = associate(log, start=starts, **models, **ways)
-    which = ", ".join(
-        "the drive with the local filter" if each is None else "FastSLAM 2.0" for each in starts[: found.verdict.starts]
-    )
-    note = (
-        f"the ids began with those of {which}, with {front.particles} particles each, and were found anew in the graph"
-    )
-    return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
+    return associate(
+        log, motion=options.motion, sensor=options.sensor, filters=options.filter, estimate=options.estimate,
+        front_end=options.front_end, front_particles=options.front_particles, keep_ids=options.filter.uses_ids,
+        confusion=options.filter.class_confusion,
+        # a slip that the options name stays
+        slip="slip" not in options.numbers,
+    )  # fmt: skip
 
 
 def unused_ids(log: Log) -> str | None:
@@ -116,18 +77,7 @@ def unused_ids(log: Log) -> str | None:
     )
 
 
-def _filtered(log: Log, front: fastslam.FilterOptions, models: dict[str, Any]) -> tuple[np.ndarray, Array]:
-    """The ids (M,) and poses (T+1, 3) of a run of FastSLAM 2.0, -1 for sightings of no confirmed landmark."""
-    # association knows no positions, and its start need not be in their frame
-    result = fastslam.FastSLAM2(log.replace(positions=None), options=front, **models).run()
-    assert result.association is not None and result.unconfirmed is not None
-    lost = (result.association == UNIDENTIFIED) | result.unconfirmed
-    return np.where(lost, -1, result.association), result.poses
-
-
 FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not in ("seed", "threads"))
-#: options that localisation in a given map does not use: those of association, of landmark updates and of the proposal
-LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 
 
 def mcl(log: Log, options: RunOptions) -> EstimatorResult:

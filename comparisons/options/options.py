@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from fastslam.options import FilterOptions, GibbsOptions
+from fastslam.options import FilterOptions, FrontEndOptions, GibbsOptions
 from graphslam.errors import OptionError, quoted
 from graphslam.errors.checks import option
 from graphslam.graph.landmark_map import USES, LandmarkMap
@@ -201,18 +201,10 @@ class OnlineOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrontEndOptions(Options):
+class AssociationOptions(Options, FrontEndOptions):
     """Options of the association for estimators that solve graphs, where the log has no ids or they are ignored."""
 
     panel = "Graph"
-    front_end: str = option(
-        "auto", "What finds ids for the graph where sightings have none: fastslam2; batch, which solves graphs along "
-        "the drive; auto: both and, where they end differently, a second run of fastslam2 (on long logs up to three runs, "
-        "without batch), of which the end with the highest evidence is taken; or best: batch and three runs in any case. All "
-        "are then refined in the graph.",
-        choices=("auto", "fastslam2", "batch", "best"),
-    )  # fmt: skip
-    front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +220,7 @@ class SmootherOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(MapOptions, OnlineOptions, FrontEndOptions, GraphOptions, LogOptions, SmootherOptions):
+class RunOptions(MapOptions, OnlineOptions, AssociationOptions, GraphOptions, LogOptions, SmootherOptions):
     """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
     components = LogOptions.components | {"filter": (FilterOptions, FILTER)} | SmootherOptions.components

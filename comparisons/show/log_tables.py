@@ -85,10 +85,8 @@ def plan(
 EVERY = 0.2
 
 
-def pictures(
-    log: Log, options: RunOptions, *, width: int = 76, height: int = 24, every: float = EVERY
-) -> Iterator[list[str]]:
-    """Pictures of the estimate, each a list of lines: one every ``every`` seconds, and the last one.
+def pictures(log: Log, options: RunOptions, *, width: int = 76, height: int = 24) -> Iterator[list[str]]:
+    """Pictures of the estimate, each a list of lines: one every `EVERY` seconds, and the last one.
 
     Raises:
         GraphError: the log lacks what the graph needs.
@@ -98,7 +96,7 @@ def pictures(
     for solver in steps:
         now = time.perf_counter()
         spent.append(now - begin)
-        if now - drawn >= every or solver.step == log.num_poses - 1:
+        if now - drawn >= EVERY or solver.step == log.num_poses - 1:
             marks = np.array([mark[:2] for mark in solver.landmarks.values()]).reshape(-1, 2)
             lines = plan(solver.poses[:, :2], marks, width, height, ("estimated path", "landmark"))
             # the first steps of a process load compiled code

@@ -27,7 +27,7 @@ import numpy as np
 
 from graphslam import Certificate, Graph, GraphError, OptionError, certify, solve
 from graphslam.edges import RelativePointEdges, RelativePoseEdges
-from graphslam.se2 import Array, rotation
+from graphslam.se2 import Array, turned_by
 from graphslam.solvers.gtsam_factors import from_values, to_gtsam, to_values
 from graphslam.solvers.initialize import starting_state
 
@@ -53,11 +53,11 @@ class PeerRun:
     costs: tuple[float, ...] = ()
 
 
-def information_of_g2o(edges: RelativePoseEdges) -> Array:
-    """The information (E, 3, 3) for the residual z^-1 (x_i^-1 x_j), which is our residual rotated by R(theta_z)'."""
-    turn = np.broadcast_to(np.eye(3), (edges.count, 3, 3)).copy()
-    turn[:, :2, :2] = rotation(-edges.measured[:, 2])
-    return turn @ edges.information @ np.swapaxes(turn, 1, 2)
+def _check_pose_graph(graph: Graph) -> None:
+    """Raise `OptionError` for edges that are not those of a pose graph."""
+    for family in graph.families:
+        if not isinstance(family, RelativePoseEdges | RelativePointEdges) or family.state_dependent_information:
+            raise OptionError(f"{type(family).__name__} do not belong to a pose graph")
 
 
 def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
@@ -66,19 +66,18 @@ def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
     Raises:
         OptionError: the graph has edges that are not those of a pose graph.
     """
+    _check_pose_graph(graph)
     factors = gtsam.NonlinearFactorGraph()
     for family in graph.families:
-        if isinstance(family, RelativePoseEdges) and not family.state_dependent_information:
-            for i, j, z, omega in zip(
-                family.first.tolist(), family.second.tolist(), family.measured, information_of_g2o(family)
-            ):
+        if isinstance(family, RelativePoseEdges):
+            # GTSAM's residual, as that of g2o, is ours turned by R(theta_z)'
+            turned = turned_by(family.information, -family.measured[:, 2])
+            for i, j, z, omega in zip(family.first.tolist(), family.second.tolist(), family.measured, turned):
                 noise = gtsam.noiseModel.Gaussian.Information(omega)
                 factors.add(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(*z), noise))
-        elif isinstance(family, RelativePointEdges):
+        else:
             # Python evaluates them, with a copy of all values at each call: many in one factor are few calls
             factors.push_back(to_gtsam(replace(graph, families=(family,), fixed=graph.fixed[:0])))
-        else:
-            raise OptionError(f"{type(family).__name__} do not belong to a pose graph")
     stiff = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
     for node in graph.fixed.tolist():
         factors.add(gtsam.PriorFactorPose2(node, gtsam.Pose2(*graph.initial[node]), stiff))
@@ -136,6 +135,7 @@ def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], Pe
     It has no stop rule here: it executes the smallest number of iterations that reaches its final cost.
     """
     g2o = _import_g2o()
+    _check_pose_graph(graph)
     costs, reaches = _smallest_number(g2o, graph, damped, max_iterations)
 
     def run() -> PeerRun:
@@ -183,32 +183,12 @@ def _g2o_optimizer(g2o: Any, graph: Graph, damped: bool) -> Any:
     algorithm = g2o.OptimizationAlgorithmLevenberg if damped else g2o.OptimizationAlgorithmGaussNewton
     optimizer.set_algorithm(algorithm(solver))
     optimizer.set_verbose(False)
-    fixed = set(graph.fixed.tolist())
     poses = len(graph.steps)
-    for node, (x, y, theta) in enumerate(graph.initial.tolist()):
-        if node < poses:
-            vertex = g2o.VertexSE2()
-            vertex.set_estimate(g2o.SE2(x, y, theta))
-        else:
-            vertex = g2o.VertexPointXY()
-            vertex.set_estimate(np.array([x, y]))
-        vertex.set_id(node)
-        vertex.set_fixed(node in fixed)
-        optimizer.add_vertex(vertex)
-    for family in graph.families:
-        if isinstance(family, RelativePoseEdges):
-            kind, measured, omegas = g2o.EdgeSE2, [g2o.SE2(*z) for z in family.measured], information_of_g2o(family)
-        elif isinstance(family, RelativePointEdges):
-            kind, measured, omegas = g2o.EdgeSE2PointXY, list(family.measured), family.information
-        else:
-            raise OptionError(f"{type(family).__name__} do not belong to a pose graph")
-        for i, j, z, omega in zip(family.first.tolist(), family.second.tolist(), measured, omegas):
-            edge = kind()
-            edge.set_vertex(0, optimizer.vertex(i))
-            edge.set_vertex(1, optimizer.vertex(j))
-            edge.set_measurement(z)
-            edge.set_information(omega)
-            optimizer.add_edge(edge)
+    # g2o reads its own files; there the ids are the numbers of the nodes
+    numbered = replace(graph, pose_ids=np.arange(poses), landmark_ids=np.arange(poses, graph.num_nodes))
+    with TemporaryDirectory() as folder:
+        numbered.save_g2o(path := f"{folder}/graph.g2o")
+        optimizer.load(path)
     return optimizer
 
 

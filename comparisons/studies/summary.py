@@ -57,7 +57,7 @@ class Median:
     count: int
 
 
-def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int = 0) -> Median | None:
+def median_of(values: Sequence[float], units: Sequence[Hashable]) -> Median | None:
     """The median of values and its percentile-bootstrap interval (Efron and Tibshirani, 1993, chapter 13).
 
     Units are drawn with replacement, each with all its values: values of one log share its noise, and are not
@@ -66,7 +66,6 @@ def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int =
     Args:
         values: the numbers.
         units: of each value; equal for values that belong together.
-        seed: random seed of the resampling; the same values give the same interval.
 
     Returns:
         None where there are no values.
@@ -81,7 +80,8 @@ def median_of(values: Sequence[float], units: Sequence[Hashable], *, seed: int =
         return Median(median, None, None, len(values))
     # a row for each unit, NaN after its last value
     groups = np.array(list(zip_longest(*members.values(), fillvalue=np.nan)), dtype=float).T
-    rng = np.random.default_rng(seed)
+    # the same values give the same interval
+    rng = np.random.default_rng(0)
     step = max(1, _AT_ONCE // groups.size)
     draws = (rng.integers(count, size=(min(step, RESAMPLES - k), count)) for k in range(0, RESAMPLES, step))
     medians = np.concatenate([np.nanmedian(groups[draw].reshape(len(draw), -1), axis=1) for draw in draws])

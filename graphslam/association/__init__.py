@@ -1,8 +1,8 @@
-"""Association: which sightings without ids are of the same landmark; `associate` finds out, `score` compares with truth."""
+"""Association: which sightings without ids are of the same landmark, and `score`, which compares with the truth."""
 
 from .ambiguity import Ambiguity
 from .assignment import ids_by_map
-from .associate import Association, AssociationScore, associate, score
+from .associate import Association, AssociationScore, associate_from, score
 from .problem import AssociationOptions
 from .unknown_robot import known_noise
 
@@ -11,7 +11,7 @@ __all__ = [
     "AssociationOptions",
     "AssociationScore",
     "Ambiguity",
-    "associate",
+    "associate_from",
     "ids_by_map",
     "known_noise",
     "score",

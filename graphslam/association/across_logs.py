@@ -1,6 +1,6 @@
 """Logs of one place whose sightings have no ids, joined: each is associated alone, and their maps are matched.
 
-1. Each log gets ids, a trajectory and a map of its own (`associate`).
+1. Each log gets ids, a trajectory and a map of its own (`associate_from`).
 2. The map of each log is a constellation that is looked for in the map of those before (`graph.constellation.match`), and the
    log is followed through that map (`graph.tracking`). Landmarks that agree get one id.
 3. From both starts the graph of all logs so far is solved, and association and solving take turns
@@ -25,7 +25,7 @@ from ..log.join import end_to_end
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose, in_frame
 from ..solvers.solve import solve
-from .associate import associate
+from .associate import associate_from
 from .evidence import evidence
 from .map_solution import Problem
 from .problem import AssociationOptions
@@ -62,7 +62,7 @@ def _associated(log: Log, models: dict[str, Any]) -> Log:
     """The log with ids, `UNIDENTIFIED` for clutter, and its trajectory."""
     if log.identified:
         return log.replace(initial_poses=solve(_graph(log, models)).poses)
-    found = associate(log, **models)
+    found = associate_from(log, **models)
     return log.replace(landmarks=found.ids, initial_poses=found.poses, notes=(*log.notes, *found.notes))
 
 

@@ -1,4 +1,4 @@
-"""`associate`: a log whose sightings have no ids, with ids; `Verdict`: can they be trusted; `score`: compared with true ids.
+"""`associate_from`: ids for sightings without; `Verdict`: whether they can be trusted; `score`: compared with true ids.
 
 The verdict separates good maps from bad ones, calibrated on simulated logs.
 
@@ -189,7 +189,7 @@ class Association:
         )
 
 
-def associate(
+def associate_from(
     log: Log,
     *,
     motion: MotionModel | None = None,
@@ -201,8 +201,7 @@ def associate(
 ) -> Association:
     """Find out which sightings are of the same landmark, from the log alone.
 
-    Ids that the log has are not used where all sightings have one; where some have none, the others keep theirs (option
-    ``keep_ids``).
+    `graphslam.associate` calls this with the starts of its front ends.
 
     The robot drives along the log once: a local Kalman filter joins sightings of neighbouring scans to tracks, and every
     ``window`` steps the graph of the drive so far is solved, and tracks are joined to landmarks that were seen before by

@@ -267,12 +267,7 @@ def _shifts(
     d, ids = graph.landmark_dimension, [j for j in used if j in solution.landmarks]
     P = solution.covariance(landmarks=[*ids, *(fresh[j] for j in fresh)], joint=True)
     size, of_coordinates = d * len(ids), np.tile(np.arange(3) < d, len(ids))
-    if used.joint is not None:
-        L = used.joint_information(ids, d)[np.ix_(of_coordinates, of_coordinates)]
-    else:
-        L = np.zeros((size, size))
-        for k, j in enumerate(ids):
-            L[k * d : (k + 1) * d, k * d : (k + 1) * d] = used.own_information(j, d)[:d, :d]
+    L = used.information(ids, d)[np.ix_(of_coordinates, of_coordinates)]
     means, places = np.zeros((2, len(ids), 3))
     for k, j in enumerate(ids):
         means[k, : min(d, len(used[j]))] = used[j][:d]

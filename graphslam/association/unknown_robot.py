@@ -10,7 +10,7 @@ from ..identification.result import RobotEstimate, not_used, with_book
 from ..identification.robot import AUTO, BOOK, enough_ids, estimate_robot, known_robot, unknown_noise
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
-from .associate import associate
+from .associate import associate_from
 
 
 def known_noise(
@@ -75,8 +75,8 @@ def _corrected(log: Log, found: RobotEstimate) -> Log:
 
 
 def _with_found_ids(log: Log, corrected: Log, motion: MotionModel, sensor: SensorModel) -> tuple[Log, str]:
-    """The log with the ids that `associate` finds in the corrected log, without clutter, and a note."""
-    found = associate(corrected, motion=motion, sensor=sensor)
+    """The log with the ids that `associate_from` finds in the corrected log, without clutter, and a note."""
+    found = associate_from(corrected, motion=motion, sensor=sensor)
     kept = found.ids != UNIDENTIFIED
     # landmarks that were found are not those of the true map
     named = log.with_sightings(kept, landmarks=found.ids[kept], initial_poses=found.poses, true_landmarks=None)

@@ -150,7 +150,7 @@ def in_world_frame(frame: str) -> bool:
     return frame == "world"
 
 
-def positive_definite(information: ArrayLike, size: int = 3, name: str = "information") -> Array:
+def positive_definite(information: ArrayLike, size: int = 3) -> Array:
     """A symmetric positive definite matrix (size, size).
 
     Raises:
@@ -168,7 +168,7 @@ def positive_definite(information: ArrayLike, size: int = 3, name: str = "inform
     except Exception:  # objects that NumPy asks for numbers may raise anything
         possible = False
     if not possible:
-        raise OptionError(f"{name} must be a symmetric positive definite {size or 'd'} x {size or 'd'} matrix")
+        raise OptionError(f"information must be a symmetric positive definite {size or 'd'} x {size or 'd'} matrix")
     return (omega + omega.T) / 2
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -186,6 +186,20 @@ class LandmarkMap(dict[int, Array]):
             "the joint covariance of the map", self.joint[np.ix_(places, places)]
         )
         return information
+
+    def information(self, ids: Sequence[int], coordinates: int) -> Array:
+        """The information (3 L, 3 L) of landmarks: joint where the map has that, else of each; zero for exact ones.
+
+        Raises:
+            OptionError: a covariance is singular.
+        """
+        if self.joint is not None:
+            return self.joint_information(ids, coordinates)
+        blocks = np.zeros((len(ids), 3, len(ids), 3))
+        for k, j in enumerate(ids):
+            if j in self.covariances:
+                blocks[k, :, k] = self.own_information(j, coordinates)
+        return blocks.reshape(3 * len(ids), 3 * len(ids))
 
     def own_information(self, id: int, coordinates: int) -> Array:
         """The information (3, 3) of one landmark, zero for coordinates that the map does not give.

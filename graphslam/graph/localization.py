@@ -6,7 +6,7 @@ other place and against the map of another place, are above `SURE` by their join
 three landmarks agree, because two fit a mirrored map as well, or two with headings, because one fits a map in any unit. More
 landmarks must agree than contradict, and most sightings or twice as many landmarks (`_agreed`). Where all sightings together
 do not reach `SURE`, the fix says its odds. The pose and its covariance are those of the drive smoothed by the sightings that
-agree (`graph.carried`).
+agree (`graph.stretch`).
 """
 
 from __future__ import annotations
@@ -22,12 +22,11 @@ from ..errors.checks import check_type, listed
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, in_frame, lever_matrix, perpendicular, turn_matrix
-from .carried import paired, points_of, seen_from, smoothed, together
 from .constellation import Constellations, Merged, match, merged, with_alike
 from .landmark_map import LandmarkMap, as_map
 from .map_evidence import Weighed, log_sum
 from .registration import RIGHT, Match, Points, evenly, register
-from .stretch import Drift, Stretch, backwards, moved
+from .stretch import Drift, Stretch, backwards, moved, paired, points_of, seen_from, smoothed, together
 from .tracker import Tracker
 
 #: odds from which a fix is taken at once, and below which there is none even after all sightings

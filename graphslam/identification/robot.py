@@ -31,7 +31,7 @@ from ..models import MotionModel, SensorModel
 from .corrections import corrected_log, honest_variances
 from .declared import ParameterEstimate
 from .odometry import OF_SENSOR, sighting_times
-from .restricted_likelihood import fit, gain_over
+from .restricted_likelihood import fit, gain_over, is_elsewhere, with_sensor_anywhere
 from .result import (
     BOOK_NOISE,
     DEAD_RECKONING,
@@ -45,7 +45,6 @@ from .result import (
     not_used,
     with_book,
 )
-from .sensor_place import is_elsewhere, with_sensor_anywhere
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 
@@ -139,7 +138,6 @@ def estimate_robot(
         log: with controls and ids. Sightings without an id are corrected like the others, but not used.
         sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose.
         given: noise to compare with in place of the book's.
-        seed: of the random signs with which covariances of predictions are estimated.
 
     Raises:
         LogError: the log has too few sightings with ids, or no controls.
@@ -281,13 +279,12 @@ def _with_ids(
     return drive, first, checked_ids(drive, _everywhere(first, fewer), alone, rng)
 
 
-def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel, *, seed: int = 0) -> Log:
+def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
     """The log of a robot that is known, with the ids that contradict their place replaced or left out, and a note.
 
     Args:
         log: without biases.
         motion, sensor: the noise.
-        seed: of the random signs with which covariances of predictions are estimated.
 
     Raises:
         LogError: the log has too few sightings with ids, or no controls.
@@ -300,7 +297,7 @@ def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel, *, seed
             f"{FEWEST['sightings']} sightings and {FEWEST['poses']} poses"
         )
     try:
-        ids = _with_ids(log, sensor, np.random.default_rng(seed), motion)[2].within(log.landmarks)
+        ids = _with_ids(log, sensor, np.random.default_rng(0), motion)[2].within(log.landmarks)
     except np.linalg.LinAlgError:
         raise GraphError(f"{log.name}: the sightings do not determine the poses") from None
     if ids.share > MANY_MISREAD:

@@ -27,7 +27,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..log.join import datum_note, local_plane
-from ..log.measurements import not_positive
+from ..log.measurements import not_positive, symmetric
 from ..log.table import COVARIANCES, Columns
 from ..se2 import Array, between, compose, turn_matrix
 from .bag_messages import Collector, Frames, rotation_of
@@ -85,10 +85,7 @@ class Poses(Collector):
         headings = np.full(len(rows), np.nan)
         R = rotation_of(turns[known])
         headings[known] = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
-        C = np.zeros((2, len(rows), 3, 3))
-        for k, (i, j) in enumerate(zip(*np.triu_indices(3))):
-            C[:, :, i, j] = C[:, :, j, i] = rows[:, [6 + k, 12 + k]].T
-        return np.column_stack([rows[:, :2], headings]), C[0], C[1]
+        return np.column_stack([rows[:, :2], headings]), symmetric(rows[:, 6:12]), symmetric(rows[:, 12:18])
 
     def fixes(self) -> tuple[Array, Array, np.ndarray]:
         """Latitude, longitude [degrees], altitude [m] (N, 3), covariances (N, 2, 2), and their types (N,), -1 for no fix."""

@@ -34,7 +34,7 @@ from ..errors.checks import singular
 from ..files import number, read_text
 from ..log import Log
 from ..log.join import end_to_end
-from ..log.measurements import NOT_POSITIVE, AbsolutePositions, PartialSightings, PoseRelations, not_positive
+from ..log.measurements import NOT_POSITIVE, AbsolutePositions, PartialSightings, PoseRelations, not_positive, symmetric
 from ..log.rows import ReadOptions
 from ..models import MotionModel, SensorModel, sinc
 from ..se2 import Array, between, difference, wrap
@@ -88,10 +88,7 @@ class _File:
         Raises:
             FormatError: one is not positive definite.
         """
-        upper = np.array([row.numbers[d:] for row in rows]).reshape(len(rows), d * (d + 1) // 2)
-        found = np.zeros((len(rows), d, d))
-        for k, (i, j) in enumerate(zip(*np.triu_indices(d))):
-            found[:, i, j] = found[:, j, i] = upper[:, k]
+        found = symmetric(np.array([row.numbers[d:] for row in rows]).reshape(len(rows), d * (d + 1) // 2))
         for k in np.flatnonzero(not_positive(found)).tolist():
             raise self.error(rows[k].line, f"the covariance {NOT_POSITIVE}")
         return found

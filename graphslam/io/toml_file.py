@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from ..errors import FormatError, OptionError, quoted, shortened
 from ..errors.checks import suggestion
-from ..files import check_file
+from ..files import read_text
 
 T = TypeVar("T")
 
@@ -35,12 +35,7 @@ class TomlFile:
     """
 
     def __init__(self, path: Path) -> None:
-        check_file(path)
-        self.path = path
-        try:
-            self.text = path.read_text(encoding="utf-8")
-        except UnicodeDecodeError:
-            raise FormatError(path, None, "this is not text in UTF-8; a TOML file is needed here") from None
+        self.path, self.text = path, read_text(path)
         try:
             self.table: dict[str, Any] = tomllib.loads(self.text)
         except RecursionError:

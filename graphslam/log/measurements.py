@@ -375,6 +375,15 @@ def checked_covariances(name: str, value: Any, count: int, d: int, rows: np.ndar
     return (covariances + np.swapaxes(covariances, 1, 2)) / 2
 
 
+def symmetric(upper: Array, places: Sequence[tuple[int, int]] | None = None) -> Array:
+    """Symmetric matrices (N, d, d) from their upper triangles (N, d (d + 1) / 2), by rows or at these (row, column)."""
+    d = int((2 * upper.shape[1]) ** 0.5)
+    i, j = np.triu_indices(d) if places is None else np.transpose(places)
+    whole = np.empty((len(upper), d, d))
+    whole[:, i, j] = whole[:, j, i] = upper
+    return whole
+
+
 #: what is wrong with a covariance, and what to do
 NOT_POSITIVE = (
     "is not symmetric and positive definite: its diagonal holds variances, above zero, and a covariance between two "

@@ -395,14 +395,7 @@ def _priors_of(known: LandmarkMap, columns: int) -> tuple[list[int], Array, Arra
     ids, count = list(known), len(known)
     places = np.zeros((count, 3))
     places[:, :columns] = [place[:columns] for place in known.values()]
-    if known.joint is not None:
-        information = known.joint_information(ids, columns)
-    else:
-        from scipy.linalg import block_diag
-
-        information = block_diag(
-            *(known.own_information(j, columns) if j in known.covariances else np.zeros((3, 3)) for j in ids)
-        )
+    information = known.information(ids, columns)
     exact = np.repeat([j not in known.covariances for j in ids], 3) & np.tile(np.arange(3) < columns, count)
     information[exact, exact] = HELD_STD**-2
     return ids, places, information

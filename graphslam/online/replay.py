@@ -31,7 +31,7 @@ from ..graph.integrity import unlocated
 from ..graph.tracker import Tracker
 from ..graph.trilateration import places_of_rows
 from ..log import Log
-from ..models import MotionModel, SensorModel
+from ..models import SensorModel
 from ..se2 import Array
 from ..solvers.corrected import motion_edges
 from ..solvers.initialize import image_notes, partial_edges
@@ -302,20 +302,20 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     assert graph.log is not None
     # with the noise, the ids and without the biases that were estimated, where the noise of the robot was not known
     log = graph.log
-    motion, weight = options.get("motion") or log.motion or MotionModel(), options.get("motion_weight", 1.0)
-    motions, covariances = log.motions(motion)
+    motions = motion_edges(graph)
+    assert motions is not None
     sightings = log.sightings[:, :2] if options.get("dimensions") == 2 else log.sightings
     own, numbers = _first_held(graph) | own, _single_numbers(graph)
     solver = OnlineSolver(
-        graph.trajectory[0], backend="isam2", motion=motion, sensor=graph.sensor, kernel=options["kernel"], **own
-    )
+        graph.trajectory[0], backend="isam2", motion=options.get("motion") or log.motion, sensor=graph.sensor,
+        kernel=options["kernel"], **own,
+    )  # fmt: skip
     backend: Any = solver._backend
-    information = weight * np.linalg.inv(covariances)
     relations, positions = _arriving(graph)
 
     def add(step: int, now: np.ndarray) -> None:
         if step:
-            backend.add_relation((step - 1, step, motions[step - 1], information[step - 1]))
+            backend.add_relation((step - 1, step, motions.measured[step - 1], motions.information[step - 1]))
         backend.add_sightings(step, log.landmarks[now].tolist(), sightings[now])
         for landmark, z in numbers[step]:
             backend.add_sightings(step, [landmark], z[None])

@@ -185,7 +185,7 @@ SCALES = ("wheel_scale", "range_scale")
 #: a scale that is so many standard deviations from 1 is wrong, or the other one is
 SIGNIFICANT = 3.0
 #: a delay is too close to zero where noise is at least this part of the information on it, and explains at least so many
-#: standard deviations; it is not told where noise is more than the next part; the samples of this noise
+#: standard deviations; it is not identifiable where noise is more than the next part; the samples of this noise
 NOISY, SHORT, DROWNED, SAMPLES = 0.1, 1.0, 0.8, 4
 #: doubtful where the motion edges cost less than this part of what they should
 SMALL = 0.3

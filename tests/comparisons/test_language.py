@@ -34,7 +34,7 @@ from comparisons.estimators import filters
 from comparisons.results import exchange
 from comparisons.show import canvas, log_tables, studies, tables
 from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
-from comparisons.show.report import charts, matrix, page
+from comparisons.show.report import charts, page
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults, tracking
 from graphslam.identification.result import RobotEstimate
@@ -50,7 +50,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     comparison.Comparison._noise_findings, comparison.Comparison._unused_options,
     exchange.reason_without_graph, filters._one_run, filters.of_several_seeds,
     build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._convergence, page._matrix,
-    charts.remarks, matrix.description, page.association_table, defaults.pairs_overweight,
+    charts.remarks, charts.description, page.association_table, defaults.pairs_overweight,
     RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, studies.solver_tables, studies.backend_tables,
     log_tables.import_tables, log_tables.overview_tables, log_tables.evaluation_tables, studies.particle_tables,
     studies.consistency_tables, studies.summary_tables, log_tables.survey_tables, log_tables.calibration_tables,

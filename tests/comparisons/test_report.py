@@ -17,7 +17,7 @@ from comparisons.cli import app
 from comparisons.comparison import Comparison
 from comparisons.estimators import make_graph
 from comparisons.results import EstimatorResult, dead_reckoning_covariances
-from comparisons.show.report import charts, matrix, page
+from comparisons.show.report import charts, page
 from comparisons.show.report.charts import convergence_figure, costs_figure, errors_figure, iterations, plain_steps
 from comparisons.show.report.page import page_of, write_report
 from comparisons.show.report.view import dash_of, view_of
@@ -238,7 +238,7 @@ def test_the_fill_in_is_that_of_a_factorisation() -> None:
     dense = np.eye(n) * 6 + np.triu((random.random((n, n)) < 0.06) * random.uniform(0.5, 1, (n, n)), 1)
     dense = dense + dense.T
     rows, cols = np.nonzero(np.tril(dense))
-    pattern = matrix.factor_pattern(n, rows, cols)
+    pattern = charts.factor_pattern(n, rows, cols)
     np.testing.assert_array_equal(pattern, np.linalg.cholesky(dense) != 0)
     columns, upper = np.nonzero(np.tril(dense))
     indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=n))])
@@ -247,12 +247,12 @@ def test_the_fill_in_is_that_of_a_factorisation() -> None:
 
 def test_both_pictures_show_the_same_matrix(log: Log, comparison: Comparison) -> None:
     graph = make_graph(log, comparison.options)
-    before, after = matrix.pictures(graph)
+    before, after = charts.pictures(graph)
     solve(graph)
     omega = np.abs(graph.system.to_sparse().toarray()).reshape(25, 3, 25, 3).max(axis=(1, 3)) > 0
-    np.testing.assert_array_equal(before.cells == matrix.ENTRY, omega)
+    np.testing.assert_array_equal(before.cells == charts.ENTRY, omega)
     order = analyze(graph.system.indptr, graph.system.indices).order
-    np.testing.assert_array_equal(after.cells == matrix.ENTRY, omega[np.ix_(order, order)])
+    np.testing.assert_array_equal(after.cells == charts.ENTRY, omega[np.ix_(order, order)])
     for picture in (before, after):
         assert np.count_nonzero(np.tril(picture.cells)) == picture.factor_blocks
 

@@ -107,10 +107,10 @@ def test_isam2_chooses_alike(dimensions, tmp_path):
 
 
 def test_sightings_without_ids(tmp_path):
-    """The ids are found first; with the same front end the graph is the same."""
+    """The ids are found first, by the same front ends."""
     log = SHORT.replace(landmarks=np.full(len(SHORT.steps), -1))
     found = associate(log)
-    result = comparisons.run(log, estimators=["graph"], front_end="batch")["graph"]
+    result = comparisons.run(log, estimators=["graph"])["graph"]
     solution = solve(Graph.from_log(found.log, motion=found.motion))
     assert np.array_equal(result.poses, solution.poses) and result.cost == solution.cost
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from error_rates import bound
 
-from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, associate, simulate, solve
-from graphslam.association import score
+from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, simulate, solve
+from graphslam.association import associate_from, score
 from graphslam.association.adapting import Robot, slipping
 from graphslam.metrics import ate
 from graphslam.se2 import compose
@@ -61,7 +61,7 @@ def test_slip_over_long_ways_is_found_where_there_is_some(slip: float, raised: b
 def test_association_estimates_parameters_on_the_way() -> None:
     log = drifting(0.0, seed=1, steps=120)
     biased = log.replace(sightings=log.sightings + [0.1, 0.06])
-    found = associate(biased, estimate=["bearing_bias", "range-bias"], slip=False)
+    found = associate_from(biased, estimate=["bearing_bias", "range-bias"], slip=False)
     assert score(found.ids, log.landmarks).precision > 0.99
     assert found.parameters is not None
     for name, truth in {"bearing_bias": 0.06, "range_bias": 0.1}.items():
@@ -69,4 +69,4 @@ def test_association_estimates_parameters_on_the_way() -> None:
     assert any("estimated parameters" in note for note in found.notes)
     assert found.log.motion == found.motion == MOTION
     with pytest.raises(GraphError, match="size of the world"):
-        associate(biased, estimate=["wheel_scale", "range_scale"])
+        associate_from(biased, estimate=["wheel_scale", "range_scale"])

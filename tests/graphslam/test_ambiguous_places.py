@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from graphslam import Log, MotionModel, SensorModel, associate
-from graphslam.association import score
+from graphslam import Log, MotionModel, SensorModel
+from graphslam.association import associate_from, score
 from graphslam.association.ambiguity import CandidatePairs
 from graphslam.association.evidence import log_density
 from graphslam.association.problem import agree, held, may_be_one
@@ -68,7 +68,7 @@ def two_corridors(std: float) -> Log:
 @pytest.mark.parametrize(("measured", "right"), [(12.0, True), (6.5, True), (2.0, False)])
 def test_a_return_to_one_of_two_corridors_is_ambiguous(measured: float, right: bool) -> None:
     log = back_to_the_first(measured)
-    found = associate(log)
+    found = associate_from(log)
     assert found.landmarks == 10
     # which corridor it was is decided by odometry, and may be wrong
     assert (score(found.ids, log.landmarks).precision == 1.0) == right
@@ -83,7 +83,7 @@ def test_a_return_to_one_of_two_corridors_is_ambiguous(measured: float, right: b
 
 def test_a_return_that_odometry_decides_is_not_ambiguous() -> None:
     log = back_to_the_first(12.0)
-    surely = associate(log, motion=MotionModel.constant(0.02, 0.003, epsilon=1e-6))
+    surely = associate_from(log, motion=MotionModel.constant(0.02, 0.003, epsilon=1e-6))
     assert surely.ambiguities == () and score(surely.ids, log.landmarks).precision == 1.0
 
 
@@ -94,13 +94,13 @@ def test_a_search_that_was_cut_short_says_so() -> None:
         "had not settled when they were compared",
     )
     for tries, left in ((0, 2), (1, 1)):
-        assert any(limit.format(tries, left) in note for note in associate(log, tries=tries).notes)
-    assert any(f"{settled}, after 1 round: 1 of 2;" in note for note in associate(log, rounds=1).notes)
-    assert not any("limit on tries" in note or settled in note for note in associate(log).notes)
+        assert any(limit.format(tries, left) in note for note in associate_from(log, tries=tries).notes)
+    assert any(f"{settled}, after 1 round: 1 of 2;" in note for note in associate_from(log, rounds=1).notes)
+    assert not any("limit on tries" in note or settled in note for note in associate_from(log).notes)
 
 
 def test_two_corridors_are_one_or_two_by_evidence() -> None:
-    apart, doubtful, joined = (associate(two_corridors(std)) for std in (1.0, 1.6, 1.8))
+    apart, doubtful, joined = (associate_from(two_corridors(std)) for std in (1.0, 1.6, 1.8))
     assert (apart.landmarks, apart.ambiguities) == (10, ())
     (doubt,) = doubtful.ambiguities
     assert doubtful.landmarks == 10 and doubt.new and 0 < doubt.log_factor < np.log(100)
@@ -140,14 +140,14 @@ def test_ids_of_some_sightings_are_kept_and_decide_for_the_others() -> None:
     log = back_to_the_first(2.0)
     of_one = log.landmarks == 0
     part = log.replace(landmarks=np.where(of_one, 7, UNIDENTIFIED))
-    found = associate(part)
+    found = associate_from(part)
     # without them the wrong corridor is chosen
     assert score(found.ids, log.landmarks).precision == 1.0 and found.landmarks == 10 and not found.ambiguities
     assert np.all(found.ids[of_one] == 7) and set(found.ids[~of_one].tolist()) == set(range(8, 17))
     assert np.array_equal(found.kept, of_one) and np.all(np.isinf(found.margins[of_one]))
     assert any(f"{of_one.sum()} of 158 sightings kept the ids" in note for note in found.notes)
-    asked = associate(part, keep_ids=False)
-    np.testing.assert_array_equal(asked.ids, associate(log).ids)
+    asked = associate_from(part, keep_ids=False)
+    np.testing.assert_array_equal(asked.ids, associate_from(log).ids)
     assert not asked.kept.any()
 
 

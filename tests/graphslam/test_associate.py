@@ -19,13 +19,12 @@ from graphslam import (
     MotionModel,
     OptionError,
     SensorModel,
-    associate,
     load,
     sample_log_path,
     save,
     simulate,
 )
-from graphslam.association import assignment, score
+from graphslam.association import assignment, associate_from, score
 from graphslam.association.ambiguity import readable
 from graphslam.association.evidence import Candidates, evidence, log_density
 from graphslam.association.map_solution import MapSolution, Problem, seen_from
@@ -124,7 +123,7 @@ def test_evidence_for_one_landmark_instead_of_two_is_that_of_their_distance(psi:
 def test_sample_log_with_hidden_ids(psi: bool) -> None:
     log = load(sample_log_path())
     log = log if psi else log.without_orientation()
-    found = associate(hidden(log))
+    found = associate_from(hidden(log))
     assert found.landmarks == len(log.landmark_ids)
     result = score(found.ids, log.landmarks)
     assert (result.precision, result.recall) == (1.0, 1.0)
@@ -149,18 +148,18 @@ def cluttered(seed: int) -> Log:
 def test_a_search_takes_a_limited_number_of_pairs_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """MR.CLAM 6 robot 3 without ids begins with 33,455 pairs of landmarks that may be one: all at once take 33 GiB."""
     log, decided, sizes = load(sample_log_path()), assignment._decided, list[int]()
-    whole = associate(log)
+    whole = associate_from(log)
 
     def recorded(solved: Any, item: np.ndarray, *rest: Any) -> Any:
         sizes.append(len(item))
         return decided(solved, item, *rest)
 
     monkeypatch.setattr(assignment, "_decided", recorded)
-    associate(log)
+    associate_from(log)
     assert max(sizes) > 2
     sizes.clear()
     monkeypatch.setattr(assignment, "MOST_PAIRS", 2)
-    few = associate(log)
+    few = associate_from(log)
     assert max(sizes) == 2
     assert few.landmarks == whole.landmarks == 13 and np.array_equal(few.ids, whole.ids)
 
@@ -174,11 +173,11 @@ def test_less_likely_pairs_are_tried_where_the_likely_ones_lead_to_nothing(monke
 
     monkeypatch.setattr(assignment, "_decided", nothing)
     log = load(sample_log_path())
-    associate(log)
+    associate_from(log)
     at_once = {pair for call in calls for pair in call}
     calls.clear()
     monkeypatch.setattr(assignment, "MOST_PAIRS", 2)
-    associate(log)
+    associate_from(log)
     assert {pair for call in calls for pair in call} == at_once and max(map(len, calls)) == 2
 
 
@@ -186,7 +185,7 @@ def test_clutter_and_misses() -> None:
     exact, precise = 0, []
     for seed in range(6):
         log = cluttered(seed)
-        found = associate(hidden(log), motion=MOTION, sensor=SENSOR)
+        found = associate_from(hidden(log), motion=MOTION, sensor=SENSOR)
         exact += found.landmarks == len(log.landmark_ids)
         precise.append(score(found.ids, log.landmarks).precision)
     assert exact == 6 and np.mean(precise) > 0.95
@@ -194,13 +193,13 @@ def test_clutter_and_misses() -> None:
 
 def test_each_sighting_by_itself_finds_clear_landmarks() -> None:
     log = load(sample_log_path())
-    found = associate(log, method="nearest")
+    found = associate_from(log, method="nearest")
     assert found.landmarks == 13 and score(found.ids, log.landmarks).precision == 1
 
 
 def test_ids_of_the_log_are_not_used() -> None:
     log = load(sample_log_path())
-    np.testing.assert_array_equal(associate(log).ids, associate(hidden(log)).ids)
+    np.testing.assert_array_equal(associate_from(log).ids, associate_from(hidden(log)).ids)
 
 
 def test_scores() -> None:
@@ -219,10 +218,10 @@ def test_logs_that_tell_nothing() -> None:
     log = hidden(load(sample_log_path()))
     empty = replace(log, steps=log.steps[:0], landmarks=log.landmarks[:0], sightings=log.sightings[:0])
     with pytest.raises(GraphError, match="no sightings at all"):
-        associate(empty)
+        associate_from(empty)
     still = Log(initial_poses=np.zeros((2, 3)), steps=[0], landmarks=[UNIDENTIFIED], sightings=[[1.0, 0.0]])
     with pytest.raises(LogError, match="no controls"):
-        associate(still)
+        associate_from(still)
     for name, value in {
         "method": "guess",
         "gate": "wide",
@@ -232,7 +231,7 @@ def test_logs_that_tell_nothing() -> None:
         "tries": -1,
     }.items():
         with pytest.raises(OptionError, match=f"{name} must .*{value}"):
-            associate(log, **{name: value})
+            associate_from(log, **{name: value})
 
 
 @pytest.mark.slow
@@ -242,7 +241,7 @@ def test_clutter_alone_is_said() -> None:
     for seed in range(6):
         z = np.random.default_rng(seed).uniform([1, -3, -3], [6, 3, 3], (count, 3))
         clutter = replace(log, steps=np.arange(count) * 4, landmarks=log.landmarks[:count], sightings=z)
-        found = associate(clutter)
+        found = associate_from(clutter)
         assert found.landmarks <= 5 and found.clutter > count / 2
         assert any("most sightings are of no landmark" in note for note in found.notes)
     # at places 10 m from each other none agree; where few do, but contradict the motions, the graph diverges
@@ -251,14 +250,14 @@ def test_clutter_alone_is_said() -> None:
         z[:, 0] = 5 + apart * np.arange(count)
         few = replace(clutter, steps=clutter.steps[:count], landmarks=clutter.landmarks[:count], sightings=z)
         with pytest.raises(GraphError, match=f"no landmark .* all its {count} sightings may be clutter"):
-            associate(few.without_orientation(), sensor=sensor)
+            associate_from(few.without_orientation(), sensor=sensor)
 
 
 def test_one_landmark_is_said() -> None:
     log = load(sample_log_path())
     one = log.landmarks == log.landmark_ids[0]
     alone = replace(log, steps=log.steps[one], landmarks=log.landmarks[one], sightings=log.sightings[one])
-    found = associate(hidden(alone))
+    found = associate_from(hidden(alone))
     assert found.landmarks == 1
     assert any("one landmark alone" in note for note in found.notes)
 
@@ -283,10 +282,10 @@ def pair_of_cones(apart: float) -> Log:
 
 def test_classes_keep_neighbours_apart(tmp_path: Path) -> None:
     log = pair_of_cones(0.5)
-    assert associate(log).landmarks == 2
-    assert score(associate(log).ids, log.landmarks).precision > 0.85
-    without = score(associate(replace(log, classes=None)).ids, log.landmarks)
-    assert without.precision < score(associate(log).ids, log.landmarks).precision - 0.05
+    assert associate_from(log).landmarks == 2
+    assert score(associate_from(log).ids, log.landmarks).precision > 0.85
+    without = score(associate_from(replace(log, classes=None)).ids, log.landmarks)
+    assert without.precision < score(associate_from(log).ids, log.landmarks).precision - 0.05
     save(log, tmp_path / "cones.npz")
     np.testing.assert_array_equal(load(tmp_path / "cones.npz").classes, log.classes)
     near = log.nearer_than(6.0)
@@ -307,16 +306,16 @@ def test_starts_compete_until_two_end_alike() -> None:
     def never() -> tuple[np.ndarray, np.ndarray]:
         raise AssertionError("two starts have ended alike")
 
-    found = associate(hidden(log), start=[right, right, never])
+    found = associate_from(hidden(log), start=[right, right, never])
     assert called == ["right", "right"] and score(found.ids, log.landmarks).precision == 1.0
     verdict = found.verdict
     assert verdict.reliable and (verdict.starts, verdict.agreeing, verdict.reasons) == (2, 2, ())
     assert any(note.startswith("the map can be relied on: 2 starts") for note in found.notes)
     # the positions of the aligned trajectory are as uncertain as they are wrong
     assert 0.3 < ate(log.true_poses, found.poses) / verdict.deviation < 3
-    one = associate(hidden(log), start=[right]).verdict
+    one = associate_from(hidden(log), start=[right]).verdict
     assert not one.reliable and one.reasons[0].startswith("only one start")
-    every = associate(hidden(log), start=[right, right, right], agreeing=0).verdict
+    every = associate_from(hidden(log), start=[right, right, right], agreeing=0).verdict
     assert (every.starts, every.agreeing) == (3, 3)
 
 
@@ -326,7 +325,7 @@ def test_a_wrong_start_brings_in_the_next_one() -> None:
     poses = log.dead_reckoning(MotionModel())
     # each landmark is another one in the second round, and no alternative of the drive is tried
     apart = log.landmarks + 100 * (log.steps > 80)
-    found = associate(hidden(log), start=[(apart, poses + [0, 0, 0.0]), (log.landmarks, poses), None], tries=0)
+    found = associate_from(hidden(log), start=[(apart, poses + [0, 0, 0.0]), (log.landmarks, poses), None], tries=0)
     assert score(found.ids, log.landmarks).precision == 1.0 and found.verdict.agreeing >= 2
 
 

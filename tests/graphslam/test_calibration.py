@@ -18,14 +18,13 @@ from graphslam import (
     MotionModel,
     OptionError,
     SensorModel,
-    associate,
     calibrate,
     estimate_robot,
     load,
     sample_log_path,
     simulate,
 )
-from graphslam.association import score
+from graphslam.association import associate_from, score
 from graphslam.calibration import Calibration
 from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS
@@ -357,9 +356,9 @@ def test_noise_that_is_much_too_wide_at_first_does_not_keep_wrong_ids() -> None:
         seed=0, steps=90, dt=1.0, speed=0.5, turn_rate=0.4, clean=True, orientation=False, motion=motion, sensor=sensor,
         landmarks=20, arena=4.0, max_range=3.5, way_points=((3.0, -3.0), (3.0, 3.0), (-3.0, 3.0), (-3.0, -3.0)),
     ).replace(motion=None, sensor=None)  # fmt: skip
-    wide = score(associate(log).ids, log.landmarks)
+    wide = score(associate_from(log).ids, log.landmarks)
     found = calibrate(without_ids(log), source="residuals")
-    right = score(associate(found.apply(log)).ids, log.landmarks)
+    right = score(associate_from(found.apply(log)).ids, log.landmarks)
     assert wide.precision < 0.7 and right.precision > 0.98
     assert abs(found.sensor.bearing_std - 0.02) < 4 * found.errors["bearing_std"] < 0.01
 

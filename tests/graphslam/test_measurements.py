@@ -19,7 +19,6 @@ from graphslam import (
     MotionModel,
     OnlineSolver,
     PoseRelations,
-    associate,
     load,
     save,
     simulate,
@@ -28,6 +27,7 @@ from graphslam import (
     solve_with_gtsam,
     textbook,
 )
+from graphslam.association import associate_from
 from graphslam.edges import AnchorEdges, PositionEdges, RelationEdges
 from graphslam.edges.robust import Cauchy
 from graphslam.factors import PositionFactor, RelativePoseFactor, describe
@@ -361,7 +361,7 @@ def test_whoever_does_not_use_them_says_so(log):
         textbook.solve(log)
     left = log.at_steps(np.arange(10))
     assert any("relations are left out with their poses" in note for note in left.notes)
-    assert len(associate(log).log.relations) == 30
+    assert len(associate_from(log).log.relations) == 30
 
 
 def test_round_trips(bare, log, tmp_path):

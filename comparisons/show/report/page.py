@@ -31,8 +31,20 @@ from ..canvas import MATRIX, colour_of, reference_of
 from ..cells import NOTHING, LeanTable, number, word
 from ..language import catalogue, language_of, translated, translated_table
 from ..tables import landmark_table, table_as_html, tables_of
-from .charts import COLUMNS, convergence_figure, costs_figure, errors_figure, iterations, paths_figure, remarks
-from .matrix import ENTRY, FILL, description, matrix_figure, pictures
+from .charts import (
+    COLUMNS,
+    ENTRY,
+    FILL,
+    convergence_figure,
+    costs_figure,
+    description,
+    errors_figure,
+    iterations,
+    matrix_figure,
+    paths_figure,
+    pictures,
+    remarks,
+)
 from .view import Figure, View, line_of, view_of
 
 if TYPE_CHECKING:
@@ -308,16 +320,14 @@ def association_table(comparison: Comparison, result: EstimatorResult) -> Table 
     if scores is not None:
         headings += ["true\nlandmark", "correct\nshare"]
     table = LeanTable(f"Landmarks of {result.name}, and what was matched to them", ["landmark"], headings)
+    known = _matches(comparison, result, result.association)
     for each in sightings_of(log, result.association):
-        steps = log.steps[each.rows]
-        doubtful = 0 if result.unconfirmed is None else int(np.sum(result.unconfirmed[each.rows]))
-        cells: list[RenderableType] = [str(len(each.rows)), str(doubtful), f"{steps.min()}-{steps.max()}"]
+        of, steps = known[str(each.landmark)], log.steps[each.rows]
+        cells: list[RenderableType] = [str(len(steps)), str(len(of["doubtful"])), f"{steps.min()}-{steps.max()}"]
         if log.classes is not None:
             cells += [word(each.of_class), number(each.share, 2)]
         if scores is not None:
-            true = scores.matches.get(each.landmark, UNIDENTIFIED)
-            share = float(np.mean(log.landmarks[each.rows] == true))
-            cells += [NOTHING, NOTHING] if true == UNIDENTIFIED else [str(true), f"{share:.2f}"]
+            cells += [NOTHING, NOTHING] if of["true"] is None else [str(of["true"]), f"{of['share']:.2f}"]
         table.add_row(str(each.landmark), *cells)
     return table
 
