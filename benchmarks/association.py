@@ -25,7 +25,8 @@ import numpy as np
 
 from comparisons.estimators.filters import identified
 from comparisons.options import RunOptions
-from graphslam import Graph, Log, MotionModel, SensorModel, SlamError, associate, load, sample_log_path, simulate, solve
+from fastslam import associate
+from graphslam import Graph, Log, MotionModel, SensorModel, SlamError, load, sample_log_path, simulate, solve
 from graphslam.association import score
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate

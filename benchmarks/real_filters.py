@@ -35,8 +35,8 @@ import numpy as np
 from scipy.io import loadmat
 
 from comparisons.datasets import data_folder
-from fastslam import FastSLAM1, FastSLAM2
-from graphslam import Graph, Log, MotionModel, SensorModel, associate, load, solve
+from fastslam import FastSLAM1, FastSLAM2, associate
+from graphslam import Graph, Log, MotionModel, SensorModel, load, solve
 from graphslam.association import score
 from graphslam.metrics import ate
 from graphslam.se2 import Array

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from real_filters import matched_gps
 
-from fastslam import FastSLAM2
+from fastslam import FastSLAM2, associate
 from fastslam.options import FilterOptions
-from graphslam import Graph, Log, associate, load, solve
+from graphslam import Graph, Log, load, solve
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.se2 import Array

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from graphslam.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from .association import associate
     from .filters import FastSLAM1, FastSLAM2, MonteCarloLocalization
     from .filters.particle_filter import ParticleFilter, VanishedWeightsWarning
     from .gibbs.chains import GibbsResult, ParticleGibbs

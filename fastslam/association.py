@@ -1,4 +1,4 @@
-"""Association with FastSLAM 2.0 among its front ends: `graphslam.associate`, which the estimators of a run call, too."""
+"""Association with FastSLAM 2.0 among its front ends: `fastslam.associate`, which the estimators of a run call, too."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ class FilterOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class FrontEndOptions:
-    """How `graphslam.associate` finds the ids with which association and solving begin.
+    """How `fastslam.associate` finds the ids with which association and solving begin.
 
     Raises:
         OptionError: an option has an impossible value.

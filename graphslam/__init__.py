@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING
 from .lazy import lazy_names
 
 if TYPE_CHECKING:
-    # FastSLAM is one of its front ends, so that it is above this package
-    from fastslam.association import associate
-
     from . import edges, factors, io, metrics, se2, textbook
     from .calibration import calibrate
     from .edges.robust import Cauchy, GemanMcClure, Huber

@@ -21,15 +21,14 @@ def lazy_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[st
     source = sys.modules[package].__loader__.get_source(package)  # type: ignore[union-attr]
     blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
     imports = (node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom))
-    module_of = {alias.name: "." * node.level + (node.module or "") for node in imports for alias in node.names}
+    module_of = {alias.name: node.module or "" for node in imports for alias in node.names}
     namespace = vars(sys.modules[package])
 
     def get(name: str) -> Any:
         if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        is_module = module_of[name] == "."
-        module = import_module(f".{name}" if is_module else module_of[name], package)
-        namespace[name] = module if is_module else getattr(module, name)
+        module = import_module(f".{module_of[name] or name}", package)
+        namespace[name] = getattr(module, name) if module_of[name] else module
         return namespace[name]
 
-    return get, lambda: sorted({*namespace, *module_of}), [name for name in module_of if module_of[name] != "."]
+    return get, lambda: sorted({*namespace, *module_of}), [name for name in module_of if module_of[name]]

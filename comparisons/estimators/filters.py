@@ -16,9 +16,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 import fastslam
+from fastslam import associate
 from fastslam.options import GIGABYTE, LOCALISATION, Forecast, available_memory, check_one_drive, forecast
 from fastslam.particles import Samples
-from graphslam import Log, OptionError, SlamError, associate, first_fix
+from graphslam import Log, OptionError, SlamError, first_fix
 from graphslam.association import Association
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate

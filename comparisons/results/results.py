@@ -79,7 +79,7 @@ class EstimatorResult:
             so that their true counterparts are known by position only.
         association: (M,) the landmark that the estimator gave each sighting of the log, `graphslam.log.UNIDENTIFIED` for
             none; None where it used the ids of the log.
-        found: how these ids were found, where `graphslam.associate` found them.
+        found: how these ids were found, where `fastslam.associate` found them.
         weighed_down: the number of sightings that a robust kernel gives less than half of their weight; None without one.
         parameters: of robot and sensor, where they were estimated.
         integrity_risk: (T+1,) in a map, the probability that a pose is off by more than the bounds of the options; of the
@@ -135,7 +135,7 @@ class EstimatorResult:
     def unconfirmed(self) -> np.ndarray | None:
         """Whether the landmark of each sighting (M,) is uncertain; None where the ids of the log were used.
 
-        After `graphslam.associate` another landmark, or clutter, is nearly as likely; to a filter the landmark itself is not
+        After `fastslam.associate` another landmark, or clutter, is nearly as likely; to a filter the landmark itself is not
         confirmed.
         """
         if self.found is not None:

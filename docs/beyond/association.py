@@ -3,7 +3,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import chi2
 
-from graphslam import Graph, SensorModel, associate, simulate, solve
+from fastslam import associate
+from graphslam import Graph, SensorModel, simulate, solve
 from graphslam.association import score
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate

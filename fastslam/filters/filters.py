@@ -329,7 +329,7 @@ class MonteCarloLocalization(ParticleFilter):
     HAS_MAPS = False
     _HOW_WITHOUT_IDS = (
         "by which Monte Carlo localisation knows its landmarks: take FastSLAM, which finds out, or first give the log ids "
-        "by graphslam.associate"
+        "by fastslam.associate"
     )
 
     def __init__(self, log: Log | None = None, *, landmarks: Any = None, **keywords: Any) -> None:

@@ -196,7 +196,7 @@ class ParticleGibbs:
         if not log.identified:
             raise OptionError(
                 f"{log.name} has sightings without ids, which particle Gibbs needs: take FastSLAM, which finds out, or first "
-                "give the log ids by graphslam.associate"
+                "give the log ids by fastslam.associate"
             )
         # before the filters, which need memory themselves
         _check_memory(log, self.options)

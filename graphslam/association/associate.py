@@ -201,7 +201,7 @@ def associate_from(
 ) -> Association:
     """Find out which sightings are of the same landmark, from the log alone.
 
-    `graphslam.associate` calls this with the starts of its front ends.
+    `fastslam.associate` calls this with the starts of its front ends.
 
     The robot drives along the log once: a local Kalman filter joins sightings of neighbouring scans to tracks, and every
     ``window`` steps the graph of the drive so far is solved, and tracks are joined to landmarks that were seen before by

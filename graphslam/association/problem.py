@@ -34,7 +34,7 @@ METHODS = ("joint", "nearest")
 
 @dataclass(frozen=True, kw_only=True)
 class AssociationOptions:
-    """How `graphslam.associate` decides which sightings are of the same landmark.
+    """How `fastslam.associate` decides which sightings are of the same landmark.
 
     Raises:
         OptionError: an option has an impossible value.

@@ -170,7 +170,7 @@ def _check_log(log: Log, with_motion: bool) -> None:
     if not log.identified:
         raise GraphError(
             f"{log.name} has sightings of unidentified landmarks, and a graph needs the identities; find them with "
-            "graphslam.associate, or use FastSLAM, which finds them itself"
+            "fastslam.associate, or use FastSLAM, which finds them itself"
         )
     if with_motion and log.controls is None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")

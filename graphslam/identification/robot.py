@@ -314,7 +314,7 @@ def _check(log: Log) -> None:
         raise LogError(f"{log.name} has no odometry, without which sightings do not tell the noise; give it by hand")
     count = int(np.count_nonzero(log.landmarks != UNIDENTIFIED))
     if count == 0 < len(log.steps):
-        raise LogError(f"{log.name} has sightings without ids; find them first, for example with graphslam.associate")
+        raise LogError(f"{log.name} has sightings without ids; find them first, for example with fastslam.associate")
     if count < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
         with_ids = "" if log.identified else " with ids"
         with_ids += " of range and bearing" if log.partial_sightings is not None else ""

@@ -57,7 +57,7 @@ class Log:
             is taken for that, with a note.
         sightings: (l, phi) or (l, phi, psi) [m, rad, rad], (M, 2) or (M, 3); angles are wrapped to [-pi, pi).
         classes: what each sighting looks like, such as the colour of a cone: (M,) words, or integers; None where the sensor
-            tells none. Where the class of a sighting is not known it is "", or `UNIDENTIFIED`. `graphslam.associate` and
+            tells none. Where the class of a sighting is not known it is "", or `UNIDENTIFIED`. `fastslam.associate` and
             FastSLAM use classes where they find the ids.
         relations: measured relations between two poses, such as loop closures; None where there are none.
         positions: measured places of a point of the robot in the world, such as GPS; None where there are none.

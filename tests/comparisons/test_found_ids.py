@@ -141,7 +141,7 @@ def test_filters_find_the_landmarks_of_a_log_without_ids(log):
         assert result.notes[0] == "the sightings have no ids: maximum-likelihood association finds the landmarks"
         assert result.association.shape == log.steps.shape
     for name in ("mcl", "particle-gibbs"):
-        with pytest.raises(OptionError, match=r"without ids, .* FastSLAM, .* graphslam.associate"):
+        with pytest.raises(OptionError, match=r"without ids, .* FastSLAM, .* fastslam.associate"):
             run(hidden, estimators=name)
     with pytest.raises(OptionError, match="the association is known: leave it out"):
         run(hidden, estimators="fastslam2", association="known")

@@ -8,7 +8,8 @@ from typer.testing import CliRunner
 
 import comparisons
 from comparisons.cli import app
-from graphslam import Graph, associate, load, sample_log_path, save, simulate, solve, solve_online
+from fastslam import associate
+from graphslam import Graph, load, sample_log_path, save, simulate, solve, solve_online
 from graphslam.graph.defaults import suitable_edges, suitable_kernel
 from graphslam.identification.robot import known_robot
 

@@ -1,10 +1,10 @@
-"""`graphslam.associate`: the front ends, as Python calls them. tests/comparisons/test_found_ids.py has those of a run."""
+"""`fastslam.associate`: the front ends, as Python calls them. tests/comparisons/test_found_ids.py has those of a run."""
 
 import numpy as np
 import pytest
 
-from fastslam import FilterOptions
-from graphslam import OptionError, associate, load, sample_log_path
+from fastslam import FilterOptions, associate
+from graphslam import OptionError, load, sample_log_path
 from graphslam.association import associate_from, score
 
 LOG = load(sample_log_path())
