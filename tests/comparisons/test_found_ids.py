@@ -42,7 +42,7 @@ def test_the_graph_finds_ids_that_the_log_lacks(log):
     entry = comparison.to_json()["estimators"][0]
     assert entry["cost_per_dof"] < 1.1 and entry["certificate"]["status"] in ("global", "not applicable", "not proven")
     assert comparison.table["graph"].certificate is not None
-    with pytest.raises(GraphError, match=r"graphslam\.associate"):
+    with pytest.raises(GraphError, match=r"fastslam\.associate"):
         Graph.from_log(hidden)
     # without true ids there is nothing to compare with
     assert comparison.associations["graph"] is None
