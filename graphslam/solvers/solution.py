@@ -31,6 +31,7 @@ from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
 from .corrected import motion_edges
 from .iteration import Run
+from .map_fit import doubt_of_map
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -360,6 +361,8 @@ def make_solution(
             f"with the kernel {kernels[0].name} solvers may converge slowly where many sightings are wrong: raise "
             "max_iterations of solve, or use its method gnc (--kernel gnc), which decides which sightings are wrong",
         )
+    if run.converged and (doubt := doubt_of_map(graph, state)):
+        notes += (doubt,)
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     cost = graph.cost(state) if cost is None else cost
