@@ -1,15 +1,15 @@
 """Whether a log and its map say the same: score tests of the size of the map, and of the places of its landmarks.
 
-A solution in a map takes the map for right, so that nothing in it says that the map is not. Let s move the landmarks of the
-map along a direction d (n, 3): away from their centre, d_j = m_j - c, so that s is the scale of the map less 1, or one landmark
-along x or y. With xi_m and H of all measurements but the map, xi and Omega of the graph, in which exact landmarks are held,
+A solution in a map takes the map for right, so that nothing in it says that the map is not. Let s move landmarks of the map
+along a direction d (n, 3): all away from their centre, d_j = m_j - c, so that s is the scale of the map less 1; or one along
+x or y. With xi_m and H of all measurements but the map, xi and Omega of the graph, in which exact landmarks are held,
 
-    g = d' xi_m - (H d)' Omega^-1 xi,     S = d' H d - (H d)' Omega^-1 (H d),     ŝ = S^-1 g,     its covariance S^-1.
+    g = d' xi_m - (H d)' Omega^-1 xi,     S = d' H d - (H d)' Omega^-1 (H d),     s = S^-1 g,     its covariance S^-1.
 
-ŝ is where one Gauss-Newton step of the solution together with s would lead. If the map is right, it is zero up to its standard
-error, and q = g' S^-1 g of a landmark has the median 2 log 2. Biases of the robot whose uncertainty the graph holds
-(`Graph.held`) are solved for as well. Sightings have the polar residual and the noise at predicted ranges
-here, because the Cartesian one and noise that grows with measured ranges change the size of a world by a little.
+s is where one Gauss-Newton step of the solution together with s would lead. If the map is right, it is zero up to its
+standard error, and q = g' S^-1 g of a landmark has the median 2 log 2. Biases of the robot whose uncertainty the graph holds
+(`Graph.held`) are solved for as well. Sightings have the polar residual and the noise at predicted ranges here, because the
+Cartesian one and noise that grows with measured ranges change the size of a world by a little.
 
 Source: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948.
 """
@@ -29,9 +29,11 @@ from .joint import JointFactor, JointGraph, times
 
 #: the most landmarks that are tested, and the fewest that say something of the map
 MOST, FEWEST = 40, 3
-#: doubtful is a median of q above so many times 2 log 2, and a scale so many standard errors from 1; of a map that is doubtful
-#: by its landmarks the scale is said from so many on
-LARGE, SIGNIFICANT, TELLING = 6.0, 6.0, 3.0
+#: doubtful is a median of q above so many times 2 log 2, and a scale so many standard errors from 1. At most 2.1 and 4.6 were
+#: found on 90 drives in the right map
+LARGE, SIGNIFICANT = 6.0, 6.0
+#: the scale of a map that is doubtful by its landmarks is said from so many standard errors on
+TELLING = 3.0
 #: the log tells a landmark where it has more than this part of the information that its sightings alone would give
 TOLD = 1e-6
 
@@ -101,8 +103,8 @@ def _unbiased(graph: Graph, state: Array) -> Graph:
     def changed(f: EdgeFamily) -> EdgeFamily:
         if not isinstance(f, ObservationEdges):
             return f
-        of_edges = {"kernel": f.kernel, "trust": f.trust}
-        polar = PolarObservationEdges(f.first, f.second, f.sightings, f.sensor, **of_edges)
+        ends = f.first, f.second
+        polar = PolarObservationEdges(*ends, f.sightings, f.sensor, kernel=f.kernel, trust=f.trust)
         return polar.with_noise_at(f.predicted(state))
 
     return graph.with_families(changed(f) for f in graph.families)
