@@ -340,6 +340,10 @@ class Solution:
         raise OptionError(f"there is no pose {quoted(id)}; the ids of the poses are {what}")
 
 
+#: a pose graph with a J of so many times its expected value is said to; of seven public ones the largest is 2.1
+MISFIT = 10.0
+
+
 def make_solution(
     graph: Graph,
     run: Run,
@@ -374,6 +378,11 @@ def make_solution(
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)
+    if graph.log is None and run.converged and (ratio := cost / max(graph.expected_cost, 1.0)) > MISFIT:
+        notes += (
+            f"J is {ratio:,.0f} times what the information of the edges lets expect: edges are wrong, which method gnc "
+            "leaves out of Graph.with_closures, or their information is too large, or of other units",
+        )
     solution = Solution(
         poses, estimated, landmarks, cost, np.array([*run.costs, cost]), len(run.step_norms), np.array(run.step_norms),
         run.converged, run.reason, seconds, solver, state, notes=(*graph.notes, *notes), graph=graph,
