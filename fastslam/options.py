@@ -38,7 +38,7 @@ LANDMARK_UPDATES = ("kalman", "joint")
 #: the fewest trajectories that backward simulation draws, so that they have covariances
 FEWEST_SMOOTHED = 10
 #: the options that FastSLAM has with known ids only, with their defaults
-WITH_IDS: dict[str, Any] = {"landmark_update": "kalman", "range_noise": "measured", "smoothing": 0}
+WITH_IDS: dict[str, Any] = {"landmark_update": "kalman", "range_noise": "auto", "smoothing": 0}
 #: the options that localisation in a given map uses: not those of association, of landmark updates and of the proposal
 LOCALISATION = ("particles", "resampling", "ess_threshold", "stage")
 #: how far the lectures' program has come: particles that only move, that are weighed, that are resampled
@@ -87,8 +87,9 @@ class FilterOptions:
         "together, with known ids only.", choices=LANDMARK_UPDATES,
     )  # fmt: skip
     range_noise: str = option(
-        "measured", "The noise of the range is taken at the measured range, or at the estimated one, as in the slides; "
-        "FastSLAM does so with known ids only.", choices=RANGE_NOISES,
+        "auto", "The noise of the range is taken at the measured range, or at the estimated one, as in the slides; "
+        "FastSLAM does so with known ids only. auto: at the estimated one in graphs of a robot whose noise is estimated.",
+        choices=RANGE_NOISES,
     )  # fmt: skip
     stage: str = option(
         "resampling",

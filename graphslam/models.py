@@ -303,7 +303,7 @@ def _broadcast(pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> tuple[Arra
 #: how a sighting of a landmark node is compared: as a position in the robot's axes, or as range and bearing
 RESIDUALS = ("cartesian", "polar")
 #: the range at which its noise is taken: as measured, or as predicted by the estimate
-RANGE_NOISES = ("measured", "estimated")
+RANGE_NOISES = ("auto", "measured", "estimated")
 
 
 @dataclass(frozen=True, kw_only=True)

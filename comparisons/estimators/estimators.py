@@ -24,7 +24,6 @@ from graphslam.errors.checks import suggestion
 from graphslam.graph.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import MEASURED
-from graphslam.models import RANGE_NOISES
 from graphslam.online import replay
 from graphslam.se2 import wrap
 from graphslam.solvers.iteration import Run
@@ -157,7 +156,7 @@ def _fixed(options: RunOptions, reason: str, **fixed: Any) -> tuple[RunOptions, 
     """The options with those that an estimator has fixed, and a note on those that were given another value."""
     given = [each.flag for each, value in options.changed() if each.name in fixed and value != fixed[each.name]]
     notes = (f"does not use {', '.join(given)}: {reason}",) * bool(given)
-    if options.filter.range_noise != RANGE_NOISES[0]:
+    if options.filter.range_noise == "estimated":
         notes += ("does not use --range-noise: it takes the noise of ranges as they were measured",)
     return replace(options, **fixed), notes
 
@@ -434,7 +433,11 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         values["landmark_covariances"] = solution.landmark_covariances
     values["options"] = {name: getattr(options, name) for name in _GRAPH}
     if name not in ("textbook", "isam2", "online"):
-        values["options"]["range_noise"] = options.filter.range_noise
+        families = () if solution.graph is None else solution.graph.families
+        estimated = options.filter.range_noise == "estimated" or any(
+            getattr(f, "noise_at", None) is not None for f in families
+        )
+        values["options"]["range_noise"] = "estimated" if estimated else "measured"
     parameters = solution.parameters
     if parameters is not None:
         notes.append(f"estimated with the poses: {parameters.sentence}")

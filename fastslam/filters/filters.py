@@ -119,7 +119,7 @@ class FastSLAM1(ParticleFilter):
     @property
     def _takes_single_numbers(self) -> bool:
         options = self.options
-        plain = options.landmark_update == "kalman" and options.range_noise == "measured" and not options.smoothing
+        plain = options.landmark_update == "kalman" and options.range_noise != "estimated" and not options.smoothing
         return self._needs_ids and plain
 
     def _with_place(self, ids: np.ndarray, sightings: Array) -> np.ndarray:

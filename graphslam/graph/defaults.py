@@ -16,7 +16,7 @@ from ..edges.robust import Kernel
 from ..errors import GraphError
 from ..linear.precision import inverses
 from ..log import Log
-from ..log.cells import DOUBLED
+from ..log.cells import DOUBLED, SIDEWAYS
 from ..log.measurements import AbsolutePositions
 from ..models import RESIDUALS, MotionModel
 from ..se2 import Array, transform
@@ -82,8 +82,8 @@ def notes_on_options(
 
     ``missing`` are the biases taken out of the log whose uncertainty the graph leaves out.
     """
-    # of what is doubtful in a log, this changes its solution unseen
-    notes = [text for check, text in log.doubts if check == DOUBLED]
+    # of what is doubtful in a log, these change its solution unseen
+    notes = [text for check, text in log.doubts if check in (DOUBLED, SIDEWAYS)]
     if missing:
         notes.append(
             f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}"

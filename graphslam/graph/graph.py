@@ -29,6 +29,7 @@ from ..identification.declared import Parameters, declared
 from ..identification.robot import AUTO, BOOK, known_robot
 from ..linear.information import BlockSystem
 from ..log import Log, check_is_log
+from ..log_checks import readings_of, sizes
 from ..models import RESIDUALS, MotionModel, SensorModel
 from ..se2 import Array
 from .build import graph_of_log, node_names, with_closures, with_dimensions
@@ -180,10 +181,13 @@ class Graph:
         if noise is not None:
             check_choice("noise", noise, (AUTO, BOOK))
         log = with_dimensions(log, dimensions)
+        recorded = log
         log, robot = known_robot(log, noise) if motion is None and sensor is None else (log, None)
         motion, sensor = log.noise_models(motion, sensor)
         known_map = None if map is None else as_map(map)
-        notes = [] if robot is None else list(robot.doubts)
+        # noise and biases that were found for numbers read in the wrong way are wrong, too
+        mistakes = () if robot is None else (*sizes(recorded), *readings_of(recorded))
+        notes = [] if robot is None else [*(each.message for each in mistakes), *robot.doubts]
         if known_map is None:
             log = in_frame_of_positions(log)
         else:

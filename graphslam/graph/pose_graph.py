@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import FormatError, named, quoted
-from ..errors.checks import check_choice, first
+from ..errors.checks import WHOLE_TURN, check_choice, first
 from ..files import number, read_text, whole, write_text
 from ..se2 import Array, compose, inverse, transform, turned_by, wrap
 
@@ -109,6 +109,9 @@ _TAGS: dict[str, tuple[str | int, str, str]] = {
     "EDGE_PRIOR_SE2": ("prior", "g2o", "id x y theta and 6 of the information"),
     "EDGE_PRIOR_SE2_XY": ("place", "g2o", "id x y and 3 of the information"),
 }
+#: the tags of graphs in space, and what is said of them
+SPATIAL = ("VERTEX_SE3", "EDGE_SE3", "VERTEX3", "EDGE3", "VERTEX_TRACKXYZ")
+IN_THE_PLANE = "the graphs of this project are in the plane, with poses x, y, theta (VERTEX_SE2, EDGE_SE2)"
 #: the tag of each kind of edge in g2o's dialect
 _G2O = {kind: tag for tag, (kind, dialect, _) in _TAGS.items() if dialect == "g2o"}
 
@@ -174,6 +177,8 @@ def _take(lines: _Lines, line: int, words: list[str], unknown: str) -> None:
         return
     if tag not in _TAGS:
         if unknown == "error":
+            if tag.startswith(SPATIAL):
+                raise FormatError(path, line, f"{quoted(tag)} is of a graph in space; {IN_THE_PLANE}")
             known = ", ".join([*_TAGS, "FIX"])
             raise FormatError(
                 path, line, f"unknown tag {quoted(tag)}; known are {known} (unknown='skip' leaves others out)"
@@ -226,8 +231,22 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     root = any((edge.dialect or edge2) == "isam" for edge in lines.edges["pose"])
     return PoseGraphFile(
         pose_ids, places, landmark_ids, np.array([landmarks[k] for k in landmark_ids.tolist()]).reshape(-1, 2),
-        list(lines.fixed), edges, _doubts(path, edges["pose"].information, root),
+        list(lines.fixed), edges, (*_doubt_of_angles(lines), *_doubts(path, edges["pose"].information, root)),
     )  # fmt: skip
+
+
+def _doubt_of_angles(lines: _Lines) -> tuple[str, ...]:
+    """A note where edges turn by more than a whole turn, which is a number of degrees."""
+    beyond = [edge for edge in lines.edges["pose"] if abs(edge.numbers[2]) > WHOLE_TURN]
+    if len(beyond) < 2:
+        return ()
+    line, turn = beyond[0].line, beyond[0].numbers[2]
+    note = (
+        f"{len(beyond)} edges, the first one in line {line}, turn by more than 2 pi ({turn:g} rad): are angles in degrees? "
+        "Files have radians"
+    )
+    warnings.warn(f"{lines.path}: {note}", UserWarning, stacklevel=5)
+    return (note,)
 
 
 def _doubts(path: Path, information: Array, root: bool) -> tuple[str, ...]:

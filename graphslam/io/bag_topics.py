@@ -379,6 +379,8 @@ def plan_of(source: str, kind: str, type: str, types: Any, stated: Mapping[str, 
         twist = next((path.removesuffix("linear.x") for path in inside if path.endswith("linear.x")), None)
         if kind == "odometry" and twist is not None and f"{twist}angular.z" in inside:
             columns |= {"nu": f"{twist}linear.x", "omega": f"{twist}angular.z"}
+            if f"{twist}linear.y" in inside:
+                columns["vy"] = f"{twist}linear.y"
         elif not places:
             for role in _PLAIN[kind]:
                 if path := next((path for path in inside if matches(role, path)), ""):

@@ -15,7 +15,7 @@ from ..errors import FormatError, OptionError, quoted
 from ..errors.checks import check_choice, check_known
 from ..files import check_file, check_path, check_unpacked, first_bytes, path_of
 from ..graph import Graph
-from ..graph.pose_graph import DIALECTS, is_pose_graph
+from ..graph.pose_graph import DIALECTS, IN_THE_PLANE, SPATIAL, is_pose_graph
 from ..log import Log, check_is_log
 from ..log.continuous_time import with_poses_every
 from ..log.rows import ReadOptions
@@ -133,6 +133,8 @@ def _recognised(path: Path) -> Format:
             path, None, "this is a folder, and not that of a known data set; slam-compare datasets lists their files"
         )
     check_unpacked(path, head)
+    if head.lstrip().startswith(tuple(tag.encode() for tag in SPATIAL)):
+        raise FormatError(path, 1, f"this is a pose graph in space; {IN_THE_PLANE}")
     if head.lstrip().startswith((b"VERTEX", b"EDGE")):
         raise FormatError(
             path,

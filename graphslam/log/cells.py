@@ -417,6 +417,39 @@ def repeated_times(
     return ((), ((f"{kind} repeats", message),)) if count > _SHARE * len(ns) else ((message,), ())
 
 
+#: the check that finds robots that drive sideways: controls (nu, omega) do not
+SIDEWAYS = "sideways"
+#: poses, whose positions may jitter, and speeds that are sideways for a larger share of the way are no odometry of wheels
+_POSES, _SPEEDS = 0.3, 0.1
+#: where other motions are taken
+_OTHER = "OnlineSolver.move(motion=..., covariance=...) takes motions in any direction"
+
+
+def sideways_poses(table: Table, share: float) -> tuple[Doubt, ...]:
+    """A doubt where the poses of odometry move sideways for a large share of their way."""
+    if share <= _POSES:
+        return ()
+    message = (
+        f"{table.source}: the poses move sideways for {share:.0%} of their way, which wheels cannot; the heading may be in "
+        f"another unit, turn the other way, or not be the robot's. If the robot does drive sideways, {_OTHER}"
+    )
+    return ((SIDEWAYS, message),)
+
+
+def sideways_speed(table: Table, title: str, speed: Array, lateral: Array) -> tuple[Doubt, ...]:
+    """A doubt where the speeds sideways (N,), of the column ``title``, are a large share of those ahead (N,) and sideways."""
+    lateral = np.abs(np.nan_to_num(lateral))
+    driven = float(np.sum(np.hypot(speed, lateral)))
+    share = float(np.sum(lateral)) / driven if driven > 0 else 0.0
+    if share <= _SPEEDS:
+        return ()
+    message = (
+        f"{table.source}: the robot drives sideways ({title}) for {share:.0%} of its way, which controls (nu, omega) leave "
+        f"out, so that the trajectory is wrong; {_OTHER}"
+    )
+    return ((SIDEWAYS, message),)
+
+
 #: the check that finds sightings whose rows are there twice
 DOUBLED = "doubled sightings"
 

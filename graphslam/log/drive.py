@@ -27,6 +27,8 @@ from .cells import (
     nanoseconds,
     repeated_sightings,
     repeated_times,
+    sideways_poses,
+    sideways_speed,
     time_faults,
 )
 from .rows import AXES, SIZES, UNIDENTIFIED, UNITS_OF, Fault, TableOptions, finite_fault, range_faults, sound_rows
@@ -34,7 +36,7 @@ from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, 
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
-    "odometry": ("t", "nanosec", "nu", "omega", *_POSE),
+    "odometry": ("t", "nanosec", "nu", "vy", "omega", *_POSE),
     "sightings": ("t", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
     "truth": ("t", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
@@ -54,8 +56,6 @@ ORDERS: dict[str, dict[int, tuple[str, ...]]] = {
     "relations": {8: ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS)},
     "positions": {4: ("t", "x", "y", "sigma")},
 }
-#: poses that move sideways for a larger share of their way are no poses of a robot with wheels
-_SIDEWAYS = 0.3
 
 
 @dataclass(frozen=True)
@@ -278,6 +278,7 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     if driven:
         reader.need("nu", "omega", instead=", and none for x, y and theta instead of nu and omega")
         rows = reader.numbers("nu", "omega")
+        sideways = _sideways_speed(reader, rows[:, 0])
     else:
         rows = reader.poses()
         if rows.shape[1] == 2:
@@ -296,12 +297,21 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         )
     if rows.shape[1] == 3:
         rows, ns, sideways = _controls(reader, rows, ns)
-        doubts += sideways
     else:
         speed, turn = np.abs(rows).T
         reader.refuse_many("nu", speed, FASTEST, "the speed is {:g} m/s: is it in mm/s?")
         reader.refuse_many("omega", turn, QUICKEST, "the turn rate is {:g} rad/s: is it in degrees per second?")
-    return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
+    return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts + sideways)
+
+
+def _sideways_speed(reader: Reader, speed: Array) -> tuple[Doubt, ...]:
+    """A doubt where a column has speeds sideways of a robot with speeds (N,) ahead."""
+    if not reader.has("vy"):
+        return ()
+    lateral = reader.numbers("vy", finite=False)[:, 0]
+    # it is no column of the controls
+    del reader.used["vy"]
+    return sideways_speed(reader.table, reader.table.title(reader.found["vy"].column), speed, lateral)
 
 
 def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.ndarray, tuple[Doubt, ...]]:
@@ -315,14 +325,7 @@ def _controls(reader: Reader, poses: Array, ns: np.ndarray) -> tuple[Array, np.n
     heading = "theta" if reader.has("theta") else "x"
     reader.refuse_many(heading, turn, QUICKEST, "the headings turn by {:g} rad/s: are they in degrees?", "angles")
     reader.refuse_many("x", speed, FASTEST, "the poses move by {:g} m/s: are they in mm?")
-    doubts: tuple[Doubt, ...] = ()
-    if sideways > _SIDEWAYS:
-        message = (
-            f"{reader.table.source}: the poses move sideways for {sideways:.0%} of their way, which wheels cannot; the "
-            "heading may be in another unit, turn the other way, or not be the robot's"
-        )
-        doubts = (("sideways", message),)
-    return controls, ns, doubts
+    return controls, ns, sideways_poses(reader.table, sideways)
 
 
 def sightings_of(table: Table, options: TableOptions) -> Timed:

@@ -159,6 +159,9 @@ NAMES: dict[str, tuple[str, ...]] = {
         "nu", "v", "vel", "velocity", "speed", "linear_x", "linear_velocity", "forward_velocity", "forward_speed",
         "lin_vel", "linear", "vx", "v_x", "v_lin", "translational_velocity",
     ),
+    "vy": (
+        "vy", "v_y", "linear_y", "lateral_velocity", "lateral_speed", "velocity_y", "speed_y", "sideways_velocity", "v_lat",
+    ),
     "omega": (
         "omega", "w", "om", "angular_z", "angular_velocity", "yaw_rate", "yawrate", "turn_rate", "ang_vel", "angular",
         "wz", "w_z", "gyro_z", "v_ang", "rotational_velocity", "omega_z", "theta_dot", "yaw_dot",
@@ -224,7 +227,7 @@ OTHER_UNITS = frozenset((
 ))  # fmt: skip
 #: units at the end of a name; range_min and x_in are rather a minimum and an input
 _ENDS = UNITS | {unit: unit for unit in OTHER_UNITS - {"in", "min", "mi", "h", "hz", "kn", "kt", "grad", "foot"}}
-_LENGTHS = ("nu", "x", "y", "z", "range", "dx", "dy", "sigma", "sigma_x", "sigma_y", "lever_x", "lever_y")
+_LENGTHS = ("nu", "vy", "x", "y", "z", "range", "dx", "dy", "sigma", "sigma_x", "sigma_y", "lever_x", "lever_y")
 _ANGLES = ("omega", "theta", "bearing", "orientation", "dtheta", "sigma_theta")
 #: what each column measures, a key of `rows.UNITS_OF`
 MEASURES = {

@@ -25,6 +25,9 @@ from .findings import Finding
 
 #: a sensor that reports one range where it measures nothing: of how many sightings, how often, how far beyond other ranges
 ENOUGH, REPEATED, BEYOND = 20, 3, 1.2
+#: and its largest range for all that is farther: of which part of the sightings, how many times as often as any other range.
+#: Of those of Lost in the Woods 4 % are such; they are 4 cm too long, and the ATE is 2 % smaller without them
+CLIPPED, OFTEN = 0.05, 5
 #: way between the two sightings of a pair, [rad] turned plus [ranges] driven: at least, at most
 _LEAST, _MOST = 0.4, 1.5
 #: pairs with a larger turn [rad] show the sign of bearings
@@ -244,7 +247,10 @@ def sizes(log: Log) -> Iterator[Finding]:
 
 
 def nothing_measured(ranges: Array) -> Iterator[Finding]:
-    """The largest range (of N), where it repeats exactly and no other range is near: 9999 or 65.535, for example."""
+    """The largest range (of N), where it repeats exactly and no other range is near: 9999 or 65.535, for example.
+
+    Or where it repeats far more often than others do: a sensor that reports its limit for landmarks beyond it.
+    """
     values, counts = np.unique(ranges, return_counts=True)
     enough = len(ranges) >= ENOUGH and len(values) > 1 and counts[-1] >= REPEATED
     if enough and values[-1] > BEYOND * values[-2]:
@@ -252,4 +258,10 @@ def nothing_measured(ranges: Array) -> Iterator[Finding]:
             "range without measurement",
             f"{counts[-1]} sightings have the same range of {values[-1]:g} m, and all others are below {values[-2]:.3g} m; "
             "the sensor may report it where it measures nothing. Remove these rows",
+        )
+    elif enough and counts[-1] > max(CLIPPED * len(ranges), OFTEN * counts[:-1].max()):
+        yield Finding(
+            "range limit",
+            f"{counts[-1]} of {len(ranges)} sightings have the same range of {values[-1]:g} m, and none is longer; the "
+            "sensor may report it for all that is farther away. Remove these rows",
         )

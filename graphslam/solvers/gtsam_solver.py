@@ -38,7 +38,7 @@ from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_value
 from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph
-from .minimize import FIRST, at_estimated_ranges, best_of_starts
+from .minimize import FIRST, at_estimated_ranges, best_of_starts, takes_estimated_ranges
 from .solution import Solution, make_solution
 
 #: the most steps between two freezings
@@ -196,7 +196,7 @@ def solve_with_gtsam(
     max_iterations: int = 100,
     initialize: str = "auto",
     factors: str = "fastest",
-    range_noise: str = "measured",
+    range_noise: str = "auto",
 ) -> Solution:
     """Minimise the cost J of a graph with GTSAM's Levenberg-Marquardt on the custom factors.
 
@@ -217,7 +217,7 @@ def solve_with_gtsam(
             landmark; or "per-edge", which has the same cost and takes about ten times as long. If each virtual-motion edge
             has a robust kernel, their factors are per edge in any case. A note of the solution names the factors that were
             used.
-        range_noise: "measured" or "estimated", as for `graphslam.solve`.
+        range_noise: "auto", "measured" or "estimated", as for `graphslam.solve`.
 
     Raises:
         GraphError: GTSAM finds the system indeterminate, an edge has information without an inverse, or the edges do not
@@ -228,12 +228,13 @@ def solve_with_gtsam(
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
     check_choice("range_noise", range_noise, RANGE_NOISES)
-    if range_noise == "estimated" and graph.parameters is None:
+    if takes_estimated_ranges(graph, range_noise):
 
         def once(noisy: Graph, start: str) -> Solution:
             return solve_with_gtsam(
-                noisy, tolerance=tolerance, max_iterations=max_iterations, initialize=start, factors=factors
-            )
+                noisy, tolerance=tolerance, max_iterations=max_iterations, initialize=start, factors=factors,
+                range_noise="measured",
+            )  # fmt: skip
 
         return at_estimated_ranges(graph, initialize, once)
     begin = time.perf_counter()

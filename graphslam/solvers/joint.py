@@ -163,7 +163,7 @@ class Border:
         moved = np.zeros((len(at), 3, len(parameters)))
         controls = controls_of(graph) if controls is None else controls
         moved[:count] = turn_matrix(at[:count, 2]) @ moves(parameters, predicted, controls)
-        weighed = _times(copies, moved)
+        weighed = times(copies, moved)
         mixed = np.zeros((len(nodes), 3, len(parameters)))
         np.add.at(mixed, edges.first if isinstance(edges, ObservationEdges) else edges.nodes, weighed[:count])  # type: ignore[attr-defined]
         mixed[poses:] += weighed[count:]
@@ -229,7 +229,7 @@ def copied(edges: SightingEdges, state: Array, poses: int) -> tuple[SightingEdge
     return replace(edges, nodes=own), state[edges.nodes]
 
 
-def _times(system: BlockSystem, right: Array) -> Array:
+def times(system: BlockSystem, right: Array) -> Array:
     """Omega times right sides (n, 3, K)."""
     from scipy.sparse import bsr_matrix
 

@@ -120,6 +120,18 @@ def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run]
 PASSES, SAME = 100, 1e-7
 
 
+def takes_estimated_ranges(graph: Graph, range_noise: str) -> bool:
+    """Whether a graph is solved with its noise at estimated ranges: "auto" does so where the log told the noise.
+
+    Graphs with parameters do it in any case, and by themselves.
+    """
+    log, sensor = graph.log, graph.sensor
+    if range_noise != "auto" or graph.parameters is not None or log is None or sensor is None:
+        return range_noise == "estimated" and graph.parameters is None
+    grows = sensor.range_rate > 0 and len(log.steps) > 0
+    return grows and log.uncertain is not None and log.partial_sightings is None
+
+
 def at_estimated_ranges(graph: Graph, initialize: str, solved: Callable[[Graph, str], Solution]) -> Solution:
     """The solution of a graph with the noise of its sensor at the sightings that this solution predicts.
 

@@ -31,6 +31,7 @@ from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
 from .corrected import motion_edges
 from .iteration import Run
+from .map_fit import doubt_of_map
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -339,6 +340,10 @@ class Solution:
         raise OptionError(f"there is no pose {quoted(id)}; the ids of the poses are {what}")
 
 
+#: a pose graph with a J of so many times its expected value is said to; of seven public ones the largest is 2.1
+MISFIT = 10.0
+
+
 def make_solution(
     graph: Graph,
     run: Run,
@@ -360,6 +365,8 @@ def make_solution(
             f"with the kernel {kernels[0].name} solvers may converge slowly where many sightings are wrong: raise "
             "max_iterations of solve, or use its method gnc (--kernel gnc), which decides which sightings are wrong",
         )
+    if run.converged and (doubt := doubt_of_map(graph, state)):
+        notes += (doubt,)
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     cost = graph.cost(state) if cost is None else cost
@@ -371,6 +378,11 @@ def make_solution(
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)
+    if graph.log is None and run.converged and (ratio := cost / max(graph.expected_cost, 1.0)) > MISFIT:
+        notes += (
+            f"J is {ratio:,.0f} times what the information of the edges lets expect: edges are wrong, which method gnc "
+            "leaves out of Graph.with_closures, or their information is too large, or of other units",
+        )
     solution = Solution(
         poses, estimated, landmarks, cost, np.array([*run.costs, cost]), len(run.step_norms), np.array(run.step_norms),
         run.converged, run.reason, seconds, solver, state, notes=(*graph.notes, *notes), graph=graph,

@@ -19,7 +19,7 @@ from ..models import RANGE_NOISES
 from .gnc import solve_gnc
 from .initialize import INITIALIZE
 from .iteration import Iteration
-from .minimize import METHODS, at_estimated_ranges, minimize
+from .minimize import METHODS, at_estimated_ranges, minimize, takes_estimated_ranges
 from .solution import Solution
 
 GNC = "gnc"
@@ -35,7 +35,7 @@ def solve(
     callback: Callable[[Iteration], None] | None = None,
     cost_tolerance: float = 0.0,
     probability: float = 0.99,
-    range_noise: str = "measured",
+    range_noise: str = "auto",
 ) -> Solution:
     """Minimise the cost J of a graph by the Omega/xi iteration.
 
@@ -66,10 +66,11 @@ def solve(
             1e-16; 1e-6 is enough for a figure.)
         probability: for "gnc", the fraction of correct sightings that should be accepted: they are truncated at this
             quantile of the chi-square distribution with as many degrees of freedom as a sighting has numbers.
-        range_noise: "measured", Q and L at the measured sightings, as in the lectures; or "estimated", at those that the
+        range_noise: "measured", Q and L at the measured sightings, as in the lectures; "estimated", at those that the
             solution predicts: it is solved again with `Graph.with_noise_at` until it no longer moves. Where the noise of the
             range grows with the range, measured ranges that are too short weigh too much, and the map becomes too small.
-            Costs and iterations are those of the last pass. Graphs with parameters do this in any case.
+            Costs and iterations are those of the last pass. Graphs with parameters do this in any case. "auto" is
+            "estimated" where the noise was estimated from the log itself, but not for "gnc", and "measured" else.
 
     Whatever the tolerances, the iteration has also converged when the steps no longer become shorter and the predicted
     decrease of J is below its rounding error (1e-15 of J, or what rounding of the coordinates makes of J: in UTM they are
@@ -104,7 +105,8 @@ def solve(
             cost_tolerance=cost_tolerance,
         )
 
-    again = range_noise == "estimated" and graph.parameters is None
+    # the sightings that gnc trusts may change from pass to pass
+    again = takes_estimated_ranges(graph, range_noise) and (method != GNC or range_noise == "estimated")
     return at_estimated_ranges(graph, initialize, solved) if again else solved(graph, initialize)
 
 

@@ -183,7 +183,7 @@ def test_the_steps_of_the_lectures(cls: type) -> None:
     [
         ({"stage": "walk"}, "stage must be one of motion, weights, resampling"),
         ({"landmark_update": "ukf"}, "landmark_update must be one of kalman, joint"),
-        ({"range_noise": "true"}, "range_noise must be one of measured, estimated"),
+        ({"range_noise": "true"}, "range_noise must be one of auto, measured, estimated"),
         (
             {"landmark_update": "joint", "association": "maximum-likelihood"},
             "^landmark_update joint needs the .* leave out landmark_update$",

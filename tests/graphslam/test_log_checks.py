@@ -263,6 +263,17 @@ def test_a_range_that_means_nothing_measured_is_told(sample):
     assert "range without measurement" not in checks(sample.replace(sightings=rounded))
 
 
+def test_a_sensor_that_reports_its_limit_for_all_that_is_farther_is_told(sample):
+    limit = np.quantile(sample.sightings[:, 0], 0.8)
+    clipped = sample.replace(sightings=np.minimum(sample.sightings, [limit, np.inf, np.inf]))
+    findings = {finding.check: finding.message for finding in check_log(clipped)}
+    count = np.count_nonzero(sample.sightings[:, 0] >= limit)
+    assert f"{count} of {len(sample.steps)} sightings have the same range" in findings["range limit"]
+    # ranges of a sensor with steps of 10 cm repeat, too
+    stepped = np.ceil(sample.sightings * [10, 1e6, 1e6]) / [10, 1e6, 1e6]
+    assert "range limit" not in checks(sample.replace(sightings=stepped))
+
+
 @pytest.mark.parametrize("share", [0.01, 0.02, 0.05, 0.1])
 def test_single_misread_ids_are_counted(share):
     """The sentence says how many at least, and not that a detector counted the landmarks anew."""

@@ -11,6 +11,7 @@ from graphslam import Graph, OptionError, SensorModel, Solution, simulate, solve
 from graphslam.factors import InverseObservationFactor, LandmarkFactor, ObservationFactor, VirtualMotionFactor, describe
 from graphslam.metrics import ate
 from graphslam.se2 import difference
+from graphslam.simulation.drives import Drive
 from graphslam.solvers.gtsam_factors import eliminated_landmarks, to_gtsam, to_values
 from graphslam.solvers.iteration import Iteration
 
@@ -52,6 +53,22 @@ def test_both_solvers_agree(kind: str) -> None:
     noisy = ours.graph.with_noise_at(ours.state)
     assert noisy.cost(ours.state) == pytest.approx(ours.cost, rel=1e-6)
     assert np.abs(difference(ours.state, theirs.state)).max() < 1e-7
+
+
+def test_a_robot_whose_noise_is_estimated_has_it_at_estimated_ranges() -> None:
+    sensor = SensorModel(range_rate=0.1, range_std=0.0, bearing_std=0.015, max_range=6.0)
+    log, _ = Drive(seed=3, duration=150.0, misread=0, sensor=sensor).simulate()
+    graph = Graph.from_log(log)
+    default, measured, estimated = (solve(graph, range_noise=each) for each in ("auto", "measured", "estimated"))
+    assert np.array_equal(default.state, estimated.state) and np.array_equal(default.state, solve(graph).state)
+    assert np.abs(difference(default.state, solve_with_gtsam(graph).state)).max() < 1e-6
+    found = graph.log
+    assert found is not None
+    errors = [ate(found.true_poses, found.at_truth(each.poses)) for each in (default, measured)]
+    assert errors[0] < errors[1]
+    # noise that is given, and that of the lectures, is taken as in the lectures
+    given = Graph.from_log(log, motion=found.motion, sensor=found.sensor)
+    assert np.array_equal(solve(given).state, solve(given, range_noise="measured").state)
 
 
 def test_maps_of_clean_robots_keep_their_size() -> None:
@@ -96,7 +113,7 @@ def test_impossible_range_noise() -> None:
     with pytest.raises(OptionError, match="state"):
         graph.with_noise_at(graph.initial[:5])
     for solver in (solve, solve_with_gtsam):
-        with pytest.raises(OptionError, match="range_noise must be one of measured, estimated"):
+        with pytest.raises(OptionError, match="range_noise must be one of auto, measured, estimated"):
             solver(graph, range_noise="true")  # type: ignore[operator]
 
 

@@ -1,3 +1,4 @@
+import re
 import warnings
 
 import numpy as np
@@ -190,7 +191,7 @@ def test_an_angle_of_a_billion(tmp_path):
 @pytest.mark.parametrize(
     ("text", "line", "message"),
     [
-        (SQUARE + "EDGE_SE3 1 2 3\n", 10, "unknown tag 'EDGE_SE3'"),
+        (SQUARE + "EDGE_SE3 1 2 3\n", 10, "'EDGE_SE3' is of a graph in space"),
         (SQUARE + "EDGE_S", 10, "unknown tag 'EDGE_S'.*; the file ends within this line; perhaps it was not copied"),
         (SQUARE + "EDGE_SE2 1 2 0.5", 10, "12 columns, found 4; the file ends within this line"),
         (SQUARE + "EDGE_SE2 0 7 1 0 0 1 0 0 1 0 1\n", 10, "uses pose 7, which no vertex line gives"),
@@ -382,3 +383,28 @@ def test_covariances_in_place_of_information_are_noticed(tmp_path, dialect):
 def test_a_log_in_place_of_a_pose_graph():
     with pytest.raises(FormatError, match=r"sample.npz: this is an archive of NumPy.* graphslam.load reads it"):
         Graph.from_g2o(sample_log_path())
+
+
+def chain(poses, turn=0.0, scale=1.0):
+    """A closed square of poses, each at ``turn`` from the one before, its angles in units of 1 / ``scale`` rad."""
+    edges = [(k, (k + 1) % poses) for k in range(poses)]
+    return "\n".join(f"EDGE_SE2 {a} {b} 1 0 {scale * turn:.6f} 400 0 0 400 0 10000" for a, b in edges)
+
+
+def test_angles_in_degrees_and_wrong_closures_are_said(tmp_path):
+    right = solve(Graph.from_g2o(written(tmp_path, chain(12, np.pi / 6)), format="g2o"))
+    assert not right.notes
+    degrees = written(tmp_path, chain(12, np.pi / 6, 180 / np.pi))
+    with pytest.warns(UserWarning, match=r"12 edges, the first one in line 1, turn by more than 2 pi \(30 rad\)"):
+        graph = Graph.from_g2o(degrees, format="g2o")
+    assert any("in degrees" in note for note in graph.notes)
+    closed = written(tmp_path, chain(12, np.pi / 6) + "\nEDGE_SE2 2 8 0 0 0 400 0 0 400 0 10000")
+    (note,) = solve(Graph.from_g2o(closed, format="g2o")).notes
+    assert re.match(r"J is [\d,]+ times what the information of the edges lets expect: edges are wrong", note)
+
+
+@pytest.mark.parametrize("reads", [read, Graph.from_g2o])
+def test_graphs_in_space_are_refused_as_such(tmp_path, reads):
+    path = written(tmp_path, "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n")
+    with pytest.raises(FormatError, match="in space; the graphs of this project are in the plane"):
+        reads(path)

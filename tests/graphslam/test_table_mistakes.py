@@ -37,6 +37,19 @@ def messages(log, check):
     return [finding.message for finding in check_log(log) if finding.check == check]
 
 
+def test_a_robot_that_drives_sideways_is_a_doubt(drive, expected):
+    rows = list(zip(T.tolist(), NU.tolist(), (0.8 * NU).tolist(), OMEGA.tolist()))
+    log = load(drive(odometry=text("t,vx,vy,omega", rows)))
+    assert log.equals(expected)
+    (message,) = messages(log, "sideways")
+    # 0.8 / sqrt(1 + 0.8²)
+    assert "odometry.csv: the robot drives sideways ('vy') for 62% of its way" in message
+    # it changes the solution, so that this says so, too
+    assert message in Graph.from_log(log, motion=MotionModel(), sensor=SensorModel()).notes
+    wheels = load(drive(odometry=text("t,vx,vy,omega", [(t, nu, 0.01, omega) for t, nu, _, omega in rows])))
+    assert wheels.equals(expected) and not messages(wheels, "sideways")
+
+
 def test_rows_that_come_twice_are_a_doubt(drive, expected, tmp_path):
     log = load(drive(odometry=text("t,nu,omega", [row for row in ODOMETRY for _ in range(2)])))
     assert log.equals(expected)

@@ -101,6 +101,14 @@ def test_implausible_estimates_are_doubted() -> None:
     assert not warehouse()[2].doubts
 
 
+def test_numbers_that_are_read_in_the_wrong_way_are_said_in_python() -> None:
+    log, _, _ = warehouse()
+    assert not any("read like this" in note for note in Graph.from_log(log).notes)
+    behind = log.replace(sightings=log.sightings + [0.0, np.pi])
+    (note,) = (note for note in Graph.from_log(behind).notes if "read like this" in note)
+    assert "the sensor looks to the back" in note
+
+
 def test_noise_that_grows_with_the_range_is_not_a_scale() -> None:
     """With the noise at measured ranges, short readings weighed too much, and this scale came out at 1.047 +- 0.005."""
     sensor = SensorModel(range_rate=0.14, range_std=0.0, bearing_std=0.05, max_range=8.0, field_of_view=3.0)

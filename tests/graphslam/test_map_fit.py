@@ -1,0 +1,87 @@
+"""A log that contradicts its map: scaled maps, maps with errors, and right maps, which are not doubted."""
+
+import re
+
+import numpy as np
+import pytest
+
+from graphslam import Graph, LandmarkMap, MotionModel, SensorModel, simulate, solve, solve_with_gtsam
+
+ROBOT = {
+    "motion": MotionModel(nn=0.02, no=1e-4, on=0.02, oo=0.02),
+    "sensor": SensorModel(range_rate=0, range_std=0.03, bearing_std=0.02),
+}
+DOUBT = "the log contradicts the map"
+
+
+def doubts(log, known, **options):
+    solution = solve(Graph.from_log(log, map=known, dimensions=2, **options))
+    return [note for note in solution.notes if note.startswith(DOUBT)]
+
+
+def drive(seed, landmarks=16, **robot):
+    world = np.random.default_rng(seed).uniform(-5, 5, (landmarks, 2))
+    log = simulate(seed=seed, steps=80, clean=True, orientation=False, landmarks=world, **{**ROBOT, **robot})
+    return log.replace(**{**ROBOT, **robot}), {j: place[:2] for j, place in log.true_landmarks.items()}
+
+
+def stretched(known, scale):
+    return {j: np.multiply(place, scale) for j, place in known.items()}
+
+
+@pytest.mark.parametrize("scale", [0.98, 1.02])
+def test_the_scale_of_a_map_is_said_with_its_standard_error(scale):
+    log, known = drive(1)
+    (doubt,) = doubts(log, stretched(known, scale))
+    value, error = map(float, re.search(r"at ([\d.]+) times its size \(standard error ([\d.]+)\)", doubt).groups())
+    assert abs(value - 1 / scale) < 4 * error < 0.02
+
+
+def test_errors_of_a_map_are_said_unless_its_covariances_say_them():
+    log, known = drive(2)
+    rng = np.random.default_rng(0)
+    wrong = {j: place + 0.1 * rng.normal(size=2) for j, place in known.items()}
+    (doubt,) = doubts(log, wrong)
+    size = float(re.search(r"half of its landmarks are ([\d.]+) m or more", doubt)[1])
+    # the median of the length of two normal numbers is 0.118 for 0.1; a landmark is placed against others that are wrong, too
+    assert 0.05 < size < 0.25
+    assert not doubts(log, LandmarkMap(wrong, {j: 0.01 * np.eye(2) for j in wrong}))
+
+
+def test_a_map_with_joint_covariances_is_doubted_where_its_size_is_wrong():
+    log, known = drive(3)
+    world = np.array([known[j] for j in sorted(known)])
+    other = simulate(seed=4, steps=80, clean=True, orientation=False, landmarks=world, **ROBOT).replace(**ROBOT)
+    first = solve(Graph.from_log(other)).map
+    assert not doubts(log, first)
+    larger = LandmarkMap({j: 1.05 * place for j, place in first.items()}, joint=first.joint)
+    (doubt,) = doubts(log, larger)
+    assert "times its size" in doubt
+
+
+def test_few_moved_landmarks_are_no_doubt_of_the_map():
+    log, known = drive(5)
+    for j in list(known)[:3]:
+        known[j] = known[j] + (0.7, -0.5)
+    assert not doubts(log, known, kernel="cauchy")
+
+
+def test_gtsam_says_the_same():
+    log, known = drive(6)
+    graph = Graph.from_log(log, map=stretched(known, 1.02), dimensions=2)
+    assert [n for n in solve_with_gtsam(graph).notes if n.startswith(DOUBT)] == doubts(log, stretched(known, 1.02))
+
+
+@pytest.mark.parametrize("seed", range(10, 20))
+def test_right_maps_are_not_doubted(seed):
+    log, known = drive(seed, landmarks=4 + 2 * (seed - 10))
+    assert not doubts(log, known)
+
+
+@pytest.mark.parametrize("seed", range(20, 24))
+def test_noise_that_shrinks_worlds_is_no_doubt_of_the_map(seed):
+    # bearings that are sloppy beside ranges, and ranges whose noise grows with them
+    log, known = drive(seed, sensor=SensorModel(range_rate=0, range_std=0.005, bearing_std=0.06))
+    assert not doubts(log, known)
+    log, known = drive(seed, sensor=SensorModel(range_rate=0.2, range_std=0, bearing_std=0.02))
+    assert not doubts(log, known)
