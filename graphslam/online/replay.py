@@ -36,7 +36,7 @@ from ..se2 import Array
 from ..solvers.corrected import motion_edges
 from ..solvers.initialize import image_notes, partial_edges
 from ..solvers.iteration import Run
-from ..solvers.solution import Solution, make_solution
+from ..solvers.solution import Solution, doubted, make_solution
 from .backend import FREE_START, Relation
 from .solver import OnlineSolver, backend_options
 
@@ -109,7 +109,8 @@ def solve_online(
             "J is not given with a lag: poses that are final do not follow later measurements",
             "covariances are those without the lag, with which the errors of final poses are larger",
         )
-    return make_solution(graph, run, "online" if backend == "own" else backend, seconds, notes=notes, cost=cost)
+    name = "online" if backend == "own" else backend
+    return doubted(make_solution(graph, run, name, seconds, notes=notes, cost=cost))
 
 
 def _place_the_rest(solver: OnlineSolver) -> None:

@@ -39,7 +39,7 @@ from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
 from .joint import JointGraph
 from .minimize import FIRST, at_estimated_ranges, best_of_starts, takes_estimated_ranges
-from .solution import Solution, make_solution
+from .solution import Solution, doubted, make_solution
 
 #: the most steps between two freezings
 STEPS = 10
@@ -228,21 +228,19 @@ def solve_with_gtsam(
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
     check_choice("range_noise", range_noise, RANGE_NOISES)
-    if takes_estimated_ranges(graph, range_noise):
+    solved = partial(_solved, tolerance=tolerance, max_iterations=max_iterations, factors=factors)
+    again = takes_estimated_ranges(graph, range_noise)
+    return doubted(at_estimated_ranges(graph, initialize, solved) if again else solved(graph, initialize))
 
-        def once(noisy: Graph, start: str) -> Solution:
-            return solve_with_gtsam(
-                noisy, tolerance=tolerance, max_iterations=max_iterations, initialize=start, factors=factors,
-                range_noise="measured",
-            )  # fmt: skip
 
-        return at_estimated_ranges(graph, initialize, once)
+def _solved(graph: Graph, initialize: str, *, tolerance: float, factors: str, max_iterations: int = 100) -> Solution:
+    """The solution with the noise that the graph has."""
     begin = time.perf_counter()
     if graph.parameters is not None:
 
         def solved(nodes: Graph) -> Array:
             rough = max(FIRST, tolerance)
-            return solve_with_gtsam(nodes, tolerance=rough, initialize=initialize, factors=factors).state
+            return _solved(nodes, initialize, tolerance=rough, factors=factors).state
 
         search, begun = solve_jointly_with_gtsam, partial(Run, graph.initial, tolerance, max_iterations)
         found, run = best_of_starts(graph, solved, search, begun)

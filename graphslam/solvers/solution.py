@@ -8,7 +8,7 @@ has the same solution as one of both logs together, as far as they are linear.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from numbers import Integral
 from typing import Any
@@ -365,8 +365,6 @@ def make_solution(
             f"with the kernel {kernels[0].name} solvers may converge slowly where many sightings are wrong: raise "
             "max_iterations of solve, or use its method gnc (--kernel gnc), which decides which sightings are wrong",
         )
-    if run.converged and (doubt := doubt_of_map(graph, state)):
-        notes += (doubt,)
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])
     cost = graph.cost(state) if cost is None else cost
@@ -378,11 +376,6 @@ def make_solution(
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)
-    if graph.log is None and run.converged and (ratio := cost / max(graph.expected_cost, 1.0)) > MISFIT:
-        notes += (
-            f"J is {ratio:,.0f} times what the information of the edges lets expect: edges are wrong, which method gnc "
-            "leaves out of Graph.with_closures, or their information is too large, or of other units",
-        )
     solution = Solution(
         poses, estimated, landmarks, cost, np.array([*run.costs, cost]), len(run.step_norms), np.array(run.step_norms),
         run.converged, run.reason, seconds, solver, state, notes=(*graph.notes, *notes), graph=graph,
@@ -391,3 +384,23 @@ def make_solution(
         # the value of the cached property, which would repeat the same proof
         solution.__dict__["certificate"] = certificate.of_run(run.converged, run.reason)
     return solution
+
+
+def doubted(solution: Solution) -> Solution:
+    """A solution with notes on what contradicts it: a map that its log contradicts, and edges that contradict each other."""
+    graph, notes = solution.graph, []
+    if graph is None or not solution.converged:
+        return solution
+    if doubt := doubt_of_map(graph, solution.state):
+        notes.append(doubt)
+    if graph.log is None and (ratio := solution.cost / max(graph.expected_cost, 1.0)) > MISFIT:
+        notes.append(
+            f"J is {ratio:,.0f} times what the information of the edges lets expect: edges are wrong, which method gnc "
+            "leaves out of Graph.with_closures, or their information is too large, or of other units"
+        )
+    if not notes:
+        return solution
+    known, noted = vars(solution), replace(solution, notes=(*solution.notes, *notes))
+    # `replace` does not keep what a solution has already computed
+    vars(noted).update((name, known[name]) for name in known.keys() - {each.name for each in fields(solution)})
+    return noted

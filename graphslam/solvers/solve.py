@@ -20,7 +20,7 @@ from .gnc import solve_gnc
 from .initialize import INITIALIZE
 from .iteration import Iteration
 from .minimize import METHODS, at_estimated_ranges, minimize, takes_estimated_ranges
-from .solution import Solution
+from .solution import Solution, doubted
 
 GNC = "gnc"
 
@@ -107,7 +107,7 @@ def solve(
 
     # the sightings that gnc trusts may change from pass to pass
     again = takes_estimated_ranges(graph, range_noise) and (method != GNC or range_noise == "estimated")
-    return at_estimated_ranges(graph, initialize, solved) if again else solved(graph, initialize)
+    return doubted(at_estimated_ranges(graph, initialize, solved) if again else solved(graph, initialize))
 
 
 def check_options(
