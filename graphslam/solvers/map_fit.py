@@ -34,8 +34,8 @@ MOST, FEWEST = 40, 3
 LARGE, SIGNIFICANT = 6.0, 6.0
 #: the scale of a map that is doubtful by its landmarks is said from so many standard errors on
 TELLING = 3.0
-#: the log tells a landmark where it has more than this part of the information that its sightings alone would give
-TOLD = 1e-6
+#: the log determines a landmark where it has more than this part of the information that its sightings alone would give
+DETERMINED = 1e-6
 
 
 def doubt_of_map(graph: Graph, state: Array) -> str:
@@ -80,19 +80,19 @@ def doubt_of_map(graph: Graph, state: Array) -> str:
 
 
 def _misfit(g: Array, S: Array, alone: Array) -> tuple[float, float]:
-    """The root of the median of q over 2 log 2, and the median of the displacements [m], of landmarks that the log tells.
+    """The root of the median of q over 2 log 2, and the median of the displacements [m], of landmarks that the log determines.
 
     ``alone`` is d' H d. With few landmarks the median is the lower one of two.
     """
     count = len(g) // 2
     each = np.arange(count)
     own, known = (matrix.reshape(count, 2, count, 2)[each, :, each] for matrix in (S, alone))
-    told = np.linalg.eigvalsh(own)[:, 0] > TOLD * np.trace(known, axis1=1, axis2=2)
-    if told.sum() < FEWEST:
+    determined = np.linalg.eigvalsh(own)[:, 0] > DETERMINED * np.trace(known, axis1=1, axis2=2)
+    if determined.sum() < FEWEST:
         return 0.0, 0.0
-    own, forces = own[told], g.reshape(count, 2)[told]
+    own, forces = own[determined], g.reshape(count, 2)[determined]
     moved = np.linalg.solve(own, forces[:, :, None])[:, :, 0]
-    q, middle = np.einsum("ki,ki->k", moved, forces), (told.sum() - 1) // 2
+    q, middle = np.einsum("ki,ki->k", moved, forces), (determined.sum() - 1) // 2
     size = np.hypot(moved[:, 0], moved[:, 1])
     return float(np.sqrt(np.sort(q)[middle] / (2 * np.log(2)))), float(np.sort(size)[middle])
 

@@ -121,7 +121,7 @@ PASSES, SAME = 100, 1e-7
 
 
 def takes_estimated_ranges(graph: Graph, range_noise: str) -> bool:
-    """Whether a graph is solved with its noise at estimated ranges: "auto" does so where the log told the noise.
+    """Whether a graph is solved with its noise at estimated ranges: "auto" does so where the noise was estimated from it.
 
     Graphs with parameters do it in any case, and by themselves.
     """
