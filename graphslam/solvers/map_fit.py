@@ -80,7 +80,7 @@ def doubt_of_map(graph: Graph, state: Array) -> str:
 
 
 def _misfit(g: Array, S: Array, alone: Array) -> tuple[float, float]:
-    """The root of the median of q over 2 log 2, and the median of the displacements [m], of landmarks that the log determines.
+    """The root of the median of q over 2 log 2, and the median of displacements [m], of landmarks that the log determines.
 
     ``alone`` is d' H d. With few landmarks the median is the lower one of two.
     """

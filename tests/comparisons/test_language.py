@@ -105,7 +105,8 @@ def test_each_template_has_a_translation(function: Callable[..., Any]) -> None:
 PUT_TOGETHER = {
     "shares only one with the rest", "share only one with the rest", "time %", "norm %", "speed x", "turn rate x",
     "range x", "start J =", "sightings are from before or after the odometry",
-    "and they fit each other better with the map at", "but maximum-likelihood where a log has no ids", "a log and a file to write", "give at most a log and a file to write",
+    "and they fit each other better with the map at",
+    "but maximum-likelihood where a log has no ids", "a log and a file to write", "give at most a log and a file to write",
 }  # fmt: skip
 
 
