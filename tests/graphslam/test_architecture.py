@@ -146,6 +146,7 @@ def test_the_two_solvers_share_only_their_start():
         "starting_state",
         "best_end",
         "at_estimated_ranges",
+        "takes_estimated_ranges",
         "DAMPED",
         "Run",
         "rounding",

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fastslam import FastSLAM1
+from fastslam import FastSLAM1, associate
 from graphslam import (
     FormatError,
     Graph,
@@ -22,7 +22,6 @@ from graphslam import (
     OptionError,
     SensorModel,
     SlamError,
-    associate,
     calibrate,
     certify,
     estimate_map,

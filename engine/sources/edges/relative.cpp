@@ -7,13 +7,14 @@
 namespace vmslam::edges {
 namespace {
 
-/// Append edges with the weights that a kernel gives them at a state.
-void append(std::span<const ConstantEdge> edges, const Kernel& kernel, const double* state, ConstantEdges& out) {
-    out.edges.reserve(out.edges.size() + edges.size());
-    for (const ConstantEdge& edge : edges) {
-        out.edges.push_back(edge);
-        if (kernel) out.edges.back().information = kernel.weight(edge.squares(state)) * edge.information;
-    }
+/// Append the edges of a family with the weights that its kernel gives them at a state.
+template <class List>
+void append(const Kernel& kernel, const double* state, ConstantEdges& out, List list) {
+    const std::size_t before = out.edges.size();
+    list(out.edges);
+    if (!kernel) return;
+    for (ConstantEdge& edge : std::span(out.edges).subspan(before))
+        edge.information = kernel.weight(edge.squares(state)) * edge.information;
 }
 
 }  // namespace
@@ -82,15 +83,13 @@ std::vector<PositionRelation> RelativeEdges::positions(const double* state) cons
 
 bool RelativeEdges::constant(const double* state, Index, ConstantEdges& out) const {
     if (world_) return false;
-    append(listed(), kernel_, state, out);
+    append(kernel_, state, out, [this](auto& to) { list(to); });
     return true;
 }
 
-std::vector<ConstantEdge> RelativeEdges::listed() const {
-    std::vector<ConstantEdge> out;
-    out.reserve(edges_.size());
-    for (const auto& [i, j, z, omega] : edges_) out.push_back({i, j, {z.x, z.y}, {}, z.t, poses_, omega});
-    return out;
+void RelativeEdges::list(std::vector<ConstantEdge>& to) const {
+    to.reserve(to.size() + edges_.size());
+    for (const auto& [i, j, z, omega] : edges_) to.push_back({i, j, {z.x, z.y}, {}, z.t, poses_, omega});
 }
 
 double PositionEdges::accumulate(const State& state, System* system, std::span<const Index>) const {
@@ -112,19 +111,17 @@ double PositionEdges::accumulate(const State& state, System* system, std::span<c
 }
 
 bool PositionEdges::constant(const double* state, Index, ConstantEdges& out) const {
-    append(listed(), kernel_, state, out);
+    append(kernel_, state, out, [this](auto& to) { list(to); });
     return true;
 }
 
 // A relative pose, or point, measured from the origin of the world.
-std::vector<ConstantEdge> PositionEdges::listed() const {
+void PositionEdges::list(std::vector<ConstantEdge>& to) const {
     const bool oriented = std::any_of(positions_.begin(), positions_.end(), [](const Position& p) {
         return p.omega.tt != 0 || p.omega.xt != 0 || p.omega.yt != 0;
     });
-    std::vector<ConstantEdge> out;
     for (const auto& [i, z, omega, lever] : positions_)
-        out.push_back({-1, i, {z.x, z.y}, {lever.x, lever.y}, z.t, oriented, omega});
-    return out;
+        to.push_back({-1, i, {z.x, z.y}, {lever.x, lever.y}, z.t, oriented, omega});
 }
 
 }  // namespace vmslam::edges

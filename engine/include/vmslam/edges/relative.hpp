@@ -38,14 +38,16 @@ class RelativeEdges : public Family {
         return std::make_unique<RelativeEdges>(renumbered(edges_, number), poses_, world_, kernel_);
     }
     std::vector<double> squares(const double* state, std::span<const double>) const override {
-        return squares_of(listed(), state);
+        std::vector<ConstantEdge> own;
+        list(own);
+        return squares_of(own, state);
     }
 
    private:
     template <bool poses, bool world>
     double add(const State& state, System* system, std::span<const Index> pairs) const;
-    /// The edges without their kernel.
-    std::vector<ConstantEdge> listed() const;
+    /// Append the edges without their kernel.
+    void list(std::vector<ConstantEdge>& to) const;
 
     std::vector<RelativeEdge> edges_;
     bool poses_, world_;
@@ -76,12 +78,14 @@ class PositionEdges : public Family {
         return std::make_unique<PositionEdges>(renumbered(positions_, number), kernel_);
     }
     std::vector<double> squares(const double* state, std::span<const double>) const override {
-        return squares_of(listed(), state);
+        std::vector<ConstantEdge> own;
+        list(own);
+        return squares_of(own, state);
     }
 
    private:
-    /// The edges without their kernel.
-    std::vector<ConstantEdge> listed() const;
+    /// Append the edges without their kernel.
+    void list(std::vector<ConstantEdge>& to) const;
 
     std::vector<Position> positions_;
     Kernel kernel_;
