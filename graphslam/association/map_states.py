@@ -117,7 +117,7 @@ class MapStates:
     def sentence(self) -> str:
         """One sentence: how many landmarks agree, and which have moved, are gone or new."""
         agree = len(self.of(AGREES))
-        parts = [f"{agree} {'landmark agrees' if agree == 1 else 'landmarks agree'} with the map"]
+        parts = [f"{agree} landmarks agree with the map" if agree != 1 else "1 landmark agrees with the map"]
         parts += [
             f"{listed('landmark', ids, most=8)} {verbs[len(ids) > 1]}"
             for name, verbs in {

@@ -91,11 +91,12 @@ class Fix:
     def sentence(self) -> str:
         """The source of the fix, in words."""
         wrong = f", {len(self.disagree)} contradict it" if len(self.disagree) else ""
-        sightings = "sighting agrees" if len(self.agree) == 1 else "sightings agree"
+        count = len(self.agree)
+        agree = f"{count} sightings agree up to step" if count != 1 else "1 sighting agrees up to step"
         doubt = (
             "" if self.odds > SURE else f"; the odds against other places and other maps are only {self.odds:.2g} to 1"
         )
-        return f"{len(self.agree)} {sightings} up to step {self.step}{wrong}{doubt}"
+        return f"{agree} {self.step}{wrong}{doubt}"
 
 
 def first_fix(
