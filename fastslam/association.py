@@ -41,8 +41,9 @@ def associate(
     ``keep_ids``).
 
     Front ends find first ids and a trajectory; by default (``front_end="auto"``) runs of FastSLAM 2.0 and the drive with a
-    local Kalman filter compete. From each of these starts association and solving take turns
-    (`graphslam.association.associate_from`), and the end with the highest evidence is the result.
+    local Kalman filter compete, or one run of FastSLAM 2.0 begins where nobody knows the noise of the robot. From each of
+    these starts association and solving take turns (`graphslam.association.associate_from`), and the end with the highest
+    evidence is the result.
 
     Args:
         log: with controls.

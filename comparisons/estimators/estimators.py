@@ -27,6 +27,7 @@ from graphslam.log.measurements import MEASURED
 from graphslam.online import replay
 from graphslam.se2 import wrap
 from graphslam.solvers.iteration import Run
+from graphslam.solvers.minimize import takes_estimated_ranges
 from graphslam.solvers.solution import make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions
@@ -438,6 +439,10 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             getattr(f, "noise_at", None) is not None for f in families
         )
         values["options"]["range_noise"] = "estimated" if estimated else "measured"
+    elif solution.graph is not None and takes_estimated_ranges(solution.graph, "auto"):
+        notes.append(
+            "takes the noise of ranges at the measured ones, and graph at the estimated ones, so that J differs"
+        )
     parameters = solution.parameters
     if parameters is not None:
         notes.append(f"estimated with the poses: {parameters.sentence}")

@@ -100,16 +100,6 @@ Out<T> array(std::vector<T> values) {
     return array(std::move(values), {size});
 }
 
-/// An array that shows memory of the engine, and does not keep it.
-template <class T>
-nb::object shown(T* numbers, std::initializer_list<std::size_t> shape) {
-    return nb::cast(nb::ndarray<nb::numpy, T>(numbers, shape, nb::handle()), nb::rv_policy::reference);
-}
-template <class T>
-nb::object shown(std::span<T> numbers) {
-    return shown(numbers.data(), {numbers.size()});
-}
-
 /// The numbers of a member of some records, (n, k) or (n,).
 template <class Record, class Member>
 auto rows_of(const std::vector<Record>& records, Member Record::* member) {

@@ -24,31 +24,33 @@ Out<double> state_array(const double* at, std::size_t size) {
     return array(std::vector<double>(at, at + size), {size / 3, 3});
 }
 
-/// A family written in Python, whose accumulate adds to a `BlockSystem`, which `view` makes of the arrays of a system; headings()
-/// and positions(state) are `base.Relations`, or None. One of measurements that may be wrong is a `robust.SingleEdges`.
+/// A family written in Python, whose accumulate adds to a `BlockSystem`, which `make` makes of arrays; headings() and
+/// positions(state) are `base.Relations`, or None. One of measurements that may be wrong is a `robust.SingleEdges`.
 class PythonFamily : public edges::Family {
    public:
-    PythonFamily(nb::object family, nb::object view, std::size_t size)
-        : family_(std::move(family)), view_(std::move(view)), size_(size) {}
+    PythonFamily(nb::object family, nb::object make, std::size_t size)
+        : family_(std::move(family)), make_(std::move(make)), size_(size) {}
     PythonFamily(const PythonFamily&) = delete;
     PythonFamily& operator=(const PythonFamily&) = delete;
     ~PythonFamily() override {
         // those of `trusting` end while the engine runs, without Python's lock
         const nb::gil_scoped_acquire python;
         family_.reset();
-        view_.reset();
-        system_.reset();
+        make_.reset();
+        sums_.reset();
     }
 
     double accumulate(const edges::State& state, edges::System* system, std::span<const Index>) const override {
         const nb::gil_scoped_acquire python;
-        if (system && system->values != shown_) {
-            shown_ = system->values;
-            system_ = view_(shown(system->start), shown(system->rows), shown(system->values, {system->rows.size(), 3, 3}),
-                            shown(system->xi, {size_ / 3, 3}), shown(system->slot_of, {size_ / 3}));
-        }
-        return nb::cast<double>(family_.attr("accumulate")(state_array(state.at, size_), state_array(state.reference, size_),
-                                                           system ? system_ : nb::object(nb::none())));
+        const auto at = state_array(state.at, size_), reference = state_array(state.reference, size_);
+        if (!system) return nb::cast<double>(family_.attr("accumulate")(at, reference, nb::none()));
+        if (!sums_ || sums_->of != system->values) sums_.emplace(*system, make_, size_);
+        std::fill_n(sums_->values.data(), sums_->values.size(), 0.0);
+        std::fill_n(sums_->xi.data(), size_, 0.0);
+        const double cost = nb::cast<double>(family_.attr("accumulate")(at, reference, sums_->system));
+        for (std::size_t k = 0; k < sums_->values.size(); ++k) system->values[k] += sums_->values.data()[k];
+        for (std::size_t k = 0; k < size_; ++k) system->xi[k] += sums_->xi.data()[k];
+        return cost;
     }
 
     std::unique_ptr<const edges::Family> among(std::span<const Index> number) const override {
@@ -56,13 +58,13 @@ class PythonFamily : public edges::Family {
         nb::object part = family_.attr("renumbered")(array(std::vector(number.begin(), number.end())));
         if (part.is_none()) return nullptr;
         const auto count = std::count_if(number.begin(), number.end(), [](Index k) { return k >= 0; });
-        return std::make_unique<PythonFamily>(std::move(part), view_, 3 * static_cast<std::size_t>(count));
+        return std::make_unique<PythonFamily>(std::move(part), make_, 3 * static_cast<std::size_t>(count));
     }
 
     std::unique_ptr<const edges::Family> trusting(std::span<const double> trust) const override {
         const nb::gil_scoped_acquire python;
         return std::make_unique<PythonFamily>(family_.attr("with_trust")(array(std::vector(trust.begin(), trust.end()))),
-                                              view_, size_);
+                                              make_, size_);
     }
 
     std::vector<double> squares(const double* state, std::span<const double> trust) const override {
@@ -114,10 +116,24 @@ class PythonFamily : public edges::Family {
         return out;
     }
 
-    nb::object family_, view_;
+    /// A `BlockSystem` with the pattern of a system, in memory that Python keeps as long as it is used there.
+    struct Sums {
+        const double* of;
+        Out<double> values, xi;
+        nb::object system;
+
+        Sums(const edges::System& like, const nb::object& make, std::size_t size)
+            : of(like.values),
+              values(array(std::vector<double>(9 * like.rows.size()), {like.rows.size(), 3, 3})),
+              xi(array(std::vector<double>(size), {size / 3, 3})),
+              system(make(array(std::vector(like.start.begin(), like.start.end())),
+                          array(std::vector(like.rows.begin(), like.rows.end())), values, xi,
+                          array(std::vector<Index>(size / 3)))) {}
+    };
+
+    nb::object family_, make_;
     std::size_t size_;
-    mutable nb::object system_;              ///< the view of the last system, ...
-    mutable const double* shown_ = nullptr;  ///< ... and its numbers
+    mutable std::optional<Sums> sums_;
 };
 
 /// A graph whose families and arrays Python owns.
@@ -207,7 +223,13 @@ void bind_objectives(nb::module_& m) {
     m.def("grow",
           [](const BoundGraph& graph, In<double> state, Index poses, Index each, In<Index> parents, In<double> offsets,
              In<Index> from) -> std::optional<Out<double>> {
-              const auto grown = grow(graph, copy_of(state), {poses, each, span(parents), span(offsets), span(from)});
+              const Growth growth{poses, each, span(parents), span(offsets), span(from)};
+              std::vector<double> start = copy_of(state);
+              std::optional<std::vector<double>> grown;
+              {
+                  const nb::gil_scoped_release others;
+                  grown = grow(graph, std::move(start), growth);
+              }
               if (!grown) return std::nullopt;
               return state_array(grown->data(), grown->size());
           });

@@ -62,6 +62,16 @@ void test_ring(unsigned seed) {
     expect(other && (seed % 2 || other->lowest <= least->cost), "a lower bound is below the minimum", seed);
 }
 
+template <class Call>
+bool refused(Call call) {
+    try {
+        call();
+    } catch (const std::invalid_argument&) {
+        return true;
+    }
+    return false;
+}
+
 /// Growth along odometry that turns 3 % too fast ends near the minimum, because sightings correct it on the way.
 void test_growth(unsigned seed) {
     const double turn = 2 * std::numbers::pi / 20;
@@ -97,6 +107,7 @@ void test_growth(unsigned seed) {
     solve::Graph broken(3);
     broken.add_relative({{0, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 1.0, 0.0, 0.0, 1.0}}});
     expect(!broken.grown(), "no edge leads to the last pose", seed);
+    expect(refused([&] { graph.grown(0); }), "growth by no node", seed);
     expect(std::abs(solve::Growth{25, 10, {}, {}, {}}.most_steps() - 4.0 * (11 + 21 + 25) / 25) < 1e-12,
            "the steps of growth", seed);
 }
@@ -142,16 +153,6 @@ void test_no_proof() {
            0);
     expect(semidefinite({2.0, 0.5, 1.0, 0.1, 0.2, 3.0}) && !semidefinite({0.0, 0.0, 1.0, 0.1, 0.0, 1.0}),
            "correlated headings", 0);
-}
-
-template <class Call>
-bool refused(Call call) {
-    try {
-        call();
-    } catch (const std::invalid_argument&) {
-        return true;
-    }
-    return false;
 }
 
 void test_wrong_arguments() {

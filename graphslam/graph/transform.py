@@ -190,7 +190,7 @@ def _divided(family: EdgeFamily, number: np.ndarray) -> EdgeFamily:
         GraphError: they cannot be divided.
     """
     if (kept := family.renumbered(number)) is None:
-        raise GraphError(f"{type(family).__name__} cannot be divided: only families of edges between two nodes can")
+        raise GraphError(f"{type(family).__name__} cannot be divided: only families with a method renumbered can")
     return kept
 
 

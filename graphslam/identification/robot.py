@@ -138,6 +138,7 @@ def estimate_robot(
         log: with controls and ids. Sightings without an id are corrected like the others, but not used.
         sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose.
         given: noise to compare with in place of the book's.
+        seed: of the random signs with which expectations are computed.
 
     Raises:
         LogError: the log has too few sightings with ids, or no controls.

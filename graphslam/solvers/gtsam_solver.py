@@ -229,8 +229,9 @@ def solve_with_gtsam(
     check_count(max_iterations=max_iterations)
     check_choice("range_noise", range_noise, RANGE_NOISES)
     solved = partial(_solved, tolerance=tolerance, max_iterations=max_iterations, factors=factors)
-    again = takes_estimated_ranges(graph, range_noise)
-    return doubted(at_estimated_ranges(graph, initialize, solved) if again else solved(graph, initialize))
+    if takes_estimated_ranges(graph, range_noise):
+        return doubted(at_estimated_ranges(graph, initialize, solved, required=range_noise == "estimated"))
+    return doubted(solved(graph, initialize))
 
 
 def _solved(graph: Graph, initialize: str, *, tolerance: float, factors: str, max_iterations: int = 100) -> Solution:

@@ -39,7 +39,7 @@ DETERMINED = 1e-6
 
 
 def doubt_of_map(graph: Graph, state: Array) -> str:
-    """A sentence where the log contradicts the size of the map, or half of its landmarks; empty otherwise.
+    """A sentence where the log contradicts the size of the map, or its landmarks; empty otherwise.
 
     Where landmarks are off by more than the models allow, the standard error of the scale counts as so much larger.
     """
@@ -63,8 +63,8 @@ def doubt_of_map(graph: Graph, state: Array) -> str:
     found = []
     if ratio**2 > LARGE:
         found.append(
-            f"half of its landmarks are {size:.2g} m or more from where it has them, {ratio:.1f} times what its covariances "
-            "and the noise models allow"
+            f"its landmarks seem to be off by {size:.2g} m in the median, {ratio:.1f} times what its covariances and the "
+            "noise models allow"
         )
     if abs(scale - 1) > (TELLING if found else SIGNIFICANT) * error:
         found.append(
@@ -75,7 +75,8 @@ def doubt_of_map(graph: Graph, state: Array) -> str:
         return ""
     return (
         f"the log contradicts the map: {', and '.join(found)}. Poses and their covariances take the map for right; check its "
-        "unit and its source, or give its landmarks covariances"
+        "unit and its source, whether landmarks have moved (map_states), and whether the robot has biases or more noise than "
+        "its models (estimate=, noise='auto')"
     )
 
 

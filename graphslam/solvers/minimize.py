@@ -132,15 +132,19 @@ def takes_estimated_ranges(graph: Graph, range_noise: str) -> bool:
     return grows and log.uncertain is not None and log.partial_sightings is None
 
 
-def at_estimated_ranges(graph: Graph, initialize: str, solved: Callable[[Graph, str], Solution]) -> Solution:
+def at_estimated_ranges(
+    graph: Graph, initialize: str, solved: Callable[[Graph, str], Solution], *, required: bool
+) -> Solution:
     """The solution of a graph with the noise of its sensor at the sightings that this solution predicts.
 
     Args:
         graph: with the noise at the measured sightings, from which the first solution comes.
         initialize: of the first solution; the others go on from it.
         solved: the solution of a graph from such a start.
+        required: whether a solution that the noise still moves is returned as not converged; if not, the first one is
+            returned with a note.
     """
-    solution = solved(graph, initialize)
+    solution = first = solved(graph, initialize)
     seconds, moved = solution.seconds, np.inf
     for _ in range(PASSES):
         before = solution.state
@@ -151,7 +155,11 @@ def at_estimated_ranges(graph: Graph, initialize: str, solved: Callable[[Graph, 
     if moved < SAME or not solution.converged:
         return replace(solution, seconds=seconds)
     reason = f"the noise of the ranges still moved the solution by {moved:.1g} after {PASSES} passes"
-    return replace(solution, seconds=seconds, converged=False, reason=reason)
+    if required:
+        return replace(solution, seconds=seconds, converged=False, reason=reason)
+    return replace(
+        first, seconds=seconds, notes=(*first.notes, f"{reason}, so that it is taken at the measured ranges")
+    )
 
 
 METHODS: dict[str, Callable[[Any, Run], Any]] = {

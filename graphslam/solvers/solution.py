@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges import LandmarkSightings, SightingEdges
+from ..edges import AnchorEdges, LandmarkSightings, SightingEdges
 from ..errors import OptionError, quoted
 from ..errors.checks import make_read_only
 from ..graph import Graph
@@ -393,7 +393,9 @@ def doubted(solution: Solution) -> Solution:
         return solution
     if doubt := doubt_of_map(graph, solution.state):
         notes.append(doubt)
-    if graph.log is None and (ratio := solution.cost / max(graph.expected_cost, 1.0)) > MISFIT:
+    # families that do not say how many numbers they measure leave the expected cost open
+    counted = all(family.numbers[0] or isinstance(family, AnchorEdges) for family in graph.families)
+    if graph.log is None and counted and (ratio := solution.cost / max(graph.expected_cost, 1.0)) > MISFIT:
         notes.append(
             f"J is {ratio:,.0f} times what the information of the edges lets expect: edges are wrong, which method gnc "
             "leaves out of Graph.with_closures, or their information is too large, or of other units"

@@ -107,7 +107,9 @@ def solve(
 
     # the sightings that gnc trusts may change from pass to pass
     again = takes_estimated_ranges(graph, range_noise) and (method != GNC or range_noise == "estimated")
-    return doubted(at_estimated_ranges(graph, initialize, solved) if again else solved(graph, initialize))
+    if again:
+        return doubted(at_estimated_ranges(graph, initialize, solved, required=range_noise == "estimated"))
+    return doubted(solved(graph, initialize))
 
 
 def check_options(

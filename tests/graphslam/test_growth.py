@@ -104,6 +104,27 @@ def test_a_family_in_numpy_grows_as_that_of_the_engine():
     np.testing.assert_allclose(grown, sequential_start(graph, 25), rtol=0, atol=1e-9)
 
 
+def test_what_a_family_in_numpy_adds_to_stays_valid():
+    """A traceback may show the system of a part long after the part is gone."""
+    kept = []
+
+    class Own(RelativePoseEdges):
+        def accumulate(self, state: Any, reference: Any, system: Any) -> float:
+            if system is not None:
+                kept.append(system)
+            return EdgeFamily.accumulate(self, state, reference, system)
+
+    graph = Graph.from_log(LOG)
+    motions = next(family for family in graph.families if type(family) is RelativePoseEdges)
+    own = Own(motions.first, motions.second, motions.measured, motions.information)
+    sequential_start(graph.with_families(own if family is motions else family for family in graph.families), 25)
+    sizes = {system.num_nodes for system in kept}
+    assert len(sizes) > 3
+    for system in kept:
+        assert 0 <= system.indices.min() <= system.indices.max() < system.num_nodes
+        assert np.isfinite(system.values).all()
+
+
 def test_a_family_that_cannot_be_divided_is_named():
     @dataclass(frozen=True, eq=False)
     class All(EdgeFamily):

@@ -42,7 +42,7 @@ def test_errors_of_a_map_are_said_unless_its_covariances_say_them():
     rng = np.random.default_rng(0)
     wrong = {j: place + 0.1 * rng.normal(size=2) for j, place in known.items()}
     (doubt,) = doubts(log, wrong)
-    size = float(re.search(r"half of its landmarks are ([\d.]+) m or more", doubt)[1])
+    size = float(re.search(r"its landmarks seem to be off by ([\d.]+) m", doubt)[1])
     # the median of the length of two normal numbers is 0.118 for 0.1; a landmark is placed against others that are wrong, too
     assert 0.05 < size < 0.25
     assert not doubts(log, LandmarkMap(wrong, {j: 0.01 * np.eye(2) for j in wrong}))

@@ -17,7 +17,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from ...options import RunOptions
 from ..canvas import INK, ITERATIONS, MATCHED, MATRIX, colour_of, true_landmarks
 from ..figures import ellipses
 from .view import Estimate, Figure, View, axis, layout, line_of, logarithmic, place, short
-
-if TYPE_CHECKING:
-    pass
 
 #: [-, s, rad, m, m, m, -, rad]; None where unknown
 COLUMNS = ("step", "time", "theta", "error", "sigma_x", "sigma_y", "rho_xy", "sigma_theta")

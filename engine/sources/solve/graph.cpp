@@ -113,6 +113,7 @@ Start Graph::rotation_first(int threads) const {
 }
 
 std::optional<std::vector<double>> Graph::grown(Index each, int threads) const {
+    require(each > 0, "a graph grows by at least one node at a time");
     std::vector<double> offsets(3 * nodes_), unturned(3 * nodes_);
     std::vector<Index> parents(nodes_, -1), from(nodes_);
     std::iota(from.begin(), from.end(), 0);

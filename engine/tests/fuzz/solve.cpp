@@ -47,8 +47,11 @@ void fuzz_solve(Input& input) {
     if (!run.converged) return;
     expect(finite(run.state) && finite(run.costs), "a solution is finite");
     graph.covariances(run.state);
-    // a maximum or a saddle is left again: an end is never above the start, up to rounding
-    expect(run.costs.back() <= run.costs.front() * (1 + 1e-6) + 1e-9 || graph.state_dependent, "an end is below its start");
+    // a maximum or a saddle is left again: an end is never above the start, up to rounding. Where rounding of the state makes
+    // more of J than J itself, as with information of 1e30, damped steps may raise J by as much
+    expect(run.costs.back() <= run.costs.front() * (1 + 1e-6) + 1e-9 || graph.state_dependent ||
+               run.end == solve::End::rounding_floor,
+           "an end is below its start");
 }
 
 }  // namespace fuzz
