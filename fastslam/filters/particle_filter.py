@@ -219,8 +219,7 @@ class ParticleFilter(ABC):
         self._check_sightings(ids, z.shape[1])
         if np.isnan(z).any() and not self._takes_single_numbers:
             raise OptionError(
-                "a range or a bearing alone needs ids, the landmark_update kalman, no smoothing, and a range_noise "
-                "other than estimated"
+                "a range or a bearing alone needs ids, landmark_update kalman, no smoothing, and no range_noise estimated"
             )
         if self._observe(ids, z):
             self._resample_if_due()
