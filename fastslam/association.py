@@ -52,14 +52,10 @@ def associate(
         filters: the options of FastSLAM 2.0 as front end, other than its number of particles.
         start: (ids (M,), poses (T+1, 3)) that another front end found, or several of these, as in `associate_from`;
             instead of ``front_end``.
-        estimate: parameters of vehicle and sensor to estimate on the way, as in `Graph.from_log`; sightings are then
-            assigned in the corrected log.
+        estimate: as of `associate_from`.
 
     Raises:
-        LogError: the log has no controls.
-        GraphError: the log has no sightings, or no landmark was seen twice: all sightings may be clutter; or it does not
-            tell the parameters.
-        OptionError: an option has an impossible value.
+        LogError, GraphError, OptionError: as `associate_from`.
     """
     begin = time.perf_counter()
     check_is_log(log)

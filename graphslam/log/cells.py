@@ -427,13 +427,11 @@ _OTHER = "OnlineSolver.move(motion=..., covariance=...) takes motions in any dir
 
 def sideways_poses(table: Table, share: float) -> tuple[Doubt, ...]:
     """A doubt where the poses of odometry move sideways for a large share of their way."""
-    if share <= _POSES:
-        return ()
     message = (
         f"{table.source}: the poses move sideways for {share:.0%} of their way, which wheels cannot; the heading may be in "
         f"another unit, turn the other way, or not be the robot's. If the robot does drive sideways, {_OTHER}"
     )
-    return ((SIDEWAYS, message),)
+    return ((SIDEWAYS, message),) if share > _POSES else ()
 
 
 def sideways_speed(table: Table, title: str, speed: Array, lateral: Array) -> tuple[Doubt, ...]:
@@ -441,13 +439,11 @@ def sideways_speed(table: Table, title: str, speed: Array, lateral: Array) -> tu
     lateral = np.abs(np.nan_to_num(lateral))
     driven = float(np.sum(np.hypot(speed, lateral)))
     share = float(np.sum(lateral)) / driven if driven > 0 else 0.0
-    if share <= _SPEEDS:
-        return ()
     message = (
         f"{table.source}: the robot drives sideways ({title}) for {share:.0%} of its way, which controls (nu, omega) leave "
         f"out, so that the trajectory is wrong; {_OTHER}"
     )
-    return ((SIDEWAYS, message),)
+    return ((SIDEWAYS, message),) if share > _SPEEDS else ()
 
 
 #: the check that finds sightings whose rows are there twice
