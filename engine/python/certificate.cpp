@@ -113,33 +113,34 @@ void bind(nb::module_& m) {
             const std::vector<char> points = points_of(from.edges, nodes);
             return std::ranges::any_of(span(some), [&](Index k) { return !points[k]; });
         });
+    nb::enum_<Finding>(m, "Finding")
+        .value("global_minimum", Finding::global)
+        .value("zero", Finding::zero)
+        .value("other_cost", Finding::other_cost)
+        .value("unsplit", Finding::unsplit)
+        .value("not_stationary", Finding::not_stationary)
+        .value("negative", Finding::negative)
+        .value("without_bound", Finding::without_bound)
+        .value("indefinite", Finding::indefinite);
     nb::class_<OwnedProof>(m, "Proof")
         .def(nb::init<const In<Index>&, const In<Index>&, std::shared_ptr<sparse::Symbolic>>())
         .def("begin", &OwnedProof::begin_at)
         .def_prop_ro("cost", &Proof::cost)
-        .def_prop_ro("slack", &Proof::slack)
-        .def_prop_ro("zero", &Proof::zero)
-        .def("bound", &Proof::bound)
-        .def("raised_bound", &Proof::raised_bound)
-        // a direction (N, 2) in which S is not positive, or None
-        .def("negative",
-             [](const OwnedProof& proof) -> std::optional<Out<Complexes>> {
-                 if (proof.negative().empty()) return std::nullopt;
-                 return array(proof.negative(), {proof.negative().size() / 2, 2});
-             })
-        // the ends (K, 2) and the information (K, 6) of the edges that have no split
-        .def("without_split",
-             [](const OwnedProof& proof) {
-                 std::vector<Index> ends;
-                 std::vector<edges::Symmetric> information;
-                 for (std::size_t e = 0; e < proof.edges.size(); ++e) {
-                     if (proof.curvatures()[e].beta >= 0) continue;
-                     const Edge& edge = proof.edges[e];
-                     ends.insert(ends.end(), {edge.first, edge.second});
-                     information.push_back(edge.information);
+        // what a proof finds, the lower bound, the number of edges without a split, the ends of the edge without a lower bound, or
+        // None, and a direction (N, 2) in which S is not positive, or None
+        .def("judge",
+             [](OwnedProof& proof, double cost, bool thorough) {
+                 Judgement found;
+                 {
+                     const nb::gil_scoped_release others;
+                     found = judge(proof, cost, thorough);
                  }
-                 const std::size_t count = ends.size() / 2;
-                 return std::pair(array(std::move(ends), {count, 2}), rows_of(information));
+                 std::optional<std::pair<Index, Index>> ends;
+                 if (found.edge >= 0) ends.emplace(proof.edges[found.edge].first, proof.edges[found.edge].second);
+                 std::optional<Out<Complexes>> direction;
+                 const std::size_t nodes = found.direction.size() / 2;
+                 if (nodes) direction = array(std::move(found.direction), {nodes, 2});
+                 return std::tuple(found.finding, found.lowest, found.unsplit, ends, direction);
              })
         // S and half the gradient (N, 2) of the function below J for a split
         .def("function_of", [](const OwnedProof& proof, double share) {

@@ -1,6 +1,7 @@
 // Initial values of a graph, its minimum, and the proof of that.
 #include <cmath>
 #include <numbers>
+#include <numeric>
 #include <random>
 #include <stdexcept>
 
@@ -112,6 +113,35 @@ void test_growth(unsigned seed) {
            "the steps of growth", seed);
 }
 
+/// The robot turns by pi out of sight of its only landmarks; the odometry leaves open in which direction.
+void test_other_turns() {
+    Log log;
+    for (int t = 0; t < 12; ++t) log.controls.push_back({0.5, std::numbers::pi / 12, 1.0});
+    const std::vector<double> truth = dead_reckoning(log);
+    const Vector places[] = {{2.0, 1.0, 0.0}, {1.0, 3.0, 0.0}, {3.0, 2.0, 0.0}};
+    for (const std::size_t t : {0, 1, 11, 12})
+        for (std::int64_t j = 0; j < 3; ++j) {
+            const Vector seen = between({truth[3 * t], truth[3 * t + 1], truth[3 * t + 2]}, places[j]);
+            log.sightings.push_back({t, j, {std::hypot(seen.x, seen.y), std::atan2(seen.y, seen.x), 0.0}});
+        }
+    log.oriented = false;
+    const solve::Graph graph = solve::graph_of(log, {.nn = 0.1, .no = 0.01, .on = 0.1, .oo = 0.6});
+    solve::Run best{{.tolerance = 1e-9}, truth}, wrong = best;
+    graph.solve(best);
+    // from pose 1 on the headings turn to the other side, so that the last ones are what they were, less a full turn
+    for (int t = 1; t < 12; ++t) wrong.state[3 * t + 2] -= 2 * std::numbers::pi * (t - 1) / 10;
+    graph.solve(wrong);
+    const auto cost = [&graph](const std::vector<double>& state) {
+        const std::vector<double> costs = graph.costs(state);
+        return std::accumulate(costs.begin(), costs.end(), 0.0);
+    };
+    expect(wrong.converged && cost(wrong.state) > cost(best.state) + 1, "a wrong minimum", 0);
+    const solve::Lowered lowered = graph.lowered_by_turns(wrong.state);
+    expect(lowered.state && std::abs(cost(*lowered.state) - cost(best.state)) < 1e-6, "another turn leads out of it", 0);
+    expect(!graph.lowered_by_turns(best.state).state, "no turn leads below the minimum", 0);
+    expect(graph.lowered_by_turns(wrong.state, 0).steps == 0, "no steps are left", 0);
+}
+
 void test_loose() {
     solve::Graph graph(3);
     graph.add_anchor(0, {0.0, 0.0, 0.0});
@@ -153,6 +183,12 @@ void test_no_proof() {
            0);
     expect(semidefinite({2.0, 0.5, 1.0, 0.1, 0.2, 3.0}) && !semidefinite({0.0, 0.0, 1.0, 0.1, 0.0, 1.0}),
            "correlated headings", 0);
+    const double more = std::nextafter(1.0, 2.0);
+    expect(semidefinite({1.0, 1.0, 1.0, 1.0, 1.0, 1.0}) && !semidefinite({1.0, 1.0, 1.0, more, more, 1.0}), "one number", 0);
+    expect(semidefinite({2.0, 1.0, 1.0, 1.0, 1.0, more}) && !semidefinite({2.0, 1.0, 1.0, 1.0, more, 1.0}),
+           "a rounding apart", 0);
+    expect(semidefinite({1e300, 1e300, 1e300, 1e300, 1e300, 1e300}) && semidefinite({1e-300, 0.0, 1e-300, 0.0, 0.0, 1e-300}),
+           "large and small numbers", 0);
 }
 
 void test_wrong_arguments() {
@@ -174,6 +210,7 @@ void test_wrong_arguments() {
 void test_start() {
     for (unsigned seed = 0; seed < 50; ++seed) test_ring(seed);
     for (unsigned seed = 0; seed < 2; ++seed) test_growth(seed);
+    test_other_turns();
     test_loose();
     test_no_proof();
     test_wrong_arguments();

@@ -352,7 +352,7 @@ class Graph:
             return self
         return self.with_families(replace(f, kernel=None) if isinstance(f, DoubtedEdges) else f for f in self.families)
 
-    @property
+    @cached_property
     def degrees_of_freedom(self) -> int:
         """The independent numbers that the edges measure, minus the unknowns: not above zero where nothing is checked."""
         rows = sum(family.numbers[0] for family in self.families) + self._priors
@@ -381,7 +381,7 @@ class Graph:
         """The number of priors of parameters, each of which measures one number."""
         return 0 if self.parameters is None else int(np.isfinite(self.parameters.deviations).sum())
 
-    @property
+    @cached_property
     def expected_cost(self) -> float:
         """About what J is at the optimum if the noise models are right: its degrees of freedom.
 

@@ -310,7 +310,3 @@ def fill_reducing(
         worth: and the flops of the order by minimum degree for each node and adjacency entry.
     """
     return engine.fill_reducing(*_pattern(indptr, indices), smallest, worth)
-
-
-#: the unit roundoff of double precision
-ROUNDOFF = 2.0**-53

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,9 +16,7 @@ from ..edges import ConstantEdges, EdgeFamily
 from ..edges.base import EngineEdges, check_nodes, check_rows
 from ..engine import engine
 from ..errors import GraphError
-from ..errors.checks import first
 from ..graph import Graph
-from ..linear.cholesky import ROUNDOFF
 from ..linear.information import Structure
 from ..se2 import Array, difference
 
@@ -83,8 +80,8 @@ class Certificate:
 
 #: how far a state may be from the fixed nodes of its graph, relative to their coordinates
 HELD = 1e-9
-#: the part of an information matrix by which its rows and columns may differ, and its scaled eigenvalues be negative
-ROUNDED = 1e-9, 64 * ROUNDOFF
+#: the part of an information matrix by which its rows and columns may differ
+ROUNDED = 1e-9
 
 
 def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bool = True) -> Certificate:
@@ -184,33 +181,36 @@ def _outcome(problem: Callable[[], _Problem], cost: float, thorough: bool) -> _O
 
 
 def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
-    proof, omitted = problem.proof, problem.without_split()
-    if omitted is None:
-        reason = "an edge has singular information, whose smallest eigenvalue is negative by rounding, so that J has no bound"
-        return NOT_PROVEN, 0.0, reason, None
-    exact = proof.cost
-    if max(cost, exact) <= PROVEN and proof.zero:
-        reason = "the residuals of all edges are zero up to the tolerance of solvers, and no cost is below 0"
-        return GLOBAL, 0.0, reason, None
-    if not abs(exact - cost) <= PROVEN * cost + proof.slack:
-        return NOT_PROVEN, 0.0, f"the edges in their constant form have the cost {exact:g} instead of {cost:g}", None
-    bound, direction = proof.bound(), proof.negative()
-    if direction is not None:
-        direction = direction[: problem.given]
-        if thorough:
-            bound = proof.raised_bound()
-    best = max(0.0, min(bound, cost))
-    if cost - best <= PROVEN * cost:
-        return GLOBAL, best, f"no state has a cost lower by more than {(cost - best) / cost:.1e} of J", None
-    if omitted:
-        reason = f"{omitted} edges have a heading residual near half a turn, or singular information"
-    elif direction is None:
-        reason = (
-            f"the state is not a stationary point of J: a step from it promises to lower J by up to {cost - bound:.2g}"
-        )
-    else:
-        reason = "the matrix S has a negative direction, so that there may be a lower minimum"
-    return NOT_PROVEN, best, reason, direction
+    """The outcome of a proof in words.
+
+    Raises:
+        GraphError: the information of an edge has a negative eigenvalue, beyond its rounding.
+    """
+    Finding, proof = engine.Finding, problem.proof
+    finding, best, unsplit, ends, direction = proof.judge(cost, thorough)
+    match finding:
+        case Finding.global_minimum:
+            return GLOBAL, best, f"no state has a cost lower by more than {(cost - best) / cost:.1e} of J", None
+        case Finding.zero:
+            reason = "the residuals of all edges are zero up to the tolerance of solvers, and no cost is below 0"
+            return GLOBAL, 0.0, reason, None
+        case Finding.other_cost:
+            reason = f"the edges in their constant form have the cost {proof.cost:g} instead of {cost:g}"
+        case Finding.without_bound:
+            reason = "an edge has singular information, with an eigenvalue that is negative by rounding: J has no lower bound"
+        case Finding.indefinite:
+            where = f"node {ends[1]}" if ends[0] < 0 else f"the nodes {ends[0]} and {ends[1]}"
+            raise GraphError(f"the information of an edge at {where} is not positive semi-definite")
+        case Finding.unsplit:
+            reason = f"{unsplit} edges have a heading residual near half a turn, or singular information"
+        case Finding.not_stationary:
+            lower = cost - best
+            reason = (
+                f"the state is not a stationary point of J: a step from it promises to lower J by up to {lower:.2g}"
+            )
+        case Finding.negative:
+            reason = "the matrix S has a negative direction, so that there may be a lower minimum"
+    return NOT_PROVEN, best, reason, None if direction is None else direction[: problem.given]
 
 
 def _problem(
@@ -259,7 +259,7 @@ def _add(taken: Any, edges: ConstantEdges, nodes: int) -> None:
     if count and max(edges.first.max(), edges.second.max()) >= nodes:
         raise GraphError(f"constant() of a family names a node above the last one, {nodes - 1}")
     arrays = edges.first, edges.second, edges.start, edges.end, edges.turn, edges.information
-    if not taken.add(*arrays, ROUNDED[0]):
+    if not taken.add(*arrays, ROUNDED):
         raise GraphError("the information of an edge is not symmetric")
 
 
@@ -279,29 +279,3 @@ class _Problem:
 
     def __del__(self) -> None:
         self.structure.spare[:] = [self.proof]
-
-    def without_split(self) -> int | None:
-        """The number of edges without a split; None unless all of these are positive semi-definite in exact arithmetic.
-
-        Raises:
-            GraphError: the information of an edge has a negative eigenvalue, beyond its rounding.
-        """
-        ends, upper = self.proof.without_split()
-        if len(ends) == 0:
-            return 0
-        W = upper[:, [[0, 1, 3], [1, 2, 4], [3, 4, 5]]]
-        diagonal = np.einsum("eii->ei", W)
-        size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        smallest = np.linalg.eigvalsh(W / size[:, :, None] / size[:, None, :])[:, 0]
-        if (k := first(smallest < -ROUNDED[1])) is not None:
-            a, b = ends[k].tolist()
-            where = f"node {b}" if a < 0 else f"the nodes {a} and {b}"
-            raise GraphError(f"the information of an edge at {where} is not positive semi-definite")
-        return len(W) if all(_semidefinite(W[k]) for k in np.flatnonzero(smallest < ROUNDED[1])) else None
-
-
-def _semidefinite(W: Array) -> bool:
-    """Whether a symmetric matrix (3, 3) is positive semi-definite, in exact arithmetic: all principal minors are >= 0."""
-    a, b, c, d, e, f = (Fraction(float(number)) for number in W[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]])
-    two = min(a * c - b * b, a * f - d * d, c * f - e * e)
-    return min(a, c, f, two, a * (c * f - e * e) - b * (b * f - d * e) + d * (b * e - c * d)) >= 0

@@ -14,19 +14,12 @@ it. This finds the optimum where noise is so large that starts which look at all
 poses at a time find it more often, and take longer.
 
 Restarts with one stretch of the trajectory turned by 2 pi look for a lower minimum near a local one.
-
-Sightings hold headings up to full turns. Where they are few or noisy, mainly the motion edges say how far the robot turns
-over a stretch of poses, and one full turn more or less, spread over the stretch, leads to another minimum. If the headings
-of an end deviate from those of the odometry by E over a stretch whose odometry has the variance V, the motion edges
-cost about E² / V there, and (2 pi - abs(E))² / V after the other turn.
-
-`descents` has the restarts from an end that is not proven, along the negative direction of its certificate.
+`descents` has those from an end that is not proven, along the negative direction of its certificate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from heapq import merge
 
 import numpy as np
 
@@ -35,8 +28,7 @@ from ..engine import engine
 from ..errors import GraphError, quoted
 from ..graph import Graph
 from ..graph.transform import first_poses, first_seen, with_cartesian_sightings
-from ..se2 import Array, chained, rotation, wrap
-from .iteration import Run, gauss_newton
+from ..se2 import Array, chained, wrap
 
 
 def rotation_first(graph: Graph) -> Array:
@@ -193,93 +185,22 @@ def _tree(graph: Graph) -> tuple[np.ndarray, Array]:
     return parents, offsets
 
 
-#: a turn is tried where it raises the cost of the motion edges by at most this: a factor of exp(-5) in likelihood
-MOST_RISE = 10.0
-#: lengths of stretches [motions], from shortest to longest; stretches of one group do not overlap
-LENGTHS = ((2, 8), (9, 32), (33, 100))
-#: a turn is kept if it lowers J by more than this part of it
-LOWER = 1e-6
-#: the most turns to try, at most one for so many poses, and the most steps after each
-TURNS, POSES_PER_TURN, STEPS = 40, 4, 30
-#: after a turn, the steps end where J changes by less than this part of it and is above the lowest one
-SETTLED = 3e-3
-
-
 def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
     """The state (n, 3) that other turns lead to, one after the other, each kept if it lowers J; None if none does.
+
+    It runs in the engine (``engine/include/vmslam/solve/turns.hpp``).
 
     Returns:
         The state, and the number of steps that were taken: after ``limit`` steps no further turn is tried.
     """
-    most, steps = min(TURNS, len(graph.steps) // POSES_PER_TURN), 0
-    best, cost, tried, again = state, graph.cost(state), set[tuple[int, int, float]](), True
-    while again:
-        again = False
-        for stretch, start in _turns(graph, best):
-            if stretch in tried or len(tried) == most or steps >= limit:
-                continue
-            tried.add(stretch)
-            run = Run(start, tolerance=1e-6 * graph.num_nodes**0.5, max_iterations=STEPS, cost_tolerance=SETTLED)
-            try:
-                gauss_newton(graph, run)
-                steps += len(run.step_norms)
-                if graph.cost(run.state) < cost:
-                    # on to the minimum
-                    run = Run(run.state, tolerance=run.tolerance, max_iterations=STEPS)
-                    gauss_newton(graph, run)
-                    steps += len(run.step_norms)
-            except GraphError:
-                continue
-            lower = graph.cost(run.state)
-            if lower < cost * (1 - LOWER):
-                best, cost, again = run.state, lower, True
-                break
-    return None if best is state else best, steps
-
-
-def _turns(graph: Graph, state: Array) -> Iterator[tuple[tuple[int, int, float], Array]]:
-    """Stretches (first pose, last pose, sign of E) and the states (n, 3) after their turns, in the order of the costs."""
     try:
         driven, information = odometry(graph, "auto")
+        variances = np.zeros(len(driven))
+        variances[1:] = _turn_variance(information[1:])
+        return engine.lowered_by_turns(graph.objective, state, driven, variances, limit)
     except GraphError:
-        return
-    variance, deviation = np.zeros(len(driven)), np.zeros(len(driven))
-    variance[1:] = _turn_variance(information[1:])
-    deviation[1:] = wrap(np.diff(state[: len(driven), 2]) - driven[1:, 2])
-    E, V, headings = np.cumsum(deviation), np.cumsum(variance), np.cumsum(driven[:, 2])
-    for _, first, last in merge(*(_stretches(E, V, *lengths) for lengths in LENGTHS)):
-        sign, stretch = float(np.sign(E[last] - E[first])), slice(first, last + 1)
-        share = (V[stretch] - V[first]) / (V[last] - V[first])
-        turn = headings[stretch] - headings[first] + E[stretch] - E[first] - 2 * np.pi * sign * share
-        heading = state[first, 2] + turn
-        steps = np.einsum("kij,kj->ki", rotation(heading[:-1]), driven[first + 1 : last + 1, :2])
-        place = state[first, :2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-        # what is missing at the last pose is shared evenly
-        place += np.linspace(0, 1, len(place))[:, None] * (state[last, :2] - place[-1])
-        start = state.copy()
-        start[first:last] = np.column_stack([place, heading])[:-1]
-        yield (first, last, sign), start
-
-
-def _stretches(E: Array, V: Array, shortest: int, longest: int) -> Iterator[tuple[float, int, int]]:
-    """The rise of the cost, first and last pose of the stretches of a group whose other turn raises it little; least first.
-
-    A stretch that overlaps one before it is left out.
-    """
-    rises, firsts, lasts = [np.zeros(0)], [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
-    for length in range(shortest, min(longest, len(E) - 1) + 1):
-        variance = np.maximum(V[length:] - V[:-length], 1e-300)
-        rise = 4 * np.pi * (np.pi - np.abs(E[length:] - E[:-length])) / variance
-        cheap = np.flatnonzero(rise < MOST_RISE)
-        rises.append(rise[cheap])
-        firsts.append(cheap)
-        lasts.append(cheap + length)
-    rise, first, last = (np.concatenate(each) for each in (rises, firsts, lasts))
-    order, taken = np.lexsort((last, first, rise)), bytearray(len(E))
-    for cost, start, end in zip(rise[order].tolist(), first[order].tolist(), last[order].tolist()):
-        if taken.find(1, start, end) < 0:
-            taken[start:end] = b"\1" * (end - start)
-            yield cost, start, end
+        # there is no odometry, or a family in NumPy refuses a state
+        return None, 0
 
 
 #: the lengths that are tried, as changes of the heading [rad] that turns most

@@ -305,21 +305,120 @@ std::vector<char> points_of(std::span<const Edge> edges, Index nodes) {
     return points;
 }
 
+namespace {
+
+/// A sum of products, each of three numbers between -1 and 1, as numbers whose sum it is exactly.
+class ExactSum {
+   public:
+    void add(double a, double b, double c) {
+        const Exact two = two_product(a, b), high = two_product(two.value, c), low = two_product(two.error, c);
+        for (const double term : {high.value, high.error, low.value, low.error}) add(term);
+        // below that, errors of products are no numbers any more
+        exact_ = exact_ && (two.value == 0 || std::abs(two.value) > smallest) &&
+                 (high.value == 0 || std::abs(high.value) > smallest);
+    }
+    /// Whether the sum is zero or more for certain.
+    bool not_negative() const {
+        // the parts grow and do not overlap, so that the last one that is not zero has the sign
+        int last = count_ - 1;
+        while (last > 0 && parts_[last] == 0) --last;
+        return exact_ && parts_[last] >= 0;
+    }
+
+   private:
+    static constexpr double smallest = 1e-200;
+
+    // Shewchuk, Adaptive precision floating-point arithmetic and fast robust geometric predicates, 1997
+    void add(double term) {
+        for (int k = 0; k < count_; ++k) {
+            const Exact sum = two_sum(term, parts_[k]);
+            parts_[k] = sum.error;
+            term = sum.value;
+        }
+        parts_[count_++] = term;
+    }
+
+    double parts_[24];  ///< four of each product, of at most six
+    int count_ = 0;
+    bool exact_ = true;
+};
+
+/// A matrix with entries of 1 on the diagonal, or 0; `more` is added to these.
+edges::Symmetric scaled(const edges::Symmetric& w, double more) {
+    const auto size = [](double x) { return x > 0 ? std::sqrt(x) : 1.0; };
+    const double x = size(w.xx), y = size(w.yy), t = size(w.tt);
+    return {w.xx / x / x + more, w.xy / x / y, w.yy / y / y + more, w.xt / x / t, w.yt / y / t, w.tt / t / t + more};
+}
+
+/// Eigenvalues of scaled information that are negative by less than this are so by rounding.
+constexpr double rounded = 64 * roundoff;
+
+/// The edges without a split, and the first of them without a lower bound; an edge with a split has one.
+Judgement judge_information(const Proof& proof) {
+    Judgement found{Finding::global};
+    for (std::size_t e = 0; e < proof.edges.size(); ++e) {
+        if (proof.curvatures()[e].beta >= 0) continue;
+        ++found.unsplit;
+        const edges::Symmetric& w = proof.edges[e].information;
+        if (semidefinite(w)) continue;
+        const bool indefinite = !semidefinite(scaled(w, rounded));
+        if (found.edge >= 0 && !indefinite) continue;
+        found.finding = indefinite ? Finding::indefinite : Finding::without_bound;
+        found.edge = static_cast<Index>(e);
+        if (indefinite) break;
+    }
+    return found;
+}
+
+}  // namespace
+
 bool semidefinite(const edges::Symmetric& w) {
-    // the sign of a c - b b, exactly
-    const auto minor = [](double a, double b, double c) {
-        const Exact one = two_product(a, c), other = two_product(b, b);
-        return one.value != other.value ? one.value - other.value : one.error - other.error;
-    };
     if (!(w.xx >= 0 && w.yy >= 0 && w.tt >= 0)) return false;
-    if (minor(w.xx, w.xy, w.yy) < 0 || minor(w.xx, w.xt, w.tt) < 0 || minor(w.yy, w.yt, w.tt) < 0) return false;
-    // then a matrix without correlations of the heading is
-    if (w.xt == 0 && w.yt == 0) return true;
-    const double terms[] = {w.xx * w.yy * w.tt, 2 * w.xy * w.yt * w.xt, -w.xx * w.yt * w.yt, -w.yy * w.xt * w.xt,
-                            -w.tt * w.xy * w.xy};
-    double sum = 0.0, size = 0.0;
-    for (const double term : terms) sum += term, size += std::abs(term);
-    return sum >= 16 * roundoff * size;
+    // by a power of two, which rounds nothing
+    int exponent;
+    std::frexp(std::max({w.xx, w.yy, w.tt, std::abs(w.xy), std::abs(w.xt), std::abs(w.yt)}), &exponent);
+    const auto part = [exponent](double x) { return std::ldexp(x, -exponent); };
+    const double xx = part(w.xx), xy = part(w.xy), yy = part(w.yy), xt = part(w.xt), yt = part(w.yt), tt = part(w.tt);
+    const auto minor = [](double a, double b, double c) {
+        ExactSum sum;
+        sum.add(a, c, 1.0);
+        sum.add(-b, b, 1.0);
+        return sum.not_negative();
+    };
+    if (!minor(xx, xy, yy) || !minor(xx, xt, tt) || !minor(yy, yt, tt)) return false;
+    ExactSum determinant;
+    determinant.add(xx, yy, tt);
+    determinant.add(xy, yt, xt);
+    determinant.add(xy, yt, xt);
+    determinant.add(-xx, yt, yt);
+    determinant.add(-yy, xt, xt);
+    determinant.add(-tt, xy, xy);
+    return determinant.not_negative();
+}
+
+Judgement judge(Proof& proof, double cost, bool thorough) {
+    Judgement found = judge_information(proof);
+    if (found.edge >= 0) return found;
+    const double exact = proof.cost();
+    if (std::max(cost, exact) <= proven && proof.zero()) {
+        found.finding = Finding::zero;
+        return found;
+    }
+    if (!(std::abs(exact - cost) <= proven * cost + proof.slack())) {
+        found.finding = Finding::other_cost;
+        return found;
+    }
+    double bound = proof.bound();
+    found.direction = proof.negative();
+    if (!found.direction.empty() && thorough) bound = proof.raised_bound();
+    found.lowest = std::max(0.0, std::min(bound, cost));
+    if (cost - found.lowest <= proven * cost)
+        found.finding = Finding::global;
+    else if (found.unsplit)
+        found.finding = Finding::unsplit;
+    else
+        found.finding = found.direction.empty() ? Finding::not_stationary : Finding::negative;
+    return found;
 }
 
 std::optional<Bound> lower_bound(std::span<const double> state, std::vector<Edge> edges) {
@@ -333,16 +432,11 @@ std::optional<Bound> lower_bound(std::span<const double> state, std::vector<Edge
                     analyze(pattern, fill_reducing(pattern), sparse::shape_of<sparse::Hermitian2>, 1, points)));
     proof.edges = std::move(edges);
     proof.begin(state, std::vector<char>(nodes, 1));
-    // an edge with a split has positive semidefinite information
-    for (std::size_t e = 0; e < proof.edges.size(); ++e)
-        if (proof.curvatures()[e].beta < 0 && !semidefinite(proof.edges[e].information)) return std::nullopt;
     const double cost = proof.cost();
     if (!(std::isfinite(cost) && cost >= -proof.slack())) return std::nullopt;
-    if (cost <= proven && proof.zero()) return Bound{0.0, cost, true};
-    double bound = proof.bound();
-    if (!proof.negative().empty()) bound = proof.raised_bound();
-    const double lowest = std::max(0.0, std::min(bound, cost));
-    return Bound{lowest, cost, cost - lowest <= proven * cost};
+    const Judgement found = judge(proof, cost, true);
+    if (found.edge >= 0) return std::nullopt;
+    return Bound{found.lowest, cost, found.global()};
 }
 
 }  // namespace vmslam::certificate

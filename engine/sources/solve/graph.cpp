@@ -1,7 +1,9 @@
 #include "vmslam/solve/graph.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
+#include <limits>
 #include <numeric>
 #include <stdexcept>
 
@@ -25,7 +27,12 @@ void require(bool holds, const char* what) {
 
 }  // namespace
 
-Graph::Graph(Index nodes) : nodes_(nodes) { require(nodes > 0, "a graph needs at least one node"); }
+Graph::Graph(Index nodes) : nodes_(nodes) {
+    require(nodes > 0, "a graph needs at least one node");
+    motions_.resize(3 * nodes);
+    variances_.resize(nodes, std::numeric_limits<double>::quiet_NaN());
+    variances_[0] = 0.0;
+}
 
 void Graph::check_node(Index node) const {
     require(node >= 0 && node < nodes_, "an edge or an anchor names a node that the graph does not have");
@@ -54,6 +61,10 @@ void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Ke
         member.second.push_back(edge.j);
         sizes_.push_back(2);
         grouped_.insert(grouped_.end(), {std::min(edge.i, edge.j), std::max(edge.i, edge.j)});
+        if (edge.j != edge.i + 1 || !std::isnan(variances_[edge.j])) continue;
+        motions_[3 * edge.j] = edge.z.x, motions_[3 * edge.j + 1] = edge.z.y, motions_[3 * edge.j + 2] = edge.z.t;
+        const double variance = edges::inverse(edge.omega, true).tt;
+        variances_[edge.j] = variance > 0 ? variance : std::numeric_limits<double>::infinity();
     }
     member.family = std::make_unique<edges::RelativeEdges>(std::move(edges), true, false, kernel);
     members_.push_back(std::move(member));
@@ -114,24 +125,13 @@ Start Graph::rotation_first(int threads) const {
 
 std::optional<std::vector<double>> Graph::grown(Index each, int threads) const {
     require(each > 0, "a graph grows by at least one node at a time");
-    std::vector<double> offsets(3 * nodes_), unturned(3 * nodes_);
-    std::vector<Index> parents(nodes_, -1), from(nodes_);
+    if (std::any_of(variances_.begin(), variances_.end(), [](double v) { return std::isnan(v); })) return std::nullopt;
+    std::vector<Index> parents(nodes_), from(nodes_);
+    std::iota(parents.begin(), parents.end(), -1);
     std::iota(from.begin(), from.end(), 0);
-    for (const Member& m : members_) {
-        if (m.first.empty()) continue;
-        // with headings of zero a relative position is the measured one
-        for (const edges::PositionRelation& r : m.family->positions(unturned.data()))
-            if (r.second == r.first + 1) {
-                parents[r.second] = r.first;
-                offsets[3 * r.second] = r.x, offsets[3 * r.second + 1] = r.y;
-            }
-        for (const edges::HeadingRelation& r : m.family->headings())
-            if (r.second == r.first + 1) offsets[3 * r.second + 2] = r.value;
-    }
-    if (std::find(parents.begin() + 1, parents.end(), -1) != parents.end()) return std::nullopt;
     std::optional<std::vector<double>> state;
     assemble(threads, [&](GraphObjective& objective, Factor&) {
-        state = grow(objective, anchored(), {nodes_, each, parents, offsets, from});
+        state = grow(objective, anchored(), {nodes_, each, parents, motions_, from});
     });
     return state;
 }
@@ -139,6 +139,15 @@ std::optional<std::vector<double>> Graph::grown(Index each, int threads) const {
 void Graph::solve(Run& run, int threads) const {
     check_state(run.state);
     assemble(threads, [&run](GraphObjective& objective, Factor&) { gauss_newton(objective, run); });
+}
+
+Lowered Graph::lowered_by_turns(std::span<const double> state, double limit, int threads) const {
+    check_state(state);
+    Lowered lowered;
+    assemble(threads, [&](GraphObjective& objective, Factor&) {
+        lowered = solve::lowered_by_turns(objective, state, {motions_, variances_}, limit);
+    });
+    return lowered;
 }
 
 std::optional<certificate::Bound> Graph::lower_bound(std::span<const double> state) const {

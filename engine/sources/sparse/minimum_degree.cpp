@@ -332,14 +332,10 @@ Order fill_reducing(const Pattern& pattern, const DissectionWorth& worth) {
     const Node n = pattern.size(), limit = degree_limit(n, 10.0);
     Order order = minimum_degree(pattern, limit);
     if (n < worth.smallest) return order;
-#ifdef __wasm__
-    return order;  // a module for web pages solves small graphs, and has no room for dissection
-#else
     const double flops = flops_of(pattern, order);
     if (flops < worth.flops * static_cast<double>(2 * pattern.rows.size() - n)) return order;
     Order other = nested_dissection(pattern, limit);
     return flops_of(pattern, other) < flops ? other : order;
-#endif
 }
 
 }  // namespace vmslam::sparse

@@ -118,17 +118,42 @@ inline constexpr double proven = 1e-6;
 sparse::WidePattern pattern_of(std::span<const Edge> edges, Index nodes);
 std::vector<char> points_of(std::span<const Edge> edges, Index nodes);
 
-/// The cost of a state, a lower bound on the cost of all states, and whether the state is a global minimum: `proven` of its cost
-/// is above the bound at most, or all residuals are zero.
+/// What a proof finds about a state.
+enum class Finding {
+    global,           ///< a global minimum: `proven` of its cost is above the lower bound at most
+    zero,             ///< a global minimum: all residuals are zero up to rounding
+    other_cost,       ///< the edges have another cost than the one that was given
+    unsplit,          ///< not proven: edges without a split leave the bound low
+    not_stationary,   ///< not proven: a step from the state promises a lower cost
+    negative,         ///< not proven: the matrix S has a negative direction
+    without_bound,    ///< an edge has singular information, with an eigenvalue that is negative by rounding
+    indefinite,       ///< an edge has information with a negative eigenvalue, so that the cost has no lower bound
+};
+
+struct Judgement {
+    Finding finding;
+    double lowest = 0.0;  ///< no state has a lower cost; 0 where nothing better is known
+    Index unsplit = 0;    ///< the number of edges without a split
+    Index edge = -1;      ///< of `without_bound` and `indefinite`: which one
+    std::vector<std::complex<double>> direction{};  ///< (N, 2) in which S is not positive; or empty
+
+    bool global() const { return finding == Finding::global || finding == Finding::zero; }
+};
+/// Judge the state at which a proof has begun, whose cost is `cost`. A `thorough` judgement tries other splits where the first ones
+/// prove nothing, some 50 factorisations.
+Judgement judge(Proof& proof, double cost, bool thorough);
+
+/// The cost of a state, a lower bound on the cost of all states, and whether the state is a global minimum.
 struct Bound {
     double lowest, cost;
     bool global;
 };
 /// Of edges that are no part of a larger system. `state` has their landmarks, too. None where information is not positive
-/// semidefinite for certain, so that the cost may have no lower bound, or where the cost is not finite.
+/// semidefinite, so that the cost may have no lower bound, or where the cost is not finite.
 std::optional<Bound> lower_bound(std::span<const double> state, std::vector<Edge> edges);
 
-/// Whether a symmetric matrix is positive semidefinite for certain, so that rounding cannot have hidden a negative eigenvalue.
+/// Whether a symmetric matrix is positive semidefinite, by the exact signs of its principal minors; also false where its entries
+/// differ by so many orders of magnitude that these are below the smallest numbers.
 bool semidefinite(const edges::Symmetric& w);
 
 }  // namespace vmslam::certificate

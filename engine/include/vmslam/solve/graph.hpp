@@ -10,6 +10,7 @@
 #include "vmslam/log.hpp"
 #include "vmslam/solve/run.hpp"
 #include "vmslam/solve/start.hpp"
+#include "vmslam/solve/turns.hpp"
 
 namespace vmslam::solve {
 
@@ -33,11 +34,14 @@ class Graph {
 
     /// Initial values by rotation first, or why there are none: the anchored nodes at their values, the others from the edges.
     Start rotation_first(int threads = 1) const;
-    /// Initial values by growth from the anchors along the relative edges from each node to the next, `each` nodes at a time. None
-    /// where one of these edges is missing, or the edges of a family cannot be divided.
+    /// Initial values by growth from the anchors along the odometry, `each` nodes at a time: that is the first relative edge from
+    /// each node to the next. None where one of these is missing, or the edges of a family cannot be divided.
     std::optional<std::vector<double>> grown(Index each = 10, int threads = 1) const;
     /// Minimise J from run.state by `gauss_newton`.
     void solve(Run& run, int threads = 1) const;
+    /// The end that other turns of the robot lead to from an end of `solve`, where it is lower; it takes at most `limit` steps and
+    /// those of one turn more.
+    Lowered lowered_by_turns(std::span<const double> state, double limit = 1e4, int threads = 1) const;
     /// J of a state, a lower bound on J of all states, and whether the state is a global minimum. With a kernel all of these are
     /// about the cost with its weights held at those of the state: necessary for a global minimum of J, and not sufficient.
     /// None where an edge has no constant information, or none that is positive semidefinite, or J is not finite.
@@ -64,6 +68,7 @@ class Graph {
     Index nodes_;
     std::vector<Member> members_;
     std::vector<std::pair<Index, edges::Vector>> anchors_;
+    std::vector<double> motions_, variances_;  ///< the odometry; the variance of a turn is NaN where there is none
     /// the groups of nodes of all families, one after another
     std::vector<Index> sizes_, grouped_;
 };

@@ -1,0 +1,149 @@
+#include "vmslam/solve/turns.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <set>
+#include <tuple>
+
+#include "vmslam/edges/arithmetic.hpp"
+#include "vmslam/solve/run.hpp"
+
+namespace vmslam::solve {
+namespace {
+
+using State = std::vector<double>;
+constexpr double pi = std::numbers::pi;
+
+/// A turn is tried where it raises the cost of the motion edges by at most this: a factor of exp(-5) in likelihood.
+constexpr double most_rise = 10.0;
+/// The shortest and the longest stretches [motions] of each group; stretches of one group do not overlap.
+constexpr std::size_t lengths[][2] = {{2, 8}, {9, 32}, {33, 100}};
+/// The most turns to try, at most one for so many poses.
+constexpr std::size_t most_turns = 40, poses_per_turn = 4;
+/// A turn is kept if it lowers J by more than this part of it.
+constexpr double lower = 1e-6;
+/// The most steps after a turn. They end where J changes by less than this part of it, and go on where it is the lowest one.
+constexpr int steps_after = 30;
+constexpr double settled = 3e-3;
+
+/// E and V from the first pose to each pose.
+struct Deviations {
+    std::vector<double> E, V;
+
+    Deviations(std::span<const double> state, const Odometry& odometry) : E(odometry.poses()), V(odometry.poses()) {
+        for (std::size_t t = 1; t < E.size(); ++t) {
+            const double turn = state[3 * t + 2] - state[3 * t - 1];
+            E[t] = E[t - 1] + edges::wrap(turn - odometry.motions[3 * t + 2]);
+            V[t] = V[t - 1] + odometry.variances[t];
+        }
+    }
+
+    /// The stretches with the least rises that do not overlap, of those with a number of motions between two.
+    std::vector<Stretch> among(std::size_t shortest, std::size_t longest) const {
+        std::vector<Stretch> found, out;
+        for (std::size_t length = shortest; length <= longest; ++length)
+            for (std::size_t a = 0, b = length; b < E.size(); ++a, ++b) {
+                const double rise = 4 * pi * (pi - std::abs(E[b] - E[a])) / std::max(V[b] - V[a], 1e-300);
+                if (rise < most_rise) found.push_back({rise, a, b, E[b] > E[a]});
+            }
+        sort(found);
+        std::vector<char> taken(E.size());
+        for (const Stretch& each : found) {
+            const auto begin = taken.begin() + static_cast<std::ptrdiff_t>(each.first);
+            const auto end = taken.begin() + static_cast<std::ptrdiff_t>(each.last);
+            if (std::find(begin, end, 1) != end) continue;
+            std::fill(begin, end, 1);
+            out.push_back(each);
+        }
+        return out;
+    }
+
+    static void sort(std::vector<Stretch>& stretches) {
+        std::sort(stretches.begin(), stretches.end(), [](const Stretch& one, const Stretch& other) {
+            return std::tie(one.rise, one.first, one.last) < std::tie(other.rise, other.first, other.last);
+        });
+    }
+};
+
+/// A run from a state with other turns, to the minimum where that is lower than `cost`.
+Run run_below(Objective& objective, State start, double cost, int& steps) {
+    Rules rules{.tolerance = 1e-6 * std::sqrt(static_cast<double>(start.size() / 3)), .most_steps = steps_after};
+    rules.cost_tolerance = settled;
+    Run run{rules, std::move(start)};
+    gauss_newton(objective, run);
+    steps += run.steps();
+    if (run.end == End::not_determined || !(objective.cost(run.state, run.state) < cost)) return run;
+    rules.cost_tolerance = 0.0;
+    Run further{rules, std::move(run.state)};
+    gauss_newton(objective, further);
+    steps += further.steps();
+    return further;
+}
+
+}  // namespace
+
+std::vector<Stretch> stretches(std::span<const double> state, const Odometry& odometry) {
+    const Deviations deviations(state, odometry);
+    std::vector<Stretch> all;
+    for (const auto& [shortest, longest] : lengths) {
+        const std::vector<Stretch> some = deviations.among(shortest, longest);
+        all.insert(all.end(), some.begin(), some.end());
+    }
+    Deviations::sort(all);
+    return all;
+}
+
+std::vector<double> other_turn(std::vector<double> state, const Odometry& odometry, const Stretch& stretch) {
+    const auto [rise, first, last, left] = stretch;
+    double variance = 0.0;
+    for (std::size_t t = first + 1; t <= last; ++t) variance += odometry.variances[t];
+    const double end[] = {state[3 * last], state[3 * last + 1]};
+    double share = 0.0, heading = state[3 * first + 2], before = heading, turned = heading;
+    for (std::size_t t = first + 1; t <= last; ++t) {
+        const double* const motion = odometry.motions.data() + 3 * t;
+        double* const pose = state.data() + 3 * t;
+        const edges::Rotation axes(turned);
+        // what the pose of the end adds to the odometry stays
+        heading += motion[2] + edges::wrap(pose[2] - before - motion[2]);
+        before = pose[2];
+        share += odometry.variances[t] / variance;
+        turned = heading - (left ? 2 : -2) * pi * share;
+        pose[0] = pose[-3] + axes.c * motion[0] - axes.s * motion[1];
+        pose[1] = pose[-2] + axes.s * motion[0] + axes.c * motion[1];
+        pose[2] = t < last ? turned : before;
+    }
+    const double missing[] = {end[0] - state[3 * last], end[1] - state[3 * last + 1]};
+    for (std::size_t t = first + 1; t < last; ++t)
+        for (const int c : {0, 1})
+            state[3 * t + c] += static_cast<double>(t - first) / static_cast<double>(last - first) * missing[c];
+    std::copy_n(end, 2, state.begin() + static_cast<std::ptrdiff_t>(3 * last));
+    return state;
+}
+
+Lowered lowered_by_turns(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit) {
+    const std::size_t most = std::min(most_turns, odometry.poses() / poses_per_turn);
+    Lowered out;
+    State best(state.begin(), state.end());
+    double cost = objective.cost(best, best);
+    std::set<std::tuple<std::size_t, std::size_t, bool>> tried;
+    for (bool again = true; again;) {
+        again = false;
+        for (const Stretch& stretch : stretches(best, odometry)) {
+            if (tried.size() >= most || out.steps >= limit) break;
+            if (!tried.emplace(stretch.first, stretch.last, stretch.left).second) continue;
+            const Run run = run_below(objective, other_turn(best, odometry, stretch), cost, out.steps);
+            if (run.end == End::not_determined) continue;
+            const double reached = objective.cost(run.state, run.state);
+            if (reached < cost * (1 - lower)) {
+                out.state = best = run.state;
+                cost = reached;
+                again = true;
+                break;
+            }
+        }
+    }
+    return out;
+}
+
+}  // namespace vmslam::solve
