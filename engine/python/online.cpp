@@ -1,8 +1,10 @@
 // The online solver.
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <optional>
 #include <stdexcept>
 #include <string>
 
@@ -15,29 +17,32 @@ namespace vmslam::python::online_bindings {
 using namespace online;
 using Numbers32 = std::vector<Id>;
 
-/// The arrays of the edges of a step: ends (E, 2), kinds (E,), rows (E,), measured (E, 3), information (E, 6) in the order
-/// of `edges::Symmetric`, levers (E, 2), and whether a kernel acts on an edge that is no sighting (E,).
-std::vector<NewEdge> new_edges(const In<Id>& ends, const In<signed char>& kinds, const In<signed char>& rows,
-                               const In<double>& measured, const In<double>& information, const In<double>& levers,
-                               const In<signed char>& doubted) {
-    const std::size_t count = kinds.size();
-    if (ends.size() != 2 * count || rows.size() != count || measured.size() != 3 * count || information.size() != 6 * count ||
-        levers.size() != 2 * count || doubted.size() != count)
-        throw std::invalid_argument("the arrays of the new edges have different lengths");
-    std::vector<NewEdge> added(count);
-    for (std::size_t e = 0; e < added.size(); ++e) {
-        const double *const z = measured.data() + 3 * e, *const W = information.data() + 6 * e;
-        added[e] = {ends.data()[2 * e],
-                    ends.data()[2 * e + 1],
-                    static_cast<Kind>(kinds.data()[e]),
-                    rows.data()[e] == 3,
-                    {z[0], z[1], z[2]},
-                    {W[0], W[1], W[2], W[3], W[4], W[5]},
-                    {levers.data()[2 * e], levers.data()[2 * e + 1]},
-                    doubted.data()[e] != 0};
+/// The edges of a step.
+struct NewEdges {
+    std::vector<NewEdge> edges;
+
+    /// Add those of one kind between nodes (E, 2) with measurements (E, d), information (E, d, d) and levers (E, 2) or none.
+    /// `doubted` says whether a kernel acts on those that are no sightings.
+    void add(Kind kind, const In<Id>& ends, const In<double>& measured, const In<double>& information,
+             const std::optional<In<double>>& levers, bool doubted) {
+        const std::size_t count = measured.shape(0), d = measured.ndim() == 2 ? measured.shape(1) : 0;
+        require(d >= 1 && d <= 3 && has_shape(ends, {count, 2}) && has_shape(information, {count, d, d}) &&
+                    (!levers || has_shape(*levers, {count, 2})),
+                "the arrays of the new edges have different lengths");
+        for (std::size_t e = 0; e < count; ++e) {
+            const double *const z = measured.data() + d * e, *const W = information.data() + d * d * e;
+            const Id* const nodes = ends.data() + 2 * e;
+            NewEdge edge{nodes[0], nodes[1], kind, d == 3, {}, {}};
+            edge.doubted = doubted;
+            std::copy_n(z, d, &edge.z.x);
+            double* packed = &edge.omega.xx;
+            for (std::size_t j = 0; j < d; ++j)
+                for (std::size_t i = 0; i <= j; ++i) *packed++ = W[d * i + j];
+            if (levers) edge.lever = {levers->data()[2 * e], levers->data()[2 * e + 1]};
+            edges.push_back(edge);
+        }
     }
-    return added;
-}
+};
 
 /// The nodes, which must be nodes of the solver.
 const Numbers32& checked(const OnlineSystem& s, const Numbers32& nodes) {
@@ -60,6 +65,18 @@ std::vector<Triple> triples_of(const In<double>& rows) {
 }
 
 void bind(nb::module_& m) {
+    nb::enum_<Kind>(m, "OnlineEdge")
+        .value("motion", Kind::motion)
+        .value("sighting", Kind::sighting)
+        .value("relation", Kind::relation)
+        .value("range", Kind::range)
+        .value("bearing", Kind::bearing)
+        .value("position", Kind::position);
+    nb::class_<NewEdges>(m, "NewEdges")
+        .def(nb::init<>())
+        .def("add", &NewEdges::add, nb::arg("kind"), nb::arg("ends"), nb::arg("measured"), nb::arg("information"),
+             nb::arg("levers").none() = nb::none(), nb::arg("doubted") = false)
+        .def("__len__", [](const NewEdges& added) { return added.edges.size(); });
     nb::class_<OnlineSystem>(m, "OnlineSystem")
         .def(nb::init<double, int>())
         .def("use_kernel", [](OnlineSystem& s, int kind, double width, double gain,
@@ -73,10 +90,9 @@ void bind(nb::module_& m) {
                              {pivot.data(), pivot.data() + pivot.size()});
              })
         .def("add",
-             [](OnlineSystem& s, Id known, In<Id> ends, In<signed char> kinds, In<signed char> rows, In<double> measured,
-                In<double> information, In<double> levers, In<signed char> doubted, const Numbers32& newest) {
+             [](OnlineSystem& s, Id known, const NewEdges& added, const Numbers32& newest) {
                  // other threads wait: they may read this solver while it grows
-                 return s.add(known, new_edges(ends, kinds, rows, measured, information, levers, doubted), newest);
+                 return s.add(known, added.edges, newest);
              })
         .def("solve",
              [](OnlineSystem& s, const Numbers32& touched, const Numbers32& newest) { return s.solve(touched, {}, newest); })

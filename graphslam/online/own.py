@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from functools import partial
 from itertools import repeat
@@ -24,8 +24,8 @@ from ..se2 import Array, compose, inverse, wrap
 from .backend import RELEASED_START, Backend, Relation, information_of
 from .other_ends import SWEEPS, OtherEnds
 
-#: kinds of edges: to a new pose, a sighting of a landmark, another relation of poses, single numbers, absolute positions
-MOTION, SIGHTING, RELATION, RANGE, BEARING, POSITION = range(6)
+#: kinds of edges
+Kind = engine.OnlineEdge
 #: the most passes of one update, after which the batch solver takes over
 PASSES = 15
 #: the standard deviation [m, rad] of landmarks that are exact in a map
@@ -158,16 +158,16 @@ class OwnBackend(Backend):
             GraphError: a pose or landmark is not determined. Nothing is added then.
         """
         system, poses, columns, waiting = self.system, len(self._poses), self.columns, self._others.waiting
-        known, fresh, added = system.num_nodes, list[int](), list[tuple[np.ndarray, ...]]()
+        known, fresh, added = system.num_nodes, list[int](), engine.NewEdges()
         leading: Relation | None = None
         for relation, in_doubt in zip(relations, repeat(True) if doubted is None else doubted):
             first, second, z, omega = relation
             if created := max(first, second) == self.num_poses:
                 self._poses.append(system.add_node())
                 leading = relation
-            kind = MOTION if created and first < second else RELATION
+            kind = Kind.motion if created and first < second else Kind.relation
             ends = np.array([[self._node(first), self._node(second)]], np.int32)
-            added.append(_edges(kind, ends, z[None], omega[None], doubted=in_doubt and not created))
+            added.add(kind, ends, z[None], omega[None], doubted=bool(in_doubt) and not created)
         if len(landmarks):
             assert measured is not None and information is not None
             self.columns = measured.shape[1]
@@ -178,32 +178,32 @@ class OwnBackend(Backend):
                     end = self._landmarks[landmark] = system.add_node()
                     fresh.append(landmark)
                 ends[k] = self._node(pose), end
-            added.append(_edges(SIGHTING, ends, measured, information))
+            added.add(Kind.sighting, ends, measured, information)
         placed, rows = dict[int, tuple[NumberRow, ...]](), list[tuple[int, NumberRow]]()
         if numbers or places or waiting.rows:
             self._others.waiting = still = waiting.copy()
             for landmark in fresh:
-                added += self._edges_of_numbers(landmark, still.take(landmark, self.num_final))
+                self._add_numbers(added, landmark, still.take(landmark, self.num_final))
             found, poses_now = dict(places or {}), partial(self._poses_with, leading)
             for landmark, z in numbers:
                 self.columns = columns or 2
                 row = (pose, float(z[0]), float(z[1]))
                 if landmark in self._landmarks:
                     rows.append((landmark, row))
-                    added += self._edges_of_numbers(landmark, (row,))
+                    self._add_numbers(added, landmark, (row,))
                 elif (place := still.add(landmark, row, poses_now, self.num_final)) is not None:
                     found[landmark] = place
             for landmark, place in found.items():
                 self._landmarks[landmark] = system.add_point(*place)
                 fresh.append(landmark)
                 placed[landmark] = still.take(landmark, self.num_final)
-                added += self._edges_of_numbers(landmark, placed[landmark])
+                self._add_numbers(added, landmark, placed[landmark])
         # before they bend the graph
         before = None
         doubtful = self._others.doubts(rows, poses_now, self._place) if rows and self.lag is None else []
         if doubtful:
             before = poses_now(), {id: self._place(id) for id in self._landmarks if id not in fresh}
-        if added and not system.add(known, *_joined(added), self._poses[-1:]):
+        if len(added) and not system.add(known, added, self._poses[-1:]):
             for landmark in fresh:
                 del self._landmarks[landmark]
             del self._poses[poses:]
@@ -222,10 +222,10 @@ class OwnBackend(Backend):
         self.update((), places={landmark: place})
 
     def locate(self, pose: int, measured: Array, information: Array, lever: Array, *, doubted: bool = True) -> None:
-        node, system = self._node(pose), self.system
-        ends, arms = np.array([[node, node]], np.int32), lever[None]
-        edge = _edges(POSITION, ends, measured[None], information[None], levers=arms, doubted=doubted)
-        if not system.add(system.num_nodes, *_joined([edge]), self._poses[-1:]):
+        node, system, added = self._node(pose), self.system, engine.NewEdges()
+        ends = np.array([[node, node]], np.int32)
+        added.add(Kind.position, ends, measured[None], information[None], lever[None], doubted)
+        if not system.add(system.num_nodes, added, self._poses[-1:]):
             raise GraphError("with this position the graph is not determined, so that nothing was added")
         self._others.located(pose, measured, information, lever)
         if self.lag is None:
@@ -296,15 +296,12 @@ class OwnBackend(Backend):
         values = np.zeros((0, 3)) if values is None else values
         self.system.solve_from(list(nodes), np.ascontiguousarray(values), self._poses[-1:])
 
-    def _edges_of_numbers(self, landmark: int, rows: tuple[NumberRow, ...]) -> list[tuple[np.ndarray, ...]]:
-        """Edges of single numbers of a landmark that is a node."""
-        found = []
+    def _add_numbers(self, added: Any, landmark: int, rows: tuple[NumberRow, ...]) -> None:
+        """Add the edges of single numbers of a landmark that is a node."""
         for each in edges_of_rows(landmark, rows, self._sensor, self.num_poses) if rows else ():
             ends = np.array([(self._node(step), self._landmarks[landmark]) for step in each.first.tolist()], np.int32)
-            kind = RANGE if isinstance(each, RangeEdges) else BEARING
-            levers = np.tile(each.offset, (each.count, 1))
-            found.append(_edges(kind, ends, each.measured, each.information, levers=levers))
-        return found
+            kind = Kind.range if isinstance(each, RangeEdges) else Kind.bearing
+            added.add(kind, ends, each.measured, each.information, np.tile(each.offset, (each.count, 1)))
 
     def _marginalize(self) -> None:
         """Make the oldest pose final."""
@@ -399,31 +396,3 @@ def _priors_of(known: LandmarkMap, columns: int) -> tuple[list[int], Array, Arra
     exact = np.repeat([j not in known.covariances for j in ids], 3) & np.tile(np.arange(3) < columns, count)
     information[exact, exact] = HELD_STD**-2
     return ids, places, information
-
-
-#: the places of the entries of a symmetric matrix (d, d), as in `edges::Symmetric`
-_PACKED = {d: np.tril_indices(d)[::-1] for d in (1, 2, 3)}
-
-
-def _edges(
-    kind: int, ends: np.ndarray, measured: Array, information: Array, levers: Array | None = None, doubted: bool = False
-) -> tuple[np.ndarray, ...]:
-    """The arrays for `OnlineSystem.add` of edges of one kind between nodes (E, 2); see the engine's `NewEdge`.
-
-    Args:
-        kind: of the edges.
-        ends: the nodes.
-        measured, information: (E, d) and (E, d, d).
-        levers: (E, 2).
-        doubted: whether a robust kernel acts on them.
-    """
-    count, d = measured.shape
-    z, W = np.zeros((count, 3)), np.zeros((count, 6))
-    z[:, :d], W[:, : d * (d + 1) // 2] = measured, information[:, *_PACKED[d]]
-    levers = np.zeros((count, 2)) if levers is None else levers
-    return ends, *(np.full(count, each, np.int8) for each in (kind, d)), z, W, levers, np.full(count, doubted, np.int8)
-
-
-def _joined(added: list[tuple[np.ndarray, ...]]) -> Iterator[np.ndarray]:
-    """The arrays of several kinds of edges, one after the other."""
-    return map(np.concatenate, zip(*added))
