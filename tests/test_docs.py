@@ -14,7 +14,9 @@ DOCS = Path(__file__).parents[1] / "docs"
 # a translated page has the examples of the English one: each is run once
 BLOCKS = [
     (page.name, number, block)
-    for page in sorted(DOCS.glob("*.md"), key=lambda page: (page.name.endswith(".ja.md"), page))
+    for page in sorted(
+        [*DOCS.glob("*.md"), *DOCS.glob("beyond/*.md")], key=lambda page: (page.name.endswith(".ja.md"), page)
+    )
     for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
 ]
 BLOCKS = list({block: (page, number, block) for page, number, block in reversed(BLOCKS)}.values())[::-1]
