@@ -23,7 +23,7 @@ BLOCKS = list({block: (page, number, block) for page, number, block in reversed(
 
 
 #: examples that take more than five seconds
-LONG = (("studies.md", 0), ("fastslam.md", 3))
+LONG = (("studies.md", 0), ("smoothing.md", 1))
 
 
 @pytest.mark.slow
