@@ -17,7 +17,7 @@ BLOCKS = [
     for page in sorted(
         [*DOCS.glob("*.md"), *DOCS.glob("beyond/*.md")], key=lambda page: (page.name.endswith(".ja.md"), page)
     )
-    for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+    for number, block in enumerate(re.findall(r"(?<! -->\n)```python\n(.*?)```", page.read_text(), re.DOTALL))
 ]
 BLOCKS = list({block: (page, number, block) for page, number, block in reversed(BLOCKS)}.values())[::-1]
 
