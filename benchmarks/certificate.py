@@ -1,4 +1,4 @@
-"""How often, how tightly and how fast ends are proven to be global minima: the table of docs/certificate.md.
+"""How often, how tightly and how fast ends are proven to be global minima: the table of docs/beyond/certificate.md.
 
     python benchmarks/certificate.py [--data ../shared/data] [--logs 500] [--graphs 1000] [--only public,logs,...]
 

@@ -24,7 +24,7 @@ from graphslam.models import RANGE_NOISES
 
 #: how sightings are assigned to landmarks; auto stands for one of the others, which the log decides
 ASSOCIATIONS = ("auto", "known", "maximum-likelihood")
-#: what auto stands for where sightings have no ids: the most accurate on real logs, see docs/association.md
+#: what auto stands for where sightings have no ids: the most accurate on real logs, see docs/beyond/association.md
 WITHOUT_IDS = "maximum-likelihood"
 #: the stored poses of all particles are numbered with 32 bits
 MOST_PARTICLES = 50_000_000

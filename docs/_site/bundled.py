@@ -41,7 +41,8 @@ def bundled() -> list[tuple[Path, Path, str]]:
 
 def tutorials() -> list[tuple[Path, str]]:
     """Return each page that repeats code, with its text as the cells are now."""
-    pages = [page for page in sorted((cells.DOCS / "tutorials").glob("*.md")) if "<!-- end -->" in page.read_text()]
+    found = [*(cells.DOCS / "tutorials").glob("*.md"), *cells.DOCS.glob("*.md")]
+    pages = [page for page in sorted(found) if "<!-- end -->" in page.read_text()]
     codes = [cells.split((page.parent / f"{page.name.split('.')[0]}.py").read_text()) for page in pages]
     return [(page, cells.with_code(page.read_text(), code)) for page, code in zip(pages, codes, strict=True)]
 

@@ -60,7 +60,7 @@ WORDS = {
     },
 }
 #: weights of pages in the search: a word in a chapter counts more than in the pages that name everything
-BOOST = {"api/": 0.02, "json": 0.1, "index": 0.3, "method/": 2, "beyond/": 2, "tutorials/": 2}
+BOOST = {"api/": 0.02, "json": 0.1, "index": 0.3, "method/": 2, "beyond/": 2, "tutorials/": 2, "own_robot": 2}
 SEARCHED_WORDS = tomllib.loads((cells.DOCS / "_site" / "questions.toml").read_text())["words"]
 #: what the index has of each section of the reference of names [characters]
 SHOWN = 200

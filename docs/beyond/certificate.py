@@ -94,7 +94,7 @@ print("its lower bound is above the best cost:", proof.lower_bound > best.cost)
 assert not proof.lower_bound > best.cost
 
 # %% edge_by_hand
-z_a, t_a, t_b, d_a = 1j, 1.0, 1.1 + 2j, 1.8  # the heading of pose a is pi/2; a motion edge: rho = 1, d_b = 0
+z_a, t_a, t_b, d_a = 1j, 1.0, 1.1 + 2j, 1.8  # the heading of pose a is pi/2; a motion edge: d_b = 0
 e_xy = np.conj(z_a) * (t_b - t_a) - d_a
 right = [e_xy.real, e_xy.imag]  # gap
 np.testing.assert_allclose(right, [0.2, -0.1], atol=1e-12)

@@ -70,7 +70,7 @@ class FastSLAM1(ParticleFilter):
     landmarks in the order of creation and leave out unconfirmed ones, except on request.
 
     Landmarks of a particle that turn out to be one are merged. "auto" uses ids where the log has them, else it is
-    `options.WITHOUT_IDS`. See docs/fastslam.md, "Unknown association".
+    `options.WITHOUT_IDS`. See docs/beyond/fastslam2.md, "Unknown association".
 
     With ``landmarks``, a map that is known beforehand (`landmark_map.as_map` says in which forms), every particle
     begins with its landmarks and their own covariances. Correlations between landmarks are not used, and exact ones have a

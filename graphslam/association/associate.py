@@ -4,7 +4,7 @@ The verdict separates good maps from bad ones, calibrated on simulated logs.
 
 A map is good where the ATE is at most 1.5 times that of the same graph with the true ids. The criterion is how much more
 likely the map is than any other one with another trajectory that the search has met, and whether several starts found it.
-`docs/association.md` has the shares of errors.
+`docs/beyond/association.md` has the shares of errors.
 """
 
 from __future__ import annotations

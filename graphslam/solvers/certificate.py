@@ -85,7 +85,7 @@ ROUNDED = 1e-9
 
 
 def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bool = True) -> Certificate:
-    """Check whether a state (n, 3) is a global minimum of the cost of a graph; docs/certificate.md explains how.
+    """Check whether a state (n, 3) is a global minimum of the cost of a graph; docs/beyond/certificate.md explains how.
 
     With a robust kernel, J = sum of rho(r²) with rho concave, as for all kernels of `edges.robust`. A concave function lies
     below its tangent: with the weights w = rho'(r*²) of the state x*,

@@ -186,7 +186,7 @@ _EDGES = {
 
 
 def certify(graph: Graph | gtsam.NonlinearFactorGraph, solution: Solution | ArrayLike | gtsam.Values) -> Certificate:
-    """Check whether a solution is the global minimum of the cost of a graph. docs/certificate.md explains what is proven.
+    """Check whether a solution is the global minimum of the cost of a graph; docs/beyond/certificate.md explains how.
 
     Args:
         graph: with the edges whose cost is minimised; or a GTSAM graph of the factors of `graphslam.factors`, in which

@@ -125,7 +125,7 @@ def test_against_the_textbooks_equations(columns: int, version: int, weight: str
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 @pytest.mark.parametrize("psi", [True, False])
 def test_right_number_of_landmarks(kind: type, psi: bool) -> None:
-    """Half the book's noise: the landmarks are 5 standard deviations apart or more. 50 seeds are in docs/fastslam.md."""
+    """Half the book's noise: landmarks are 5 standard deviations apart or more. docs/beyond/fastslam2.md has 50 seeds."""
     for seed in range(4):
         log = simulate(seed=seed, clean=True, orientation=psi, **HALF)
         slam = kind(log, particles=500, seed=seed, **HALF, **UNKNOWN)

@@ -31,6 +31,7 @@ TRANSLATED = [
         "films",
         "sample_log",
         "command-line",
+        "extending",
         "own_robot",
         "configuration",
         "online",
