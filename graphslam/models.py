@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .engine import engine
 from .errors import OptionError, quoted
 from .errors.checks import check_positive, check_real, checked_offset, option
 from .se2 import Array, mounted, wrap
@@ -183,6 +184,11 @@ class MotionModel(NoiseModel):
         if self.slip:
             noise += self.sideways(pose, control, dt)
         return noise + self.epsilon * np.eye(3)
+
+    def moved(self, control: Array, dt: float) -> tuple[Array, Array]:
+        """`accumulate` for one control (2,), in the engine: where it leads (3,), and the covariance of that (3, 3)."""
+        noise = (self.nn, self.no, self.on, self.oo, self.epsilon, self.sigma_v, self.sigma_omega, self.slip)
+        return engine.moved(noise, control[0], control[1], dt)
 
     def accumulate(
         self,
@@ -469,6 +475,11 @@ class SensorModel(NoiseModel):
         z = np.asarray(sightings, dtype=float)
         x = np.zeros((*z.shape[:-1], 3)) if poses is None else poses
         return self.h_inverse(x, z), self.landmark_covariance(x, z if noisy is None else noisy)
+
+    @property
+    def for_engine(self) -> tuple[float, ...]:
+        """The variances of the range (by l², and constant), of phi and psi, and the place of the sensor on the robot."""
+        return self.range_rate**2, self.range_std**2, self.bearing_std**2, self.orientation_std**2, *self.offset
 
     def landmark_covariance(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
         """The covariance of h^-1(x, z) for a known pose, R Q R'; (..., n, n)."""

@@ -14,6 +14,7 @@
 #include "vmslam/edges/relative.hpp"
 #include "vmslam/edges/single_numbers.hpp"
 #include "vmslam/edges/virtual_motion.hpp"
+#include "vmslam/log.hpp"
 #include "vmslam/solve/objective.hpp"
 
 namespace vmslam::python::edges_bindings {
@@ -141,6 +142,34 @@ void bind_families(nb::module_& m) {
         });
 }
 
+/// What a control or a sighting measures.
+void bind_measured(nb::module_& m) {
+    // where a control leads from the origin (3,), and the covariance of that (3, 3)
+    m.def("moved", [](const std::array<double, 8>& noise, double nu, double omega, double dt) {
+        const Control u{nu, omega, dt};
+        const auto [end, P] = moved(std::span(&u, 1), std::bit_cast<MotionNoise>(noise));
+        return std::pair(array(std::vector{end.x, end.y, end.t}),
+                         array(std::vector{P.xx, P.xy, P.xt, P.xy, P.yy, P.yt, P.xt, P.yt, P.tt}, {3, 3}));
+    });
+    // the places (K, d) of sightings (K, d) in the axes of the robot, and their covariances (K, d, d)
+    m.def("places", [](const std::array<double, 6>& numbers, In<double> z) {
+        const auto sensor = std::bit_cast<Sensor>(numbers);
+        const std::size_t d = z.shape(1);
+        std::vector<double> places, covariances;
+        for (const Sighting& seen : filled<Sighting>(z)) {
+            const Rotation along(seen.bearing);
+            const double heading = wrap(seen.bearing - seen.orientation);
+            const double place[] = {sensor.offset_x + seen.range * along.c, sensor.offset_y + seen.range * along.s, heading};
+            places.insert(places.end(), place, place + d);
+            const auto [xx, xy, yy, xt, yt, tt] = landmark_covariance(sensor, seen.range, along, d == 3);
+            const double rows[3][3] = {{xx, xy, xt}, {xy, yy, yt}, {xt, yt, tt}};
+            for (std::size_t r = 0; r < d; ++r) covariances.insert(covariances.end(), rows[r], rows[r] + d);
+        }
+        const std::size_t count = z.shape(0);
+        return std::pair(array(std::move(places), {count, d}), array(std::move(covariances), {count, d, d}));
+    });
+}
+
 void bind_linearized(nb::module_& m) {
     // the inverses (E, d, d), and the first matrix that has none, or -1
     m.def("inverses", [](In<double> matrices, double least) {
@@ -204,6 +233,7 @@ void bind_holding(nb::module_& m) {
 
 void bind(nb::module_& m) {
     bind_families(m);
+    bind_measured(m);
     bind_linearized(m);
     bind_kernels(m);
     bind_holding(m);

@@ -10,17 +10,27 @@ using edges::Symmetric;
 
 particles::ControlMotion MotionNoise::of(const Control& u) const {
     const double way = std::abs(u.nu) / u.dt, turn = std::abs(u.omega) / u.dt;
-    return {u.nu, u.omega, std::sqrt(nn * nn * way + no * no * turn), std::sqrt(on * on * way + oo * oo * turn),
-            u.dt, epsilon};
+    return {u.nu,
+            u.omega,
+            std::sqrt(nn * nn * way + no * no * turn + sigma_v * sigma_v),
+            std::sqrt(on * on * way + oo * oo * turn + sigma_omega * sigma_omega),
+            u.dt,
+            epsilon};
 }
 
 Measured measured(const Control& u, const MotionNoise& noise) { return measured(std::span(&u, 1), noise); }
 
 Measured measured(std::span<const Control> controls, const MotionNoise& noise) {
+    const auto [end, P] = moved(controls, noise);
+    return {end, inverse(P, true)};
+}
+
+Moved moved(std::span<const Control> controls, const MotionNoise& noise) {
     edges::Vector end{};
     Symmetric P{};
     for (const Control& u : controls) {
-        const auto [angle, mean, each, epsilon] = particles::predict({noise.of(u), 0}, false);
+        auto [angle, mean, each, epsilon] = particles::predict({noise.of(u), 0}, false);
+        each.yy += noise.slip * noise.slip * std::abs(u.nu) * u.dt;
         const Rotation chord(end.t + angle);
         const edges::Vector d = turned(chord, mean);
         // F = [I, f; 0, 1], f the motion turned by a quarter
@@ -34,7 +44,7 @@ Measured measured(std::span<const Control> controls, const MotionNoise& noise) {
             turned(chord, each);
         end = {end.x + d.x, end.y + d.y, end.t + d.t};
     }
-    return {end, inverse(P + noise.epsilon * Symmetric{1, 0, 1, 0, 0, 1}, true)};
+    return {end, P + noise.epsilon * Symmetric{1, 0, 1, 0, 0, 1}};
 }
 
 Measured measured(const edges::Sighting& z, bool oriented, const edges::Sensor& sensor) {

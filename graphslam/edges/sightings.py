@@ -87,13 +87,8 @@ class SightingEdges(DoubtedEdges):
 
     @property
     def _for_engine(self) -> tuple[Any, ...]:
-        """The sightings, those at which the covariance is evaluated, the trust, the sensor, the kernel's code and width.
-
-        The sensor is given by the variances of the range (by l², and constant), of phi and psi, and its place on the robot.
-        """
-        s = self.sensor
-        sensor = (s.range_rate**2, s.range_std**2, s.bearing_std**2, s.orientation_std**2, *s.offset)
-        return self.sightings, self.noisy, self.trusted, sensor, *code_and_width(self.kernel)
+        """The sightings, those at which the covariance is evaluated, the trust, the sensor, the kernel's code and width."""
+        return self.sightings, self.noisy, self.trusted, self.sensor.for_engine, *code_and_width(self.kernel)
 
 
 def check_sightings(edges: SightingEdges, count: int) -> None:

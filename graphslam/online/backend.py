@@ -138,7 +138,7 @@ def information_of(covariance: ArrayLike | None, d: int = 3) -> Array:
         OptionError: it is not symmetric positive definite. GraphError: its inverse is beyond double precision.
     """
     P = numbers("covariance", covariance, (d, d))
-    if not np.allclose(P, P.T, rtol=0, atol=1e-9 * np.abs(P).max()) or not np.linalg.eigvalsh(P)[0] > 0:
+    if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max() or not np.linalg.eigvalsh(P)[0] > 0:
         raise OptionError(
             f"covariance must be a symmetric positive definite {d} x {d} matrix, not {quoted(covariance)}"
         )

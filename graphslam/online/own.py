@@ -125,8 +125,7 @@ class OwnBackend(Backend):
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         alone: np.ndarray = np.asarray(np.isnan(sightings).any(axis=1))
         # a range beyond floating point has no inverse covariance, and is refused for that
-        with np.errstate(over="ignore", invalid="ignore"):
-            measured, covariances = self._sensor.places(sightings[~alone])
+        measured, covariances = engine.places(self._sensor.for_engine, sightings[~alone])
         information = inverses(covariances, "sighting", "check the noise of the sensor")
         whole = [id for id, single in zip(ids, alone) if not single]
         numbers = [(id, z) for id, z, single in zip(ids, sightings, alone) if single]

@@ -146,11 +146,9 @@ class OnlineSolver:
             dt = time - self._arrived
         if control is not None:
             check_positive(dt=dt)  # type: ignore[arg-type]
-            u, seconds = numbers("control", control, (2,))[None], np.array([float(dt)])  # type: ignore[arg-type]
             # a motion beyond floating point has no inverse covariance, and is refused for that
-            with np.errstate(over="ignore", invalid="ignore"):
-                z, P = self.motion.accumulate(u, seconds, np.array([0, 1]))
-            measured, information = z[0], inverses(P, "motion", "raise epsilon")[0]
+            measured, P = self.motion.moved(numbers("control", control, (2,)), float(dt))  # type: ignore[arg-type]
+            information = inverses(P[None], "motion", "raise epsilon")[0]
         else:
             measured, information = _pose("motion", motion), information_of(covariance)
         last = self.step
@@ -403,11 +401,12 @@ class OnlineSolver:
         if np.any((landmarks == UNIDENTIFIED) & (not in_map) | (landmarks == NO_ID)):
             raise OptionError("the solver takes identified landmarks only: leave out what nobody has identified")
         shaped = z is not None and z.ndim == 2 and z.shape[1] in (2, 3)
-        if z is None or not shaped or not np.isfinite(self._completed(z)).all() or np.any(z[:, 0] <= 0):
+        completed = self._completed(z) if z is not None and shaped else None
+        if z is None or completed is None or not np.isfinite(completed).all() or np.any(z[:, 0] <= 0):
             raise OptionError(
                 f"sightings must be (range, bearing) or with psi, with ranges above zero, not {quoted(sightings)}"
             )
-        check_sighted("sightings", self._completed(z)[:, 1:].ravel().tolist())
+        check_sighted("sightings", completed[:, 1:].ravel().tolist())
         if len(z) != landmarks.size:
             raise OptionError(
                 f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
@@ -421,6 +420,8 @@ class OnlineSolver:
     @staticmethod
     def _completed(z: Array) -> Array:
         """Sightings (K, d) with 1 in place of the number that each may lack."""
+        if np.isfinite(z).all():
+            return z
         alone = (np.isnan(z).sum(axis=1) == 1) & (z.shape[1] == 2)
         return np.where(np.isnan(z) & alone[:, None], 1.0, z)
 

@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from graphslam import MotionModel, OptionError, SensorModel
+from graphslam.engine import engine
 from graphslam.models import sinc_derivative
 from graphslam.se2 import wrap
 
@@ -192,6 +193,20 @@ def test_a_motion_of_one_control_is_f_and_its_covariance_bit_for_bit():
         motions, covariances = model.accumulate(controls, dt, np.arange(51))
         assert np.array_equal(motions, model.f(origin, controls, dt))
         assert np.array_equal(covariances, model.covariance(origin, controls, dt))
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_engine_moves_and_places_as_the_models_do(seed):
+    rng = np.random.default_rng(seed)
+    model = MotionModel(nn=0.2, no=0.1, on=0.1, oo=0.3, epsilon=1e-6, sigma_v=0.1, sigma_omega=0.2, slip=0.3)
+    control, dt = rng.normal(size=2) * [1.0, rng.choice([0.0, 1e-5, 1.0])], rng.uniform(0.01, 2)
+    (mean,), (covariance,) = model.accumulate(control[None], [dt], np.array([0, 1]))
+    for found, expected in zip(model.moved(control, dt), (mean, covariance)):
+        np.testing.assert_allclose(found, expected, atol=1e-15, rtol=1e-13)
+    sensor = SensorModel(range_std=0.1, offset=tuple(rng.normal(size=2)))
+    sightings = rng.normal(size=(5, rng.choice([2, 3])))
+    for found, expected in zip(engine.places(sensor.for_engine, sightings), sensor.places(sightings)):
+        np.testing.assert_allclose(found, expected, atol=1e-14, rtol=1e-13)
 
 
 def test_accumulated_covariance_against_samples():

@@ -44,11 +44,14 @@ struct Log {
 };
 
 /// Standard deviations of the speed per root of distance driven and of angle turned (nn, no), those of the turn rate (on,
-/// oo), and the variance that is added to every pose.
+/// oo), the variance that is added to every pose, standard deviations of the speed and of the turn rate that every control has, and
+/// that of the motion sideways per root of distance driven.
 struct MotionNoise {
     double nn = 0.19, no = 0.001, on = 0.13, oo = 0.2, epsilon = 1e-4;
+    double sigma_v = 0.0, sigma_omega = 0.0, slip = 0.0;
 
-    /// M = diag(nn² |nu|/dt + no² |omega|/dt, on² |nu|/dt + oo² |omega|/dt), as the particle filters take it.
+    /// M = diag(nn² |nu|/dt + no² |omega|/dt + sigma_v², on² |nu|/dt + oo² |omega|/dt + sigma_omega²), as the particle filters take
+    /// it. These have no slip.
     particles::ControlMotion of(const Control& u) const;
 };
 
@@ -61,9 +64,16 @@ struct Measured {
     edges::Symmetric omega;
 };
 
-/// The relative pose f(0, u), Omega^-1 = A M A' + epsilon I.
+/// Where controls that follow one another lead from the origin: f(... f(0, u_1) ..., u_k), P <- F P F' + A M A' + S for each, with
+/// S = slip² |nu| dt n n', n across the chord, and epsilon I once.
+struct Moved {
+    edges::Vector end;
+    edges::Symmetric covariance;
+};
+Moved moved(std::span<const Control> controls, const MotionNoise& noise = {});
+/// The relative pose f(0, u), Omega^-1 = A M A' + S + epsilon I.
 Measured measured(const Control& u, const MotionNoise& noise = {});
-/// The same of controls that follow one another: P <- F P F' + A M A' for each, and epsilon I once.
+/// The same of controls that follow one another.
 Measured measured(std::span<const Control> controls, const MotionNoise& noise = {});
 /// The landmark h^-1(0, z) = (l cos phi, l sin phi, phi - psi), Omega^-1 = R Q R'; without a heading unless `oriented`.
 Measured measured(const edges::Sighting& z, bool oriented, const edges::Sensor& sensor = book_sensor);
