@@ -150,7 +150,17 @@ class MotionModel(NoiseModel):
     def A(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The derivative df/du of the motion by the control; (..., 3, 2)."""
         pose, control, dt = _broadcast(pose, control, dt)
-        return _arc_slopes(pose[..., 2], control, dt)[1]
+        a = control[..., 1] * dt / 2
+        c, s, ratio = np.cos(pose[..., 2] + a), np.sin(pose[..., 2] + a), sinc(a)
+        by_nu = dt * ratio
+        # d/d omega = dt/2 d/da of nu dt sinc(a) e^(i (theta + a))
+        half = control[..., 0] * dt * dt / 2
+        along, across = half * sinc_derivative(a), half * ratio
+        jacobian = np.zeros((*c.shape, 3, 2))
+        jacobian[..., 0, 0], jacobian[..., 0, 1] = by_nu * c, along * c - across * s
+        jacobian[..., 1, 0], jacobian[..., 1, 1] = by_nu * s, along * s + across * c
+        jacobian[..., 2, 1] = dt
+        return jacobian
 
     def M(self, control: ArrayLike, dt: ArrayLike, recorded_dt: ArrayLike | None = None) -> Array:
         """The covariance of the control noise; (..., 2, 2).
@@ -174,8 +184,11 @@ class MotionModel(NoiseModel):
         pose, control, dt = _broadcast(pose, control, dt)
         across = pose[..., 2] + control[..., 1] * dt / 2 + np.pi / 2
         n = np.stack([np.cos(across), np.sin(across), np.zeros_like(across)], axis=-1)
-        size = self.slip**2 * np.abs(control[..., 0]) * dt + np.asarray(variance) * dt**2
-        return size[..., None, None] * n[..., :, None] * n[..., None, :]
+        return self._sideways(control, dt, variance)[..., None, None] * n[..., :, None] * n[..., None, :]
+
+    def _sideways(self, control: Array, dt: Array, variance: ArrayLike) -> Array:
+        """slip² |nu| dt + V dt², the variance of the way across the chord of a control."""
+        return self.slip**2 * np.abs(control[..., 0]) * dt + np.asarray(variance) * dt**2
 
     def covariance(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The covariance of the pose after one motion from a known pose, A M A' + S + epsilon I; (..., 3, 3)."""
@@ -216,30 +229,15 @@ class MotionModel(NoiseModel):
             The motions (T, 3), headings not wrapped, and their covariances (T, 3, 3), in the frame of each motion's start.
         """
         controls, dt = np.asarray(controls, dtype=float), np.asarray(dt, dtype=float)
-        motions, A = self.accumulated_slopes(controls, dt, starts)
-        M, V = self.M(controls, dt, recorded_dt), additional_variances(control_variances, len(controls))
-        M[:, [0, 1], [0, 1]] += V[:, :2]
-        each = A @ M @ np.swapaxes(A, -1, -2)
-        if self.slip or V[:, 2].any():
-            # a slip turns nothing, so that no lever arm moves it
-            each += self.sideways(_headings(controls, dt, starts), controls, dt, V[:, 2])
-        covariances = np.add.reduceat(each, starts[:-1], axis=0) if len(starts) > 1 else np.zeros((0, 3, 3))
+        M, variances = self.M(controls, dt, recorded_dt), additional_variances(control_variances, len(controls))
+        variances[:, 2] = self._sideways(controls, dt, variances[:, 2])
+        variances[:, :2] += np.einsum("sii->si", M)
+        motions, covariances = engine.accumulate(controls, dt, starts, variances)
         return motions, covariances + self.epsilon * np.eye(3)
 
     def accumulated_slopes(self, controls: Array, dt: Array, starts: np.ndarray) -> tuple[Array, Array]:
         """The motions (T, 3) of `accumulate`, and the derivative (S, 3, 2) of each by each of its controls."""
-        first, count = starts[:-1], np.diff(starts)
-        before = _headings(controls, dt, starts)
-        # with the heading it has within its motion, each control starts from the origin: f is affine in (x, y)
-        steps, A = _arc_slopes(before[:, 2], controls, dt)
-        motions = np.add.reduceat(steps, first, axis=0) if len(first) else np.zeros((0, 3))
-        left = np.repeat(motions[:, :2], count, axis=0) - steps[:, :2]
-        left -= np.column_stack([_sum_before(steps[:, k], first, count) for k in (0, 1)])
-        # no control follows the last one of a motion: its lever is zero, without rounding errors
-        left[starts[1:] - 1] = 0.0
-        A[:, 0, :] -= left[:, 1, None] * A[:, 2, :]
-        A[:, 1, :] += left[:, 0, None] * A[:, 2, :]
-        return motions, A
+        return engine.accumulated_slopes(controls, dt, starts)
 
     def dead_reckoning(self, start: ArrayLike, controls: ArrayLike, dt: ArrayLike) -> Array:
         """The poses x_t = f(x_{t-1}, u_t) from a start (3,), noise-free; controls (T, 2), dt (T,) -> (T+1, 3)."""
@@ -269,35 +267,6 @@ def _arc(heading: Array, control: Array, dt: Array) -> tuple[Array, Array, Array
     a = control[..., 1] * dt / 2
     chord, along = control[..., 0] * dt * sinc(a), heading + a
     return chord * np.cos(along), chord * np.sin(along), 2 * a
-
-
-def _arc_slopes(heading: Array, control: Array, dt: Array) -> tuple[Array, Array]:
-    """The motion (..., 3) of `_arc`, and its derivative (..., 3, 2) by the control."""
-    a = control[..., 1] * dt / 2
-    c, s, ratio = np.cos(heading + a), np.sin(heading + a), sinc(a)
-    by_nu = dt * ratio
-    # d/d omega = dt/2 d/da of nu dt sinc(a) e^(i (theta + a))
-    half = control[..., 0] * dt * dt / 2
-    along, across = half * sinc_derivative(a), half * ratio
-    jacobian = np.zeros((*c.shape, 3, 2))
-    jacobian[..., 0, 0], jacobian[..., 0, 1] = by_nu * c, along * c - across * s
-    jacobian[..., 1, 0], jacobian[..., 1, 1] = by_nu * s, along * s + across * c
-    jacobian[..., 2, 1] = dt
-    chord = control[..., 0] * dt * ratio
-    return np.stack([chord * c, chord * s, 2 * a], axis=-1), jacobian
-
-
-def _headings(controls: Array, dt: Array, starts: np.ndarray) -> Array:
-    """The origin with the heading that each control has within its motion, (S, 3)."""
-    before = np.zeros((len(controls), 3))
-    before[:, 2] = _sum_before(controls[:, 1] * dt, starts[:-1], np.diff(starts))
-    return before
-
-
-def _sum_before(values: Array, first: np.ndarray, count: np.ndarray) -> Array:
-    """For each value, the sum of the earlier values of its group; groups begin at ``first`` with ``count`` members."""
-    total = np.concatenate([[0.0], np.cumsum(values)[:-1]]) if len(values) else values
-    return total - np.repeat(total[first], count)
 
 
 def _broadcast(pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> tuple[Array, Array, Array]:

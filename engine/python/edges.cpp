@@ -3,6 +3,7 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/tuple.h>
 
+#include <algorithm>
 #include <bit>
 
 #include "arrays.hpp"
@@ -142,14 +143,61 @@ void bind_families(nb::module_& m) {
         });
 }
 
-/// What a control or a sighting measures.
+/// The controls (S, 2) and durations (S,) of motions that begin with the controls at `starts` (T+1,).
+std::vector<Control> controls_of(const In<double>& u, const In<double>& dt, const In<Index>& starts) {
+    const std::size_t count = dt.size();
+    require(has_shape(u, {count, 2}) && starts.size() > 0 && starts.data()[0] == 0 && std::ranges::is_sorted(span(starts)) &&
+                span(starts).back() == static_cast<Index>(count),
+            "the arrays of controls do not fit together");
+    std::vector<Control> controls(count);
+    for (std::size_t k = 0; k < count; ++k) controls[k] = {u.data()[2 * k], u.data()[2 * k + 1], dt.data()[k]};
+    return controls;
+}
+
+void append(std::vector<double>& to, const Vector& v) { to.insert(to.end(), {v.x, v.y, v.t}); }
+void append(std::vector<double>& to, const Symmetric& P) {
+    to.insert(to.end(), {P.xx, P.xy, P.xt, P.xy, P.yy, P.yt, P.xt, P.yt, P.tt});
+}
+
+/// What controls and sightings measure.
 void bind_measured(nb::module_& m) {
     // where a control leads from the origin (3,), and the covariance of that (3, 3)
     m.def("moved", [](const std::array<double, 8>& noise, double nu, double omega, double dt) {
         const Control u{nu, omega, dt};
         const auto [end, P] = moved(std::span(&u, 1), std::bit_cast<MotionNoise>(noise));
-        return std::pair(array(std::vector{end.x, end.y, end.t}),
-                         array(std::vector{P.xx, P.xy, P.xt, P.xy, P.yy, P.yt, P.xt, P.yt, P.tt}, {3, 3}));
+        std::vector<double> place, covariance;
+        append(place, end);
+        append(covariance, P);
+        return std::pair(array(std::move(place)), array(std::move(covariance), {3, 3}));
+    });
+    // the motions (T, 3) and their covariances (T, 3, 3); variances (S, 3) are `ControlVariances`
+    m.def("accumulate", [](In<double> u, In<double> dt, In<Index> starts, In<double> given) {
+        const std::vector<Control> controls = controls_of(u, dt, starts);
+        const auto variances = records<ControlVariances>(given, controls.size());
+        std::vector<double> ends, covariances;
+        for (std::size_t t = 0; t + 1 < starts.size(); ++t) {
+            const auto first = static_cast<std::size_t>(starts.data()[t]);
+            const std::size_t count = static_cast<std::size_t>(starts.data()[t + 1]) - first;
+            const auto [end, P] =
+                moved(std::span(controls).subspan(first, count), std::span(variances).subspan(first, count));
+            append(ends, end);
+            append(covariances, P);
+        }
+        const std::size_t motions = starts.size() - 1;
+        return std::pair(array(std::move(ends), {motions, 3}), array(std::move(covariances), {motions, 3, 3}));
+    });
+    // the motions (T, 3), and the derivative (S, 3, 2) of each by its controls
+    m.def("accumulated_slopes", [](In<double> u, In<double> dt, In<Index> starts) {
+        const std::vector<Control> controls = controls_of(u, dt, starts);
+        std::vector<ControlSlope> by_control(controls.size());
+        std::vector<double> ends;
+        for (std::size_t t = 0; t + 1 < starts.size(); ++t) {
+            const auto first = static_cast<std::size_t>(starts.data()[t]);
+            const std::size_t count = static_cast<std::size_t>(starts.data()[t + 1]) - first;
+            append(ends, slopes(std::span(controls).subspan(first, count), std::span(by_control).subspan(first, count)));
+        }
+        return std::pair(array(std::move(ends), {starts.size() - 1, 3}),
+                         array<double>(std::move(by_control), {controls.size(), 3, 2}));
     });
     // the places (K, d) of sightings (K, d) in the axes of the robot, and their covariances (K, d, d)
     m.def("places", [](const std::array<double, 6>& numbers, In<double> z) {

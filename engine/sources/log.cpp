@@ -7,15 +7,17 @@ namespace vmslam {
 
 using edges::Rotation;
 using edges::Symmetric;
+using edges::Vector;
+
+ControlVariances MotionNoise::variances(const Control& u) const {
+    const double way = std::abs(u.nu) / u.dt, turn = std::abs(u.omega) / u.dt;
+    return {nn * nn * way + no * no * turn + sigma_v * sigma_v, on * on * way + oo * oo * turn + sigma_omega * sigma_omega,
+            slip * slip * std::abs(u.nu) * u.dt};
+}
 
 particles::ControlMotion MotionNoise::of(const Control& u) const {
-    const double way = std::abs(u.nu) / u.dt, turn = std::abs(u.omega) / u.dt;
-    return {u.nu,
-            u.omega,
-            std::sqrt(nn * nn * way + no * no * turn + sigma_v * sigma_v),
-            std::sqrt(on * on * way + oo * oo * turn + sigma_omega * sigma_omega),
-            u.dt,
-            epsilon};
+    const ControlVariances M = variances(u);
+    return {u.nu, u.omega, std::sqrt(M.nu), std::sqrt(M.omega), u.dt, epsilon};
 }
 
 Measured measured(const Control& u, const MotionNoise& noise) { return measured(std::span(&u, 1), noise); }
@@ -26,25 +28,58 @@ Measured measured(std::span<const Control> controls, const MotionNoise& noise) {
 }
 
 Moved moved(std::span<const Control> controls, const MotionNoise& noise) {
-    edges::Vector end{};
-    Symmetric P{};
-    for (const Control& u : controls) {
-        auto [angle, mean, each, epsilon] = particles::predict({noise.of(u), 0}, false);
-        each.yy += noise.slip * noise.slip * std::abs(u.nu) * u.dt;
-        const Rotation chord(end.t + angle);
-        const edges::Vector d = turned(chord, mean);
-        // F = [I, f; 0, 1], f the motion turned by a quarter
-        const edges::Lever f{-d.y, d.x};
-        P = Symmetric{P.xx + 2 * f.x * P.xt + f.x * f.x * P.tt,
-                      P.xy + f.x * P.yt + f.y * P.xt + f.x * f.y * P.tt,
-                      P.yy + 2 * f.y * P.yt + f.y * f.y * P.tt,
-                      P.xt + f.x * P.tt,
-                      P.yt + f.y * P.tt,
-                      P.tt} +
-            turned(chord, each);
-        end = {end.x + d.x, end.y + d.y, end.t + d.t};
-    }
+    std::vector<ControlVariances> variances;
+    for (const Control& u : controls) variances.push_back(noise.variances(u));
+    auto [end, P] = moved(controls, variances);
     return {end, P + noise.epsilon * Symmetric{1, 0, 1, 0, 0, 1}};
+}
+
+Moved moved(std::span<const Control> controls, std::span<const ControlVariances> variances) {
+    Vector end{};
+    Symmetric P{};
+    for (std::size_t k = 0; k < controls.size(); ++k) {
+        const particles::Chord f = particles::chord(controls[k].nu, controls[k].omega, controls[k].dt);
+        const auto [nu, omega, sideways] = variances[k];
+        const Rotation axes(end.t + f.angle);
+        const Vector d = turned(axes, f.mean);
+        const Symmetric AMA{f.by_nu * f.by_nu * nu + f.along * f.along * omega,
+                            f.along * f.across * omega,
+                            f.across * f.across * omega + sideways,
+                            f.along * f.turn * omega,
+                            f.across * f.turn * omega,
+                            f.turn * f.turn * omega};
+        // F = [I, (-d.y, d.x); 0, 1]
+        const edges::Lever lever{-d.y, d.x};
+        P = Symmetric{P.xx + 2 * lever.x * P.xt + lever.x * lever.x * P.tt,
+                      P.xy + lever.x * P.yt + lever.y * P.xt + lever.x * lever.y * P.tt,
+                      P.yy + 2 * lever.y * P.yt + lever.y * lever.y * P.tt,
+                      P.xt + lever.x * P.tt,
+                      P.yt + lever.y * P.tt,
+                      P.tt} +
+            turned(axes, AMA);
+        end = end + d;
+    }
+    return {end, P};
+}
+
+Vector slopes(std::span<const Control> controls, std::span<ControlSlope> by_control) {
+    Vector end{};
+    std::vector<Vector> reached;
+    for (std::size_t k = 0; k < controls.size(); ++k) {
+        const particles::Chord f = particles::chord(controls[k].nu, controls[k].omega, controls[k].dt);
+        const Rotation axes(end.t + f.angle);
+        by_control[k] = {{axes.c * f.by_nu, axes.c * f.along - axes.s * f.across},
+                         {axes.s * f.by_nu, axes.s * f.along + axes.c * f.across},
+                         {0.0, f.turn}};
+        end = end + turned(axes, f.mean);
+        reached.push_back(end);
+    }
+    // a turn also moves what follows
+    for (std::size_t k = 0; k < controls.size(); ++k) {
+        by_control[k].x[1] -= (end.y - reached[k].y) * by_control[k].t[1];
+        by_control[k].y[1] += (end.x - reached[k].x) * by_control[k].t[1];
+    }
+    return end;
 }
 
 Measured measured(const edges::Sighting& z, bool oriented, const edges::Sensor& sensor) {

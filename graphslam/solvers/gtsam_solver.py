@@ -228,13 +228,13 @@ def solve_with_gtsam(
     check_positive(tolerance=tolerance)
     check_count(max_iterations=max_iterations)
     check_choice("range_noise", range_noise, RANGE_NOISES)
-    solved = partial(_solved, tolerance=tolerance, max_iterations=max_iterations, factors=factors)
+    solved = partial(_solved, max_iterations=max_iterations, factors=factors)
     if takes_estimated_ranges(graph, range_noise):
-        return doubted(at_estimated_ranges(graph, initialize, solved, required=range_noise == "estimated"))
-    return doubted(solved(graph, initialize))
+        return doubted(at_estimated_ranges(graph, initialize, tolerance, solved, required=range_noise == "estimated"))
+    return doubted(solved(graph, initialize, tolerance))
 
 
-def _solved(graph: Graph, initialize: str, *, tolerance: float, factors: str, max_iterations: int = 100) -> Solution:
+def _solved(graph: Graph, initialize: str, tolerance: float, *, factors: str, max_iterations: int = 100) -> Solution:
     """The solution with the noise that the graph has."""
     begin = time.perf_counter()
     if graph.parameters is not None:

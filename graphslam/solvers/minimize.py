@@ -116,8 +116,9 @@ def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run]
     return finished(graph, values, nodes)
 
 
-#: the most passes to the noise at the sightings that the solution predicts, and the move [m, rad] below which these are found
-PASSES, SAME = 100, 1e-7
+#: the most passes to the noise at the sightings that the solution predicts, the move [m, rad] below which these are found,
+#: and the part of the move before it to which a pass is exact
+PASSES, SAME, PART = 100, 1e-7, 3e-4
 
 
 def takes_estimated_ranges(graph: Graph, range_noise: str) -> bool:
@@ -133,24 +134,27 @@ def takes_estimated_ranges(graph: Graph, range_noise: str) -> bool:
 
 
 def at_estimated_ranges(
-    graph: Graph, initialize: str, solved: Callable[[Graph, str], Solution], *, required: bool
+    graph: Graph, initialize: str, tolerance: float, solved: Callable[[Graph, str, float], Solution], *, required: bool
 ) -> Solution:
     """The solution of a graph with the noise of its sensor at the sightings that this solution predicts.
 
     Args:
         graph: with the noise at the measured sightings, from which the first solution comes.
         initialize: of the first solution; the others go on from it.
-        solved: the solution of a graph from such a start.
+        tolerance: of the last solution.
+        solved: the solution of a graph from such a start to a tolerance.
         required: whether a solution that the noise still moves is returned as not converged; if not, the first one is
             returned with a note.
     """
-    solution = first = solved(graph, initialize)
-    seconds, moved = solution.seconds, np.inf
+    solution = first = solved(graph, initialize, tolerance)
+    # the first pass moves nodes by centimetres
+    seconds, moved = solution.seconds, 0.01
     for _ in range(PASSES):
-        before = solution.state
-        solution = solved(graph.with_noise_at(before).with_initial(before), "given")
+        before, asked = solution.state, max(tolerance, PART * moved)
+        there = graph.with_families(graph.with_noise_at(before).families, initial=before)
+        solution = solved(there, "given", asked)
         seconds, moved = seconds + solution.seconds, float(np.abs(difference(solution.state, before)).max())
-        if moved < SAME or not solution.converged:
+        if (moved < SAME and asked == tolerance) or not solution.converged:
             break
     if moved < SAME or not solution.converged:
         return replace(solution, seconds=seconds)

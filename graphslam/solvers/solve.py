@@ -92,7 +92,7 @@ def solve(
     numbers = count(1)
     counted = None if callback is None else lambda step: callback(replace(step, number=next(numbers)))
 
-    def solved(graph: Graph, initialize: str) -> Solution:
+    def solved(graph: Graph, initialize: str, tolerance: float) -> Solution:
         if method == GNC:
             return solve_gnc(graph, tolerance, max_iterations, initialize, probability)
         return minimize(
@@ -108,8 +108,8 @@ def solve(
     # the sightings that gnc trusts may change from pass to pass
     again = takes_estimated_ranges(graph, range_noise) and (method != GNC or range_noise == "estimated")
     if again:
-        return doubted(at_estimated_ranges(graph, initialize, solved, required=range_noise == "estimated"))
-    return doubted(solved(graph, initialize))
+        return doubted(at_estimated_ranges(graph, initialize, tolerance, solved, required=range_noise == "estimated"))
+    return doubted(solved(graph, initialize, tolerance))
 
 
 def check_options(

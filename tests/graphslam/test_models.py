@@ -185,14 +185,15 @@ def test_accumulated_motions_are_the_propagation_control_by_control(seed):
         np.testing.assert_allclose(covariances[t], P, atol=1e-12)
 
 
-def test_a_motion_of_one_control_is_f_and_its_covariance_bit_for_bit():
+def test_a_motion_of_one_control_is_f_and_its_covariance_to_rounding():
     rng = np.random.default_rng(3)
     controls, dt = rng.normal(size=(50, 2)), rng.uniform(0.1, 1, 50)
     origin = np.zeros((50, 3))
     for model in (motion, motion.changed(slip=0.1)):
         motions, covariances = model.accumulate(controls, dt, np.arange(51))
         assert np.array_equal(motions, model.f(origin, controls, dt))
-        assert np.array_equal(covariances, model.covariance(origin, controls, dt))
+        # the engine adds in the axes of the chord
+        np.testing.assert_allclose(covariances, model.covariance(origin, controls, dt), rtol=1e-13, atol=1e-16)
 
 
 @given(st.integers(0, 2**32 - 1))

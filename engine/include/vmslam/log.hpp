@@ -46,13 +46,20 @@ struct Log {
 /// Standard deviations of the speed per root of distance driven and of angle turned (nn, no), those of the turn rate (on,
 /// oo), the variance that is added to every pose, standard deviations of the speed and of the turn rate that every control has, and
 /// that of the motion sideways per root of distance driven.
+struct ControlVariances;
 struct MotionNoise {
     double nn = 0.19, no = 0.001, on = 0.13, oo = 0.2, epsilon = 1e-4;
     double sigma_v = 0.0, sigma_omega = 0.0, slip = 0.0;
 
-    /// M = diag(nn² |nu|/dt + no² |omega|/dt + sigma_v², on² |nu|/dt + oo² |omega|/dt + sigma_omega²), as the particle filters take
-    /// it. These have no slip.
+    /// M = diag(nn² |nu|/dt + no² |omega|/dt + sigma_v², on² |nu|/dt + oo² |omega|/dt + sigma_omega²), and slip² |nu| dt.
+    ControlVariances variances(const Control& u) const;
+    /// M as the particle filters take it, which have no slip.
     particles::ControlMotion of(const Control& u) const;
+};
+
+/// The variances of a control: of its speed, of its turn rate, and of the way across its chord.
+struct ControlVariances {
+    double nu, omega, sideways;
 };
 
 /// A sensor at the centre of the robot whose range error grows with the range.
@@ -65,12 +72,20 @@ struct Measured {
 };
 
 /// Where controls that follow one another lead from the origin: f(... f(0, u_1) ..., u_k), P <- F P F' + A M A' + S for each, with
-/// S = slip² |nu| dt n n', n across the chord, and epsilon I once.
+/// S = s n n', s the variance sideways and n across the chord. With a noise model epsilon I is added once.
 struct Moved {
     edges::Vector end;
     edges::Symmetric covariance;
 };
+Moved moved(std::span<const Control> controls, std::span<const ControlVariances> variances);
 Moved moved(std::span<const Control> controls, const MotionNoise& noise = {});
+
+/// The derivative of a motion by the speed and the turn rate of one of its controls, rows x, y and heading.
+struct ControlSlope {
+    double x[2], y[2], t[2];
+};
+/// Where controls lead from the origin, and the derivative of that by each of them.
+edges::Vector slopes(std::span<const Control> controls, std::span<ControlSlope> by_control);
 /// The relative pose f(0, u), Omega^-1 = A M A' + S + epsilon I.
 Measured measured(const Control& u, const MotionNoise& noise = {});
 /// The same of controls that follow one another.
