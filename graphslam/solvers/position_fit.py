@@ -43,7 +43,7 @@ ROUNDS, STEPS, SETTLED = 10, 20, 0.01
 MEDIANS = {2: 2 * np.log(2), 3: 2.365974}
 
 
-def doubt_of_positions(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
+def doubt_of_positions(graph: Graph, state: Array) -> str:
     """A sentence where the lever or the covariances of positions are probably wrong; empty otherwise."""
     families = [family for family in graph.families if isinstance(family, PositionEdges)]
     if graph.parameters is not None or sum(family.count for family in families) < FEWEST:
@@ -54,6 +54,7 @@ def doubt_of_positions(graph: Graph, state: Array, uncertainty: Uncertainty) -> 
             lever, S, rest = _followed(graph, state, lever)
         else:
             rest = 1.0
+        ratio = _misfit(families, state, Uncertainty(graph, state))
     except (FactorizationError, GraphError):
         return ""
     if np.sqrt(lever @ S @ lever) > SIGNIFICANT * rest:
@@ -63,7 +64,6 @@ def doubt_of_positions(graph: Graph, state: Array, uncertainty: Uncertainty) -> 
             f"where the log has it (standard error {error:.1g} m): poses are off by as much. Check the lever of the antenna "
             "(lever_x, lever_y), and whether the times of the positions are late or early"
         )
-    ratio = _misfit(families, state, uncertainty)
     if ratio == 0 or 1 / LARGE <= ratio <= LARGE:
         return ""
     return (

@@ -394,7 +394,7 @@ def doubted(solution: Solution) -> Solution:
         return solution
     if doubt := doubt_of_map(graph, solution.state):
         notes.append(doubt)
-    if doubt := doubt_of_positions(graph, solution.state, solution._uncertainty):
+    if doubt := doubt_of_positions(graph, solution.state):
         notes.append(doubt)
     # families that do not say how many numbers they measure leave the expected cost open
     counted = all(family.numbers[0] or isinstance(family, AnchorEdges) for family in graph.families)
