@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from graphslam.association import Association, AssociationOptions, associate_from
+from graphslam.association import Association, AssociationOptions, associate_from, known_noise
 from graphslam.association.associate import Begin, Start
 from graphslam.errors.checks import check_known, check_type
+from graphslam.identification.robot import unknown_noise
 from graphslam.log import UNIDENTIFIED, Log, check_is_log
 from graphslam.models import MotionModel, SensorModel
 
@@ -47,7 +48,8 @@ def associate(
 
     Args:
         log: with controls.
-        motion, sensor: the noise models; default: those of the log, else the book's.
+        motion, sensor: the noise models; default: those of the log. Where its noise is not known and neither is given,
+            `graphslam.association.known_noise` estimates it first, which takes two associations, and takes out biases.
         options: the options; ``changes`` replace single fields of `AssociationOptions` and of `FrontEndOptions`.
         filters: the options of FastSLAM 2.0 as front end, other than its number of particles.
         start: (ids (M,), poses (T+1, 3)) that another front end found, or several of these, as in `associate_from`;
@@ -65,6 +67,8 @@ def associate(
     check_known("associate", changes, [name for known in names.values() for name in known])
     front = FrontEndOptions(**{name: changes.pop(name) for name in names[FrontEndOptions] if name in changes})
     options = replace(options or AssociationOptions(), **changes)
+    if motion is None and sensor is None and unknown_noise(log):
+        log = _of_known_robot(log)
     motion, sensor = log.noise_models(motion, sensor)
     given: dict[str, Any] = {"motion": motion, "sensor": sensor, "estimate": estimate}
     # `associate_from` refuses a log without controls or sightings
@@ -83,6 +87,12 @@ def associate(
     )
     note = f"the ids began with those of {which}, with {filters.particles} particles each, and were found anew in the graph"
     return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
+
+
+def _of_known_robot(log: Log) -> Log:
+    """The log with the noise that it shows without its ids, and without biases; it keeps its ids and all its sightings."""
+    known, _ = known_noise(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)))
+    return known.replace(landmarks=log.landmarks)
 
 
 def _starts(

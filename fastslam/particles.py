@@ -185,6 +185,10 @@ class ParticleState:
         Shapes and arguments are those of `OnlineSolver.covariance`. Particles have the present pose only, which has the
         number of the step. Landmarks are those of `mixture_map`; with ``joint``, particles count that have all of them.
 
+        These are the covariances of the particles that resampling has left. Where they have few histories in common
+        (`FilterResult.ancestors`), they are several times too small. The option ``smoothing`` gives those of all poses and
+        landmarks (`FilterResult.smoothed`) without this fault.
+
         Raises:
             OptionError: a past pose or an unknown landmark is asked for, or the filter has taken another step.
         """
@@ -292,7 +296,7 @@ class FilterResult:
         return (
             f"FilterResult({self.estimator} on {self.log or 'measurements by hand'}: {len(self.log_weights)} particles, "
             f"{len(self.poses)} poses, {len(self.landmarks)} landmarks, smallest ESS {self.ess.min():.1f}, "
-            f"{int(self.resampled.sum())} resamplings{drawn})"
+            f"{int(self.resampled.sum())} resamplings, histories left from step 0: {self.ancestors[0]}{drawn})"
         )
 
 

@@ -465,7 +465,7 @@ def ordered(
     """The times in order, their order, and notes; ``rows`` are the rows of the table, where it has others, too.
 
     Raises:
-        LogError: the clock starts again within the table.
+        LogError: the clock starts again within the table, or its rows are in another order.
     """
     back = np.diff(ns) < 0
     if not back.any():
@@ -477,6 +477,12 @@ def ordered(
     restarts = (reached - ns > 0.5 * (reached - ns[0])) & (reached - ns > 10_000_000_000)
     if restarts.any():
         k = int(np.argmax(restarts))
+        if (times_back := int(np.count_nonzero(np.diff(ns) < -1_000_000_000))) > 2:
+            raise reader.table.error(
+                int(rows[k]),
+                f"the time goes back {times_back} times: sort the rows by their time if they are of one drive, or import "
+                "each drive alone",
+            )
         raise reader.table.error(
             int(rows[k]),
             f"the time goes back by {(reached[k] - ns[k]) / 1e9:.0f} s: does the table hold two drives, or a clock that "

@@ -32,6 +32,7 @@ from .certificate import Certificate, prove
 from .corrected import motion_edges
 from .iteration import Run
 from .map_fit import doubt_of_map
+from .position_fit import doubt_of_positions
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -387,11 +388,13 @@ def make_solution(
 
 
 def doubted(solution: Solution) -> Solution:
-    """A solution with notes on what contradicts it: a map that its log contradicts, and edges that contradict each other."""
+    """A solution with notes on what contradicts it: its map, its positions, and edges that contradict each other."""
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
         return solution
     if doubt := doubt_of_map(graph, solution.state):
+        notes.append(doubt)
+    if doubt := doubt_of_positions(graph, solution.state):
         notes.append(doubt)
     # families that do not say how many numbers they measure leave the expected cost open
     counted = all(family.numbers[0] or isinstance(family, AnchorEdges) for family in graph.families)

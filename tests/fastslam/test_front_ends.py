@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from fastslam import FilterOptions, associate
-from graphslam import OptionError, load, sample_log_path
+from graphslam import MotionModel, OptionError, SensorModel, load, sample_log_path, simulate
 from graphslam.association import associate_from, score
+from graphslam.log import UNIDENTIFIED
 
 LOG = load(sample_log_path())
 
@@ -42,3 +43,18 @@ def test_options_are_checked():
         associate(LOG, filters=3)
     few = associate(LOG, filters=FilterOptions(seed=3), front_end="fastslam2", front_particles=5)
     assert "with 5 particles" in few.notes[-1]
+
+
+@pytest.mark.parametrize("hidden", [True, False])
+def test_noise_that_nobody_knows_is_estimated_first(hidden):
+    """As in `slam-compare run`: with the book's noise, several times too wide, neighbouring landmarks were joined."""
+    robot = {"motion": MotionModel(nn=0.05, on=0.03, oo=0.05), "sensor": SensorModel(range_rate=0.02, bearing_std=0.02)}
+    true = simulate(seed=1, steps=150, clean=True, orientation=False, max_range=5.0, **robot)
+    log = true.replace(simulated=False, motion=None, sensor=None)
+    if hidden:
+        log = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+    found = associate(log, front_end="batch")
+    assert len(found.ids) == len(log.steps) and score(found.ids, true.landmarks).precision == 1.0
+    assert found.log.sensor.bearing_std == pytest.approx(0.02, rel=0.3)
+    # noise that is given is taken as it is
+    assert associate(log, sensor=SensorModel(), front_end="batch").log.sensor != found.log.sensor

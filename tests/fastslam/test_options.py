@@ -38,7 +38,8 @@ def test_a_result_keeps_its_origin_and_is_printed_in_one_line() -> None:
     assert (result.motion, result.sensor) == (slam.motion, slam.sensor)
     assert repr(result) == (
         f"FilterResult(FastSLAM2 on simulated: 30 particles, 11 poses, {len(result.landmarks)} landmarks, "
-        f"smallest ESS {result.ess.min():.1f}, {result.resampled.sum()} resamplings)"
+        f"smallest ESS {result.ess.min():.1f}, {result.resampled.sum()} resamplings, "
+        f"histories left from step 0: {result.ancestors[0]})"
     )
 
 

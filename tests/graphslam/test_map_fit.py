@@ -59,11 +59,32 @@ def test_a_map_with_joint_covariances_is_doubted_where_its_size_is_wrong():
     assert "times its size" in doubt
 
 
-def test_few_moved_landmarks_are_no_doubt_of_the_map():
+def test_few_moved_landmarks_are_no_doubt_of_the_map_but_named():
     log, known = drive(5)
-    for j in list(known)[:3]:
+    moved = list(known)[:3]
+    for j in moved:
         known[j] = known[j] + (0.7, -0.5)
     assert not doubts(log, known, kernel="cauchy")
+    notes = solve(Graph.from_log(log, map=known, dimensions=2, kernel="cauchy")).notes
+    (note,) = (note for note in notes if note.startswith("probably moved"))
+    ids, size = re.match(r".*: landmarks? ([\d, and]+), by up to ([\d.]+) m", note).groups()
+    assert {int(word) for word in re.findall(r"\d+", ids)} <= set(moved)
+    assert float(size) == pytest.approx(np.hypot(0.7, 0.5), abs=0.2)
+
+
+@pytest.mark.parametrize("kernel", ["none", "cauchy"])
+@pytest.mark.parametrize("seed", range(10, 14))
+def test_no_landmark_of_a_right_map_is_said_to_have_moved(seed, kernel):
+    log, known = drive(seed)
+    notes = solve(Graph.from_log(log, map=known, dimensions=2, kernel=kernel)).notes
+    assert not any("moved" in note for note in notes)
+
+
+def test_without_a_kernel_moved_landmarks_are_not_named():
+    log, known = drive(5)
+    known[0] = known[0] + (0.3, 0.0)
+    notes = solve(Graph.from_log(log, map=known, dimensions=2, kernel="none")).notes
+    assert any(note.startswith("single landmarks contradict the map") or note.startswith(DOUBT) for note in notes)
 
 
 def test_gtsam_says_the_same():

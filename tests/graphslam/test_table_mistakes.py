@@ -185,6 +185,10 @@ MISTAKES = {
         {"odometry": text("t,nu,omega", [*ODOMETRY, *ODOMETRY])},
         r"odometry.csv:203: the time goes back by 20 s: does the table hold two drives",
     ),
+    "rows in the order of their ids": (
+        {"sightings": text("t,id,range,bearing", [(t, j, 2.0, 0.1) for j in range(4) for t in range(1, 19)])},
+        r"sightings.csv:20: the time goes back 3 times: sort the rows by their time if they are of one drive",
+    ),
     "disjoint clocks": (
         {"odometry": text("t,nu,omega", [(t + 1_716_000_000, v, w) for t, v, w in ODOMETRY])},
         r"odometry.csv \(1716000000.000 to 1716000020.000 s\) and .*sightings.csv \(0.200 to 12.000 s\) do not overlap: "

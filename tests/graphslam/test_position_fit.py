@@ -1,0 +1,47 @@
+"""Notes on positions whose lever or covariances are wrong."""
+
+import numpy as np
+import pytest
+
+from graphslam import AbsolutePositions, Graph, MotionModel, SensorModel, simulate, solve
+from graphslam.se2 import mounted
+
+LEVER, NOISE = "the positions fit better", "the errors of the positions"
+ROBOT = {"motion": MotionModel(nn=0.05, on=0.03, oo=0.05), "sensor": SensorModel(range_rate=0.02, bearing_std=0.02)}
+
+
+def notes_on_positions(
+    seed, *, antenna=(0.0, 0.0), stated=(0.0, 0.0), sigma=0.2, said=0.2, wrong=0.0, kernel="cauchy", turns=0.4
+):
+    """The notes on positions of an antenna, and the solution; a part of them is metres off."""
+    log = simulate(seed=seed, steps=120, clean=True, orientation=False, turn_rate=turns, max_range=5.0, **ROBOT)
+    log, rng = log.replace(**ROBOT), np.random.default_rng(seed)
+    steps = np.arange(0, log.num_poses, 2)
+    places = mounted(log.true_poses[steps], antenna)[:, :2] + sigma * rng.standard_normal((len(steps), 2))
+    places[rng.random(len(steps)) < wrong] += 5.0
+    positions = AbsolutePositions(steps=steps, places=places, covariances=said**2 * np.eye(2), levers=stated)
+    solution = solve(Graph.from_log(log.replace(positions=positions), edges="landmark+motion", kernel=kernel))
+    return [note for note in solution.notes if note.startswith((LEVER, NOISE))]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_right_positions_have_no_note(seed):
+    assert notes_on_positions(seed) == []
+    assert notes_on_positions(seed, wrong=0.2) == []
+    assert notes_on_positions(seed, antenna=(0.5, -0.3), stated=(0.5, -0.3), kernel="none") == []
+
+
+@pytest.mark.parametrize("kernel", ["none", "cauchy"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_lever_that_nobody_has_stated(seed, kernel):
+    (note,) = notes_on_positions(seed, antenna=(0.8, -0.4), sigma=0.05, said=0.05, kernel=kernel)
+    assert note.startswith(LEVER)
+    ahead, left = (float(note.partition(after)[0].split()[-2]) for after in (" ahead and", " left of"))
+    assert (ahead, left) == pytest.approx((0.8, -0.4), abs=0.15)
+
+
+@pytest.mark.parametrize(("sigma", "said"), [(0.3, 0.06), (0.1, 0.5)])
+def test_covariances_that_are_wrong_by_five(sigma, said):
+    (note,) = notes_on_positions(1, sigma=sigma, said=said, wrong=0.1)
+    assert note.startswith(NOISE)
+    assert float(note.split()[6]) == pytest.approx(sigma / said, rel=0.4)
