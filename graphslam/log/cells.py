@@ -107,7 +107,7 @@ def time_faults(values: np.ndarray, title: str, unit: str | None, stray: float =
         Fault(
             alone, "a time that is far from those of the rows before and after",
             lambda k: f"{title} is {decimals(values[k])}, far from those of the rows before and after it; "
-            "repair or remove the row",
+            "repair or remove the row, or sort the rows by their time",
         ),
     ]  # fmt: skip
 
