@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import array_or_none, check_sighted, real_array
+from graphslam.errors.checks import (
+    check_number,
+    check_sighted,
+    checked_covariance,
+    checked_pose,
+    finite_numbers,
+    real_array,
+)
 from graphslam.log.measurements import AbsolutePositions
 from graphslam.se2 import Array, wrap
 
@@ -18,14 +24,6 @@ from graphslam.se2 import Array, wrap
 LARGEST_TURN = 1e5
 #: a longer way in one step [m], 25 times round the Earth, is an error in the input
 LARGEST_WAY = 1e9
-
-
-def finite(name: str, value: Any, expected: str, shapes: Sequence[tuple[int, ...]]) -> Array:
-    """Return a new array of finite numbers with one of the shapes."""
-    array = array_or_none(value)
-    if array is None or array.shape not in shapes or not np.all(np.isfinite(array)):
-        raise OptionError(f"{name} must be {expected}, not {quoted(value)}")
-    return array.copy()
 
 
 def index(name: str, value: Any, count: int) -> int:
@@ -41,11 +39,16 @@ def index(name: str, value: Any, count: int) -> int:
     return number
 
 
-def measurements(ids: Any, sightings: ArrayLike) -> tuple[np.ndarray, Array]:
+def measurements(ids: Any, sightings: ArrayLike, by_ids: bool) -> tuple[np.ndarray, Array]:
     """Return ids (k,) and sightings (k, 2 or 3) as arrays, angles wrapped; ids None stands for k unknown ids.
 
-    One of range and bearing may be NaN, which was not measured then, if the sightings have no psi.
+    One of range and bearing may be NaN, which was not measured then, if the sightings have no psi. Where the association is
+    ``by_ids``, each sighting needs the id of its landmark.
     """
+    if ids is None and by_ids:
+        raise OptionError(
+            "ids may be None only if they are ignored (association maximum-likelihood); give the id of each sighting"
+        )
     try:
         z = real_array(sightings).copy()
         numbers = np.zeros(len(z), dtype=np.int64) if ids is None else np.asarray(ids)
@@ -83,24 +86,25 @@ def check_motion(step: int, way: float, turn: float) -> None:
 
 def checked_control(control: Any, dt: Any) -> tuple[Array, float]:
     """Return a control (nu, omega) and its time [s], or raise `OptionError`."""
-    u = finite("control", control, "two finite numbers (nu, omega)", [(2,)])
-    seconds = float(finite("dt", dt, "a finite number of seconds", [()]))
-    if seconds < 0:
-        raise OptionError(f"dt must be 0 s or longer, not {quoted(seconds)}")
-    return u, seconds
+    u = finite_numbers("control", control, (2,))
+    check_number(dt=dt)
+    if dt < 0:
+        raise OptionError(f"dt must be 0 s or longer, not {quoted(dt)}")
+    return u, float(dt)
 
 
 def checked_motion(motion: Any, covariance: Any) -> tuple[Array, Array]:
     """Return a motion (1, 3) and its covariance (1, 3, 3), or raise `OptionError`."""
-    z = finite("motion", motion, "a finite pose (3,)", [(3,)])
-    P = finite("covariance", covariance, "a finite matrix (3, 3)", [(3, 3)])
+    z, P = checked_pose("motion", motion), finite_numbers("covariance", covariance, (3, 3))
     if not np.allclose(P, P.T) or np.linalg.eigvalsh(P)[0] < -1e-12 * np.abs(P).max():
         raise OptionError(f"covariance must be symmetric positive semidefinite, not {quoted(covariance)}")
     return z[None], P[None]
 
 
-def one_position(position: ArrayLike, covariance: ArrayLike, lever: ArrayLike) -> AbsolutePositions:
-    """A position (x, y) or (x, y, theta) as the only row of positions, checked."""
-    places, covariances = np.array([position], dtype=float), np.asarray(covariance, dtype=float)
-    steps = np.zeros(1, dtype=np.int64)
-    return AbsolutePositions(steps=steps, places=places, covariances=covariances, levers=np.asarray(lever, dtype=float))
+def one_position(position: Any, covariance: Any, lever: Any) -> AbsolutePositions:
+    """A position (x, y) or (x, y, theta) as the only row of positions, or `OptionError`."""
+    place, arm = finite_numbers("position", position, (2,), (3,)), finite_numbers("lever", lever, (2,))
+    return AbsolutePositions(
+        steps=np.zeros(1, dtype=np.int64), places=place[None], covariances=checked_covariance(covariance, len(place)),
+        levers=arm,
+    )  # fmt: skip

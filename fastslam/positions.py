@@ -8,14 +8,13 @@ from numpy.typing import ArrayLike
 from graphslam import Graph, solve
 from graphslam.edges import AnchorEdges
 from graphslam.errors import GraphError, OptionError
+from graphslam.errors.checks import finite_numbers
 from graphslam.graph.landmark_map import LandmarkMap
 from graphslam.graph.localization import SURE, Fix, first_fix
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, transform, wrap
-
-from .arguments import finite
 
 #: the standard deviations of particles around a first fix, over those of the fix
 SPREAD = 2.0
@@ -31,8 +30,7 @@ def first_poses(start: ArrayLike | Fix | None, log: Log | None, particles: int, 
     elif isinstance(start, Fix):
         start = rng.multivariate_normal(start.pose, SPREAD**2 * start.covariance, particles)
     poses = np.empty((particles, 3))
-    expected = f"a finite pose (3,) or one per particle ({particles}, 3)"
-    poses[:] = finite("start", start, expected, [(3,), (particles, 3)])
+    poses[:] = finite_numbers("start", start, (3,), (particles, 3))
     poses[:, 2] = wrap(poses[:, 2])
     return poses
 

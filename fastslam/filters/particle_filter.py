@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from graphslam.association import known_noise
 from graphslam.engine import available_threads, engine
 from graphslam.errors import LogError, OptionError, quoted
-from graphslam.errors.checks import check_type, suggestion
+from graphslam.errors.checks import check_move, check_type, suggestion
 from graphslam.graph.localization import Fix
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
@@ -171,16 +171,14 @@ class ParticleFilter(ABC):
         Args:
             control, dt: (nu, omega) [m/s, rad/s] for dt [s]. dt = 0 is a step in which nothing moves: no noise is added,
                 although the random numbers are drawn.
-            motion, covariance: instead of a control, the new pose (3,) of the robot measured from the one before, with
-                (3, 3).
+            motion, covariance: instead of a control and dt, the new pose (3,) of the robot measured from the one before,
+                with (3, 3).
 
         Raises:
-            OptionError: the numbers are not finite, dt is negative, the covariance is not positive semidefinite, or the
-                robot would, by its motion or a standard deviation of its noise, go farther than 1e9 m or turn by more
-                than 1e5 rad.
+            OptionError: a value is impossible, or the robot would, by its motion or a standard deviation of its noise, go
+                farther than 1e9 m or turn by more than 1e5 rad.
         """
-        if (control is None) == (motion is None):
-            raise OptionError("move takes a control and dt, or a motion and its covariance")
+        check_move(control, dt, motion, covariance)
         if motion is not None:
             self._move_by_gaussian(*sensor_motions(self.sensor, *checked_motion(motion, covariance)))
             return
@@ -201,18 +199,15 @@ class ParticleFilter(ABC):
 
         The sightings are processed one after the other. There may be any number of them, and none changes nothing,
         except that with unknown association provisional landmarks in view then count as missed. Several calls between
-        two moves are one observation. Only where the association is unknown may ids be None.
+        two moves are one observation. Where the association is unknown ids are ignored, and may be None.
 
         Raises:
-            OptionError: a sighting is not finite or its range not above zero, the shapes do not fit, an id is not on
-                the known map, or, for FastSLAM, a range is above 1e50 m or a standard deviation of its noise not between
-                1e-50 and 1e50: covariances would leave the range of floating point.
+            OptionError: a sighting is not finite or its range not above zero, the shapes do not fit, an id that is used is
+                missing (None, `graphslam.log.UNIDENTIFIED`) or not on the known map, or, for FastSLAM, a range is above
+                1e50 m or a standard deviation of its noise not between 1e-50 and 1e50: covariances would leave the range of
+                floating point.
         """
-        if ids is None and self._needs_ids:
-            raise OptionError(
-                "ids may be None only if they are ignored (association maximum-likelihood); give the id of each sighting"
-            )
-        ids, z = measurements(ids, sightings)
+        ids, z = measurements(ids, sightings, self._needs_ids)
         if len(z) == 0:
             self._observed = True
             return
@@ -232,8 +227,7 @@ class ParticleFilter(ABC):
         The arguments are those of `OnlineSolver.locate`, in the frame of the first pose.
 
         Raises:
-            LogError: an array has another shape, or the covariance is not positive definite.
-            OptionError: trajectories are drawn backwards (smoothing).
+            OptionError: a value is impossible, or trajectories are drawn backwards (smoothing).
         """
         if not self._takes_positions:
             raise OptionError("trajectories that are drawn backwards do not know positions: leave out smoothing")

@@ -184,6 +184,85 @@ def array_of(name: str, value: Any) -> np.ndarray:
     return array
 
 
+def finite_numbers(name: str, value: Any, *shapes: tuple[int, ...]) -> np.ndarray:
+    """A new array of finite numbers that has one of the shapes; its only row may be given as a vector.
+
+    Args:
+        name: of the argument, for messages.
+        value: numbers, or objects with the methods ``x()``, ``y()`` and perhaps ``theta()``, such as `gtsam.Pose2`.
+        shapes: the allowed ones.
+
+    Raises:
+        OptionError: the value has another shape, or is not finite.
+    """
+    try:
+        array = real_array(_coordinates(value))
+        # for few numbers math.isfinite is faster than NumPy's
+        finite = all(map(math.isfinite, array.ravel().tolist())) if array.size < 16 else bool(np.isfinite(array).all())
+    except Exception:  # objects that NumPy asks for numbers may raise anything
+        finite = False
+    if finite and array.shape not in shapes and (1, *array.shape) in shapes:
+        array = array[None]
+    if not finite or array.shape not in shapes:
+        raise OptionError(f"{name} must be {' or '.join(_shaped(shapes))}, not {quoted(value)}")
+    return array.copy()
+
+
+def _coordinates(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_coordinates(part) for part in value]
+    if callable(getattr(value, "x", None)) and callable(getattr(value, "y", None)):
+        return [getattr(value, part)() for part in ("x", "y", "theta") if hasattr(value, part)]
+    return value
+
+
+def _shaped(shapes: Iterable[tuple[int, ...]]) -> list[str]:
+    """Shapes in words: '2 or 3 finite numbers', '5 rows of 3 finite numbers'."""
+    lengths: dict[tuple[int, ...], list[str]] = {}
+    for shape in shapes:
+        lengths.setdefault(shape[:-1], []).extend(map(str, shape[-1:]))
+    texts = []
+    for leading, last in lengths.items():
+        rows = {1: "{} rows of ", 2: "{} matrices of {} rows of "}.get(len(leading), "").format(*leading)
+        texts.append(f"{singular(rows)}{' or '.join(last)} finite numbers" if last else "a finite number")
+    return texts
+
+
+def checked_pose(name: str, value: Any) -> np.ndarray:
+    """A pose (3,), or `gtsam.Pose2`, as a new array.
+
+    Raises:
+        OptionError: the value is no pose, or its heading is in degrees.
+    """
+    x = finite_numbers(name, value, (3,))
+    check_heading(name, float(x[2]))
+    return x
+
+
+def checked_covariance(covariance: Any, d: int = 3) -> np.ndarray:
+    """A covariance (d, d) that has an inverse.
+
+    Raises:
+        OptionError: it is not symmetric positive definite.
+    """
+    P = finite_numbers("covariance", covariance, (d, d))
+    if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max() or not np.linalg.eigvalsh(P)[0] > 0:
+        raise OptionError(
+            f"covariance must be a symmetric positive definite {d} x {d} matrix, not {quoted(covariance)}"
+        )
+    return P
+
+
+def check_move(control: Any, dt: Any, motion: Any, covariance: Any) -> None:
+    """Raise `OptionError` unless a robot moves by a control and dt, or by a motion and its covariance."""
+    if (control is None) == (motion is None):
+        raise OptionError("move takes a control and dt, or a motion and its covariance")
+    if motion is None and covariance is not None:
+        raise OptionError("a covariance belongs to a measured motion; that of a control comes from the motion model")
+    if motion is not None and dt is not None:
+        raise OptionError("dt belongs to a control, and a measured motion needs none: leave dt out")
+
+
 def first(wrong: ArrayLike) -> int | None:
     """The first index at which a condition (N,) holds, or None where it never does."""
     wrong = np.asarray(wrong, dtype=bool)

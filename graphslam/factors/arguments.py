@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, inf, isfinite, sin
+from math import cos, inf, sin
 from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, quoted
-from ..errors.checks import check_choice, check_heading, check_sighted
+from ..errors import OptionError
+from ..errors.checks import check_choice, check_heading, check_sighted, finite_numbers
 from ..linear.precision import SMALLEST, check_size, small_inverse
 from ..models import SensorModel
 from ..se2 import Array
@@ -21,41 +21,6 @@ FRAMES = ("world", "body")
 PoseLike = ArrayLike | gtsam.Pose2
 
 
-def numbers(name: str, value: Any, lengths: tuple[int, ...], rows: int | None = None) -> Array:
-    """A new array of finite numbers from an argument.
-
-    Args:
-        name: of the argument, for messages.
-        value: numbers, or objects with the methods ``x()``, ``y()`` and perhaps ``theta()``, such as `gtsam.Pose2`.
-        lengths: the allowed lengths of a vector, or of the rows of a matrix.
-        rows: the number of rows of a matrix, whose only row may be given as a vector; None for a vector.
-
-    Raises:
-        OptionError: the value has another shape, or is not finite.
-    """
-    try:
-        array = np.array(_coordinates(value), dtype=float)
-    except Exception:  # objects that NumPy asks for numbers may raise anything
-        array = np.empty(0)
-    if rows == 1 and array.ndim == 1:
-        array = array[None]
-    leading = () if rows is None else (rows,)
-    fits = array.ndim == len(leading) + 1 and array.shape[:-1] == leading and array.shape[-1] in lengths
-    # for few numbers math.isfinite is faster than NumPy's
-    if not fits or not (all(map(isfinite, array.tolist())) if rows is None else np.isfinite(array).all()):
-        count = f"{' or '.join(map(str, lengths))} finite numbers"
-        raise OptionError(f"{name} must be {count if rows is None else f'{rows} rows of {count}'}, not {quoted(value)}")
-    return array
-
-
-def _coordinates(value: Any) -> Any:
-    if isinstance(value, (list, tuple)):
-        return [_coordinates(part) for part in value]
-    if hasattr(value, "x") and hasattr(value, "y"):
-        return [getattr(value, part)() for part in ("x", "y", "theta") if hasattr(value, part)]
-    return value
-
-
 def sighting(name: str, value: ArrayLike) -> Array:
     """A sighting (l, phi) or (l, phi, psi).
 
@@ -63,7 +28,7 @@ def sighting(name: str, value: ArrayLike) -> Array:
         OptionError: the value is no sighting, or its range is not above zero.
         GraphError: the range is outside of what double precision can hold.
     """
-    z = numbers(name, value, (2, 3))
+    z = finite_numbers(name, value, (2,), (3,))
     length, *angles = z.tolist()
     if length <= 0:
         raise OptionError(f"the range of {name} must be above zero, not {length:g} m")
@@ -84,17 +49,6 @@ def noise_sighting(value: ArrayLike | None, z: Array) -> Array:
     if len(other) != len(z):
         raise OptionError(f"noise_at must be a sighting of {len(z)} numbers, as the measured one is")
     return other
-
-
-def pose(name: str, value: PoseLike) -> Array:
-    """A pose (3,), or `gtsam.Pose2`, as a new array.
-
-    Raises:
-        OptionError: the value is no pose, or its heading is in degrees.
-    """
-    x = numbers(name, value, (3,))
-    check_heading(name, float(x[2]))
-    return x
 
 
 def sighted_covariance(theta: float, z: Sequence[float], sensor: SensorModel) -> Array:
@@ -135,7 +89,7 @@ def frozen_at(at: Any, needed: bool, rows: int | None = None, *, frame: str = "w
         raise OptionError(
             f"the information depends on {poses}: pass {given}, or take frame='body' where that is constant"
         )
-    frozen = numbers("at", at, (3,), rows)
+    frozen = finite_numbers("at", at, (3,) if rows is None else (rows, 3))
     check_heading("at", float(np.abs(frozen[..., 2]).max()) if frozen.size else 0.0)
     return frozen
 

@@ -13,7 +13,7 @@ from scipy.linalg import lapack
 from ..edges.robust import kernel_of
 from ..engine import engine
 from ..errors import FactorError, OptionError, quoted
-from ..errors.checks import check_choice, check_sighted
+from ..errors.checks import check_choice, check_sighted, finite_numbers
 from ..linear.precision import SMALLEST, check_size, model_of
 from ..models import RESIDUALS, SensorModel
 from ..se2 import Array, rotation, wrap
@@ -23,7 +23,6 @@ from .arguments import (
     in_robot_frame,
     in_world_frame,
     noise_sighting,
-    numbers,
     positive_definite,
     sighted_covariance,
     sighting,
@@ -91,7 +90,7 @@ class LandmarkFactor(Factor):
         node = np.array([place[key] for key in keys], dtype=int)
         z = _sightings("sightings", sightings, (2, 3), len(node))
         at_sightings = z if noise_at is None else _sightings("noise_at", noise_at, z.shape[1:], len(node))
-        trusted = np.ones(len(z)) if trust is None else numbers("trust", trust, (len(z),))
+        trusted = np.ones(len(z)) if trust is None else finite_numbers("trust", trust, (len(z),))
         if np.any(trusted <= 0):
             raise OptionError(f"trust must be above zero for every sighting, not {quoted(trust)}")
         frozen = frozen_at(at, needed=world or (weight != "marginal" and z.shape[1] == 2), rows=len(z), frame=frame)
@@ -116,7 +115,7 @@ def _sightings(name: str, value: ArrayLike, lengths: tuple[int, ...], rows: int)
         OptionError: they are none, or a range is not above zero.
         GraphError: a range is outside of what double precision can hold.
     """
-    z = numbers(name, value, lengths, rows=rows)
+    z = finite_numbers(name, value, *((rows, length) for length in lengths))
     if len(z) == 0 or np.any(z[:, 0] <= 0):
         raise OptionError("LandmarkFactor needs at least one sighting, and ranges above zero")
     check_size("ranges", z[:, 0], least=SMALLEST)
@@ -385,7 +384,7 @@ class RelativePointFactor(Factor):
         *,
         kernel: KernelLike = None,
     ) -> None:
-        z, omega = numbers("measured", measured, (2,)), positive_definite(information, 2)
+        z, omega = finite_numbers("measured", measured, (2,)), positive_definite(information, 2)
         arguments = {"measured": z, "information": omega, "kernel": kernel}
         residual = _in_the_plane(z[0], z[1])
         super().__init__([pose_key, landmark_key], [POSE, POINT], residual, arguments, information=omega)

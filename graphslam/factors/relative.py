@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError
-from ..errors.checks import QUICKEST, check_heading, check_positive
+from ..errors.checks import QUICKEST, check_heading, check_positive, checked_pose, finite_numbers
 from ..linear.precision import check_size, model_of, small_inverse
 from ..models import MotionModel, sinc_slope_near_zero
 from ..se2 import Array, turned_by
-from .arguments import PoseLike, frozen_at, in_world_frame, numbers, pose, positive_definite
+from .arguments import PoseLike, frozen_at, in_world_frame, positive_definite
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
 
 
@@ -51,7 +51,7 @@ class RelativePoseFactor(Factor):
         at: PoseLike | None = None,
         kernel: KernelLike = None,
     ) -> None:
-        z, omega = pose("measured", measured), positive_definite(information)
+        z, omega = checked_pose("measured", measured), positive_definite(information)
         arguments = {"measured": z, "information": omega, "frame": frame, "at": at, "kernel": kernel}
         self._make([key_1, key_2], z, omega, arguments)
 
@@ -132,7 +132,7 @@ class MotionFactor(RelativePoseFactor):
         kernel: KernelLike = None,
     ) -> None:
         check_positive(dt=dt)
-        motion, u = model_of(MotionModel, motion), numbers("control", control, (2,))
+        motion, u = model_of(MotionModel, motion), finite_numbers("control", control, (2,))
         nu, omega = u.tolist()
         sizes = {"dt": float(dt), "the distance of control": nu * dt, "the turn of control": omega * dt}
         for name, number in sizes.items():
@@ -226,7 +226,7 @@ class RelativeEdgesFactor(Factor):
         i, j = (np.array(ends, dtype=np.int64) for ends in (first, second))
         if len(i) == 0 or i.shape != j.shape or np.min([i, j]) < 0 or np.max(i) >= poses or np.max(j) >= len(keys):
             raise OptionError("first and second must be places of keys, one of a pose and one of any node per edge")
-        z = numbers("measured", measured, (3,), rows=len(i))
+        z = finite_numbers("measured", measured, (len(i), 3))
         check_heading("measured", float(np.abs(z[j < poses, 2]).max(initial=0.0)))
         omega = np.array(information, dtype=float)
         rows = np.where(j < poses, 3, 2)
@@ -235,7 +235,7 @@ class RelativeEdgesFactor(Factor):
         root = np.zeros_like(omega)
         for edge, d in enumerate(rows.tolist()):
             root[edge, :d, :d] = np.linalg.cholesky(positive_definite(omega[edge, :d, :d], d)).T
-        frozen = numbers("at", at, (len(i),)) if world else np.zeros(len(i))
+        frozen = finite_numbers("at", at, (len(i),)) if world else np.zeros(len(i))
         edge_kernel = kernel_of(edge_kernel)
         # a kernel without a width takes that of the dimension
         of_rows = {d: code_and_width(edge_kernel and edge_kernel.of_dimension(d)) for d in (2, 3)}

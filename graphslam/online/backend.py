@@ -1,4 +1,4 @@
-"""`Backend`, the interface of the solvers behind `OnlineSolver`, and the checks of numbers that they share."""
+"""`Backend`, the interface of the solvers behind `OnlineSolver`, and the check of covariances that they share."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError, quoted
-from ..errors.checks import array_or_none
+from ..errors.checks import checked_covariance
 from ..graph.tracker import Tracker
 from ..graph.trilateration import NumberRow
 from ..linear.precision import inverses
@@ -119,27 +118,11 @@ class Backend(ABC):
         """
 
 
-def numbers(name: str, value: ArrayLike | None, shape: tuple[int, ...]) -> Array:
-    """Finite numbers of a shape.
-
-    Raises:
-        OptionError: the value is something else.
-    """
-    array = None if value is None else array_or_none(value)
-    if array is None or array.shape != shape or not np.isfinite(array).all():
-        raise OptionError(f"{name} must be finite numbers of shape {shape}, not {quoted(value)}")
-    return array.copy()
-
-
 def information_of(covariance: ArrayLike | None, d: int = 3) -> Array:
     """The inverse of a covariance (d, d).
 
     Raises:
         OptionError: it is not symmetric positive definite. GraphError: its inverse is beyond double precision.
     """
-    P = numbers("covariance", covariance, (d, d))
-    if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max() or not np.linalg.eigvalsh(P)[0] > 0:
-        raise OptionError(
-            f"covariance must be a symmetric positive definite {d} x {d} matrix, not {quoted(covariance)}"
-        )
+    P = checked_covariance(covariance, d)
     return np.asarray(inverses(P[None], "motion", "check its covariance")[0])

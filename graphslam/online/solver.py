@@ -21,8 +21,11 @@ from ..errors.checks import (
     check_count,
     check_heading,
     check_known,
+    check_move,
     check_positive,
     check_sighted,
+    checked_pose,
+    finite_numbers,
     singular,
 )
 from ..graph.integrity import beyond, inflation
@@ -32,7 +35,7 @@ from ..log.rows import NO_ID, UNIDENTIFIED
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, transform, wrap
 from ..solvers.uncertainty import ids_of, split
-from .backend import Backend, information_of, numbers
+from .backend import Backend, information_of
 from .localizer import Localizer
 from .own import OwnBackend
 
@@ -88,7 +91,7 @@ class OnlineSolver:
         self.backend, self.motion = backend, model_of(MotionModel, motion)
         self.sensor = model_of(SensorModel, sensor)
         self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
-        first = None if start is None else _pose("start", start)
+        first = None if start is None else checked_pose("start", start)
         self._backend: Backend
         if (in_map := options.pop("map", None)) is not None:
             held = options.pop("start_covariance", None)
@@ -130,27 +133,22 @@ class OnlineSolver:
             control, dt: (nu, omega) [m/s, rad/s] for dt [s].
             motion, covariance: instead of a control, the new pose (3,) measured from the one before, with (3, 3).
             time: of the new pose [s], after all times so far. With a control, dt may be left out where the time of the
-                pose before is known.
+                pose before is known; a measured motion has no dt.
 
         Raises:
             OptionError: a value is impossible. GraphError: the new pose is not determined.
         """
         clock = self._checked_time(time, later=True)
-        if (control is None) == (motion is None):
-            raise OptionError("move takes a control and dt, or a motion and its covariance")
-        if covariance is not None and motion is None:
-            raise OptionError(
-                "a covariance belongs to a measured motion; that of a control comes from the motion model"
-            )
+        check_move(control, dt, motion, covariance)
         if dt is None and time is not None and np.isfinite(self._arrived):
             dt = time - self._arrived
         if control is not None:
             check_positive(dt=dt)  # type: ignore[arg-type]
             # a motion beyond floating point has no inverse covariance, and is refused for that
-            measured, P = self.motion.moved(numbers("control", control, (2,)), float(dt))  # type: ignore[arg-type]
+            measured, P = self.motion.moved(finite_numbers("control", control, (2,)), float(dt))  # type: ignore[arg-type]
             information = inverses(P[None], "motion", "raise epsilon")[0]
         else:
-            measured, information = _pose("motion", motion), information_of(covariance)
+            measured, information = checked_pose("motion", motion), information_of(covariance)
         last = self.step
         self._backend.relate((last, last + 1, measured, self.motion_weight * information))
         if time is not None:
@@ -198,12 +196,12 @@ class OnlineSolver:
             OptionError: a value is impossible. GraphError: a pose is unknown, final or not determined. Nothing is added then.
         """
         ends, several, last = *_pairs(first, second), self.step
-        motions = numbers("motion", motion, (len(ends), 3) if several else (3,)).reshape(-1, 3)
+        motions = finite_numbers("motion", motion, (len(ends), 3) if several else (3,)).reshape(-1, 3)
         for turn in motions[:, 2].tolist():
             check_heading("motion", turn)
         given = array_or_none(covariance)
         if several and given is not None and given.ndim == 3:
-            information = [information_of(P) for P in numbers("covariance", given, (len(ends), 3, 3))]
+            information = [information_of(P) for P in finite_numbers("covariance", given, (len(ends), 3, 3))]
         else:
             information = [information_of(covariance)] * len(ends)
         for a, b in ends:
@@ -235,8 +233,8 @@ class OnlineSolver:
         pose = self.step if pose is None else pose
         check_count(pose=pose)
         self._check_pose(pose, "a position of")
-        d = 3 if np.shape(position) == (3,) else 2
-        measured, arm = numbers("position", position, (d,)), numbers("lever", lever, (2,))
+        measured, arm = finite_numbers("position", position, (2,), (3,)), finite_numbers("lever", lever, (2,))
+        d = len(measured)
         add = partial(self._backend.locate, int(pose), measured, information_of(covariance, d), arm)
         if not self._anywhere:
             add()
@@ -424,17 +422,6 @@ class OnlineSolver:
             return z
         alone = (np.isnan(z).sum(axis=1) == 1) & (z.shape[1] == 2)
         return np.where(np.isnan(z) & alone[:, None], 1.0, z)
-
-
-def _pose(name: str, value: ArrayLike | None) -> Array:
-    """A pose (3,) of finite numbers.
-
-    Raises:
-        OptionError: it is none, or its heading is in degrees.
-    """
-    x = numbers(name, value, (3,))
-    check_heading(name, float(x[2]))
-    return x
 
 
 def _pairs(first: Any, second: Any) -> tuple[list[tuple[int, int]], bool]:

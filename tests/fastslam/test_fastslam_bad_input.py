@@ -6,7 +6,18 @@ import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, VanishedWeightsWarning
-from graphslam import Graph, Log, LogError, MotionModel, OptionError, SensorModel, join_logs, simulate, solve
+from graphslam import (
+    Graph,
+    Log,
+    LogError,
+    MotionModel,
+    OnlineSolver,
+    OptionError,
+    SensorModel,
+    join_logs,
+    simulate,
+    solve,
+)
 from graphslam.se2 import between
 
 FILTERS = [FastSLAM1, FastSLAM2, MonteCarloLocalization]
@@ -39,10 +50,10 @@ def make(cls: type, **options: object) -> FastSLAM1 | FastSLAM2 | MonteCarloLoca
         ({"threads": "2"}, "threads must be a whole number"),
         ({"threads": True}, "threads must be a whole number"),
         ({"threads": 0}, "threads must be at least 1"),
-        ({"start": "here"}, "start must be a finite pose"),
-        ({"start": ((0.0, 0.0, 0.0), (1.0,))}, "start must be a finite pose"),
-        ({"start": (0.0, 0.0)}, "start must be a finite pose"),
-        ({"start": (0.0, np.nan, 0.0)}, "start must be a finite pose"),
+        ({"start": "here"}, "start must be 3 finite numbers or 1000 rows of 3"),
+        ({"start": ((0.0, 0.0, 0.0), (1.0,))}, "start must be 3 finite numbers or 1000 rows of 3"),
+        ({"start": (0.0, 0.0)}, "start must be 3 finite numbers or 1000 rows of 3"),
+        ({"start": (0.0, np.nan, 0.0)}, "start must be 3 finite numbers or 1000 rows of 3"),
     ],
 )
 def test_options(cls: type, options: dict, message: str) -> None:
@@ -65,7 +76,7 @@ def test_no_log_to_run() -> None:
 @pytest.mark.parametrize("cls", FILTERS)
 @pytest.mark.parametrize("control", [(np.nan, 0.0), (0.1, np.inf), (0.1,), ((0.1, 0.2),), "fast", ((1,), (1, 2))])
 def test_control(cls: type, control: tuple) -> None:
-    with pytest.raises(OptionError, match="control must be two finite numbers"):
+    with pytest.raises(OptionError, match="control must be 2 finite numbers"):
         make(cls).move(control, 1.0)
 
 
@@ -74,6 +85,44 @@ def test_control(cls: type, control: tuple) -> None:
 def test_bearings_in_degrees(cls: type, sighting: tuple[float, ...]) -> None:
     with pytest.raises(OptionError, match="beyond 2 pi: is it in degrees"):
         make(cls).observe([0], [sighting])
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"control": (0.1, 0.0), "dt": 1.0, "covariance": np.eye(3)}, "covariance belongs to a measured motion"),
+        ({"motion": (1.0, 0.0, 90.0), "covariance": np.eye(3)}, "beyond 8 pi: is it in degrees"),
+        ({"motion": (1.0, 0.0, 0.1), "covariance": np.eye(3), "dt": 1.0}, "dt belongs to a control"),
+        ({"motion": (1.0, 0.0, 0.1)}, "covariance must be 3 rows of 3 finite numbers"),
+        ({"motion": (1.0, 0.0), "covariance": np.eye(3)}, "motion must be 3 finite numbers"),
+        ({}, "move takes a control and dt"),
+    ],
+)
+def test_moves_that_the_online_solver_refuses(cls: type, arguments: dict, message: str) -> None:
+    for robot in (make(cls), OnlineSolver()):
+        with pytest.raises(OptionError, match=message):
+            robot.move(**arguments)
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("a", np.eye(2)), "position must be 2 or 3 finite numbers, not 'a'"),
+        ((([1.0], [2.0, 3.0]), np.eye(2)), "position must be 2 or 3 finite numbers"),
+        (((1.0,), np.eye(2)), "position must be 2 or 3 finite numbers"),
+        (((1.0, 2.0), np.eye(3)), "covariance must be 2 rows of 2 finite numbers"),
+        (((1.0, 2.0, 0.1), np.eye(2)), "covariance must be 3 rows of 3 finite numbers"),
+        (((1.0, 2.0), -np.eye(2)), "covariance must be a symmetric positive definite 2 x 2 matrix"),
+    ],
+)
+def test_positions_that_the_online_solver_refuses(cls: type, arguments: tuple, message: str) -> None:
+    for robot in (make(cls), OnlineSolver()):
+        with pytest.raises(OptionError, match=message):
+            robot.locate(*arguments)
+        with pytest.raises(OptionError, match="lever must be 2 finite numbers"):
+            robot.locate((1.0, 2.0), np.eye(2), lever="left")
 
 
 @pytest.mark.parametrize("dt", [-1.0, np.nan, np.inf, "long", None, [1.0, 2.0]])

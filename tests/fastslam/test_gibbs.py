@@ -272,7 +272,7 @@ def test_noise_that_leaves_floating_point_is_refused() -> None:
         ({"log": None}, "log must be a Log"),
         ({"motion": 0.1}, "motion must be a MotionModel"),
         ({"sensor": 0.1}, "sensor must be a SensorModel"),
-        ({"start": (0.0, np.nan, 0.0)}, "start must be a finite pose"),
+        ({"start": (0.0, np.nan, 0.0)}, "start must be 3 finite numbers"),
     ],
 )
 def test_bad_options(options: dict, message: str) -> None:

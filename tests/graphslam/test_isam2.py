@@ -127,9 +127,9 @@ def test_options_that_isam2_does_not_have(options, error, message, book_log):
         ("observe", ([1, 2], [[1, 0, 0]]), "each sighting needs the id"),
         ("observe", ([1], [[float("nan"), 0, 0]]), "sightings must be"),
         ("observe", ([1], [[0, 0, 0]]), "with ranges above zero"),
-        ("move", (None, None, [1, 0], np.eye(3)), "motion must be finite numbers"),
+        ("move", (None, None, [1, 0], np.eye(3)), "motion must be 3 finite numbers"),
         ("move", (None, None, [1, 0, 0], -np.eye(3)), "covariance must be a symmetric positive definite 3 x 3 matrix"),
-        ("move", (None, None, [1, 0, 0], "large"), "covariance must be finite numbers"),
+        ("move", (None, None, [1, 0, 0], "large"), "covariance must be 3 rows of 3 finite"),
         ("move", ([1, 0], 0.0), "dt must be a positive number"),
     ],
 )
