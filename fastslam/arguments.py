@@ -18,6 +18,7 @@ from graphslam.errors.checks import (
     real_array,
 )
 from graphslam.log.measurements import AbsolutePositions
+from graphslam.log.rows import NO_ID, UNIDENTIFIED
 from graphslam.se2 import Array, wrap
 
 #: a larger turn in one step [rad] is an error in the input, and the engine's sine is not made for it
@@ -64,6 +65,11 @@ def measurements(ids: Any, sightings: ArrayLike, by_ids: bool) -> tuple[np.ndarr
     if numbers.dtype.kind == "u" and np.any(numbers > np.iinfo(np.int64).max):
         raise OptionError(f"the ids of landmarks must be below 2^63, not {quoted(int(np.max(numbers)))}")
     numbers = numbers.astype(np.int64)
+    if by_ids and np.isin(numbers, (UNIDENTIFIED, NO_ID)).any():
+        raise OptionError(
+            "the filter takes identified landmarks only: leave out what nobody has identified, or use FastSLAM with the "
+            "association maximum-likelihood"
+        )
     missing = np.isnan(z)
     if not np.all(np.isfinite(z) | missing) or np.any(z[:, 0] <= 0) or np.any(missing.sum(axis=1) > (z.shape[1] == 2)):
         raise OptionError(

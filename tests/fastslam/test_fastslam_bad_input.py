@@ -18,6 +18,7 @@ from graphslam import (
     simulate,
     solve,
 )
+from graphslam.log.rows import NO_ID, UNIDENTIFIED
 from graphslam.se2 import between
 
 FILTERS = [FastSLAM1, FastSLAM2, MonteCarloLocalization]
@@ -164,6 +165,19 @@ def test_no_motion_noise_and_sightings(cls: type, epsilon: float) -> None:
 def test_sensor_without_noise_is_refused() -> None:
     with pytest.raises(OptionError, match="bearing_std must be a positive number"):
         FastSLAM1(sensor=SensorModel(bearing_std=0.0))
+
+
+@pytest.mark.parametrize("cls", FILTERS)
+@pytest.mark.parametrize("missing", [UNIDENTIFIED, NO_ID])
+def test_sightings_without_ids_are_no_landmark(cls: type, missing: int) -> None:
+    slam = make(cls)
+    with pytest.raises(OptionError, match="takes identified landmarks only"):
+        slam.observe([0, missing], [[2.0, 0.0], [2.0, 0.1]])
+    assert list(slam.landmarks) == list(make(cls).landmarks)
+    if cls is not MonteCarloLocalization:  # where ids are ignored, they may be missing
+        slam = cls(particles=5, association="maximum-likelihood")
+        slam.observe([missing, missing], [[2.0, 0.0], [2.0, 2.0]])
+        assert len(slam.state.map(0, provisional=True)) == 2
 
 
 @pytest.mark.parametrize("cls", FILTERS)
