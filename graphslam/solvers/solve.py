@@ -60,10 +60,10 @@ def solve(
             given values. Unless it is proven, a lower one may exist: of 200 logs with up to three times the book's
             noise, three ended 1.2 to 1.6 % too high (benchmarks/hard_logs.py --seed 20 and 22).
         callback: called after each step with an `Iteration`; with "auto" only after the search, once for each step of the
-            run that is returned. It counts the steps of all passes to the estimated ranges.
+            run that is returned. It counts the steps of all passes to the estimated ranges. Not for "gnc".
         cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less
             than this fraction; 0 disables this rule. (A step norm of 1e-9 corresponds to a relative change of J of about
-            1e-16; 1e-6 is enough for a figure.)
+            1e-16; 1e-6 is enough for a figure.) Not for "gnc".
         probability: for "gnc", the fraction of correct sightings that should be accepted: they are truncated at this
             quantile of the chi-square distribution with as many degrees of freedom as a sighting has numbers.
         range_noise: "measured", Q and L at the measured sightings, as in the lectures; "estimated", at those that the
@@ -123,6 +123,8 @@ def check_options(
     check_positive(tolerance=tolerance)
     if not isinstance(cost_tolerance, Real) or not 0 <= cost_tolerance < 1:
         raise OptionError(f"cost_tolerance must lie between 0 and 1, not {quoted(cost_tolerance)}")
+    if method == GNC and cost_tolerance > 0:
+        raise OptionError("the method gnc ends by its own rules and uses no cost_tolerance: leave it out")
     check_count(max_iterations=max_iterations)
     if not isinstance(probability, Real) or not 0 < probability < 1:
         raise OptionError(f"probability must lie between 0 and 1, not {quoted(probability)}")

@@ -149,7 +149,11 @@ def test_edges_written_in_numpy_take_part(kernel):
 
 def test_what_cannot_be(book_log):
     graph = Graph.from_log(book_log, edges="virtual+motion", kernel="none")
-    for options, message in [({"probability": 1.0}, "probability"), ({"max_iterations": 0}, "max_iterations")]:
+    for options, message in [
+        ({"probability": 1.0}, "probability"),
+        ({"max_iterations": 0}, "max_iterations"),
+        ({"cost_tolerance": 1e-6}, "gnc ends by its own rules and uses no cost_tolerance"),
+    ]:
         with pytest.raises(OptionError, match=message):
             solve(graph, **options, method="gnc")
     unseen = replace(graph, families=(graph.families[0], graph.families[2]))
