@@ -170,16 +170,16 @@ def test_the_exact_weight_makes_1_and_2_agree() -> None:
 def test_filters_have_the_methods_of_the_online_solver(cls: type) -> None:
     """The joint covariance of pose and landmarks is that of the particles, with the Gaussians inside each of them."""
     slam, other = cls(particles=400, seed=1), cls(particles=400, seed=1)
-    seen = ([3, -1], [[2.0, 0.3], [1.5, -0.4]])
+    seen = ([3, -2], [[2.0, 0.3], [1.5, -0.4]])
     z, P = np.array([1.0, 0.0, 0.1]), np.diag([0.05, 0.05, 0.02]) ** 2
     for one in (slam, other):
         one.observe(*seen)
         one.move(motion=z, covariance=P)
         one.observe([3], [[1.1, 0.4]])
     np.testing.assert_array_equal(slam.pose, other.state.mean_pose)
-    assert list(slam.landmarks) == [-1, 3]
-    joint = slam.covariance(poses=1, landmarks=[3, -1], joint=True)
-    pose, landmarks = slam.covariance(poses=1, landmarks=[3, -1])
+    assert list(slam.landmarks) == [-2, 3]
+    joint = slam.covariance(poses=1, landmarks=[3, -2], joint=True)
+    pose, landmarks = slam.covariance(poses=1, landmarks=[3, -2])
     np.testing.assert_allclose(joint[:3, :3], pose)
     np.testing.assert_allclose(joint[3:5, 3:5], landmarks[0])
     np.testing.assert_allclose(joint[5:, 5:], landmarks[1])
