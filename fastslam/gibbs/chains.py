@@ -10,7 +10,7 @@ Monte Carlo*, Statistical Science 1992, for where the sum of autocovariances end
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from graphslam.engine import engine
 from graphslam.errors import LogError, OptionError, quoted
+from graphslam.errors.checks import check_known
 from graphslam.log import Log, check_is_log
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, difference
@@ -192,6 +193,7 @@ class ParticleGibbs:
     ) -> None:
         check_is_log(log)
         log.warn_of_unused("particle Gibbs")
+        check_known("ParticleGibbs", keywords, [field.name for field in fields(GibbsOptions)])
         self.options = replace(options or GibbsOptions(), **keywords)
         if not log.identified:
             raise OptionError(

@@ -273,6 +273,7 @@ def test_noise_that_leaves_floating_point_is_refused() -> None:
         ({"motion": 0.1}, "motion must be a MotionModel"),
         ({"sensor": 0.1}, "sensor must be a SensorModel"),
         ({"start": (0.0, np.nan, 0.0)}, "start must be 3 finite numbers"),
+        ({"iteratons": 3}, "ParticleGibbs has no option 'iteratons'; did you mean 'iterations'"),
     ],
 )
 def test_bad_options(options: dict, message: str) -> None:
