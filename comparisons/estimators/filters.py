@@ -122,7 +122,7 @@ def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.Partic
     if name != "mcl" and log.has_orientation and not known.oriented:
         log = log.without_orientation()
     start = first_fix(log, known, **models)
-    return filter_class(log, options=options.filter, landmarks=known, start=start, **models)
+    return filter_class(log, options=options.filter, map=known, start=start, **models)
 
 
 def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:

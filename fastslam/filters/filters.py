@@ -72,7 +72,7 @@ class FastSLAM1(ParticleFilter):
     Landmarks of a particle that turn out to be one are merged. "auto" uses ids where the log has them, else it is
     `options.WITHOUT_IDS`. See docs/beyond/fastslam2.md, "Unknown association".
 
-    With ``landmarks``, a map that is known beforehand (`landmark_map.as_map` says in which forms), every particle
+    With ``map``, which is known beforehand (`landmark_map.as_map` says in which forms), every particle
     begins with its landmarks and their own covariances. Correlations between landmarks are not used, and exact ones have a
     standard deviation of `HELD_STD`. The ids of the sightings must be those of the map, and its frame that of ``start``;
     without one, the first fix is taken where the log's own first pose is in another frame.
@@ -91,9 +91,9 @@ class FastSLAM1(ParticleFilter):
     #: the number of coordinates of the landmarks, None before the first sighting
     _coordinates: int | None = None
 
-    def __init__(self, log: Log | None = None, *, landmarks: Any = None, **keywords: Any) -> None:
-        given = None if landmarks is None else as_map(landmarks)
-        super().__init__(log, landmark_map=given, **keywords)
+    def __init__(self, log: Log | None = None, *, map: Any = None, **keywords: Any) -> None:
+        given = None if map is None else as_map(map)
+        super().__init__(log, map=given, **keywords)
         self._waiting = WaitingNumbers(self.sensor)
         self._given = given
         if self._given is not None and not self._needs_ids:
@@ -316,9 +316,9 @@ class MonteCarloLocalization(ParticleFilter):
 
     Args:
         log: controls and sightings; None for a filter that is used with `move` and `observe`.
-        landmarks: the map {id: (x, y) or (x, y, heading)} [m, m, rad], or what `landmark_map.as_map` takes; default: the
-            log's true landmarks, in whose frame its first initial pose is. In a map that is given, the robot begins at the
-            first fix where its initial pose is in another frame.
+        map: {id: (x, y) or (x, y, heading)} [m, m, rad], or what else `landmark_map.as_map` takes; default: the log's true
+            landmarks, in whose frame its first initial pose is. In a map that is given, the robot begins at the first fix
+            where its initial pose is in another frame.
         keywords: all other arguments of `ParticleFilter`.
 
     Raises:
@@ -332,17 +332,17 @@ class MonteCarloLocalization(ParticleFilter):
         "by fastslam.associate"
     )
 
-    def __init__(self, log: Log | None = None, *, landmarks: Any = None, **keywords: Any) -> None:
-        super().__init__(log, landmark_map=None if landmarks is None else as_map(landmarks), **keywords)
-        if landmarks is None:
-            landmarks = getattr(log, "true_landmarks", None)
-        if landmarks is None:
+    def __init__(self, log: Log | None = None, *, map: Any = None, **keywords: Any) -> None:
+        super().__init__(log, map=None if map is None else as_map(map), **keywords)
+        if map is None:
+            map = getattr(log, "true_landmarks", None)
+        if map is None:
             without = "" if log is None else f", and {log.name} has no true landmarks"
             raise OptionError(
-                f"Monte Carlo localisation needs a map{without}: give landmarks, {{id: (x, y) or (x, y, heading)}}, or "
+                f"Monte Carlo localisation needs a map{without}: give map, {{id: (x, y) or (x, y, heading)}}, or "
                 "use FastSLAM, which makes its own"
             )
-        self._landmarks = as_map(landmarks)
+        self._landmarks = as_map(map)
         if log is not None:
             self._check_sightings(log.landmark_ids, log.sightings.shape[1])
             if log.partial_sightings is not None:
@@ -352,7 +352,7 @@ class MonteCarloLocalization(ParticleFilter):
         for j in ids.tolist():
             if j not in self._landmarks:
                 raise OptionError(
-                    f"landmark {j} was seen but is not on the known map: add it to landmarks, or use FastSLAM1"
+                    f"landmark {j} was seen but is not on the known map: add it to the map, or use FastSLAM1"
                 )
 
     def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> bool:  # noqa: ARG002

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from graphslam.association import known_noise
 from graphslam.engine import available_threads, engine
 from graphslam.errors import LogError, OptionError, quoted
-from graphslam.errors.checks import check_move, check_type, suggestion
+from graphslam.errors.checks import check_known, check_move, check_type
 from graphslam.graph.localization import Fix
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
@@ -79,8 +79,9 @@ class ParticleFilter(ABC):
         options: the options; ``keywords`` replace single options and are the fields of `FilterOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose, in the frame of
-            its positions, or the first fix in ``landmark_map`` where that is far from it. Of a `Fix`, poses are drawn with
+            its positions, or the first fix in ``map`` where that is far from it. Of a `Fix`, poses are drawn with
             `positions.SPREAD` times its standard deviations, because its sightings weigh the particles again.
+        map: of landmarks that is known; `FastSLAM1` and `MonteCarloLocalization` say how they use it.
 
     Raises:
         OptionError: an option has an impossible value, the log has sightings without ids and the filter needs them, or the
@@ -104,15 +105,16 @@ class ParticleFilter(ABC):
         motion: MotionModel | None = None,
         sensor: SensorModel | None = None,
         start: ArrayLike | Fix | None = None,
-        landmark_map: Any = None,
+        map: Any = None,
         **keywords: Any,
     ) -> None:
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
             check_type(kind, **{name: value})
-        known = [field.name for field in fields(FilterOptions)]
-        for name in keywords:
-            if name not in known:
-                raise OptionError(f"there is no option {quoted(name)} of a particle filter{suggestion(name, known)}")
+        if given := {"landmarks", "landmark_map"}.intersection(keywords):
+            raise OptionError(
+                f"{type(self).__name__} has no option {quoted(*given)}; a map of landmarks is given as map"
+            )
+        check_known(type(self).__name__, keywords, [field.name for field in fields(FilterOptions)])
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
         self._check_options()
         self.particles = self.options.particles
@@ -133,7 +135,7 @@ class ParticleFilter(ABC):
         self.motion = motion or getattr(log, "motion", None) or MotionModel()
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()
         self._rng = np.random.default_rng(self.options.seed)
-        poses = first_poses(in_map(start, log, landmark_map, self.motion, self.sensor), log, self.particles, self._rng)
+        poses = first_poses(in_map(start, log, map, self.motion, self.sensor), log, self.particles, self._rng)
         if log is not None and log.positions is not None and self._takes_positions:
             poses = in_frame(poses, log, self.motion, self.sensor, self._rng, given=start is not None)
         poses = self.sensor.mount(poses)

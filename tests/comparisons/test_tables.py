@@ -353,7 +353,7 @@ OF_SAMPLE: dict[str, Callable[[], object]] = {
     "<VirtualMotionEdges: 3588 edges>": lambda: Graph.from_log(SAMPLE, edges="virtual").families[1],
     "<AnchorEdges: 1 edge>": lambda: Graph.from_log(SAMPLE, edges="virtual").families[0],
     "<FastSLAM1 on sample: 1000 particles, step 0 of 160>": lambda: FastSLAM1(SAMPLE),
-    "<MonteCarloLocalization: 9 particles, step 0>": lambda: MonteCarloLocalization(landmarks={1: (0, 0)}, particles=9),
+    "<MonteCarloLocalization: 9 particles, step 0>": lambda: MonteCarloLocalization(map={1: (0, 0)}, particles=9),
     "<ParticleState: step 0, 1000 particles, ESS 1000.0>": lambda: next(iter(FastSLAM1(SAMPLE))),
     "<ParticleGibbs on sample: 4 chains of 300 sweeps, 50 particles>": lambda: ParticleGibbs(SAMPLE),
     "<Row dead-reckoning: ATE = ": lambda: run(SAMPLE, estimators="dead-reckoning").table[0],

@@ -120,7 +120,7 @@ def test_weights_are_the_likelihood_ratios() -> None:
     """Two particles on a known map: log w_1 - log w_2 = log N(z; h(x_1), Q) - log N(z; h(x_2), Q)."""
     start = np.array([[0.0, 0.0, 0.0], [0.3, -0.1, 0.05]])
     landmark, z = np.array([2.0, 1.0, 0.3]), np.array([2.1, 0.5, 0.2])
-    mcl = MonteCarloLocalization(particles=2, start=start, landmarks={4: landmark}, ess_threshold=0.0)
+    mcl = MonteCarloLocalization(particles=2, start=start, map={4: landmark}, ess_threshold=0.0)
     mcl.observe([4], [z])
     Q = np.diag([(2.1 * 0.14) ** 2, 0.05**2, 0.05**2])
 

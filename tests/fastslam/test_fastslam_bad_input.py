@@ -27,7 +27,7 @@ SLAM = [FastSLAM1, FastSLAM2]
 
 def make(cls: type, **options: object) -> FastSLAM1 | FastSLAM2 | MonteCarloLocalization:
     if cls is MonteCarloLocalization:
-        options.setdefault("landmarks", {0: (2.0, 1.0, 0.5), 1: (3.0, -1.0)})
+        options.setdefault("map", {0: (2.0, 1.0, 0.5), 1: (3.0, -1.0)})
     return cls(**options)
 
 
@@ -270,28 +270,28 @@ def test_unknown_landmark_on_a_known_map() -> None:
     log = simulate()
     landmarks = {j: m for j, m in log.true_landmarks.items() if j != 3}
     with pytest.raises(OptionError, match="landmark 3"):
-        MonteCarloLocalization(log, landmarks=landmarks)
+        MonteCarloLocalization(log, map=landmarks)
 
 
 def test_no_map() -> None:
-    with pytest.raises(OptionError, match="needs a map, and .* has no true landmarks: give landmarks"):
+    with pytest.raises(OptionError, match="needs a map, and .* has no true landmarks: give map"):
         MonteCarloLocalization(simulate().replace(true_landmarks=None))
     with pytest.raises(OptionError, match="needs a map"):
         MonteCarloLocalization()
     with pytest.raises(OptionError, match="landmark 2 of the map must be finite"):
-        MonteCarloLocalization(landmarks={2: (1.0, np.nan)})
+        MonteCarloLocalization(map={2: (1.0, np.nan)})
     with pytest.raises(OptionError, match="landmark 2 of the map must be"):
-        MonteCarloLocalization(landmarks={2: "there"})
+        MonteCarloLocalization(map={2: "there"})
     with pytest.raises(OptionError, match=r"map must be a LandmarkMap, \{id: \(x, y\)\} or the path of a file"):
-        MonteCarloLocalization(landmarks=[(1.0, 2.0)])
+        MonteCarloLocalization(map=[(1.0, 2.0)])
     with pytest.raises(OptionError, match="the ids of a map are whole numbers"):
-        MonteCarloLocalization(landmarks={"door": (1.0, 2.0)})
+        MonteCarloLocalization(map={"door": (1.0, 2.0)})
 
 
 def test_range_bearing_landmarks_on_the_map_leave_psi_out() -> None:
     log = simulate(seed=3)
     flat = {j: m[:2] for j, m in log.true_landmarks.items()}
-    a = MonteCarloLocalization(log, landmarks=flat, particles=50).run()
+    a = MonteCarloLocalization(log, map=flat, particles=50).run()
     b = MonteCarloLocalization(log.without_orientation(), particles=50).run()
     np.testing.assert_array_equal(a.poses, b.poses)
 

@@ -16,8 +16,8 @@ def test_fastslam_on_an_exact_map_is_localisation(update, orientation):
     """The same random numbers, and the same likelihoods, so far as 1e-6 m are exact."""
     log = LOG if orientation else LOG.without_orientation()
     options = {"particles": 200, "seed": 3}
-    here = FastSLAM1(log, landmarks=LOG.true_landmarks, landmark_update=update, **options).run()
-    there = MonteCarloLocalization(log, landmarks=LOG.true_landmarks, **options).run()
+    here = FastSLAM1(log, map=LOG.true_landmarks, landmark_update=update, **options).run()
+    there = MonteCarloLocalization(log, map=LOG.true_landmarks, **options).run()
     assert np.allclose(here.poses, there.poses, atol=1e-9)
     assert here.log_evidence == pytest.approx(there.log_evidence, abs=0.01)
     assert all(
@@ -29,7 +29,7 @@ def test_a_prior_is_updated_like_a_kalman_filter():
     sensor = SensorModel(range_rate=0.0, range_std=0.1, bearing_std=0.05)
     mean, S = np.array([3.0, 1.0]), np.array([[0.04, 0.01], [0.01, 0.09]])
     z, pose = np.array([3.2, 0.25]), np.zeros(3)
-    filter = FastSLAM1(landmarks=LandmarkMap({7: mean}, {7: S}), particles=1, sensor=sensor, landmark_update="kalman",
+    filter = FastSLAM1(map=LandmarkMap({7: mean}, {7: S}), particles=1, sensor=sensor, landmark_update="kalman",
                        range_noise="measured", start=pose)  # fmt: skip
     filter.observe([7], z[None])
     H, Q = sensor.H(pose, mean), sensor.Q(z)
@@ -42,7 +42,7 @@ def test_a_prior_is_updated_like_a_kalman_filter():
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 def test_landmarks_that_are_not_seen_stay_and_new_ones_are_added(kind):
     known = LandmarkMap({0: LOG.true_landmarks[0], 50: (9.0, 9.0, 0.0)}, {50: 0.1 * np.eye(3)})
-    result = kind(LOG, landmarks=known, particles=100).run()
+    result = kind(LOG, map=known, particles=100).run()
     assert set(result.landmarks) == {*LOG.landmark_ids.tolist(), 50}
     assert np.allclose(result.landmarks[50], [9, 9, 0]) and np.allclose(
         result.landmark_covariances[50], 0.1 * np.eye(3)
@@ -53,7 +53,7 @@ def test_landmarks_that_are_not_seen_stay_and_new_ones_are_added(kind):
 
 def test_particles_begin_around_the_first_fix():
     fix = first_fix(LOG, LOG.true_landmarks)
-    filter = MonteCarloLocalization(LOG, landmarks=LOG.true_landmarks, start=fix, particles=20_000, seed=0)
+    filter = MonteCarloLocalization(LOG, map=LOG.true_landmarks, start=fix, particles=20_000, seed=0)
     poses = filter.state.poses
     expected = 4 * fix.covariance
     # of 20,000: a variance is known to a hundredth, a mean to a hundredth of a standard deviation
@@ -67,18 +67,18 @@ def test_a_filter_begins_at_the_first_fix_where_its_log_begins_in_another_frame(
     there = np.array([5.0, -3.0, 2.0])
     moved = {j: compose(there, m) for j, m in LOG.true_landmarks.items()}
     fix = first_fix(LOG, moved)
-    here = kind(LOG, landmarks=moved, particles=500, seed=0).state.poses
-    assert np.array_equal(here, kind(LOG, landmarks=moved, particles=500, seed=0, start=fix).state.poses)
+    here = kind(LOG, map=moved, particles=500, seed=0).state.poses
+    assert np.array_equal(here, kind(LOG, map=moved, particles=500, seed=0, start=fix).state.poses)
     # a pose that is given, and one that is in the frame of the map, stay
-    assert np.allclose(kind(LOG, landmarks=moved, particles=5, start=np.zeros(3)).state.poses, 0)
+    assert np.allclose(kind(LOG, map=moved, particles=5, start=np.zeros(3)).state.poses, 0)
     own = LOG.initial_poses[0]
-    assert np.allclose(kind(LOG, landmarks=LOG.true_landmarks, particles=5).state.poses, own)
+    assert np.allclose(kind(LOG, map=LOG.true_landmarks, particles=5).state.poses, own)
 
 
 def test_a_map_needs_the_ids_and_headings_where_sightings_have_psi():
     with pytest.raises(OptionError, match="leave out the option association"):
-        FastSLAM1(LOG, landmarks=LOG.true_landmarks, association="maximum-likelihood")
+        FastSLAM1(LOG, map=LOG.true_landmarks, association="maximum-likelihood")
     with pytest.raises(OptionError, match="leave out smoothing"):
-        FastSLAM1(LOG, landmarks=LOG.true_landmarks, smoothing=10)
+        FastSLAM1(LOG, map=LOG.true_landmarks, smoothing=10)
     with pytest.raises(OptionError, match="has no heading, and the sightings have psi"):
-        FastSLAM1(LOG, landmarks={j: m[:2] for j, m in LOG.true_landmarks.items()}).run()
+        FastSLAM1(LOG, map={j: m[:2] for j, m in LOG.true_landmarks.items()}).run()

@@ -18,7 +18,7 @@ NAN = np.nan
 def test_localisation_weighs_by_the_likelihood_of_one_number(sighting):
     rng = np.random.default_rng(0)
     start, m = rng.standard_normal((50, 3)) * (1, 1, 0.3), np.array([4.0, 1.0])
-    found = MonteCarloLocalization(landmarks={3: m}, particles=50, start=start, sensor=SENSOR, stage="weights")
+    found = MonteCarloLocalization(map={3: m}, particles=50, start=start, sensor=SENSOR, stage="weights")
     found.observe([3], [sighting])
     away = m - start[:, :2]
     if np.isnan(sighting[1]):
@@ -87,7 +87,7 @@ def test_a_landmark_with_a_mirror_image_waits():
 
 
 def test_what_cannot_be():
-    filter_ = MonteCarloLocalization(landmarks={1: (0.0, 1.0)}, particles=5)
+    filter_ = MonteCarloLocalization(map={1: (0.0, 1.0)}, particles=5)
     for sighting in ([NAN, NAN], [NAN, 0.1, 0.2], [-1.0, NAN]):
         with pytest.raises(OptionError, match="NaN stands for"):
             filter_.observe([1], [sighting])

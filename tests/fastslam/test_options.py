@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fastslam
-from fastslam import FastSLAM1, FastSLAM2, FilterOptions
+from fastslam import FastSLAM1, FastSLAM2, FilterOptions, MonteCarloLocalization
 from graphslam import OptionError, simulate
 
 
@@ -26,8 +26,18 @@ def test_an_options_object_is_the_same_as_keywords() -> None:
     assert by_object.options == by_keywords.options == options.for_ids(True)
     # a keyword replaces the option of the object
     assert FastSLAM1(log, options=options, seed=5).options.seed == 5
-    with pytest.raises(OptionError, match="no option 'particle' of a particle filter; did you mean 'particles'"):
+    with pytest.raises(OptionError, match="FastSLAM1 has no option 'particle'; did you mean 'particles'"):
         FastSLAM1(log, particle=30)
+
+
+@pytest.mark.parametrize("kind", [MonteCarloLocalization, FastSLAM1, FastSLAM2])
+def test_a_map_has_one_name(kind: type) -> None:
+    """`map`, as in `OnlineSolver` and `Graph.from_log`."""
+    log = simulate(seed=1, steps=10)
+    assert list(kind(log, map=log.true_landmarks, particles=3).run().landmarks)
+    for name in ("landmarks", "landmark_map"):
+        with pytest.raises(OptionError, match=f"{kind.__name__} has no option '{name}'; a map .* is given as map"):
+            kind(log, **{name: log.true_landmarks})
 
 
 def test_a_result_keeps_its_origin_and_is_printed_in_one_line() -> None:

@@ -99,9 +99,7 @@ def test_filters_follow_a_drive(kind: type[ParticleFilter], sensor: SensorModel)
 
 
 def test_moves_by_hand_carry_the_sensor() -> None:
-    slam = MonteCarloLocalization(
-        landmarks=PLACES, particles=100_000, start=[0.5, 0.2, 0.3], motion=MOTION, sensor=AHEAD
-    )
+    slam = MonteCarloLocalization(map=PLACES, particles=100_000, start=[0.5, 0.2, 0.3], motion=MOTION, sensor=AHEAD)
     slam.move([0.5, 0.8], 1.0)
     scale = np.sqrt(np.diag(slam.state.covariance()))
     off = slam.state.mean_pose - MOTION.f([0.5, 0.2, 0.3], [0.5, 0.8], 1.0)
