@@ -275,6 +275,9 @@ def _broadcast(pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> tuple[Arra
     return np.broadcast_to(pose, (*shape, 3)), np.broadcast_to(control, (*shape, 2)), np.broadcast_to(dt, shape)
 
 
+#: kinds of graph of a log, how its virtual-motion edges are weighed, and the axes of residuals and their information
+EDGES, WEIGHTS = ("virtual", "virtual+motion", "landmark+motion"), ("pairs", "tempered", "marginal")
+FRAMES = ("world", "body")
 #: how a sighting of a landmark node is compared: as a position in the robot's axes, or as range and bearing
 RESIDUALS = ("cartesian", "polar")
 #: the range at which its noise is taken: as measured, or as predicted by the estimate

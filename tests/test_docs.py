@@ -117,7 +117,7 @@ def test_the_option_of_the_page_works(extended, capsys):
 
 
 METRIC = """
-import json, sys
+import json
 import numpy as np
 import comparisons
 from graphslam.metrics import position_errors

@@ -16,15 +16,17 @@ from pathlib import Path
 from typing import Any
 
 from fastslam.options import FilterOptions, FrontEndOptions, GibbsOptions
+from graphslam.edges.robust import KERNELS as ROBUST
 from graphslam.errors import OptionError, quoted
 from graphslam.errors.checks import option
 from graphslam.graph.landmark_map import USES, LandmarkMap
 from graphslam.identification.declared import PARAMETERS, parsed
 from graphslam.log.rows import ReadOptions
 from graphslam.metrics import METRICS as ERRORS
-from graphslam.models import RESIDUALS, MotionModel, SensorModel
+from graphslam.models import EDGES, FRAMES, RESIDUALS, WEIGHTS, MotionModel, SensorModel
 from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS, World
+from graphslam.solvers import INITIALIZE
 
 from .option import OUTPUT as OUTPUT
 from .option import EvaluationOptions as EvaluationOptions
@@ -34,10 +36,8 @@ from .option import Options
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
 
-#: kinds of graph, where the iteration starts, and robust kernels
-EDGES = ("virtual", "virtual+motion", "landmark+motion")
-STARTS = ("auto", "given", "dead-reckoning", "rotation-first", "grow")
-KERNELS = ("none", "huber", "cauchy", "geman-mcclure")
+#: robust kernels, and none
+KERNELS = ("none", *ROBUST)
 
 #: groups of options in the help of a verb
 NOISE, FILTER, GIBBS = "Noise models", "Particle filters", "Particle smoother"
@@ -135,10 +135,10 @@ class GraphOptions(Options):
         None, "Edges of the graph.", choices=EDGES,
         default_text="what suits the log",
     )  # fmt: skip
-    frame: str = option("body", "Axes of the residuals.", choices=("body", "world"))
+    frame: str = option("body", "Axes of the residuals.", choices=FRAMES)
     weight: str = option(
         "pairs", "Weight of virtual-motion edges: pairs as in the book; tempered and marginal count each sighting once.",
-        choices=("pairs", "tempered", "marginal"),
+        choices=WEIGHTS,
     )  # fmt: skip
     motion_weight: float = option(1.0, "Factor lambda on the motion edges.", positive=True)
     kernel: str | None = option(
@@ -148,7 +148,7 @@ class GraphOptions(Options):
     )  # fmt: skip
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
-        choices=STARTS,
+        choices=INITIALIZE,
     )  # fmt: skip
     residual: str = option(
         RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
@@ -335,7 +335,7 @@ class BackendOptions(LimitOptions):
         None, "Solvers to time.", choices=("graphslam", "gtsam-lm", "gtsam-gn", "g2o-gn", "g2o-lm"), metavar="NAME,...",
         default_text="all that are installed",
     )  # fmt: skip
-    initialize: str = option("auto", "Where graphslam starts.", choices=STARTS)
+    initialize: str = option("auto", "Where graphslam starts.", choices=INITIALIZE)
     same_start: bool = option(False, "All solvers start from the rotation-first state, not from the file's values.")
     repeat: int = option(5, "The time is the median of this many runs.", minimum=1)
     max_iterations: int = option(100, "Maximum number of iterations of every solver.", minimum=1)

@@ -18,12 +18,11 @@ from ..engine import engine
 from ..errors import GraphError, quoted
 from ..errors.checks import array_or_none, check_choice, first, make_read_only
 from ..linear.information import BlockSystem
+from ..models import FRAMES
 from ..se2 import Array, lever_matrix, turn_matrix
 
 #: the blocks of pairs, for families that do not list their pairs
 _NO_BLOCKS = np.zeros(0, dtype=np.int64)
-#: how information that rotates with a pose is treated
-FRAMES = ("world", "body")
 #: which of the six numbers of a symmetric matrix stands where
 SYMMETRIC = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 

@@ -13,10 +13,8 @@ from numpy.typing import ArrayLike
 from ..errors import OptionError
 from ..errors.checks import check_choice, check_heading, check_sighted, finite_numbers
 from ..linear.precision import SMALLEST, check_size, small_inverse
-from ..models import SensorModel
+from ..models import FRAMES, SensorModel
 from ..se2 import Array
-
-FRAMES = ("world", "body")
 
 PoseLike = ArrayLike | gtsam.Pose2
 

@@ -15,7 +15,7 @@ from ..engine import engine
 from ..errors import FactorError, OptionError, quoted
 from ..errors.checks import check_choice, check_sighted, finite_numbers
 from ..linear.precision import SMALLEST, check_size, model_of
-from ..models import RESIDUALS, SensorModel
+from ..models import RESIDUALS, WEIGHTS, SensorModel
 from ..se2 import Array, rotation, wrap
 from .arguments import (
     PoseLike,
@@ -29,7 +29,6 @@ from .arguments import (
 )
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
 
-WEIGHTS = ("pairs", "tempered", "marginal")
 #: the number of rows of e; the residual; e alone
 Evaluation = tuple[int, Callable[..., Linearized], Callable[..., Array]]
 

@@ -20,7 +20,7 @@ from ..edges import (
     PriorEdges,
     SightingEdges,
 )
-from ..edges.base import FRAMES, EngineEdges
+from ..edges.base import EngineEdges
 from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
@@ -30,15 +30,12 @@ from ..identification.robot import AUTO, BOOK, known_robot
 from ..linear.information import BlockSystem
 from ..log import Log, check_is_log
 from ..log_checks import readings_of, sizes
-from ..models import RESIDUALS, MotionModel, SensorModel
+from ..models import EDGES, FRAMES, RESIDUALS, WEIGHTS, MotionModel, SensorModel
 from ..se2 import Array
 from .build import graph_of_log, node_names, with_closures, with_dimensions
 from .defaults import edges_for_map, in_frame_of_positions, notes_on_options, suitable_edges, suitable_kernel
 from .landmark_map import LandmarkMap, as_map, estimate_map
 from .tracking import in_frame_of
-
-EDGES = ("virtual", "virtual+motion", "landmark+motion")
-WEIGHTS = ("pairs", "tempered", "marginal")
 
 
 def _none() -> np.ndarray:

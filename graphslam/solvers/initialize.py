@@ -161,8 +161,6 @@ def _all_places(graph: Graph, state: Array, count: int, but: set[int]) -> Iterat
         yield node, places_of([f.among((f.second == node) & (f.first < count)) for f in families], state)
 
 
-#: the choices of the option ``initialize``
-INITIALIZE = ("given", "dead-reckoning", "rotation-first", "grow", "auto")
 #: the start of graphs with ranges or bearings alone
 MIRRORED = "mirror images"
 #: the starts that "auto" tries, in this order
@@ -178,7 +176,7 @@ def starting_state(graph: Graph, initialize: str) -> Array:
 
     Args:
         graph: the graph to solve.
-        initialize: one of `INITIALIZE`, `AUTO` or `GROWING`.
+        initialize: one of `solvers.INITIALIZE`, `AUTO` or `GROWING`.
 
     Raises:
         GraphError: the edges do not allow this start.

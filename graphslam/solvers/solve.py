@@ -16,8 +16,8 @@ from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_choice, check_count, check_known, check_positive
 from ..graph import Graph, check_graph
 from ..models import RANGE_NOISES
+from . import INITIALIZE
 from .gnc import solve_gnc
-from .initialize import INITIALIZE
 from .iteration import Iteration
 from .minimize import METHODS, at_estimated_ranges, minimize, takes_estimated_ranges
 from .solution import Solution, doubted
