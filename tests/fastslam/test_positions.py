@@ -61,7 +61,7 @@ def test_one_position_and_a_gaussian_prior(kind: type[ParticleFilter], offset: t
     N, heading = 20_000, 0.7
     P, m, z = np.array([[0.09, 0.03], [0.03, 0.04]]), np.array([2.0, 1.0]), np.array([2.5, 1.1])
     start = np.column_stack([np.random.default_rng(1).multivariate_normal(m, P, N), np.full(N, heading)])
-    keywords = {"landmarks": {0: (5.0, 5.0)}} if kind is MonteCarloLocalization else {}
+    keywords = {"map": {0: (5.0, 5.0)}} if kind is MonteCarloLocalization else {}
     slam = kind(start=start, particles=N, seed=0, ess_threshold=0.0, sensor=SensorModel(offset=offset), **keywords)
     slam.locate(z, C[:2, :2], lever=LEVER)
     point = z - (transform([0.0, 0.0, heading], LEVER))
