@@ -112,7 +112,7 @@ class ParticleFilter(ABC):
             check_type(kind, **{name: value})
         if given := {"landmarks", "landmark_map"}.intersection(keywords):
             raise OptionError(
-                f"{type(self).__name__} has no option {quoted(*given)}; a map of landmarks is given as map"
+                f"{type(self).__name__} has no option {quoted(min(given))}; a map of landmarks is given as map"
             )
         check_known(type(self).__name__, keywords, [field.name for field in fields(FilterOptions)])
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
