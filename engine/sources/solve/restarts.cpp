@@ -1,4 +1,4 @@
-#include "vmslam/solve/turns.hpp"
+#include "vmslam/solve/restarts.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -121,7 +121,7 @@ std::vector<double> other_turn(std::vector<double> state, const Odometry& odomet
     return state;
 }
 
-Lowered lowered_by_turns(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit) {
+Lowered lowered_by_restarts(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit) {
     const std::size_t most = std::min(most_turns, odometry.poses() / poses_per_turn);
     Lowered out;
     State best(state.begin(), state.end());
