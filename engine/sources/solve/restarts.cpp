@@ -68,7 +68,8 @@ struct Deviations {
 
 /// A run from a state with other turns, to the minimum where that is lower than `cost`.
 Run run_below(Objective& objective, State start, double cost, int& steps) {
-    Rules rules{.tolerance = 1e-6 * std::sqrt(static_cast<double>(start.size() / 3)), .most_steps = steps_after};
+    const std::size_t nodes = start.size() / 3;
+    Rules rules{.tolerance = 1e-6 * std::sqrt(static_cast<double>(nodes)), .most_steps = steps_after};
     rules.cost_tolerance = settled;
     Run run{rules, std::move(start)};
     gauss_newton(objective, run);
