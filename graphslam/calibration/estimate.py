@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..association.unknown_robot import robot_of
+from ..association.associate import robot_of
 from ..errors import LogError
 from ..errors.checks import array_of, check_choice, check_not_negative
 from ..identification.corrections import without_biases
