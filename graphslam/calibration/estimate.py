@@ -1,7 +1,4 @@
-"""`calibrate`: the noise and the biases of a robot, estimated from its logs.
-
-The robot of a log whose sightings may have no ids.
-"""
+"""`calibrate`: the noise and the biases of a robot, estimated from its logs, whose sightings may have no ids."""
 
 from __future__ import annotations
 
