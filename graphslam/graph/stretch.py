@@ -10,9 +10,9 @@ R the covariance of the sensor and S that of the map. Linearised at w̄, the cov
 V = D Q D' + R + S, D = dy / dw.
 Generalised least squares gives T, and w = -Q D' V^-1 (e - D w̄) (`smoothed`); the steps are shortened until the sum falls.
 
-Levers lead to the place where the map with T has a landmark. With levers to other places, the linearised problem would contain
-information about headings that the measurements do not have (Huang, Mourikis and Roumeliotis, *Observability-based rules for
-designing consistent EKF SLAM estimators*, IJRR 2010).
+Levers lead to the place where the map with T has a landmark. With levers to other places, the linearised problem would
+contain information about headings that the measurements do not have (Huang, Mourikis and Roumeliotis, *Observability-based
+rules for designing consistent EKF SLAM estimators*, IJRR 2010).
 """
 
 from __future__ import annotations

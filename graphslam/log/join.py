@@ -296,8 +296,8 @@ def from_tables(
 Log.from_tables = staticmethod(from_tables)
 
 
-#: sightings or truth are refused that last longer than the odometry by more than the second factor, and have less than the first
-#: share of their rows within its time
+#: sightings or truth are refused that last longer than the odometry by more than the second factor, and have less than the
+#: first share of their rows within its time
 _FEW, _LONGER = 0.1, 20.0
 
 

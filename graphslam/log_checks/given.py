@@ -132,8 +132,8 @@ _FEWEST_DISTANCES = 10
 _ENOUGH = 5000
 #: distances of the map that are off by more [ranges, median] contradict the sightings; another unit is a larger factor
 _WRONG, _FACTOR = 0.4, 5.0
-#: triangles of landmarks count where the sine of their angle is larger than the first number; a map is mirrored where more than
-#: the second share of them has the other orientation
+#: triangles of landmarks count where the sine of their angle is larger than the first number; a map is mirrored where more
+#: than the second share of them has the other orientation
 _SINE, _MIRRORED = 0.3, 0.8
 
 

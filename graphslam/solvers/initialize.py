@@ -40,7 +40,8 @@ from .starts import dead_reckoning, place_landmarks, rotation_first, sequential_
 DOUBTED = 2 * np.log(1000.0)
 #: the most sweeps in which other places of all landmarks are tried
 SWEEPS = 5
-#: a landmark that was tried at another place has come back if it ends nearer to its first place than this share of the distance
+#: a landmark that was tried at another place has come back if it ends nearer to its first place than this share of the
+#: distance
 BACK = 0.1
 #: a motion with less information [1/m²] counts as unknown, such as that from the end of one drive to the start of the next
 NOTHING = 1e-4
