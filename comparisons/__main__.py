@@ -30,6 +30,11 @@ def main() -> None:
         # before a verb began; the verbs have their own handler
         sys.stderr.write("interrupted\n")
         status = 130
+    except ImportError as error:
+        if error.name != "graphslam._engine":
+            raise
+        sys.stderr.write(f"error: {error}\n")
+        status = 2
     except OSError as error:
         # a help, or an error that could not be shown
         _cannot_write(error, status)

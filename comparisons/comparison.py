@@ -428,8 +428,8 @@ def run(
             place, which are joined (`graphslam.join_logs`).
         estimators: names from `estimators.ESTIMATORS`; default: all. One that fails or cannot run on this log becomes a
             row with the reason, as does one that is not named and would take too long or repeat another.
-        time_limit: of each estimator [s], without compiling. One that takes longer is stopped and becomes a row with the
-            reason. The estimators then run in a process of their own.
+        time_limit: of each estimator [s], without loading modules. One that takes longer is stopped and becomes a row with
+            the reason. The estimators then run in a process of their own.
         progress: called with (name, None) before each estimator and (name, outcome) after it.
         options: the fields of `options.RunOptions`: stride, noise, range_std, edges, kernel, particles, seed, ...
 

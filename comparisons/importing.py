@@ -1,6 +1,7 @@
-"""Import of your own tables and bags: their contents, the choice among them, and the log.
+"""Import of your own tables and bags: their contents, the choice among them, and the log (`import_log`).
 
-A log before it is solved: times and rates, sightings of each landmark, histograms, and what is probably wrong.
+`inspect_log` describes a log before it is solved: times and rates, sightings of each landmark, histograms, and what is
+probably wrong.
 """
 
 from __future__ import annotations

@@ -6,13 +6,12 @@ import os
 from importlib import import_module
 from typing import Any
 
-from .errors import SlamError
-
+NAME = f"{__package__}._engine"
 try:
-    engine: Any = import_module(f"{__package__}._engine")
+    engine: Any = import_module(NAME)
 except ImportError as error:
-    raise SlamError(
-        f"the compiled module graphslam._engine cannot be loaded ({error}); build it with: pip install --editable ."
+    raise ImportError(
+        f"the compiled module {NAME} cannot be loaded ({error}); build it with: pip install --editable .", name=NAME
     ) from error
 
 

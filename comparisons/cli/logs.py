@@ -1,8 +1,7 @@
-"""The verbs about logs and their ground truth: simulate, calibrate, evaluate, datasets.
+"""The verbs about logs and their ground truth, and those that check solvers.
 
-The verbs that come before a run: import, show.
-
-The verbs that check and time solvers: solvers, backends.
+simulate, calibrate, evaluate and datasets are about logs and their ground truth; import and show come before a run; solvers
+and backends check and time solvers.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The output of a verb: tables and sentences on standard output, progress on standard error, and JSON.
 
-Hints below results: what to do next where a message names options that another verb has.
+`hint_of_import` says what to do next where a message names options that only another verb has.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """One estimator of a comparison, in this process or, with a time limit, in one of a pool; an error becomes a `Skipped`.
 
-Neither the engine nor GTSAM can be interrupted in this process.
-
-Studies and solver checks use the same pool.
+Neither the engine nor GTSAM can be interrupted in this process. Studies and solver checks use the same pool.
 
 `graphslam.processes` starts the processes; here they also load the modules of estimators before their first task.
 """

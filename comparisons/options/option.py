@@ -2,7 +2,7 @@
 
 `comparisons.options` declares the options; the command line, TOML files and Python functions read them from `options_of`.
 
-The options of verbs that read tables or bags of one's own: import and evaluate.
+`ImportOptions` and `EvaluationOptions` are those of the two verbs that read your own tables or bags: import and evaluate.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """TOML files of options: read with a clear message that names the line, and written again by the package ``tomli-w``.
 
-Noise models and biases as a small TOML file: ``slam-compare calibrate`` writes it, ``slam-compare run --noise`` reads it.
+A noise file has noise models and biases: ``slam-compare calibrate`` writes it (`write_noise`), ``slam-compare run --noise``
+reads it (`read_noise`).
 
     [motion]        # the numbers of `graphslam.MotionModel`; absent where the log has no controls
     nn = 0.19

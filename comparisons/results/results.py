@@ -1,9 +1,8 @@
-"""`EstimatorResult`, what one estimator made of one log, and `Row`, all figures of it for tables, JSON and its schema.
+"""`EstimatorResult`, the result of one estimator on one log, and `Row`, all its numbers for tables, JSON and the schema.
 
-The ids that an estimator gave the sightings itself: the sightings of each landmark by them, and what they are worth.
-
-A result keeps the object from which it was computed. A part that cannot be computed becomes a sentence among its notes, and
-the other parts are still made.
+`FoundIds` are the ids that an estimator gave sightings itself, with their precision and recall; `sightings_of` lists the
+sightings of each landmark by these ids. A result keeps the object from which it was computed. A part that cannot be computed
+becomes a sentence among its notes, and the other parts are still made.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ class EstimatorResult:
         name: of the estimator.
         poses: (T+1, 3) [m, m, rad], headings in [-pi, pi).
         estimated: (T+1,) bool; False where a pose is only the initial guess. Such poses count in no metric.
-        seconds: the estimation alone, without reading, setting up or compiling.
+        seconds: the estimation alone, without reading, setting up or loading modules.
         converged: whether the stop rule was met, or the chains of particle Gibbs have mixed; None where nothing is iterated.
         iterations: their number, of particle Gibbs that of the samples of each chain; 0 where nothing is iterated.
         step_norms: (iterations,) the norm of each correction.
@@ -314,7 +313,7 @@ class FoundIds:
         classes: the class that most sightings of a landmark show, by id; None where none is known.
         unconfirmed: sightings for which another landmark, or clutter, is nearly as likely, or a filter's is not confirmed.
         evidence: logarithm of the evidence for the ids; compares associations of one log; None for filters.
-        doubts: places that may be others; None for filters.
+        ambiguities: places that may be others; None for filters.
         verdict: whether the map can be relied on; None for filters.
     """
 
@@ -330,7 +329,7 @@ class FoundIds:
     classes: Mapping[int, int | str | None] | None = None
     unconfirmed: Count | None = None
     evidence: float | None = None
-    doubts: tuple[Ambiguity, ...] | None = None
+    ambiguities: tuple[Ambiguity, ...] | None = None
     verdict: Verdict | None = None
 
 
@@ -385,7 +384,7 @@ def found_ids(log: Log, result: EstimatorResult, scores: AssociationScore | None
         classes=None if log.classes is None else classes,
         unconfirmed=None if result.unconfirmed is None else int(np.sum(result.unconfirmed & given)),
         evidence=None if found is None else found.evidence,
-        doubts=None if found is None else found.ambiguities,
+        ambiguities=None if found is None else found.ambiguities,
         verdict=None if found is None else found.verdict,
         **({} if scores is None else vars(scores)),
     )

@@ -1,7 +1,4 @@
-"""The figures of a comparison, of a log before it is solved, and of an evaluation.
-
-A log before it is solved: dead reckoning with all sightings, when each landmark was seen, histograms.
-"""
+"""The figures of a comparison, of a log before it is solved, and of an evaluation."""
 
 from __future__ import annotations
 

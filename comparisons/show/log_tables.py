@@ -1,8 +1,7 @@
-"""Tables of logs: what an import found, a log before it is solved, and estimates of any program against the truth.
+"""Tables of logs: imports, logs before they are solved, evaluations of any program's estimates, data sets, calibrations.
 
-The data sets at hand, and the noise models that a calibration finds in a log.
-
-Plots in plain characters: histograms, a path with landmarks seen from above, and that of the online solver.
+`bars`, `plan` and `pictures` draw in plain characters: histograms, a path with landmarks seen from above, and the path of the
+online solver as it grows.
 """
 
 from __future__ import annotations

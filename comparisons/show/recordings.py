@@ -1,8 +1,7 @@
-"""The contents of a recording of a comparison: each estimate's poses over time with covariances, and its map.
+"""Recordings of a comparison: each estimate's poses over time with covariances, and its map, as MCAP or for Rerun.
 
-Results as MCAP with messages of ROS 2, for Foxglove, RViz and every other reader of bags.
-
-Topics of each estimate, NAME with underscores (and of the ground truth, truth)::
+`write_mcap` writes messages of ROS 2, for Foxglove, RViz and every other reader of bags. Topics of each estimate, NAME with
+underscores (and of the ground truth, truth)::
 
     /NAME/pose        geometry_msgs/PoseWithCovarianceStamped   at the time of each pose
     /NAME/path        nav_msgs/Path                             the whole drive, at its beginning
@@ -14,9 +13,8 @@ Topics of each estimate, NAME with underscores (and of the ground truth, truth):
 
 Stamps are by the clock of the log, so that the file can be opened beside the bag that the log came from.
 
-Results as a recording of Rerun (.rrd).
-
-Entities of each estimate NAME, and of the ground truth, truth; the timeline "time" counts seconds since the first pose::
+`write_rerun` writes a recording of Rerun (.rrd). Entities of each estimate NAME, and of the ground truth, truth; the timeline
+"time" counts seconds since the first pose::
 
     NAME/pose        the robot as a point and an arrow; x, y, heading and their covariance as numbers in full precision
     NAME/path        the whole drive

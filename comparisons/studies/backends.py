@@ -1,10 +1,9 @@
 """Pose graphs solved by this solver, GTSAM and g2o: cost by one evaluator, time, and whether each converged.
 
-Pose graphs through other optimisers: GTSAM with its native factors, and g2o.
-
-Each peer gets the nodes, edges and initial values of a `Graph` and returns the state at the end. The between factors are
-GTSAM's own (C++). Their residual is the logarithm of g2o's error, which is the same close to the optimum but not far from
-it, so a peer may end at a slightly different point. The cost of every state is computed by `Graph.cost`.
+The peers are GTSAM with its native factors (`gtsam_peer`) and g2o (`g2o_peer`). Each gets the nodes, edges and initial values
+of a `Graph` and returns the state at the end. The between factors are GTSAM's own (C++). Their residual is the logarithm of
+g2o's error, which is the same close to the optimum but not far from it, so a peer may end at a slightly different point. The
+cost of every state is computed by `Graph.cost`.
 """
 
 from __future__ import annotations
@@ -295,7 +294,7 @@ def compare_backends(
 ) -> BackendComparison:
     """Optimise pose graphs with several backends: first pose fixed, the file's initial values, the same stop rule.
 
-    Each backend runs ``repeat`` times, after a run on a tiny graph that loads or compiles its code; its time is the
+    Each backend runs ``repeat`` times, after a run on a tiny graph that loads its modules; its time is the
     median. GTSAM and g2o prepare their graph before the time is measured; our pattern, ordering and start count.
 
     Args:
@@ -382,7 +381,7 @@ def _backend(name: str, graph: Graph, initialize: str, max_iterations: int) -> C
 
 @cache
 def _warm_up(name: str) -> None:
-    """Solve a square with a landmark, so that a backend compiles or loads its code before the measurement."""
+    """Solve a square with a landmark, so that a backend loads its modules before the measurement."""
     lines = [f"VERTEX_SE2 {k} {k % 2} {k // 2} 0\nEDGE_SE2 {k} {(k + 1) % 4} 1 0 1.57 1 0 0 1 0 1" for k in range(4)]
     lines += ["VERTEX_XY 4 2 2", "EDGE_SE2_XY 0 4 2 2 1 0 1", "EDGE_SE2_XY 1 4 2 -1 1 0 1"]
     with TemporaryDirectory() as folder:

@@ -49,7 +49,7 @@ class ParticleRun:
             ``smoothing`` that of the mean of the trajectories drawn backwards.
         ess_share: mean of ESS / N over the steps with sightings, before resampling.
         ancestors: how many distinct particles of the step half-way have descendants at the end.
-        seconds: the whole run, without compiling.
+        seconds: the whole run, without loading modules.
     """
 
     name: str

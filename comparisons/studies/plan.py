@@ -1,6 +1,6 @@
 """A study file and the list of its runs: logs x simulator settings x seeds x estimators x options.
 
-The log of a simulated world that a study file describes.
+`simulated_log` makes the log of a simulated world that a study file describes.
 """
 
 from __future__ import annotations

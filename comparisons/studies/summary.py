@@ -3,7 +3,7 @@
 A method is an estimator with its varied options. A log is a file, or a simulated world with its varied settings, of which
 each seed makes another log.
 
-The files are its rows as CSV or JSON lines, and its summary as CSV.
+Files have the rows of a study as CSV or JSON lines, and its summary as CSV.
 
 The bootstrap interval of a median says how far it would move if other logs had been drawn.
 """

@@ -1,8 +1,7 @@
 """Execute the runs that a study lacks, here or on a Dask cluster, and write a row as each run ends.
 
-On an existing cluster (the extra ``cluster``) each worker of the cluster has a pool of local processes.
-
-A worker of Dask cannot stop a run or survive its crash, so its pool does, as on a single machine.
+On an existing cluster (the extra ``cluster``) each worker of the cluster has a pool of local processes:
+a worker of Dask cannot stop a run or survive its crash, so its pool does, as on a single machine.
 """
 
 from __future__ import annotations

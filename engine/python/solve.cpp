@@ -11,8 +11,8 @@
 #include "bindings.hpp"
 #include "vmslam/solve/graduated.hpp"
 #include "vmslam/solve/grow.hpp"
+#include "vmslam/solve/restarts.hpp"
 #include "vmslam/solve/start.hpp"
-#include "vmslam/solve/turns.hpp"
 
 namespace vmslam::python::solve_bindings {
 
@@ -236,17 +236,18 @@ void bind_objectives(nb::module_& m) {
           });
     m.def("most_steps_of_growth", [](Index poses, Index each) { return Growth{poses, each, {}, {}, {}}.most_steps(); });
     // the state (n, 3), or None where no other turn leads to a lower one, and the number of steps
-    m.def("lowered_by_turns", [](Objective& graph, In<double> state, In<double> motions, In<double> variances, double limit) {
-        const std::vector<double> from = copy_of(state);
-        Lowered lowered;
-        {
-            const nb::gil_scoped_release others;
-            lowered = lowered_by_turns(graph, from, {span(motions), span(variances)}, limit);
-        }
-        std::optional<Out<double>> to;
-        if (lowered.state) to = state_array(lowered.state->data(), lowered.state->size());
-        return std::pair(to, lowered.steps);
-    });
+    m.def("lowered_by_restarts",
+          [](Objective& graph, In<double> state, In<double> motions, In<double> variances, double limit) {
+              const std::vector<double> from = copy_of(state);
+              Lowered lowered;
+              {
+                  const nb::gil_scoped_release others;
+                  lowered = lowered_by_restarts(graph, from, {span(motions), span(variances)}, limit);
+              }
+              std::optional<Out<double>> to;
+              if (lowered.state) to = state_array(lowered.state->data(), lowered.state->size());
+              return std::pair(to, lowered.steps);
+          });
     nb::class_<PythonObjective, Objective>(m, "PythonObjective").def(nb::init<nb::object>());
 }
 

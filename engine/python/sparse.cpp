@@ -63,8 +63,6 @@ void bind_symbolic(nb::module_& m) {
     nb::class_<Symbolic>(m, "Symbolic")
         .def_prop_ro(
             "order", [](const Symbolic& s) { return array(s.order); }, nb::rv_policy::move)
-        .def_prop_ro(
-            "row_length", [](const Symbolic& s) { return array(s.row_length); }, nb::rv_policy::move)
         .def_prop_ro("supernodes", &Symbolic::supernodes)
         .def_prop_ro("numbers", [](const Symbolic& s) { return s.panel_start.back(); })
         .def_ro("parts", &Symbolic::parts)
@@ -100,13 +98,10 @@ auto bind_factor(nb::module_& m, const char* name) {
                 return f.solve(span(b), span(x));
             },
             release())
-        .def("forward_square", [](F& f, In<Value> b) { return f.forward_square(span(b)); })
-        .def("null_vector",
-             [](const F& f, Index pivot) {
-                 const std::size_t nodes = f.symbolic().order.size(), rows = Block::rows;
-                 return array(f.null_vector(pivot), {nodes, rows});
-             })
-        .def("magnitude_square", [](const F& f, In<double> v) { return array(f.magnitude_square(span(v))); });
+        .def("null_vector", [](const F& f, Index pivot) {
+            const std::size_t nodes = f.symbolic().order.size(), rows = Block::rows;
+            return array(f.null_vector(pivot), {nodes, rows});
+        });
 }
 
 void bind_inverse(nb::module_& m) {

@@ -136,10 +136,10 @@ void test_other_turns() {
         return std::accumulate(costs.begin(), costs.end(), 0.0);
     };
     expect(wrong.converged && cost(wrong.state) > cost(best.state) + 1, "a wrong minimum", 0);
-    const solve::Lowered lowered = graph.lowered_by_turns(wrong.state);
+    const solve::Lowered lowered = graph.lowered_by_restarts(wrong.state);
     expect(lowered.state && std::abs(cost(*lowered.state) - cost(best.state)) < 1e-6, "another turn leads out of it", 0);
-    expect(!graph.lowered_by_turns(best.state).state, "no turn leads below the minimum", 0);
-    expect(graph.lowered_by_turns(wrong.state, 0).steps == 0, "no steps are left", 0);
+    expect(!graph.lowered_by_restarts(best.state).state, "no turn leads below the minimum", 0);
+    expect(graph.lowered_by_restarts(wrong.state, 0).steps == 0, "no steps are left", 0);
 }
 
 void test_loose() {

@@ -2,9 +2,8 @@
 
 from .ambiguity import Ambiguity
 from .assignment import ids_by_map
-from .associate import Association, AssociationScore, associate_from, score
+from .associate import Association, AssociationScore, associate_from, known_noise, score
 from .problem import AssociationOptions
-from .unknown_robot import known_noise
 
 __all__ = [
     "Association",

@@ -25,13 +25,13 @@ from ..log.join import end_to_end
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose, in_frame
 from ..solvers.solve import solve
+from .assignment import evidence
 from .associate import associate_from
-from .evidence import evidence
 from .map_solution import Problem
 from .problem import AssociationOptions
 from .refining import refine
 
-#: so many landmarks of two maps have to agree
+#: the fewest landmarks of two maps that have to agree
 FEWEST = 5
 
 
@@ -145,4 +145,4 @@ def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
     if found is None:
         return joined, -np.inf
     ids = np.where(found.labels < 0, UNIDENTIFIED, found.labels)
-    return joined.replace(landmarks=ids, initial_poses=found.solved.poses), evidence(problem, found.solved)
+    return joined.replace(landmarks=ids, initial_poses=found.solution.poses), evidence(problem, found.solution)

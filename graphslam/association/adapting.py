@@ -1,18 +1,17 @@
 """What a first association tells: the slip of the robot sideways, and parameters; and a competition of several starts.
 
-The noise of motions is independent from one motion to the next, but slip on grass or on a slope lasts for minutes. In a
-single motion it is small, and over long ways it adds up to far more than the model allows. Then odometry bends the map. So
-motions are compared with the sightings over long ways. The graph is solved with motions that hardly hold the robot
+**Slip.** The noise of motions is independent from one motion to the next, but slip on grass or on a slope lasts for minutes.
+In a single motion it is small, and over long ways it adds up to far more than the model allows. Then odometry bends the map.
+So motions are compared with the sightings over long ways. The graph is solved with motions that hardly hold the robot
 sideways, with the variance c; r_t is what remains sideways of motion t, in the axes of its start, less the mean. R are the
 sums of r over windows of N motions, V their variances by the solution. If sightings alone give a sum the variance s²,
 then R = k (slip + error) with k = N c / (N c + s²) and V = k s². Therefore
 
     k = 1 - V / (N c),    variance of a motion = mean of (R² / k² - V / k) / N.
 
-Several starts of an association compete by evidence, until two of them end alike.
-
-One start may end in a wrong association that no single change improves. Another one, with other random numbers or by
-another method, then ends elsewhere. Starts that end alike are the cheapest sign that the search did not fail.
+**Competition.** Several starts of an association compete by evidence until two of them end alike (`compete`). One start may
+end in a wrong association that no single change improves. Another one, with other random numbers or by another method, then
+ends elsewhere. Starts that end alike are the cheapest sign that the search did not fail.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from ..solvers.solve import solve
 from ..solvers.uncertainty import Uncertainty
-from .evidence import evidence
+from .assignment import evidence
 from .map_solution import Backbone, MapSolution, Problem
 from .problem import Densities, Field
 from .refining import PROMISING, Refined, SearchResult, refine, search
 
-#: slip is looked for over windows of one part in so many of the log, where such a window has at least so many motions
+#: the number of windows of a log over which slip is looked for, and the fewest motions of such a window
 WINDOWS, SHORTEST = 30, 10
 #: the standard deviation sideways of motions that hardly hold the robot, over the median distance of a motion
 LOOSE = 0.1
-#: the noise model stays unless the slip has more than so many times its variance
+#: the noise model is changed where the variance of the slip is more than this many times that of the model
 MIN_VARIANCE_RATIO = 10.0
-#: windows are left out where the sightings determine less than this part of the sum
+#: the least k of a window that counts: the share of the sum that the sightings determine
 MIN_DETERMINED = 0.5
-#: parameters that change by less than this part of their standard deviations have settled
+#: parameters have settled where they change by less than this [standard deviations]
 FINE = 0.3
 #: the most times that parameters are estimated from the ids, and ids found in the corrected log
 FITS = 5
@@ -92,17 +91,17 @@ def slipping(robot: Robot, labels: np.ndarray, poses: Array) -> Robot:
     if loose**2 <= robot.motion.epsilon:
         return robot
     free = replace(robot, motion=replace(robot.motion, epsilon=loose**2))
-    solved = MapSolution.of(free.backbone, labels, poses)
-    motions = solved.graph.families[-1]
-    ends = motions.linearize(solved.state, solved.state)
+    solution = MapSolution.of(free.backbone, labels, poses)
+    motions = solution.graph.families[-1]
+    ends = motions.linearize(solution.state, solution.state)
     count = T // N
     window, r = np.arange(count * N) // N, ends.residuals[: count * N, 1]
     sums = np.bincount(window, r - r.mean())
-    rows = np.zeros((*solved.state.shape, count))
+    rows = np.zeros((*solution.state.shape, count))
     for nodes, B in zip(ends.nodes, ends.jacobians):
         # no node begins, or ends, two motions
         rows[nodes[: count * N], :, window] += B[: count * N, 1]
-    V = np.einsum("nic,nic->c", rows, Uncertainty(solved.graph, solved.state).solve(rows))
+    V = np.einsum("nic,nic->c", rows, Uncertainty(solution.graph, solution.state).solve(rows))
     k = 1 - V / (N * loose**2)
     informed = k > MIN_DETERMINED
     if np.count_nonzero(informed) < count / 2:
@@ -151,14 +150,14 @@ def adapted(robot: Robot, refined: Refined, estimate: Mapping[str, float], probl
     """
     given = robot
     if problem.options.slip:
-        robot = slipping(robot, refined.labels, refined.solved.poses)
-    poses = refined.solved.poses
+        robot = slipping(robot, refined.labels, refined.solution.poses)
+    poses = refined.solution.poses
     for _ in range(FITS if estimate else 0):
         before = robot.estimate
         robot, poses = fitted(robot, given.log, given.sensor, refined.labels, poses, estimate)
         if robot.settled(before) or (end := again(robot.applied(problem), refined, poses)) is None:
             break
-        refined, poses = end, end.solved.poses
+        refined, poses = end, end.solution.poses
     return robot
 
 
@@ -167,12 +166,12 @@ def again(problem: Problem, refined: Refined, poses: Array) -> Refined | None:
     return refine(replace(problem, densities=refined.densities), refined.labels, poses)
 
 
-#: a trajectory is another one if, aligned, it is this much of its standard deviation away, root mean square, but at least
-#: this part of the greatest range
+#: two aligned trajectories differ where the root mean square of their distance is above this [standard deviations of the
+#: trajectory], and above this share of the greatest range
 APART, LEAST = 0.5, 1e-3
-#: fewer sightings with a landmark, and one more for each parameter, are no association where most are clutter
+#: the fewest sightings with a landmark of an association in which most are clutter; one more for each parameter
 LEAST_SEEN = 3
-#: the standard deviation is that of at most so many poses
+#: the most poses from which the standard deviation of a trajectory is computed
 EXAMINED = 24
 
 #: ids (M,) and poses (T+1, 3)
@@ -200,27 +199,27 @@ class Competition:
         return int(np.argmax(self.values))
 
 
-def spread(solved: MapSolution) -> float:
+def spread(solution: MapSolution) -> float:
     """The standard deviation of the positions of a solved graph beside moves of the whole, root mean square [m].
 
     With C the joint covariance of the positions of some poses, and P the projection that takes rigid motions out, it is the
     root of tr(P C P) per pose.
     """
-    graph, chosen = solved.graph, evenly(len(solved.graph.steps), EXAMINED)
+    graph, chosen = solution.graph, evenly(len(solution.graph.steps), EXAMINED)
     K = len(chosen)
-    right = np.zeros((*solved.state.shape, 2 * K))
+    right = np.zeros((*solution.state.shape, 2 * K))
     for axis in (0, 1):
         right[chosen, axis, axis * K + np.arange(K)] = 1.0
-    C = Uncertainty(graph, solved.state).solve(right)[chosen, :2].transpose(1, 0, 2).reshape(2 * K, 2 * K)
-    x, y = (solved.poses[chosen, :2] - solved.poses[chosen, :2].mean(axis=0)).T
+    C = Uncertainty(graph, solution.state).solve(right)[chosen, :2].transpose(1, 0, 2).reshape(2 * K, 2 * K)
+    x, y = (solution.poses[chosen, :2] - solution.poses[chosen, :2].mean(axis=0)).T
     one, none = np.ones(K), np.zeros(K)
     rigid = np.linalg.qr(np.array([[*one, *none], [*none, *one], [*-y, *x]]).T)[0]
     return float(np.sqrt(max(np.trace(C) - np.trace(rigid.T @ C @ rigid), 0.0) / K))
 
 
-def tolerance(solved: MapSolution, field: Field) -> float:
+def tolerance(solution: MapSolution, field: Field) -> float:
     """The distance [m] up to which two trajectories count as the same."""
-    return max(APART * spread(solved), LEAST * field.farthest)
+    return max(APART * spread(solution), LEAST * field.farthest)
 
 
 def compete(
@@ -252,11 +251,11 @@ def compete(
         return None
     # the robot's parameters from the best of them are used for all
     shared = Densities.mean([end.densities for end in firsts])
-    likely = int(np.argmax([evidence(replace(problem, densities=shared), end.solved) for end in firsts]))
+    likely = int(np.argmax([evidence(replace(problem, densities=shared), end.solution) for end in firsts]))
     given, robot = robot, adapted(robot, firsts[likely], names, problem)
     if robot is not given:
         problem = robot.applied(problem)
-        firsts = [end for each in firsts if (end := again(problem, each, each.solved.poses)) is not None] or firsts
+        firsts = [end for each in firsts if (end := again(problem, each, each.solution.poses)) is not None] or firsts
     ends: list[SearchResult] = []
     begun: list[Refined] = []
     while True:
@@ -266,11 +265,11 @@ def compete(
             ends.append(ends[same[0]] if same else search(problem, each))
             begun.append(each)
         shared = Densities.mean([end.refined.densities for end in ends])
-        values = [evidence(replace(problem, densities=shared), end.refined.solved) for end in ends]
-        best = ends[int(np.argmax(values))].refined.solved
+        values = [evidence(replace(problem, densities=shared), end.refined.solution) for end in ends]
+        best = ends[int(np.argmax(values))].refined.solution
         near = tolerance(best, problem.field)
         alike = [
-            value > max(values) - PROMISING and ate(best.poses, end.refined.solved.poses) <= near
+            value > max(values) - PROMISING and ate(best.poses, end.refined.solution.poses) <= near
             for value, end in zip(values, ends, strict=True)
         ]
         if sum(alike) >= options.agreeing > 0 or not waiting:

@@ -1,23 +1,15 @@
-"""Alternatives to an association: places that may have been taken for others, and with what evidence.
+"""Alternatives to an association: places that may have been taken for others, and the evidence for them.
 
-What the criterion takes for chance it cannot doubt: in it landmarks are distributed at random, so two places that look
-alike are taken for one wherever odometry allows it, unless the drive itself has shown that there are two.
+The evidence assumes that landmarks are distributed at random. So two places that look alike are taken for one wherever
+odometry allows it, without a doubt, unless the drive itself has shown that there are two.
 
 A return begins where landmarks are seen again that were out of sight for long, an arrival where new ones are seen after a
 blind stretch. All sightings from there on are taken for new landmarks (those in sight all along excepted), the graph is
 solved, and the joint evidence for the association that was found is compared with that of the best alternatives in which
 every landmark of the return is another one, or new.
 
-The time out of sight is measured by a clock in steps that counts blind stretches as more steps. Within a moment of this
-clock, odometry determines well enough where landmarks that were just seen must be.
-
-Alternatives are the k best joint hypotheses, also where the prior covariance is so large that no single pair is significant.
-
-After a long drive without sightings no pair of a new and an old landmark is likely by itself, but the second pair
-is, given the first, because both move together. So a hypothesis begins with a seed: a first pair, whatever its own
-evidence, then one of the pairs with the most evidence given the first, and so on while the evidence rises. Given the pairs
-so far, residuals and covariance of all others are conditioned on them (Schur complements), so that the sum of the steps is
-the joint evidence E of `hypotheses`.
+The time out of sight is measured by a clock in steps that counts blind stretches as more steps (`clock`). Within a moment of
+this clock, odometry determines well enough where landmarks that were just seen must be.
 """
 
 from __future__ import annotations
@@ -28,7 +20,7 @@ import numpy as np
 
 from ..engine import engine
 from ..se2 import Array, difference
-from .evidence import log_density
+from .assignment import log_density
 from .map_solution import MapSolution, Problem, difference_covariance
 from .problem import agree, id_of_each
 
@@ -47,6 +39,12 @@ class Hypothesis:
 @dataclass(frozen=True, eq=False)
 class CandidatePairs:
     """Pairs (C,) of an item and an older landmark, with what is needed to weigh them jointly.
+
+    After a long drive without sightings the covariance is so large that no pair is likely by itself. But the second pair is
+    likely given the first, because both move together. So a hypothesis begins with a seed: a first pair, whatever its own
+    evidence, then one of the pairs with the most evidence given the first, and so on while the evidence rises. Given the
+    pairs so far, residuals and covariance of all others are conditioned on them (Schur complements), so that the sum of the
+    steps is the joint evidence E of `assignment.Candidates`.
 
     Attributes:
         item, landmark: (C,) numbers from 0.
@@ -105,9 +103,9 @@ def _best(members: np.ndarray, evidence: Array, most: int) -> list[Hypothesis]:
     return list(found.values())
 
 
-#: the most landmarks of what follows a return that are weighed
+#: the most landmarks after a return that are compared with older ones
 MOST_ITEMS = 40
-#: and the most pairs
+#: the most pairs of such a landmark and an older one
 MOST_PAIRS = 300
 #: the most that nu' S^-1 nu of a pair may be: several pairs can outweigh odometry that is far off
 GATE = 100.0
@@ -174,27 +172,27 @@ class Alternative:
 
 
 def all_alternatives(
-    problem: Problem, solved: MapSolution, *, most: int, events: int | None = None
+    problem: Problem, solution: MapSolution, *, most: int, events: int | None = None
 ) -> list[Alternative]:
-    """The best alternatives, at most so many each, of the returns and arrivals after the longest absence."""
+    """The best alternatives, at most ``most`` each, of the ``events`` returns and arrivals after the longest absence."""
     log = problem.log
     labels = np.full(len(log.steps), -1)
-    labels[solved.rows] = solved.labels[solved.which]
-    # at most so many moments in a drive [steps]
+    labels[solution.rows] = solution.labels[solution.which]
+    # a moment [steps]
     moment = max(problem.options.window, -(-log.num_poses // MOST_MOMENTS))
     times = clock(problem, moment)
     at = returns(log.steps, times, labels, moment) + arrivals(log.steps, times, labels, moment)
     found = []
     for back in sorted(at, key=lambda each: times[each.last] - times[each.step])[:events]:
         near = np.abs(times - times[back.step])[log.steps] <= moment
-        found += alternatives(problem, solved, labels, back, near, most)
+        found += alternatives(problem, solution, labels, back, near, most)
     return found
 
 
 def alternatives(
-    problem: Problem, solved: MapSolution, labels: np.ndarray, back: Return, near: np.ndarray, most: int
+    problem: Problem, solution: MapSolution, labels: np.ndarray, back: Return, near: np.ndarray, most: int
 ) -> list[Alternative]:
-    """The best alternatives of a return, at most so many, the best first; ``near`` (M,) sightings are of its moment."""
+    """The best alternatives of a return, at most ``most``, the best first; ``near`` (M,) sightings are of its moment."""
     backbone, after = problem.backbone, problem.log.steps >= back.step
     before_it = np.unique(labels[~after & (labels >= 0)])
     # landmarks that stay in sight tie both parts of the drive together in any alternative
@@ -205,11 +203,11 @@ def alternatives(
         return []
     first = {int(j): int(np.argmax((labels == j) & after)) for j in again}
     again = np.array(sorted(again, key=lambda j: first[int(j)])[:MOST_ITEMS])
-    fresh, apart = 0, solved
+    fresh, apart = 0, solution
     if np.isin(again, before_it).any():
         fresh = int(labels.max()) + 1
         split = np.where(after & np.isin(labels, again), labels + fresh, labels)
-        apart = MapSolution.of(backbone, split, solved.poses)
+        apart = MapSolution.of(backbone, split, solution.poses)
     place = {int(label): k for k, label in enumerate(apart.labels)}
     items = np.array([place[int(j) + fresh] for j in again])
     older = np.array([place[int(j)] for j in before_it])
@@ -269,9 +267,9 @@ def _pairs(
     return CandidatePairs(item, other, nu, covariance, weights, GATE), item, other
 
 
-#: a stretch is blind if it leaves landmarks a standard deviation above this part of their distance from each other
+#: a stretch is blind where odometry leaves landmarks a standard deviation above this share of their distance from each other
 CERTAIN = 1 / 6
-#: at most so many moments in a drive
+#: the most moments of a drive
 MOST_MOMENTS = 150
 
 

@@ -1,10 +1,9 @@
 """`associate_from`: ids for sightings without; `Verdict`: whether they can be trusted; `score`: compared with true ids.
 
-The verdict separates good maps from bad ones, calibrated on simulated logs.
-
-A map is good where the ATE is at most 1.5 times that of the same graph with the true ids. The criterion is how much more
-likely the map is than any other one with another trajectory that the search has met, and whether several starts found it.
-`docs/beyond/association.md` has the shares of errors.
+`known_noise` finds ids and the noise of the robot in turn. The verdict separates good maps from bad ones, calibrated on
+simulated logs: a map is good where the ATE is at most 1.5 times that of the same graph with the true ids. The criterion is
+how much more likely the map is than any other one with another trajectory that the search has met, and whether several starts
+found it. `docs/beyond/association.md` has the shares of errors.
 """
 
 from __future__ import annotations
@@ -18,8 +17,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import GraphError, LogError, OptionError, quoted
-from ..errors.checks import array_of, check_known, check_type
-from ..identification.declared import ParameterEstimate, parsed
+from ..errors.checks import array_of, check_choice, check_known, check_type
+from ..identification.corrections import without_biases
+from ..identification.declared import PLACE, ParameterEstimate, parsed
+from ..identification.result import RobotEstimate, not_used, with_book
+from ..identification.robot import AUTO, BOOK, enough_ids, estimate_robot, known_robot, unknown_noise
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..log.measurements import MEASURED
@@ -36,7 +38,7 @@ from .refining import TRIAL_ROUNDS
 
 #: the evidence for a reliable map over that for any other one [nats]; with 30, one of 42 maps called good was bad
 MIN_LEAD = 40.0
-#: so many starts have to end alike
+#: the fewest starts of a reliable map that have to end alike
 ALIKE = 2
 
 
@@ -71,13 +73,13 @@ class Verdict:
 def verdict(competition: Competition, field: Field) -> Verdict:
     """The verdict on the best end of a competition."""
     k = competition.best
-    best = competition.ends[k].refined.solved
+    best = competition.ends[k].refined.solution
     near = tolerance(best, field)
     gaps, agreeing = [np.inf], 0
     for value, end in zip(competition.values, competition.ends, strict=True):
         behind = competition.values[k] - value
-        found: list[tuple[float, Array]] = [(0.0, end.refined.solved.poses), *end.rivals]
-        agreeing += ate(best.poses, end.refined.solved.poses) <= near
+        found: list[tuple[float, Array]] = [(0.0, end.refined.solution.poses), *end.rivals]
+        agreeing += ate(best.poses, end.refined.solution.poses) <= near
         gaps += [behind + gap for gap, poses in found if ate(best.poses, poses) > near]
     lead = float(min(gaps))
     reasons: list[str] = []
@@ -96,7 +98,7 @@ def verdict(competition: Competition, field: Field) -> Verdict:
 
 #: a function that finds a start when it is needed
 Begin = Callable[[], Start]
-#: so many doubts become notes of their own
+#: the most ambiguities that become notes of their own
 MOST_NOTES = 3
 
 
@@ -118,8 +120,8 @@ class Association:
         parameters: the estimated parameters of vehicle and sensor, or None. ``poses`` are those of the corrected log.
         ambiguities: places that may have been taken for others, the most doubtful first.
         verdict: whether the map can be relied on, and why not.
-        evidence: E of `association.evidence`, the logarithm of the evidence for these ids, to compare associations of one
-            log.
+        evidence: E of `association.assignment.evidence`, the logarithm of the evidence for these ids, to compare associations
+            of one log.
         options: what was used.
         seconds: the time it took [s].
         notes: what the user should know, one sentence each.
@@ -292,12 +294,12 @@ def _report(
 ) -> Association:
     """The association of the log as it was recorded, found with another robot."""
     robot, values, end = competition.robot, competition.values, competition.ends[competition.best]
-    refined, graph = end.refined, end.refined.solved.graph
+    refined, graph = end.refined, end.refined.solution.graph
     name = np.append(names_of(refined.labels, given.log.landmarks), UNIDENTIFIED)
     found = Association(
         of=log, ids=name[refined.labels],
-        margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solved.poses, rounds=refined.rounds,
-        settled=refined.settled, cost_per_dof=refined.solved.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
+        margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solution.poses, rounds=refined.rounds,
+        settled=refined.settled, cost_per_dof=refined.solution.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
         parameters=robot.estimate, ambiguities=ambiguities(end.alternatives, options.factor, name),
         verdict=verdict(competition, Field.of(robot.log, robot.sensor)), evidence=max(values), options=options,
         seconds=seconds, notes=(),
@@ -414,3 +416,74 @@ def score(ids: np.ndarray, true_ids: np.ndarray) -> AssociationScore:
         invented=int(np.sum(most[unmatched] < clutter[unmatched])),
         matches=matches,
     )
+
+
+def known_noise(
+    log: Log, noise: str | None = None, motion: MotionModel | None = None, sensor: SensorModel | None = None
+) -> tuple[Log, RobotEstimate | None]:
+    """`known_robot` for all logs: where too few sightings have ids, ids and robot are found in turn (`robot_of`).
+
+    The log keeps its sightings without ids; they are corrected by the biases that were found.
+
+    Args:
+        noise: as for `known_robot`.
+        motion, sensor: the noise with which ids are found first; default: that of the log, else the book's.
+
+    Raises:
+        OptionError: there is no such choice of ``noise``.
+        LogError, GraphError: the log does not determine its noise, and ``noise`` is "auto".
+    """
+    if noise is not None:
+        check_choice("noise", noise, (AUTO, BOOK))
+    if noise == BOOK or (noise is None and not unknown_noise(log)) or enough_ids(log):
+        return known_robot(log, noise)
+    try:
+        found, notes = robot_of(log, motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel())
+    except (GraphError, LogError) as error:
+        if noise == AUTO:
+            raise
+        return with_book(log, error), None
+    known = _corrected(log, found)
+    notes = (*known.notes, *found.sentences, *not_used(log), *notes)
+    return known.replace(uncertain=found.log.uncertain, notes=notes), found
+
+
+def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotEstimate, tuple[str, ...]]:
+    """`estimate_robot`, and notes; where too few sightings have ids, ids and robot are found in turn.
+
+    Noise models that are too wide hide wrong ids, and wrong ids change the noise. So ids are found with the noise to begin
+    with, then the robot, then ids in the corrected log with the noise that was found, and then the robot again.
+
+    Args:
+        log: with controls.
+        motion, sensor: the noise with which ids are found first, and where the sensor is believed to be.
+
+    Raises:
+        LogError, GraphError: no ids can be found, or the log does not tell the noise.
+    """
+    if enough_ids(log):
+        return estimate_robot(log, sensor=sensor), ()
+    named, note = _with_found_ids(log, log, motion, sensor)
+    found = estimate_robot(named, sensor=sensor)
+    try:
+        named, again = _with_found_ids(log, _corrected(log, found), found.motion, found.sensor)
+        return estimate_robot(named, sensor=sensor), (again,)
+    except (LogError, GraphError) as error:
+        return found, (note, f"ids were found only once, because with the noise that was found {error}")
+
+
+def _corrected(log: Log, found: RobotEstimate) -> Log:
+    """The log without the biases that were found, with the noise that was found as its own."""
+    biases = {name: value for name, value in zip(found.parameters.names, found.parameters.values) if name not in PLACE}
+    corrected = without_biases(log, motion=found.motion, sensor=found.sensor, **biases)
+    return corrected.replace(motion=found.motion, sensor=found.sensor, control_variances=found.log.control_variances)
+
+
+def _with_found_ids(log: Log, corrected: Log, motion: MotionModel, sensor: SensorModel) -> tuple[Log, str]:
+    """The log with the ids that `associate_from` finds in the corrected log, without clutter, and a note."""
+    found = associate_from(corrected, motion=motion, sensor=sensor)
+    kept = found.ids != UNIDENTIFIED
+    # landmarks that were found are not those of the true map
+    named = log.with_sightings(kept, landmarks=found.ids[kept], initial_poses=found.poses, true_landmarks=None)
+    note = f"noise and biases were estimated with {found.landmarks} landmarks that were found in sightings without ids"
+    return named, note

@@ -1,10 +1,8 @@
 """Association along the drive: tracks from a local filter, joined to landmarks by graphs of the drive so far.
 
-The local filter is a Kalman filter of the robot and the landmarks that it saw last. It joins sightings of neighbouring scans
-to tracks.
-
-Its state is the pose and the tracks seen within some steps. Older ones are marginalised: whether a track is a landmark that
-was seen before is decided by the graph, not here.
+The local filter (`LocalMap`) is a Kalman filter of the robot and the landmarks that it saw last. It joins sightings of
+neighbouring scans to tracks. Its state is the pose and the tracks seen within some steps. Older ones are marginalised:
+whether a track is a landmark that was seen before is decided by the graph (`run_front_end`), not by the filter.
 """
 
 from __future__ import annotations
@@ -16,12 +14,11 @@ from ..graph import Graph
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, between, compose, difference, perpendicular, turn_matrix, wrap
 from ..solvers.solve import solve
-from .assignment import disjoint, merges
-from .evidence import Candidates, gates, log_density
+from .assignment import Candidates, disjoint, gates, log_density, merges
 from .map_solution import MapSolution, Problem, seen_from
 from .problem import id_of_each, may_be_one
 
-#: a scan compares at most so many hypotheses
+#: the most hypotheses that are compared for a scan
 MOST_IN_SCAN = 1_000
 #: the logarithm of the evidence that a sighting needs to continue a track rather than begin one or belong to another
 SURE = np.log(5.0)
@@ -200,7 +197,7 @@ def nearest(candidates: Candidates) -> np.ndarray:
 
 #: the most solutions of the graph along a drive
 MOST_WINDOWS = 150
-#: so many windows long a landmark that was just found may turn out to be an older one
+#: a new landmark can still be joined to an older one for this many windows after its first sighting
 OPEN = 4
 
 
@@ -249,12 +246,12 @@ def run_front_end(problem: Problem, motion: MotionModel, sensor: SensorModel) ->
             if not np.any(labels >= 0):
                 break
             try:
-                solved = MapSolution.of(backbone, labels, poses)
+                solution = MapSolution.of(backbone, labels, poses)
             except GraphError:
                 # the labels contradict the motions so much that solving diverges; `refine` finds it, too
                 break
-            poses = solved.poses
-            joined = _join(problem, solved, t - OPEN * window)
+            poses = solution.poses
+            joined = _join(problem, solution, t - OPEN * window)
             if not joined:
                 break
             for new, old in joined.items():
@@ -280,13 +277,13 @@ def _join_by_ids(root: np.ndarray, tracks: np.ndarray, known: np.ndarray) -> Non
         root[np.isin(root, roots[1:])] = roots[0]
 
 
-def _join(problem: Problem, solved: MapSolution, since: int) -> dict[int, int]:
+def _join(problem: Problem, solution: MapSolution, since: int) -> dict[int, int]:
     """{new: old} labels of landmarks that are one; ambiguous decisions are left for later."""
-    seen = solved.seen(problem.log.steps)
-    found = merges(problem, solved, np.flatnonzero([steps[0] >= since for steps in seen]))
+    seen = solution.seen(problem.log.steps)
+    found = merges(problem, solution, np.flatnonzero([steps[0] >= since for steps in seen]))
     # one landmark may be near an old one by chance; a place that is seen again has several
     least = np.log(problem.options.factor)
-    ids = id_of_each(solved.which, problem.backbone.known[solved.rows], len(seen))
+    ids = id_of_each(solution.which, problem.backbone.known[solution.rows], len(seen))
     sure = [m for m in found if m.margin >= least and m.evidence >= 2 * least and may_be_one(ids[m.item], ids[m.into])]
     # chains, of which each member was seen with another one, are joined in several rounds
-    return {int(solved.labels[m.item]): int(solved.labels[m.into]) for m in disjoint(sure)}
+    return {int(solution.labels[m.item]): int(solution.labels[m.into]) for m in disjoint(sure)}

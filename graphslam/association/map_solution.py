@@ -1,8 +1,8 @@
 """The graph of sightings with labels, solved: landmarks with their joint covariance from the factor of Omega.
 
-While labels change, the same motions and sightings enter many graphs. A `Backbone` computes them once.
-
-Sightings and landmarks as places in the robot's axes, with derivatives: the Cartesian residual of `edges.observation`.
+While labels change, the same motions and sightings enter many graphs. A `Backbone` computes them once. `Places` and
+`seen_from` give sightings and landmarks as places in the robot's axes: their difference is the Cartesian residual of
+`edges.observation`.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def difference_covariance(P: Array, a: np.ndarray, b: np.ndarray, slack: Array) 
 
 #: the most steps of Gauss-Newton; the values it starts from are nearly right
 STEPS = 8
-#: errors of real sightings are correlated: however many there are, a landmark is known no better than by so many
+#: errors of real sightings are correlated: a landmark is known no better than by this number of independent sightings
 INDEPENDENT = 10
 
 

@@ -17,9 +17,9 @@ the mean of those with turn = `TURN` and 0: a landmark that has moved may have t
 **Gone.** In scan v a landmark is well within the field of view with probability p_v, by the covariances of the pose and of
 the landmark, and one that is there is then seen with probability d. Landmarks are occluded to different degrees: d has a beta
 distribution, estimated from the landmarks that were seen, of each the product over the scans of d or 1 - p_v d. One that was
-never seen is gone with the likelihood 1, and there with E[(1 - d)^n], n the number of scans in which it is in view. Its place
-beside the trajectory is as wrong in one scan as in the next, so that n is that of errors z in range and bearing which all
-scans have in common, each z standard deviations of the scan: the expectation is also one over z (Gauss-Hermite).
+never seen is gone with the likelihood 1, and there with E[(1 - d)^n], n the number of scans in which it is in view. The
+error of its place relative to the trajectory is the same in all scans. Let it be z standard deviations in range and bearing:
+each z gives a number n, and the expectation is also taken over z (Gauss-Hermite quadrature).
 
 Sources: Belsley, Kuh and Welsch, *Regression Diagnostics*, 1980, chapter 2 (deletion of observations); Skellam, *A
 probability distribution derived from the binomial distribution*, JRSS B 1948.
@@ -44,7 +44,7 @@ from ..log import Log
 from ..se2 import Array, wrap
 from ..solvers.solution import Solution
 from ..solvers.solve import solve
-from .evidence import log_density
+from .assignment import log_density
 from .problem import INSIDE, Field
 
 #: standard deviations of the shift [m] and the turn [rad] of a landmark that has moved

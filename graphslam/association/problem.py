@@ -1,17 +1,7 @@
 """What an association of sightings without ids is given: log, options, densities, classes, and ids that are known.
 
-A class, such as the colour of a cone, gives a landmark a log likelihood ratio.
-
-A sighting shows the class of its landmark, or, with the probability of confusion, any of the others. With n classes and
-the counts of the classes that a landmark's sightings have shown, p(c) is the probability that it is of class c, and the
-sighting's class k has the probability sum over c of p(c) P(k given c). Against 1/n, that of a new landmark, this is the
-factor on the evidence. A sighting whose class is not known has the factor 1.
-
-Evidence is compared with the densities of landmarks and of false sightings, and the probability of detection.
-
-Some sightings may have ids: those with one id are of one landmark, and no landmark has two.
-
-Other labels are found as where no sighting has an id, and then changed to agree with the ids.
+Some sightings may have ids: those with one id are of one landmark, and no landmark has two ids. Labels are first found as if
+no sighting had an id, and `held` then changes them to agree with the ids.
 """
 
 from __future__ import annotations
@@ -75,13 +65,18 @@ class AssociationOptions:
         check_options(self)
 
 
-#: a probability below this counts as this much
+#: the least probability of a class
 LEAST = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
 class Classes:
-    """The classes of the sightings of a log; n = 1 where it has none.
+    """The classes of the sightings of a log, such as the colours of cones; n = 1 where it has none.
+
+    A sighting shows the class of its landmark, or, with the probability of confusion, any of the others. With n classes and
+    the counts of the classes that a landmark's sightings have shown, p(c) is the probability that it is of class c, and the
+    sighting's class k has the probability sum over c of p(c) P(k given c). Divided by 1/n, that of a new landmark, this is
+    the factor on the evidence. A sighting whose class is not known has the factor 1.
 
     Attributes:
         shown: (M,) the class of each sighting as a number from 0 to n - 1; n where it is not known.
@@ -137,13 +132,13 @@ class Classes:
         return one - first - second + np.log(self.count)
 
 
-#: the share of sightings that the estimated field of view holds
+#: the share of the sightings that lie within the estimated field of view
 HELD = 0.98
 #: a landmark should be seen only well within the limits of the field
 INSIDE = 0.9
 #: the least share of clutter
 LEAST_CLUTTER = 0.01
-#: a landmark is seen so many times, at least, before the log is known: so much rarer is its first sighting
+#: assumed number of sightings of a landmark, before the log is known: its first sighting is rarer by this factor
 SIGHTINGS = 20
 #: limits of the estimated probability of detection
 DETECTION = (0.3, 0.98)

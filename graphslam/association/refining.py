@@ -9,7 +9,7 @@ better explained as clutter. A landmark with sightings z_k, assigned with square
 
 Laplace's approximation of the evidence for it, C its covariance from its sightings alone.
 
-The search climbs: alternatives are tried, refined, and kept where the total evidence is significantly higher.
+`search` climbs: alternatives are tried, refined, and kept where the total evidence is significantly higher.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ import numpy as np
 from ..errors import GraphError
 from ..se2 import Array, difference
 from .ambiguity import Alternative, all_alternatives
-from .assignment import assign, disjoint, merges
-from .evidence import Visibility, evidence, gates, log_density, log_volume
+from .assignment import Visibility, assign, disjoint, evidence, gates, log_density, log_volume, merges
 from .map_solution import MapSolution, Places, Problem
 from .problem import Densities, held, id_of_each, may_be_one
 
-#: chains of landmarks that are one are merged link by link, at most so often in a round
+#: chains of landmarks that are one are merged link by link; the most links in a round
 MERGING = 4
 
 
-#: the association has settled where a round changes at most this share of the sightings
+#: the association has settled where a round changes the labels of at most this share of the sightings
 SETTLED = 1e-3
 
 
@@ -42,7 +41,7 @@ class Refined:
     """
 
     labels: np.ndarray
-    solved: MapSolution
+    solution: MapSolution
     rounds: int
     settled: bool
     margins: Array
@@ -69,14 +68,14 @@ def _in_turn(problem: Problem, labels: np.ndarray, poses: Array) -> Refined | No
         rounds, before = rounds + 1, labels
         if not np.any(labels >= 0):
             return None
-        solved = _merged(problem, MapSolution.of(backbone, labels, poses))
-        world = backbone.places.seen_at(solved.poses[steps])
-        labels, margins = _assigned(problem, world, solved)
+        solution = _merged(problem, MapSolution.of(backbone, labels, poses))
+        world = backbone.places.seen_at(solution.poses[steps])
+        labels, margins = _assigned(problem, world, solution)
         labels, margins = held(labels, known, steps), np.where(known < 0, margins, np.inf)
         labels = _born(problem, world, labels)
-        labels, densities = _kept(problem, solved, labels)
+        labels, densities = _kept(problem, solution, labels)
         problem = replace(problem, densities=densities)
-        poses, labels = solved.poses, _compact(held(labels, known, steps))
+        poses, labels = solution.poses, _compact(held(labels, known, steps))
         settled = int(np.count_nonzero(labels != before)) <= SETTLED * len(labels)
     if not np.any(labels >= 0):
         return None
@@ -87,11 +86,11 @@ def unrefined(problem: Problem, labels: np.ndarray, poses: Array) -> Refined:
     """The graph of given labels (M,); a sighting that another landmark explains better has no margin."""
     backbone, steps = problem.backbone, problem.log.steps
     labels = _compact(held(labels, backbone.known, steps))
-    solved = MapSolution.of(backbone, labels, poses)
-    better, margins = _assigned(problem, backbone.places.seen_at(solved.poses[steps]), solved)
+    solution = MapSolution.of(backbone, labels, poses)
+    better, margins = _assigned(problem, backbone.places.seen_at(solution.poses[steps]), solution)
     margins = np.where(labels < 0, np.inf, np.where(better == labels, margins, 0.0))
     margins[backbone.known >= 0] = np.inf
-    return Refined(labels, solved, 1, True, margins, problem.densities)
+    return Refined(labels, solution, 1, True, margins, problem.densities)
 
 
 def _compact(labels: np.ndarray) -> np.ndarray:
@@ -104,34 +103,34 @@ def _compact(labels: np.ndarray) -> np.ndarray:
     return number[which]
 
 
-def _merged(problem: Problem, solved: MapSolution) -> MapSolution:
+def _merged(problem: Problem, solution: MapSolution) -> MapSolution:
     """The graph after all landmarks that are more likely one than two are merged."""
     for _ in range(MERGING):
-        root = np.arange(len(solved.labels))
-        found = merges(problem, solved, root, Visibility.of(problem, solved).views)
-        ids = id_of_each(solved.which, problem.backbone.known[solved.rows], len(root))
+        root = np.arange(len(solution.labels))
+        found = merges(problem, solution, root, Visibility.of(problem, solution).views)
+        ids = id_of_each(solution.which, problem.backbone.known[solution.rows], len(root))
         found = [m for m in found if may_be_one(ids[m.item], ids[m.into])]
         if not found:
             break
         for m in disjoint(found):
             root[m.item] = m.into
         labels = np.full(len(problem.log.steps), -1)
-        labels[solved.rows] = root[solved.which]
-        solved = MapSolution.of(problem.backbone, labels, solved.poses)
-    return solved
+        labels[solution.rows] = root[solution.which]
+        solution = MapSolution.of(problem.backbone, labels, solution.poses)
+    return solution
 
 
-def _assigned(problem: Problem, world: Places, solved: MapSolution) -> tuple[np.ndarray, Array]:
+def _assigned(problem: Problem, world: Places, solution: MapSolution) -> tuple[np.ndarray, Array]:
     """The label and the margin (M,) of each sighting: the best assignment of every scan."""
     densities, classes = problem.densities, problem.classes
-    shown = classes.sums(solved.which, solved.rows, len(solved.labels))
+    shown = classes.sums(solution.which, solution.rows, len(solution.labels))
 
     def weights(item: np.ndarray, landmark: np.ndarray) -> Array:
         return densities.seen - densities.clutter + classes.together(classes.of_sightings(item), shown[landmark])
 
-    own = solved.own_covariances + solved.slack
-    chosen, margins = assign(world, problem.log.steps, solved.landmarks, own, problem.options.gate, weights)
-    return np.where(chosen < 0, -1, solved.labels[chosen]), margins
+    own = solution.own_covariances + solution.slack
+    chosen, margins = assign(world, problem.log.steps, solution.landmarks, own, problem.options.gate, weights)
+    return np.where(chosen < 0, -1, solution.labels[chosen]), margins
 
 
 def _born(problem: Problem, world: Places, labels: np.ndarray) -> np.ndarray:
@@ -166,30 +165,30 @@ def _born(problem: Problem, world: Places, labels: np.ndarray) -> np.ndarray:
     return labels
 
 
-def _kept(problem: Problem, solved: MapSolution, labels: np.ndarray) -> tuple[np.ndarray, Densities]:
+def _kept(problem: Problem, solution: MapSolution, labels: np.ndarray) -> tuple[np.ndarray, Densities]:
     """The labels of landmarks with enough evidence, -1 for the others; and the densities counted again."""
-    solved = MapSolution.of(problem.backbone, labels, solved.poses)
-    seen = Visibility.of(problem, solved)
+    solution = MapSolution.of(problem.backbone, labels, solution.poses)
+    seen = Visibility.of(problem, solution)
     share = float(np.mean(labels < 0))
     densities = problem.densities.counted(int(seen.within.sum()), int(seen.views.sum()), share)
-    world = problem.backbone.places.seen_at(solved.poses[problem.log.steps])
-    nu = difference(world.means[solved.rows], solved.landmarks[solved.which])
-    each = densities.seen - densities.clutter + log_density(nu, world.covariances[solved.rows])[0]
-    total = densities.new + 0.5 * log_volume(solved.own_covariances) + seen.misses(densities)
-    total = total + np.bincount(solved.which, each)
-    good = (total > np.log(problem.options.factor)) & (np.bincount(solved.which) > 1)
+    world = problem.backbone.places.seen_at(solution.poses[problem.log.steps])
+    nu = difference(world.means[solution.rows], solution.landmarks[solution.which])
+    each = densities.seen - densities.clutter + log_density(nu, world.covariances[solution.rows])[0]
+    total = densities.new + 0.5 * log_volume(solution.own_covariances) + seen.misses(densities)
+    total = total + np.bincount(solution.which, each)
+    good = (total > np.log(problem.options.factor)) & (np.bincount(solution.which) > 1)
     labels = labels.copy()
-    labels[solved.rows] = np.where(good[solved.which], labels[solved.rows], -1)
+    labels[solution.rows] = np.where(good[solution.which], labels[solution.rows], -1)
     return labels, densities
 
 
-#: alternatives are tried whose linearised evidence is at most this much lower [nats]
+#: alternatives are tried where their linearised evidence is lower by less than this [nats]
 PROMISING = 30.0
 #: the rounds of association and solving of a trial
 TRIAL_ROUNDS = 4
 #: alternatives of each return that are tried
 MAX_ALTERNATIVES = 3
-#: so many poses are solved in all to examine the returns of a drive, and so many returns at least
+#: the returns that are examined: as many as need this number of poses to be solved in all, but at least the second number
 WORK, LEAST_EVENTS = 75_000, 10
 
 
@@ -219,11 +218,11 @@ def search(problem: Problem, refined: Refined) -> SearchResult:
     problem, options = replace(problem, densities=refined.densities), problem.options
     events, unsettled = max(LEAST_EVENTS, WORK // problem.log.num_poses), 0
     brief = replace(problem, options=replace(options, rounds=min(options.rounds, TRIAL_ROUNDS)))
-    best = evidence(problem, refined.solved)
+    best = evidence(problem, refined.solution)
     tried: set[bytes] = set()
-    solved: list[tuple[float, Array]] = []
+    solutions: list[tuple[float, Array]] = []
     while True:
-        found = all_alternatives(problem, refined.solved, most=MAX_ALTERNATIVES, events=events)
+        found = all_alternatives(problem, refined.solution, most=MAX_ALTERNATIVES, events=events)
         promising = sorted((a for a in found if a.log_factor < PROMISING), key=lambda a: a.log_factor)
         for alternative in promising:
             if len(tried) == options.tries or (key := alternative.labels.tobytes()) in tried:
@@ -234,11 +233,11 @@ def search(problem: Problem, refined: Refined) -> SearchResult:
                 # refining merges pairs, which may undo what all landmarks of a place together say
                 trials.append(unrefined(brief, alternative.labels, alternative.poses))
             unsettled += any(not trial.settled for trial in trials if trial is not None)
-            ends = [(evidence(problem, t.solved), t) for t in trials if t is not None]
-            solved += [(value, end.solved.poses) for value, end in ends]
+            ends = [(evidence(problem, t.solution), t) for t in trials if t is not None]
+            solutions += [(value, end.solution.poses) for value, end in ends]
             value, end = max(ends, key=lambda each: each[0], default=(-np.inf, refined))
             if value > best + np.log(options.factor):
-                solved.append((best, refined.solved.poses))
+                solutions.append((best, refined.solution.poses))
                 refined, best = end, value
                 break
         else:
@@ -246,6 +245,6 @@ def search(problem: Problem, refined: Refined) -> SearchResult:
             for alternative in promising[: options.tries]:
                 # refining may end at the association itself, though the alternative is nearly as likely
                 other = MapSolution.of(problem.backbone, alternative.labels, alternative.poses)
-                solved.append((evidence(problem, other), other.poses))
-            rivals = [(best - value, poses) for value, poses in solved if np.isfinite(value)]
+                solutions.append((evidence(problem, other), other.poses))
+            rivals = [(best - value, poses) for value, poses in solutions if np.isfinite(value)]
             return SearchResult(refined, found, len(tried), unsettled, left, rivals)

@@ -1,7 +1,4 @@
-"""`calibrate`: the noise and the biases of a robot, estimated from its logs.
-
-The robot of a log whose sightings may have no ids.
-"""
+"""`calibrate`: the noise and the biases of a robot, estimated from its logs, whose sightings may have no ids."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..association.unknown_robot import robot_of
+from ..association.associate import robot_of
 from ..errors import LogError
 from ..errors.checks import array_of, check_choice, check_not_negative
 from ..identification.corrections import without_biases

@@ -17,9 +17,9 @@ Polar: e = h(x, m) - z, with the information Q^-1 at the measured range. This is
 noise. Its cost has false minima: where a pose comes to lie on a landmark the bearing is undefined. Start it from the
 optimum of the Cartesian residual.
 
-Sightings with one number: the range or the bearing of a landmark that is a node, the other one not measured.
-
-With s = p + R(theta) o the place of the sensor and (x, y) = R(theta)' (m - s) the landmark in its axes,
+`RangeEdges` and `BearingEdges` are sightings with one number: the range or the bearing of a landmark that is a node, the
+other one not measured. With s = p + R(theta) o the place of the sensor and (x, y) = R(theta)' (m - s) the landmark in its
+axes,
 
     range    e = abs(m - s) - l,                        Omega = 1 / ((range_rate l)² + range_std²)
     bearing  e = atan2(y, x) - phi,   the angle wrapped,   Omega = 1 / bearing_std²

@@ -4,9 +4,8 @@ An anchor is a prior on a pose, (x - x̂)' Omega_0 (x - x̂). Without one the wh
 
 Other priors are those of a map on its landmarks, or the marginal of edges whose poses were eliminated.
 
-An absolute position is a point of the robot measured in the world, by GPS, motion capture or a total station.
-
-With the lever a, the point in the axes of the robot, and the measured place z = (x, y) or (x, y, theta),
+An absolute position (`PositionEdges`) is a point of the robot measured in the world, by GPS, motion capture or a total
+station. With the lever a, the point in the axes of the robot, and the measured place z = (x, y) or (x, y, theta),
 
     e = (p + R(theta) a - (x, y),  theta - theta_z),   the angle wrapped,   B = [I, R(theta) (-a_y, a_x); 0, 1],
 

@@ -1,6 +1,6 @@
 """Gaussian priors: of a pose that is held at a value, and of several nodes together, such as the landmarks of a map.
 
-The place of a point of the robot in the world: GPS, motion capture, a total station.
+`PositionFactor` measures the place of a point of the robot in the world: by GPS, motion capture, or a total station.
 """
 
 from __future__ import annotations

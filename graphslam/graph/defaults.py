@@ -115,7 +115,7 @@ def pairs_overweight(log: Log) -> str | None:
     )
 
 
-#: two places determine a direction where they are farther apart than so many standard deviations of their distance
+#: two places determine a direction where their distance is above this [standard deviations of the distance]
 APART = 3.0
 
 

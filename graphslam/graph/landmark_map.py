@@ -24,7 +24,7 @@ from .map_files import read_map, write_map
 
 #: how a map is used: as its covariances say, without their correlations between landmarks, or as exact
 USES = ("joint", "own", "fixed")
-#: covariances may be unsymmetric, and have negative eigenvalues, by this part of their size
+#: the largest asymmetry and negative eigenvalue of a covariance that count as rounding, over its size
 ROUNDED = 1e-9
 
 

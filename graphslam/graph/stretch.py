@@ -1,8 +1,7 @@
 """`Stretch`: what a robot has measured between two moments, as its search in a map needs it.
 
-Sightings of a stretch of a drive, carried to its first pose by the odometry, beside the landmarks of a map.
-
-With the motions m_t + w_t, w_t ~ N(0, Q_t), the landmarks y_k(w) that the sightings see, and T the first pose in the map, the
+The sightings of a stretch are carried to its first pose by the odometry, and compared with the landmarks of a map. With the
+motions m_t + w_t, w_t ~ N(0, Q_t), the landmarks y_k(w) that the sightings see, and T the first pose in the map, the
 most probable T and w minimise
 
     sum of w_t' Q_t^-1 w_t + e' (R + S)^-1 e,    e_k = T y_k(w) - m_k,
@@ -11,9 +10,9 @@ R the covariance of the sensor and S that of the map. Linearised at w̄, the cov
 V = D Q D' + R + S, D = dy / dw.
 Generalised least squares gives T, and w = -Q D' V^-1 (e - D w̄) (`smoothed`); the steps are shortened until the sum falls.
 
-Levers are those of the place where the map with T has a landmark. With others, T and the odometry would seem to say one
-another's headings (Huang, Mourikis and Roumeliotis, *Observability-based rules for designing consistent EKF SLAM
-estimators*, IJRR 2010).
+Levers lead to the place where the map with T has a landmark. With levers to other places, the linearised problem would
+contain information about headings that the measurements do not have (Huang, Mourikis and Roumeliotis, *Observability-based
+rules for designing consistent EKF SLAM estimators*, IJRR 2010).
 """
 
 from __future__ import annotations
@@ -177,7 +176,7 @@ def backwards(x: Array, P: Array) -> tuple[Array, Array]:
 
 #: the most sightings by which a pose is smoothed, the most steps, and the shortest part of one
 ENOUGH, STEPS, SHORTEST = 120, 15, 1 / 64
-#: a pose that moves by less than the root of this many standard deviations stays where it is
+#: a pose stays where it is if the squared Mahalanobis norm of its step is below this
 STAYS = 1e-6
 
 

@@ -34,19 +34,19 @@ from .stretch import moved
 
 #: squared Mahalanobis distance up to which a sighting agrees; 0.1 % of the right ones lie beyond it
 AGREES = 13.8
-#: without ids a second landmark whose square is less than this larger leaves open which one it is
+#: without ids, a sighting is ambiguous where the squares of the nearest two landmarks differ by less than this
 UNCLEAR = 6.0
 #: the probability that a robot is lifted between two poses
 LIFTED = 1e-5
-#: a motion with a larger variance [m²] says nothing
+#: a motion with a variance above this [m²] is unknown
 NOTHING = 1e5
 #: the squares that are kept
 WINDOW = 50
-#: a map reaches so far [m] beyond its landmarks, together on both sides
+#: width of the border of a map around its landmarks, both sides together [m]
 MARGIN = 10.0
-#: a landmark that the map lacks has so many sightings at least, in this share of the moments in which it is in view
+#: the fewest sightings of a landmark that the map lacks, and their share of the moments in which it is in view
 CONFIRMED, SHARE = 4, 0.3
-#: and is well within the field in which anything was seen
+#: such a landmark is in view within this share of the field in which anything was seen
 INSIDE = 0.9
 
 

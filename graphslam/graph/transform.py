@@ -1,16 +1,16 @@
 """Graphs made from graphs: with and without landmark nodes, coarser, and of the first poses only.
 
-Landmark nodes can be replaced by virtual-motion edges between the poses that saw them, and the other way round.
+`without_landmarks` replaces landmark nodes by virtual-motion edges between the poses that saw them, `with_landmark_nodes` the
+other way round.
 
-A coarse graph keeps every N-th pose and joins the motions between them. Where dead reckoning has drifted for kilometres,
-Gauss-Newton takes a dozen steps to straighten the trajectory, each over all poses. Starting from the solution of a
-coarse graph, it takes few.
+A coarse graph (`coarse`) keeps every N-th pose and joins the motions between them. Where dead reckoning has drifted for
+kilometres, Gauss-Newton takes a dozen steps to straighten the trajectory, each over all poses. Starting from the solution of
+a coarse graph, it takes few.
 
-The graph of a log with the edges that pose-graph files have: relative poses and relative points.
-
-Two sightings of a landmark with psi measure the relative pose z_ab = T_a T_b^-1, T = h^-1(0, z) the landmark as a pose
-seen from the robot; one sighting measures T itself. The noise C that the landmark has in its own axes is carried over
-to the residual of `edges.relative`, to first order: with J = de_virtual / de_relative at e = 0,
+`relative_graph` gives the graph of a log the edges that pose-graph files have: relative poses and relative points. Two
+sightings of a landmark with psi measure the relative pose z_ab = T_a T_b^-1, T = h^-1(0, z) the landmark as a pose seen from
+the robot; one sighting measures T itself. The noise C that the landmark has in its own axes is carried over to the residual
+of `edges.relative`, to first order: with J = de_virtual / de_relative at e = 0,
 
     Omega_ab = J' (C_a + C_b)^-1 J,   J = R(-gamma_a) [I, R(theta_ab) (-T_b,y, T_b,x); 0, 1],  gamma_a = phi_a - psi_a.
 

@@ -20,9 +20,9 @@ from ..log.measurements import PartialSightings
 from ..models import SensorModel
 from ..se2 import Array, mounted
 
-#: a place is clear when J at the second best one is higher by this much
+#: a place is clear where J at the second best one is higher by at least this
 MIN_GAP = 30.0
-#: other places of a landmark are tried where J there, on the same trajectory, is higher by at most this much
+#: other places of a landmark are tried where J there, on the same trajectory, is higher by at most this
 TRIED = 200.0
 #: directions, and distances as parts of the greatest one, from which places are searched
 DIRECTIONS, DISTANCES = 24, (0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
@@ -72,7 +72,7 @@ def edges_of_single_numbers(
     return found
 
 
-#: a landmark needs so many single numbers for a place, and so many times more after each attempt
+#: the fewest single numbers from which a landmark is placed, and the factor by which they grow after each attempt
 FEWEST, MORE = 3, 1.25
 
 

@@ -1,4 +1,4 @@
-"""The odometry of a drive: its motions and their covariances between any of its poses, for biases that change.
+"""`Odometry`, a drive's motions and their covariances between any of its poses; and `Edges` whose noise is unknown.
 
 A log may have fifty controls for each pose and fifty poses for each that a problem needs, and an estimate evaluates its
 motions a hundred times. So the controls are evaluated rarely, and motions are joined from those between successive poses:
@@ -8,12 +8,9 @@ axes of the first pose, errors (e_xy, e_theta) of motion i move the end by
     L_i e,    L_i = ( R   (-d_y, d_x)' )
                     ( 0        1       ).
 
-The noise models as sums of variances: covariance = sum over the model's fields p of theta_p C_p.
-
-The covariance of a motion (`MotionModel.accumulate`) is linear in the squares of the model's standard deviations and in
-epsilon, and that of a sighting (`SensorModel.Q`) in the squares of the sensor's standard deviations.
-
-The edges of a drive whose noise and biases are unknown: residuals, Jacobians, parts of covariances, and weights.
+`motion_parts` and `sensor_parts` write the noise models as sums of variances: covariance = sum over the model's fields p of
+theta_p C_p. The covariance of a motion (`MotionModel.accumulate`) is linear in the squares of the model's standard deviations
+and in epsilon, and that of a sighting (`SensorModel.Q`) in the squares of the sensor's standard deviations.
 """
 
 from __future__ import annotations
@@ -196,7 +193,7 @@ def _joined(motions: Array, steps: np.ndarray) -> tuple[Array, Array]:
 
 @dataclass
 class Edges:
-    """Edges of one kind at one state.
+    """Edges of one kind, of a drive whose noise and biases are unknown, at one state.
 
     Attributes:
         first, second: (E,) nodes.

@@ -12,12 +12,12 @@ the logarithms of the variances, with a normal prior: a variance that the log do
 
 Source: Gilmour, Thompson and Cullis, *Average information REML*, Biometrics 51(4), 1995.
 
-A sensor that is metres from where it is believed to be, as the laser of a car whose poses are those of the rear axle.
-
-The prior of the sensor's place (`PRIORS`) is a few centimetres wide, because lasting errors of a sensor look like a wrong
-place. Where the sensor is metres away, this prior ends at a wrong minimum: the sensor near its believed place, its own motion
-about the robot as slip, and a turned sensor. With a wide prior the same problem moves to the right one. Both are compared by
-the likelihood, which contains the densities of the priors, so that the wide one wins only where the sightings need it.
+`is_elsewhere` finds a sensor that is metres from where it is believed to be, as the laser of a car whose poses are those of
+the rear axle. The prior of the sensor's place (`PRIORS`) is a few centimetres wide, because lasting errors of a sensor look
+like a wrong place. Where the sensor is metres away, this prior ends at a wrong minimum: the sensor near its believed place,
+its own motion about the robot as slip, and a turned sensor. With a wide prior the same problem moves to the right one. Both
+are compared by the likelihood, which contains the densities of the priors, so that the wide one wins only where the sightings
+need it.
 """
 
 from __future__ import annotations

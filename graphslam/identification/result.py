@@ -1,8 +1,7 @@
 """`RobotEstimate`: what was found about a robot that nobody has calibrated, in numbers and in sentences.
 
-What is known of a robot, compared by sightings that are left out: how well does each candidate predict them?
-
-A part of a drive is left out with all its sightings, so that its poses follow from the odometry and its landmarks from other
+`left_out` compares candidates for the noise and biases of a robot by how well they predict sightings that are left out. A
+part of a drive is left out with all its sightings, so that its poses follow from the odometry and its landmarks from other
 visits: loop closures count. With e the difference between a sighting that is left out and its prediction, and F the
 covariance of the prediction, its log density is that of Student's t with nu degrees of freedom, d numbers and S = C + F,
 
@@ -131,10 +130,10 @@ KINDS = {
 ESTIMATE, DEAD_RECKONING, BOOK_NOISE, GIVEN_NOISE = (
     "the estimate from this log", "dead reckoning", "the book's noise", "the noise that was given"
 )  # fmt: skip
-#: a bias is identified where its standard deviation is below so many times that of the prior
+#: a bias is identified where its standard deviation is below this share of that of the prior
 MIN_INFORMATION = 0.7
-#: an estimate is doubtful with fewer sightings than this, with more than this part of the ids wrong, and with a bias that is
-#: so many standard deviations of its prior from its ideal value, for which these are likely causes
+#: an estimate is doubtful with fewer sightings than this, with more than this share of the ids wrong, and with a bias this
+#: far from its ideal value [standard deviations of its prior], for which these are likely causes
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
 CAUSES = {
     "wheel_scale": "are odometry and ranges in metres? A log tells only the quotient of their scales.",

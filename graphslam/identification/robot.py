@@ -74,8 +74,8 @@ NEEDED, MORE = 8.0, 1.0
 HARDLY_ANY, CLEARLY = 1 / 100, 2.0
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
-#: of longer logs only so many sightings are used at once where this is enough, so many for correlations, and so many of the
-#: few that are far apart to compare candidates
+#: the most sightings of a log that are used at once where this is enough; for correlations; and, of the few that are far
+#: apart, to compare candidates
 MOST, MOST_CORRELATED, MOST_COMPARED = 6000, 12_000, 500
 
 

@@ -28,7 +28,7 @@ CONTRADICTS, FITS = 25.0, 9.0
 BETTER = 9.0
 #: a sighting that stands alone keeps its id where this is right with this probability; else it counts as so far from it
 BELIEVED, UNLIKELY = 0.5, 100.0
-#: so many sightings that stand alone count as right before any is seen
+#: the number of right sightings that stand alone which is assumed before any is seen
 RIGHT = 2.0
 #: a landmark with fewer sightings than this part of the median may be made of misread ids
 WEAK = 0.33
@@ -36,9 +36,10 @@ WEAK = 0.33
 LAGS = np.array([0.0, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0])
 #: errors correlated by less than this count as independent, and correlations of fewer pairs than this are not computed
 INDEPENDENT, FEWEST = 0.1, 20
-#: errors are correlated where rho of one of so many of the shortest lags is above so many of its standard errors
+#: errors are correlated where rho of one of this number of the shortest lags is above the second number of its standard
+#: errors
 SHORT, SIGNIFICANT = 5, 2.0
-#: residuals beyond so many standard deviations count as so many
+#: residuals are clipped to this [standard deviations]
 FAR = 3.0
 
 

@@ -67,10 +67,10 @@ SPREAD = 5.0
 LONGEST = 1.5
 #: degrees of freedom of Student's t: of sightings, among which some are wrong, and of motions
 DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
-#: fitted to Gaussian errors of d numbers, Student's t has so much of their variance: the s² of
+#: the squared scale of Student's t over the variance of the Gaussian errors of d numbers to which it is fitted: the s² of
 #: E[(nu + d) q / (nu s² + q)] = d, q chi-squared with d degrees of freedom; of sightings by d, and of motions
 OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {2: 0.7267, 3: 0.7559}, 0.8389
-#: and its edges have so many times the information of the solution, see `Unknowns.parameter_covariance`
+#: the information of its edges over that of the solution, see `Unknowns.parameter_covariance`
 OVERSTATED_SIGHTINGS, OVERSTATED_MOTIONS = {2: 1.552, 3: 1.495}, 1.259
 #: where nothing speaks against exact odometry, its noise has this part of the estimate (docs/decisions.md)
 EXACT = 1 / 3

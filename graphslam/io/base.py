@@ -95,7 +95,7 @@ def read_columns(
         path: the file.
         columns: the names of the columns, for messages.
         times: whether the first column is times, which may be out of order by at most `streams.MOST_DISORDER`.
-        notes: where it is given, rows that cannot be are left out, and counted in it (`reading.sound_rows`).
+        notes: where it is given, rows that cannot be are left out, and counted in it (`log.rows.sound_rows`).
         noun, strict: what the rows are, and whether the first one that cannot be is refused.
         faults: what cannot be beside numbers that are not finite.
 

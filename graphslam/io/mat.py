@@ -1,9 +1,7 @@
 """MATLAB files: the variables that a layout needs, with their shapes checked.
 
-The variables of MATLAB files of version 5 to 7: numbers, and cells of numbers.
-
-SciPy's reader trusts the lengths in a file, and a damaged file can end the process (SciPy 1.15: signal 11). This one
-checks every length against the bytes that are there.
+`variables` reads MATLAB files of version 5 to 7: numbers, and cells of numbers. SciPy's reader trusts the lengths in a file,
+and a damaged file can end the process (SciPy 1.15: signal 11). This one checks every length against the bytes that are there.
 
 Source: MathWorks, *MAT-File Format*, chapter 1, version 5.
 """

@@ -1,10 +1,9 @@
-"""Times as whole nanoseconds: seconds since 1970 with nine decimals do not fit into a floating-point number.
+"""What the cells of a table say: times, ids, classes and headings; and rows that can be read, but are probably mistakes.
 
-Columns of ids and classes: whole numbers, words, or nothing where a landmark was not identified.
-
-Headings of quaternions, and motions between poses of odometry.
-
-Rows that come twice and times that several rows share: the numbers can be read, but are probably not what was measured.
+`nanoseconds` makes whole numbers of times: seconds since 1970 with nine decimals do not fit into a floating-point number.
+`ids_of` and `classes_of` read whole numbers, words, or nothing where a landmark was not identified. `checked_heading` turns
+quaternions into headings, and `controls_between` the poses of odometry into controls. `repeated_times` and
+`repeated_sightings` find rows that come twice, and times that several rows share.
 """
 
 from __future__ import annotations
@@ -187,7 +186,7 @@ def seconds(nanoseconds: np.ndarray, origin: int) -> np.ndarray:
 #: cells without an id or a class, in small letters
 EMPTY = (*(cell.decode() for cell in MISSING), "nan", "<na>")
 
-#: whole numbers of so many digits fit into 64 bits
+#: the most digits with which every whole number fits into 64 bits
 _MOST_DIGITS = 18
 
 

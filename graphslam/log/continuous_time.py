@@ -4,7 +4,7 @@ A log has poses only where something was seen, and several controls may lie betw
 mean of the motion model given both poses: the controls are followed from the first one, and what is missing at the
 second one is shared among them by their noise.
 
-A log with further poses: where nothing was seen for a while, or at given times.
+`with_poses_every` and `with_poses_at` give a log further poses: where nothing was seen for a while, or at given times.
 """
 
 from __future__ import annotations

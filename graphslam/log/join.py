@@ -1,7 +1,7 @@
 """`Log.from_tables`: the streams of a drive, each with its own clock, as one log; and two drives as one log.
 
-The tables of other sensors: relations between two poses, and absolute positions, each with its noise; latitude and longitude
-become places in the plane that touches the earth at the first of them.
+`relations_of` and `positions_of` read the tables of other sensors: relations between two poses, and absolute positions, each
+with its noise. Latitude and longitude become places in the plane that touches the Earth at the first of them (`local_plane`).
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _no_steps(steps: list[str]) -> str:
 def positions_of(table: Table, options: TableOptions) -> Timed:
     """The absolute positions: rows (N, 14), (x, y, theta or NaN), covariances with NaN likewise, and levers.
 
-    Latitude and longitude become metres east and north of the first fix (`plane.local_plane`).
+    Latitude and longitude become metres east and north of the first fix (`local_plane`).
 
     Raises:
         LogError: a column is missing, a number is none, or a covariance is not positive definite.
@@ -296,7 +296,8 @@ def from_tables(
 Log.from_tables = staticmethod(from_tables)
 
 
-#: sightings or truth with less than this part within the time of the odometry, and this many times as long, are refused
+#: sightings or truth are refused that last longer than the odometry by more than the second factor, and have less than the
+#: first share of their rows within its time
 _FEW, _LONGER = 0.1, 20.0
 
 

@@ -3,7 +3,8 @@
 A relation is a pose measured from another one: by scan matching, a loop closure, or the odometry of a second source. An
 absolute position is the place of a point of the robot in the world: by GPS, motion capture, or a total station.
 
-The arguments of a `Log` as arrays: shapes, types and impossible values are refused in one sentence.
+Functions such as `finite_floats` and `whole_numbers` check the arguments of a `Log`: wrong shapes, wrong types and impossible
+values are refused in one sentence.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ NO_ID = -1
 NO_CLASS = ""
 #: the most classes that sightings may have: more are no kinds of landmarks
 MOST_CLASSES = 100
-#: rows that cannot be are left out up to this share of all; a table with more of them is refused
+#: impossible rows are left out up to this share of all; a table with more of them is refused
 MOST_LEFT_OUT = 0.05
 #: the most poses that ``keep_every`` may make: a tenth of a second of a whole day
 MOST_POSES = 1_000_000

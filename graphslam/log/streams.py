@@ -24,8 +24,8 @@ from .log import Log
 from .measurements import AbsolutePositions, PartialSightings, PoseRelations
 from .rows import MOST_POSES, ReadOptions
 
-#: odometry that is silent for longer [s], and for so many times the usual time between rows, is bridged: its last control
-#: fades with this time constant [s]
+#: odometry is bridged where it is silent for longer [s], and for longer than this number of usual times between rows: its
+#: last control fades with this time constant [s]
 BRIDGED_GAP, USUAL_GAPS, FADING = 2.0, 3.0, 2.0
 
 #: rows that are out of order by at most this time [s] are sorted; more is another drive, or another clock
@@ -201,7 +201,7 @@ def filled(times: Array, most: float, whole: Sequence[int] = ()) -> Array:
     return np.append(times[of] + part * (durations / pieces)[of], times[-1])
 
 
-#: a note tells where more than this part of the time of the odometry has no pose, because nothing was seen
+#: a note is made where more than this share of the time of the odometry has no pose, because nothing was seen
 UNUSED = 0.1
 
 

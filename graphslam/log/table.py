@@ -1,6 +1,6 @@
 """`Table`: what every table has, whether its rows are lines of a file, rows of a data frame, or messages of a bag.
 
-Which column is what: names that people give to columns, and the units that stand in the names.
+`find` recognises what each column is, by the names that people give to columns and the units that stand in the names.
 """
 
 from __future__ import annotations

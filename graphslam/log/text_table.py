@@ -1,6 +1,6 @@
 """Tables in text files: separator, decimal mark and header are recognised by the first lines.
 
-The sources of tables: text files, Parquet files, data frames, mappings and arrays.
+`table_of` makes a table of a text file, a Parquet file, a data frame, a mapping or an array.
 """
 
 from __future__ import annotations

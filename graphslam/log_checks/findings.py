@@ -1,8 +1,7 @@
 """`Finding`: something in a log that is probably a mistake; and what all checks compare sightings by.
 
-These are positions of sightings by the odometry, and distances between landmarks that are seen shortly after one another.
-
-Over a short way both hardly depend on the drift of the odometry.
+They compare positions of sightings by the odometry, and distances between landmarks that are seen shortly after one another
+(`Distances`). Over a short way both hardly depend on the drift of the odometry.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class Finding:
     message: str
 
 
-#: two landmarks are compared if they are seen within this way, [rad] turned plus [ranges] driven, and this many sightings
+#: two landmarks are compared if they are seen within this way, [rad] turned plus [ranges] driven, and number of sightings
 _WAY, _BACK = 3.0, 30
 #: distances that are computed at most
 _ENOUGH = 200_000

@@ -1,6 +1,6 @@
 """A log against its ground truth (scale, signs and axes of the true poses) and against its true map (ids and places).
 
-The map is checked for whether the map has the landmarks that are seen, where they are seen from each other.
+`against_map` checks whether the map has the landmarks that are seen, at the distances from each other at which they are seen.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from .findings import Distances, Finding
 
 #: motions that are needed
 _FEWEST = 20
-#: the path is divided into this many straight lines; turns between them are compared if the odometry turns by more [rad]
+#: the number of straight lines that the path is divided into; turns between neighbours count above the second number [rad]
 _LINES, _TURN = 60, 0.15
-#: mirrored turns fit if they are off by less [rad, median], and this part of what turns as they are given are off
+#: mirrored turns fit if their median error is below the first number [rad], and below this share of that of the given turns
 _FITS, _PART = 0.3, 0.4
 #: mean cosine of the angle between two directions that are the same
 _ALONG = 0.7
@@ -132,7 +132,8 @@ _FEWEST_DISTANCES = 10
 _ENOUGH = 5000
 #: distances of the map that are off by more [ranges, median] contradict the sightings; another unit is a larger factor
 _WRONG, _FACTOR = 0.4, 5.0
-#: triangles of landmarks with angles whose sine is larger have a side, which is the other one in this part if mirrored
+#: triangles of landmarks count where the sine of their angle is larger than the first number; a map is mirrored where more
+#: than the second share of them has the other orientation
 _SINE, _MIRRORED = 0.3, 0.8
 
 

@@ -1,6 +1,6 @@
 """Ids: single ones that are misread, and landmarks that are seen once, or twice at one time.
 
-Whether landmarks have other ids from some time on, as after a detector that counts them was started again.
+`changed_ids` finds the time from which on landmarks have other ids, as after a restart of a detector that counts them.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from .findings import Distances, Finding, ways
 
 #: fewer sightings are not checked
 _FEWEST = 20
-#: a sighting is compared with those within this way before and after it, [rad] turned plus [ranges] driven, so many each
+#: a sighting is compared with those within this way before and after it, [rad] turned plus [ranges] driven, and with at most
+#: the second number of sightings on each side
 _WAY, _AROUND = 2.0, 40
 #: two sightings of one id show one place up to the first number [ranges], those of two ids up to the second, because
 #: landmarks may be close to each other, or up to the third times the median error
 _NEAR, _CLOSE, _TIMES = 0.1, 0.03, 3.0
-#: so many sightings of the place have to show other ids, which are seen again there
+#: the fewest sightings of the place that have to show other ids, which are seen there again
 _OTHERS = 2
-#: misread ids are reported from so many on, from this share of the sightings, and above what is expected by chance; above
-#: the second share the cause is another
+#: misread ids are reported from this number and this share of the sightings on, if that is above what is expected by chance;
+#: above the second share there is another cause
 _LEAST, _FEW, _MOST = 3, 0.004, 1 / 3
 
 
@@ -125,7 +126,8 @@ def ids_of(log: Log) -> Iterator[Finding]:
         )
 
 
-#: a landmark is compared with those seen within this way before, [rad] turned plus [ranges] driven, among so many sightings
+#: a landmark is compared with those seen before it within this way, [rad] turned plus [ranges] driven, and number of
+#: sightings
 _BACK_WAY, _BACK = 0.6, 40
 #: a landmark stays where it is up to the first number [ranges], or the second times the median error
 _STAYS, _STAYS_TIMES = 0.1, 3.0
@@ -136,7 +138,7 @@ _MOST_TIMES = 2000
 #: a value changes if its means before and after differ by the first number [ranges] and the second times its spread; the
 #: number of times that are tried
 _CHANGE, _SPREAD, _TRIED = 0.25, 3.0, 100
-#: a value has to be measured so often before and after, because single ids may be misread
+#: the fewest measurements of a value before and after the change; more than one, because single ids may be misread
 _SEEN = 3
 #: values that are used at most
 _ENOUGH = 20_000

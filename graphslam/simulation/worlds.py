@@ -1,6 +1,6 @@
 """`World`: the course of a simulated robot, its landmarks and camera; named worlds; the sample log; and single numbers.
 
-Single numbers are those of sensors that measure one: ranges of radio beacons, or bearings of a camera.
+`simulate_single_numbers` makes logs of sensors that measure one number: ranges of radio beacons, or bearings of a camera.
 """
 
 from __future__ import annotations

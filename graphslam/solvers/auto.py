@@ -23,7 +23,7 @@ from ..se2 import Array
 from .certificate import GLOBAL, Certificate, prove
 from .initialize import GROWING, starting_state, starts_of_auto
 from .iteration import Run, end_of, factorized, gauss_newton, levenberg_marquardt, rounding
-from .starts import descents, lower_by_turns, most_steps
+from .starts import descents, lower_by_restarts, most_steps
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
@@ -144,12 +144,12 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
     """The lowest end among the starts of `AUTO`.
 
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
-    another start, other turns are tried from the end of the last one (`lower_by_turns`), with a kernel only after its second
-    start. If the lowest end is not accepted or still open then, the search continues along the negative direction that its
-    failed proof shows. The whole search after the first end is bounded by a multiple of the steps that led to it.
-    An end with a higher cost than the given values never counts. If no run converges to a lower one,
-    Levenberg-Marquardt runs from the given values and accepts only steps that lower J itself. (With state-dependent
-    information a fixed point of the iteration may have a higher J.)
+    another start, other turns are tried from the end of the last one (`lower_by_restarts`), with a kernel only after its
+    second start. If the lowest end is not accepted or still open then, the search continues along the negative direction
+    that its failed proof shows. The whole search after the first end is bounded by a multiple of the steps that led to it.
+    An end with a higher cost than the given values never counts. If no run converges to a lower one, Levenberg-Marquardt
+    runs from the given values and accepts only steps that lower J itself. (With state-dependent information a fixed point
+    of the iteration may have a higher J.)
 
     Args:
         graph: what to solve.
@@ -191,7 +191,7 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
         # the second start of a kernel costs less than other turns, and often ends the search
         if initialize != PLAIN and not _finished(good, further):
             for started, before, after in unturned:
-                ends += _with_other_turns(graph, run_from, ends[:after], before, started, effort)
+                ends += _with_restarts(graph, run_from, ends[:after], before, started, effort)
             unturned = []
             good = _counted(ends, given)
         if _finished(good, further):
@@ -235,7 +235,7 @@ def _end(graph: Graph, run_from: Callable[..., Run], start: Array, search: str, 
     return End(graph, run, search, before)
 
 
-def _with_other_turns(
+def _with_restarts(
     graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: int, started: str, effort: _Effort
 ) -> list[End]:
     """The lower end that other turns lead to from the last end, if it has converged and no end before it has its cost.
@@ -253,7 +253,7 @@ def _with_other_turns(
     if any(abs(other.cost - end.cost) <= SAME * end.cost for other in ends[:tried] if other.run.converged):
         return []
     effort.allow(ends[0].steps)
-    state, steps = lower_by_turns(graph, end.run.state, effort.left)
+    state, steps = lower_by_restarts(graph, end.run.state, effort.left)
     effort.spent += steps
     if state is None:
         return []

@@ -1,6 +1,6 @@
 """`Certificate`: what is proven about the cost of a state, and the words for it.
 
-`prove`: whether a state is a global minimum of the cost of a graph, with a lower bound on the cost of all states.
+`prove` checks whether a state is a global minimum of the cost of a graph, with a lower bound on the cost of all states.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A graph of a log at given values of its parameters; and why an Omega is singular.
 
-The explanation names which nodes are not determined, in which direction, and which edges touch them.
+`undetermined` names which nodes are not determined, in which direction, and which edges touch them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Certificates of solutions, and of GTSAM graphs of our factors, whose factors become the edges that the certificate needs.
 
-`certify`: prove for a solution, or for any state of a graph, that no other state has a lower cost.
+`certify` proves for a solution, or for any state of a graph, that no other state has a lower cost.
 """
 
 from __future__ import annotations

@@ -38,9 +38,10 @@ from .starts import dead_reckoning, place_landmarks, rotation_first, sequential_
 
 #: places whose J differs by less than this from the lowest are named: the odds are below 1000
 DOUBTED = 2 * np.log(1000.0)
-#: other places of all landmarks are tried at most so many times
+#: the most sweeps in which other places of all landmarks are tried
 SWEEPS = 5
-#: a landmark that ends nearer to its place than this part of the way to the other one has come back
+#: a landmark that was tried at another place has come back if it ends nearer to its first place than this share of the
+#: distance
 BACK = 0.1
 #: a motion with less information [1/m²] counts as unknown, such as that from the end of one drive to the start of the next
 NOTHING = 1e-4

@@ -12,11 +12,10 @@ at the price of K further right-hand sides. S^-1 is the covariance of the parame
 J of a sighting is its Jacobian by its pose times the move of this pose (`identification.corrections`). So every sighting
 gets a copy of its pose, the family writes the Omega of these copies as it does for any graph, and C, D and g are sums of it.
 
-Observability of the parameters: the information that the log would have without any noise.
-
-With all measurements replaced by what the state predicts, a change of the parameters that the nodes can follow exactly, such
-as one scale for wheels and ranges, has no information at all. (With the measured values such a change still has some: a
-smaller world has smaller residuals.)
+`check_observable` computes the information that the log would have about the parameters without any noise. With all
+measurements replaced by what the state predicts, a change of the parameters that the nodes can follow exactly, such as one
+scale for wheels and ranges, has no information at all. (With the measured values such a change still has some: a smaller
+world has smaller residuals.)
 """
 
 from __future__ import annotations

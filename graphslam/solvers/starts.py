@@ -185,10 +185,10 @@ def _tree(graph: Graph) -> tuple[np.ndarray, Array]:
     return parents, offsets
 
 
-def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
+def lower_by_restarts(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
     """The state (n, 3) that other turns lead to, one after the other, each kept if it lowers J; None if none does.
 
-    It runs in the engine (``engine/include/vmslam/solve/turns.hpp``).
+    It runs in the engine (``engine/include/vmslam/solve/restarts.hpp``).
 
     Returns:
         The state, and the number of steps that were taken: after ``limit`` steps no further turn is tried.
@@ -197,7 +197,7 @@ def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[A
         driven, information = odometry(graph, "auto")
         variances = np.zeros(len(driven))
         variances[1:] = _turn_variance(information[1:])
-        return engine.lowered_by_turns(graph.objective, state, driven, variances, limit)
+        return engine.lowered_by_restarts(graph.objective, state, driven, variances, limit)
     except GraphError:
         # there is no odometry, or a family in NumPy refuses a state
         return None, 0

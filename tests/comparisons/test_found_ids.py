@@ -75,7 +75,7 @@ def test_ignored_ids_are_compared_with_those_found(log, front_end):
     assert (options["front_end"], options["front_particles"], options["class_confusion"]) == (front_end, 30, 0.05)
     assert entry == {
         "landmarks": 13, "clutter": 0, "precision": 1.0, "recall": 1.0, "found": 13, "missed": 0, "doubled": 0, "invented": 0,
-        "classes": None, "unconfirmed": 0, "doubts": [],
+        "classes": None, "unconfirmed": 0, "ambiguities": [],
     }  # fmt: skip
     assert any("of 4 starts the best by evidence" in note for note in comparison["graph"].notes) == (
         front_end == "best"

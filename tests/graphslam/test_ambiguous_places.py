@@ -10,7 +10,7 @@ import pytest
 from graphslam import Log, MotionModel, SensorModel
 from graphslam.association import associate_from, score
 from graphslam.association.ambiguity import CandidatePairs
-from graphslam.association.evidence import log_density
+from graphslam.association.assignment import log_density
 from graphslam.association.problem import agree, held, may_be_one
 from graphslam.log import UNIDENTIFIED
 

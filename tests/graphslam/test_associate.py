@@ -26,7 +26,7 @@ from graphslam import (
 )
 from graphslam.association import assignment, associate_from, score
 from graphslam.association.ambiguity import readable
-from graphslam.association.evidence import Candidates, evidence, log_density
+from graphslam.association.assignment import Candidates, evidence, log_density
 from graphslam.association.map_solution import MapSolution, Problem, seen_from
 from graphslam.association.problem import AssociationOptions, Densities
 from graphslam.linear.cholesky import analyze

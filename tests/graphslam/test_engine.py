@@ -25,14 +25,14 @@ def backend():
 
 
 def test_a_missing_compiled_module_is_one_sentence():
-    program = (
-        "import sys; sys.modules['graphslam._engine'] = None\n"
-        "from graphslam import SlamError\n"
-        "try:\n    from graphslam import Graph\n"
-        "except SlamError as error:\n    print(error)"
-    )
-    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, cwd=ROOT).stdout
-    assert "graphslam._engine cannot be loaded" in said and said.endswith("pip install --editable .\n")
+    missing = "import sys; sys.modules['graphslam._engine'] = None\n"
+    imported = "try:\n    from graphslam import Graph\nexcept ImportError as error:\n    print(error)"
+    command = "sys.argv = ['slam-compare', 'run']\nfrom comparisons.__main__ import main\nmain()"
+    for program, status in ((imported, 0), (command, 2)):
+        run = subprocess.run([sys.executable, "-c", missing + program], capture_output=True, text=True, cwd=ROOT)
+        said = run.stdout + run.stderr
+        assert run.returncode == status and "Traceback" not in said
+        assert "graphslam._engine cannot be loaded" in said and said.endswith("pip install --editable .\n")
 
 
 def test_a_machine_without_compiler_gets_one_from_pypi(backend, monkeypatch, tmp_path):

@@ -24,7 +24,7 @@ from graphslam.solvers import auto
 from graphslam.solvers.initialize import starting_state
 from graphslam.solvers.starts import (
     dead_reckoning,
-    lower_by_turns,
+    lower_by_restarts,
     rotation_first,
     sequential_start,
 )
@@ -319,9 +319,9 @@ def test_other_turns_lead_out_of_a_wrong_minimum():
     wrong = solve(graph.with_initial(start), initialize="given")
     assert wrong.converged
     assert wrong.cost > best.cost + 1
-    state, _ = lower_by_turns(graph, wrong.state)
+    state, _ = lower_by_restarts(graph, wrong.state)
     assert graph.cost(state) == pytest.approx(best.cost, abs=1e-6)
-    assert lower_by_turns(graph, best.state)[0] is None
+    assert lower_by_restarts(graph, best.state)[0] is None
 
 
 @pytest.mark.slow
@@ -331,12 +331,12 @@ def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs, monkeypatch)
     first, reached = [], []
 
     def recorded(graph, state, limit):
-        lower, steps = lower_by_turns(graph, state, limit)
+        lower, steps = lower_by_restarts(graph, state, limit)
         first.append(graph.cost(state))
         reached.append(np.inf if lower is None else graph.cost(lower))
         return lower, steps
 
-    monkeypatch.setattr(auto, "lower_by_turns", recorded)
+    monkeypatch.setattr(auto, "lower_by_restarts", recorded)
     solution = solve(graph)
     assert solution.converged
     assert first[0] > 1.04 * solution.cost
@@ -350,7 +350,7 @@ def test_no_other_turns_are_tried_where_both_starts_of_a_kernel_agree(hard_logs,
     """At number 47, with the book's noise, both lead to the end that is reached from the truth."""
     log, tried = hard_logs.hard_log(47), []
     graph = Graph.from_log(log, edges="landmark+motion", kernel="cauchy")
-    monkeypatch.setattr(auto, "lower_by_turns", lambda *_: tried.append(1) or (None, 0))
+    monkeypatch.setattr(auto, "lower_by_restarts", lambda *_: tried.append(1) or (None, 0))
     solution = solve(graph)
     assert solution.certificate.proven
     assert not tried

@@ -1,11 +1,7 @@
-"""The scene of a film: two panels with everything that does not move, and the parts that do.
+"""`Film`, the frames of an estimator at work, to be saved or shown in a notebook; and `Scene`, the two panels of a film.
 
 The upper panel is the plane, with ground truth and dead reckoning, in limits that never change. The lower one is a curve
 over iterations or steps with a marker at the current frame.
-
-A film: the frames of an estimator at work, to be saved or shown in a notebook.
-
-The residuals of a graph's edges as Mahalanobis distances sqrt(e' Omega e), and where to draw them.
 """
 
 from __future__ import annotations

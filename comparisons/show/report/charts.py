@@ -5,11 +5,11 @@ truth, now (the robot at the step of the slider, which the page's script moves),
 was clicked). ``customdata`` of a path holds all that is known of each pose, in the order of `COLUMNS`; the page's script
 turns that into text, since Plotly's templates show unknown values as 0.
 
-The same edges are iterated in four ways, to show what the choice of the frame and of the anchor does. The lectures reset the
-anchor x̂_0 at every step, so the whole graph keeps drifting; with a fixed anchor the world frame converges at a constant
-rate; in the body frame the information does not depend on the state, and a few steps suffice.
+`iterations` iterates the same edges in four ways, to show what the choice of the frame and of the anchor does. The lectures
+reset the anchor x̂_0 at every step, so the whole graph keeps drifting; with a fixed anchor the world frame converges at a
+constant rate; in the body frame the information does not depend on the state, and a few steps suffice.
 
-The information matrix as a picture: its blocks, and the fill-in of its factor, before and after ordering.
+`matrix_figure` shows the information matrix: its blocks, and the fill-in of its factor, before and after ordering.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The data of the report of a comparison: all estimates aligned, with errors and covariances, thinned to fit.
 
-The look of the report's figures: the colours, dashes and markers of `show.canvas` as Plotly names them.
+`line_of`, `layout` and `axis` give all figures of the report one look: the colours, dashes and markers of `show.canvas`, by
+their names in Plotly.
 """
 
 from __future__ import annotations

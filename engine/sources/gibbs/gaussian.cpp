@@ -29,9 +29,7 @@ void Information::add_at(const Vector& q, const Symmetric& W, const Vector& g) {
 
 void Information::add_sighting(const Frame& pose, const Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented) {
     const Vector q = relative(pose, mark.mean);
-    Rotation back = pose.axes;
-    back.s = -back.s;
-    Symmetric W = inverse(edges::turned(back, mark.S) + C).matrix;
+    Symmetric W = inverse(edges::turned(pose.axes.inverse(), mark.S) + C).matrix;
     // q - y
     Vector r{q.x - y.x, q.y - y.y, wrap_angle(q.t - y.t)};
     if (!oriented) W = {W.xx, W.xy, W.yy, 0.0, 0.0, 0.0}, r.t = 0.0;

@@ -49,11 +49,7 @@ Present present_number(const Graph& graph, const Edge& edge) {
     return with_pull(graph, edge, now, omega * e * e);
 }
 
-Symmetric turned_back(const Rotation& axes, const Symmetric& W) {
-    Rotation back;
-    back.c = axes.c, back.s = -axes.s;
-    return turned(back, W);
-}
+Symmetric turned_back(const Rotation& axes, const Symmetric& W) { return turned(axes.inverse(), W); }
 
 Present present_position(const Graph& graph, const Edge& edge) {
     const Node& a = graph.nodes[edge.ends[0]];

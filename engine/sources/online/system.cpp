@@ -2,17 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <tuple>
 
 namespace vmslam::online {
 namespace {
 
-/// Everything is ordered again where there are so many times as many nodes as the last time.
-constexpr double growth = 1.3;
 /// How far the edges of a factor may be from the present ones where a covariance is asked for; see `Memory::limit`.
 constexpr double known_limit = 1e-7;
-/// The part by which J may rise in the passes of a step with single numbers.
-constexpr double rises = 1e-6;
 
 }  // namespace
 
@@ -76,98 +71,6 @@ void OnlineSystem::write_prior(const Prior& prior, bool renewed) {
         for (Id c = 0; c < group.size_of(k); ++c)
             put(prior.linear.data() + (3 * k + c) * 3 * group.r,
                 group.update() + (group.begin_of(k) + c) * front.update_height + front.update_pad);
-}
-
-/// What a step changes until an elimination has succeeded, to put it back: nodes from `homes` up to the roots, the new nodes and
-/// edges, and what the system remembers.
-class OnlineSystem::Undo {
-   public:
-    Undo(OnlineSystem& system, std::span<const Id> homes, Id known)
-        : system_(system),
-          known_(known),
-          first_edge_(static_cast<Id>(system.graph_.edges.size())),
-          remembered_(system.memory_, system.ordered_, system.passes, system.converged, system.covariances_ready_,
-                      system.graph_.has_single_numbers) {
-        for (const Id s : system.tree_.upwards(homes))
-            for (const Id node : system.tree_.groups[s].columns()) nodes_.push_back({node, system.graph_.nodes[node]});
-        for (const Prior& prior : system.priors_) of_priors_.push_back(prior.pull);
-    }
-    void operator()() const {
-        system_.graph_.detach(first_edge_);
-        for (const auto& [node, kept] : nodes_) system_.graph_.nodes[node] = kept;
-        for (std::size_t k = 0; k < of_priors_.size(); ++k) {
-            system_.priors_[k].pull = of_priors_[k];
-            system_.write_prior(system_.priors_[k], false);
-        }
-        system_.graph_.nodes.resize(known_);
-        std::tie(system_.memory_, system_.ordered_, system_.passes, system_.converged, system_.covariances_ready_,
-                 system_.graph_.has_single_numbers) = remembered_;
-    }
-
-   private:
-    OnlineSystem& system_;
-    Id known_, first_edge_;
-    std::vector<std::pair<Id, Node>> nodes_;
-    std::vector<std::vector<double>> of_priors_;
-    std::tuple<Memory, Id, int, bool, bool, bool> remembered_;
-};
-
-bool OnlineSystem::add(Id known, std::span<const NewEdge> added, std::span<const Id> newest) {
-    if (added.empty()) {
-        // a known pose from which nothing is seen
-        passes = 0;
-        return true;
-    }
-    std::vector<Id> homes;
-    for (const NewEdge& edge : added)
-        for (const Id end : {edge.first, edge.second})
-            if (end < known) homes.push_back(graph_.nodes[end].home);
-    const Undo undo(*this, homes, known);
-    tree_.move_paths(graph_, homes);
-    auto e = static_cast<Id>(graph_.edges.size());
-    const std::vector<Id> touched = graph_.append(added, known);
-    std::vector<Id> fresh;
-    for (; e < static_cast<Id>(graph_.edges.size()); ++e) fresh.push_back(e);
-    if (solve(touched, fresh, newest)) return true;
-    undo();
-    return false;
-}
-
-bool OnlineSystem::solve(std::span<const Id> touched, std::span<const Id> fresh, std::span<const Id> newest) {
-    std::vector<Id> every, all;
-    if (const auto n = graph_.size(); n > growth * ordered_ + 50) {
-        ordered_ = n;
-        touched = every = graph_.live_nodes();
-    }
-    if (lost_) {
-        touched = every = graph_.live_nodes();
-        fresh = all = graph_.live_edges();
-    }
-    passes = 0;
-    const auto eliminate_all = [&] {
-        const std::vector<Node> before = graph_.nodes;
-        complete();
-        if (eliminate({every, fresh, newest, {}})) return true;
-        graph_.nodes = before;
-        return false;
-    };
-    if (!every.empty()) {
-        if (!eliminate_all()) return false;
-    } else if (!eliminate({touched, fresh, newest, {}})) {
-        // exact second derivatives below the top may make it indefinite
-        every = graph_.live_nodes();
-        if (touched.size() == every.size() || !eliminate_all()) return false;
-    }
-    lost_ = false;
-    ++tree_.step;
-    converged = descends(newest) || solve_as_batch(newest);
-    return true;
-}
-
-/// `iterate`, and whether J has not risen: where there are single numbers, undamped passes may end in a higher minimum.
-bool OnlineSystem::descends(std::span<const Id> newest) {
-    const double before = memory_.cost;
-    return iterate(newest) && (!graph_.has_single_numbers || memory_.cost <= before + rises * (1.0 + before));
 }
 
 bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Id> newest) {

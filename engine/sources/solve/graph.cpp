@@ -141,11 +141,11 @@ void Graph::solve(Run& run, int threads) const {
     assemble(threads, [&run](GraphObjective& objective, Factor&) { gauss_newton(objective, run); });
 }
 
-Lowered Graph::lowered_by_turns(std::span<const double> state, double limit, int threads) const {
+Lowered Graph::lowered_by_restarts(std::span<const double> state, double limit, int threads) const {
     check_state(state);
     Lowered lowered;
     assemble(threads, [&](GraphObjective& objective, Factor&) {
-        lowered = solve::lowered_by_turns(objective, state, {motions_, variances_}, limit);
+        lowered = solve::lowered_by_restarts(objective, state, {motions_, variances_}, limit);
     });
     return lowered;
 }

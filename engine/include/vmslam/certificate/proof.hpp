@@ -135,7 +135,7 @@ struct Judgement {
     double lowest = 0.0;  ///< no state has a lower cost; 0 where nothing better is known
     Index unsplit = 0;    ///< the number of edges without a split
     Index edge = -1;      ///< of `without_bound` and `indefinite`: which one
-    std::vector<std::complex<double>> direction{};  ///< (N, 2) in which S is not positive; or empty
+    std::vector<std::complex<double>> direction;    ///< (N, 2) in which S is not positive; or empty
 
     bool global() const { return finding == Finding::global || finding == Finding::zero; }
 };

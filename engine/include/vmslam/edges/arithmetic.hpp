@@ -32,6 +32,12 @@ struct Rotation {
     double c, s;
     Rotation() : c(1.0), s(0.0) {}
     explicit Rotation(double angle) : c(std::cos(angle)), s(std::sin(angle)) {}
+
+    Rotation inverse() const {
+        Rotation back;
+        back.c = c, back.s = -s;
+        return back;
+    }
 };
 
 /// The same angle in [-pi, pi).
@@ -71,6 +77,11 @@ inline Symmetric turned(const Rotation& r, const Symmetric& W) {
             W.tt};
 }
 
+inline double determinant(const Symmetric& W) {
+    const double xx = W.yy * W.tt - W.yt * W.yt, xy = W.xt * W.yt - W.xy * W.tt, xt = W.xy * W.yt - W.xt * W.yy;
+    return W.xx * xx + W.xy * xy + W.xt * xt;
+}
+
 /// W^-1; without a heading row (not `oriented`) the inverse of the leading 2 x 2 part, and zeros.
 inline Symmetric inverse(const Symmetric& W, bool oriented) {
     if (!oriented) {
@@ -78,7 +89,7 @@ inline Symmetric inverse(const Symmetric& W, bool oriented) {
         return {f * W.yy, -f * W.xy, f * W.xx, 0.0, 0.0, 0.0};
     }
     const double xx = W.yy * W.tt - W.yt * W.yt, xy = W.xt * W.yt - W.xy * W.tt, xt = W.xy * W.yt - W.xt * W.yy;
-    const double f = 1 / (W.xx * xx + W.xy * xy + W.xt * xt);
+    const double f = 1 / determinant(W);
     return {f * xx,
             f * xy,
             f * (W.xx * W.tt - W.xt * W.xt),

@@ -63,13 +63,7 @@ struct Inverse {
     double determinant;
 };
 
-inline Inverse inverse(const Symmetric& V) {
-    const double a = V.yy * V.tt - V.yt * V.yt, b = V.xt * V.yt - V.xy * V.tt, c = V.xy * V.yt - V.xt * V.yy;
-    const double determinant = V.xx * a + V.xy * b + V.xt * c, i = 1.0 / determinant;
-    return {{a * i, b * i, (V.xx * V.tt - V.xt * V.xt) * i, c * i, (V.xy * V.xt - V.xx * V.yt) * i,
-             (V.xx * V.yy - V.xy * V.xy) * i},
-            determinant};
-}
+inline Inverse inverse(const Symmetric& V) { return {edges::inverse(V, true), edges::determinant(V)}; }
 
 inline Vector normals(Random& random) {
     const double x = random.normal(), y = random.normal(), t = random.normal();

@@ -8,9 +8,9 @@
 #include "vmslam/certificate/proof.hpp"
 #include "vmslam/edges/relative.hpp"
 #include "vmslam/log.hpp"
+#include "vmslam/solve/restarts.hpp"
 #include "vmslam/solve/run.hpp"
 #include "vmslam/solve/start.hpp"
-#include "vmslam/solve/turns.hpp"
 
 namespace vmslam::solve {
 
@@ -41,7 +41,7 @@ class Graph {
     void solve(Run& run, int threads = 1) const;
     /// The end that other turns of the robot lead to from an end of `solve`, where it is lower; it takes at most `limit` steps and
     /// those of one turn more.
-    Lowered lowered_by_turns(std::span<const double> state, double limit = 1e4, int threads = 1) const;
+    Lowered lowered_by_restarts(std::span<const double> state, double limit = 1e4, int threads = 1) const;
     /// J of a state, a lower bound on J of all states, and whether the state is a global minimum. With a kernel all of these are
     /// about the cost with its weights held at those of the state: necessary for a global minimum of J, and not sufficient.
     /// None where an edge has no constant information, or none that is positive semidefinite, or J is not finite.

@@ -1,4 +1,4 @@
-#include "vmslam/solve/turns.hpp"
+#include "vmslam/solve/restarts.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -68,7 +68,8 @@ struct Deviations {
 
 /// A run from a state with other turns, to the minimum where that is lower than `cost`.
 Run run_below(Objective& objective, State start, double cost, int& steps) {
-    Rules rules{.tolerance = 1e-6 * std::sqrt(static_cast<double>(start.size() / 3)), .most_steps = steps_after};
+    const std::size_t nodes = start.size() / 3;
+    Rules rules{.tolerance = 1e-6 * std::sqrt(static_cast<double>(nodes)), .most_steps = steps_after};
     rules.cost_tolerance = settled;
     Run run{rules, std::move(start)};
     gauss_newton(objective, run);
@@ -121,7 +122,7 @@ std::vector<double> other_turn(std::vector<double> state, const Odometry& odomet
     return state;
 }
 
-Lowered lowered_by_turns(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit) {
+Lowered lowered_by_restarts(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit) {
     const std::size_t most = std::min(most_turns, odometry.poses() / poses_per_turn);
     Lowered out;
     State best(state.begin(), state.end());

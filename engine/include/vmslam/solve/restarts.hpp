@@ -41,6 +41,6 @@ struct Lowered {
     std::optional<std::vector<double>> state;
     int steps = 0;  ///< that were taken; after `limit` of them no further turn is tried
 };
-Lowered lowered_by_turns(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit);
+Lowered lowered_by_restarts(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit);
 
 }  // namespace vmslam::solve

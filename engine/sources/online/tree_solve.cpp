@@ -163,9 +163,7 @@ void Tree::move(Graph& graph, Supernode& group, const double* w) {
         if (frame) {
             const Lever along = turned(turn, node.base[0] - then->x, node.base[1] - then->y);
             node.x[0] = frame->x[0] + along.x, node.x[1] = frame->x[1] + along.y;
-            Rotation back = turn;
-            back.s = -back.s;
-            axes = between(axes, back);
+            axes = between(axes, turn.inverse());
         }
         const Lever way = turned(node.point ? turn : axes, at[0], at[1]);
         node.x[0] += way.x;
