@@ -58,7 +58,7 @@ def main() -> None:
     log = webmap_log(path)
     print(f"{log.num_poses - 1} predictions, {len(np.unique(log.steps))} observation steps, {len(log.steps)} sightings")
     for kind in (FastSLAM1, FastSLAM2):
-        kind(webmap_log(path, steps=2000), particles=10, motion=MOTION, sensor=SENSOR).run()  # compiles
+        kind(webmap_log(path, steps=2000), particles=10, motion=MOTION, sensor=SENSOR).run()  # loads modules
         for threads in (1, 2):
             seconds = []
             for _ in range(5):

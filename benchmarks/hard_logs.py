@@ -111,7 +111,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the rows there")
     parser.add_argument("--before", type=Path, help="rows of an earlier run, to compare times and ends with")
     arguments = parser.parse_args()
-    solve(Graph.from_log(hard_log(0), edges=arguments.edges, kernel="none"))  # compiles
+    solve(Graph.from_log(hard_log(0), edges=arguments.edges, kernel="none"))  # loads modules
     rows = []
     for number in range(arguments.logs):
         rows.append(row(number, arguments.seed, {"edges": arguments.edges}, arguments.repeat))

@@ -49,7 +49,7 @@ def one(poses: int, side: float) -> dict:
     small, motion, sensor = strip_log(300, side)
     solve(
         Graph.from_log(small, motion=motion, sensor=sensor, edges="landmark+motion", kernel="none"), initialize="auto"
-    )  # compiles
+    )  # loads modules
     log, motion, sensor = strip_log(poses, side)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin, cpu = time.perf_counter(), time.process_time()

@@ -4,7 +4,7 @@
 
 A robot drives up and down a field 170 m wide with landmarks at random places, which it sees up to 5.55 m ahead and to the
 sides: with 35,000 poses about 220,000 sightings of 4,200 landmarks. 2-D sensor, clean noise a tenth of the book's. The log
-is solved from dead reckoning. The command runs twice, because the first time may compile; the second time counts.
+is solved from dead reckoning. The command runs twice, because the first time loads modules from disk; the second time counts.
 """
 
 from __future__ import annotations

@@ -26,7 +26,8 @@ SAMPLES = 24
 CONTRADICTS, FITS = 25.0, 9.0
 #: ... that is better than all others by this
 BETTER = 9.0
-#: a sighting that stands alone keeps its id where this is right with this probability; else it counts as so far from it
+#: the least probability with which the id of a sighting that stands alone is kept; and the squared Mahalanobis distance from
+#: its landmark that it is given below that
 BELIEVED, UNLIKELY = 0.5, 100.0
 #: the number of right sightings that stand alone which is assumed before any is seen
 RIGHT = 2.0
