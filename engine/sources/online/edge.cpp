@@ -125,7 +125,8 @@ struct Curvature {
     if (edge.form != Form::relative) return {std::max(gamma, 0.0), {}};
     double a = W.xx, b = W.xy, c = W.yy;
     if (edge.oriented) a -= W.xt * W.xt / W.tt, b -= W.xt * W.yt / W.tt, c -= W.yt * W.yt / W.tt;
-    // along the direction in which its residual does not change, the edge adds gamma + 2 h' u - h' P h, P its covariance
+    // along the direction in which its residual does not change, the edge adds gamma + 2 h' u - h' P h, P its covariance. That is
+    // -(gamma + h' P h), because h' u = -gamma
     const double least = (a * g.x * g.x + 2 * b * g.x * g.y + c * g.y * g.y) / (a * c - b * b);
     if (least + gamma > 0.0 && now.cost < bent.exact) return {std::max(gamma, 0.0), {}};
     return {gamma, {-g.y, g.x}};

@@ -35,9 +35,9 @@ constexpr double stricter = 0.1, easier = 1.5;
 constexpr double grows = 1.5, near = 1e-6, strict = 1e-4, fine = 0.03;
 /// For so many passes second derivatives are convex once exact ones have made Omega indefinite.
 constexpr int held = 3;
-/// By so much the largest ratio of the predictions of two passes falls with each step.
+/// The largest ratio of the predictions of two passes is multiplied by this at each step.
 constexpr double forget = 0.9;
-/// Passes end where one predicts that J falls by so many times itself.
+/// Passes end where one predicts a decrease of more than this many times J.
 constexpr double hopeless = 10.0;
 /// The next pass is assumed to predict at least this part of what this one predicts.
 constexpr double least_left = 0.3;

@@ -39,6 +39,7 @@ Index Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
             Block::put(at, h, block, entry.transposed());
     }
     double* const limits = limits_.data() + t.head[s];
+    // a front is filled up to whole blocks: rows after those that are used are rows of the identity
     const Step used = begin[t.width(s) - 1] + t.size(t.first[s + 1] - 1);
     for (Step i = 0; i < Block::rows * panel.front.w; ++i) {
         double& d = panel.x[i * (Block::planes * h + 1) + panel.front.pad];
@@ -50,6 +51,7 @@ Index Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
         extend<Block>(t, c, 0, t.split[c], updates_.data() + t.stack_start[c], panel.x, h, panel.front.pad, 0);
     }
     if (const Index bad = panel.factorize(limits); bad >= 0) {
+        // the node of this row of the front, and its number among all
         Node k = t.width(s) - 1;
         while (begin[k] > bad) --k;
         return Block::rows * (t.first[s] + k) + t.first_number(t.first[s] + k) + bad - begin[k];

@@ -111,11 +111,11 @@ class Tree {
     /// The same for all supernodes from `homes` up to the roots, and for all.
     void move_paths(Graph& graph, std::span<const Id> homes);
     void move_all(Graph& graph);
-    /// Take the values that all nodes have as the solution.
+    /// Take the present values of all nodes as the solution: their steps are zero.
     void stay();
     /// What a subtree pulls its separator with where that is now, and `separator_change`.
     void follow(const Graph& graph, Id s);
-    /// Take the present values of the nodes of a supernode as those from which they move, by nothing.
+    /// Count the steps of the nodes of a supernode from their present values: they are zero.
     void rest(Graph& graph, Id s);
     /// Evaluate the edges of a supernode, whose nodes and children are where they are to be, and solve it forward.
     void evaluate(Graph& graph, Id s, Evaluation& found);
