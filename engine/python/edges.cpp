@@ -154,6 +154,15 @@ std::vector<Control> controls_of(const In<double>& u, const In<double>& dt, cons
     return controls;
 }
 
+/// Call use(first control, number of controls) for each motion.
+template <class Use>
+void for_each_motion(const In<Index>& starts, Use use) {
+    for (std::size_t t = 0; t + 1 < starts.size(); ++t) {
+        const auto first = static_cast<std::size_t>(starts.data()[t]);
+        use(first, static_cast<std::size_t>(starts.data()[t + 1]) - first);
+    }
+}
+
 void append(std::vector<double>& to, const Vector& v) { to.insert(to.end(), {v.x, v.y, v.t}); }
 void append(std::vector<double>& to, const Symmetric& P) {
     to.insert(to.end(), {P.xx, P.xy, P.xt, P.xy, P.yy, P.yt, P.xt, P.yt, P.tt});
@@ -175,14 +184,12 @@ void bind_measured(nb::module_& m) {
         const std::vector<Control> controls = controls_of(u, dt, starts);
         const auto variances = records<ControlVariances>(given, controls.size());
         std::vector<double> ends, covariances;
-        for (std::size_t t = 0; t + 1 < starts.size(); ++t) {
-            const auto first = static_cast<std::size_t>(starts.data()[t]);
-            const std::size_t count = static_cast<std::size_t>(starts.data()[t + 1]) - first;
+        for_each_motion(starts, [&](std::size_t first, std::size_t count) {
             const auto [end, P] =
                 moved(std::span(controls).subspan(first, count), std::span(variances).subspan(first, count));
             append(ends, end);
             append(covariances, P);
-        }
+        });
         const std::size_t motions = starts.size() - 1;
         return std::pair(array(std::move(ends), {motions, 3}), array(std::move(covariances), {motions, 3, 3}));
     });
@@ -191,11 +198,9 @@ void bind_measured(nb::module_& m) {
         const std::vector<Control> controls = controls_of(u, dt, starts);
         std::vector<ControlSlope> by_control(controls.size());
         std::vector<double> ends;
-        for (std::size_t t = 0; t + 1 < starts.size(); ++t) {
-            const auto first = static_cast<std::size_t>(starts.data()[t]);
-            const std::size_t count = static_cast<std::size_t>(starts.data()[t + 1]) - first;
+        for_each_motion(starts, [&](std::size_t first, std::size_t count) {
             append(ends, slopes(std::span(controls).subspan(first, count), std::span(by_control).subspan(first, count)));
-        }
+        });
         return std::pair(array(std::move(ends), {starts.size() - 1, 3}),
                          array<double>(std::move(by_control), {controls.size(), 3, 2}));
     });
