@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <cmath>
 #include <tuple>
+#include <utility>
 
 #include "vmslam/online/system.hpp"
 
@@ -142,37 +143,26 @@ bool OnlineSystem::descends(std::span<const Id> newest) {
 
 bool OnlineSystem::is_small(double decrease) const { return decrease <= std::max(tolerance_ * memory_.cost, rounding); }
 
+// A step that begins at the solution needs no pass: nothing promises to lower J. Each pass moves the nodes by what is predicted to
+// lower J, and evaluates their edges; those that are far from their linearisation are linearised again, and the tree above them is
+// factorised again. The last pass is the one after which further ones are predicted to lower J by less than the tolerance.
 OnlineSystem::Outcome OnlineSystem::advance(int& done) {
     Memory& m = memory_;
-    double last = infinity, part = 1.0;
-    bool renewed = false;
+    Progress progress;
     m.shrinks *= forget;
     while (done < most_passes_) {
-        if (last == infinity && is_small(least_left * m.predicted)) return Outcome::done;
+        if (progress.first() && is_small(least_left * m.predicted)) return Outcome::done;
         if (m.hold > 0 && --m.hold == 0) m.bent.exact = usual_bent().exact;
-        const Pass pass = this->pass(part * settled * m.cost);
-        const double predicted = pass.predicted;
+        const Pass pass = this->pass(progress.part * settled * m.cost);
         // J cannot fall by more than itself: far from any minimum, undamped passes lead nowhere
-        if (!(predicted < hopeless * m.cost + 1.0) || !std::isfinite(m.cost)) break;
-        // what is left after this pass, if the predictions of further ones shrink as slowly as lately
-        m.shrinks = std::max({m.shrinks, std::min(predicted / last, 0.9), m.bent.convex == 0.0 ? 0.75 : 0.0});
-        const bool ends = is_small(predicted * std::max(least_left, m.shrinks / (1 - m.shrinks)));
-        const bool is_slow = !ends && predicted > (renewed ? diverging : slow) * last;
-        if (ends && predicted < slow * last) m.limit = std::min(Memory{}.limit, easier * m.limit);
-        if (is_slow) {
-            const bool closing = grows * last < predicted && predicted < near * m.cost && part < fine;
-            if (closing && renewed && m.hold == 0 && m.limit < strict && m.bent.convex > 0.0 && m.bent.convex < infinity)
-                m.bent.convex = 0.0;
-            else  // more of the edges have to be linearised where they are
-                m.limit = std::max(stricter * m.limit, 1e-9);
-            part *= finer;
-        }
-        last = predicted;
+        if (!(pass.predicted < hopeless * m.cost + 1.0) || !std::isfinite(m.cost)) break;
+        const bool ends = is_last(pass.predicted, progress.last);
+        adapt(pass.predicted, ends, progress);
         const std::vector<Id> above = renew_priors(pass.outdated);
-        renewed = !pass.late.empty() || !above.empty();
-        if (ends && !renewed) return Outcome::done;
+        progress.renewed = !pass.late.empty() || !above.empty();
+        if (ends && !progress.renewed) return Outcome::done;
         ++done;
-        while (renewed && !factorize_late(pass.late, above)) {
+        while (progress.renewed && !factorize_late(pass.late, above)) {
             if (m.hold > 0) return Outcome::indefinite;
             m.bent.exact = infinity;
             m.hold = held;
@@ -182,6 +172,31 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
     }
     done = most_passes_;
     return Outcome::unfinished;
+}
+
+/// Whether what is left after a pass is small, if the predictions of further ones shrink as slowly as lately.
+bool OnlineSystem::is_last(double predicted, double last) {
+    Memory& m = memory_;
+    m.shrinks = std::max({m.shrinks, std::min(predicted / last, 0.9), m.bent.convex == 0.0 ? 0.75 : 0.0});
+    return is_small(predicted * std::max(least_left, m.shrinks / (1 - m.shrinks)));
+}
+
+/// After a pass that is slow, keep edges nearer to their linearisation and leave out less; otherwise allow a little more again.
+void OnlineSystem::adapt(double predicted, bool ends, Progress& progress) {
+    Memory& m = memory_;
+    const double last = std::exchange(progress.last, predicted);
+    if (ends) {
+        if (predicted < slow * last) m.limit = std::min(Memory{}.limit, easier * m.limit);
+        return;
+    }
+    if (predicted <= (progress.renewed ? diverging : slow) * last) return;
+    const bool near_the_end = grows * last < predicted && predicted < near * m.cost && progress.part < fine;
+    if (near_the_end && progress.renewed && m.hold == 0 && m.limit < strict && m.bent.convex > 0.0 &&
+        m.bent.convex < infinity)
+        m.bent.convex = 0.0;
+    else
+        m.limit = std::max(stricter * m.limit, 1e-9);
+    progress.part *= finer;
 }
 
 OnlineSystem::Pass OnlineSystem::pass(double least) {

@@ -10,9 +10,16 @@
 namespace vmslam::sparse {
 namespace {
 
-/// The graph during elimination: an eliminated node becomes an element; its list has the nodes that it ties together.
-/// The list of a variable has elements first, then variables. Indistinguishable variables are one supervariable, whose
-/// members are chained, so that the order is written out as the pivots are chosen.
+/// The graph during elimination. Eliminating a node ties all its neighbours together. Instead of the edges between them the node
+/// itself stays, as an element e, with the list Le of the nodes that it ties together; a node that is not yet eliminated is a
+/// variable i, with the list of its elements Ei, then of its variables Ai. So no list ever becomes longer, and the neighbours of i are
+/// Ai and all Le of its elements. Variables with the same neighbours become one supervariable, which weighs as many as it has members.
+///
+/// The degree of a variable is the weight of its neighbours. For those of a new element p it is bounded from above by
+///
+///     |Ai \ i| + |Lp \ i| + sum over the other elements e of i of |Le \ Lp|,
+///
+/// which costs only one look at each list (it counts variables of several elements more than once).
 class QuotientGraph {
    public:
     QuotientGraph(const Neighbours& graph, Node limit, std::span<const Node> stage)
@@ -61,19 +68,20 @@ class QuotientGraph {
         }
     }
 
+    /// Eliminate variables of the lowest degree, those of the present stage, until none is left; returns the order.
     Order eliminate() {
         while (done_ < last_) {
             const Node pivot = lowest_degree();
             if (pivot < 0) {
-                start_turn();
+                start_stage();
                 continue;
             }
             unlink(pivot);
-            form_element(pivot);
-            measure_overlaps();
-            update_degrees(pivot);
-            merge_indistinguishable();
-            restore_degrees(pivot);
+            form_element(pivot);        // Lp, from the lists of the pivot and of its elements, which end here
+            measure_overlaps();         // |Le \ Lp| of all other elements of the variables in Lp
+            update_degrees(pivot);  // the bounds without |Lp \ i|; variables that only p ties are eliminated with the pivot
+            merge_indistinguishable();  // variables of Lp with the same lists
+            restore_degrees(pivot);  // |Lp \ i| more; back to the lists by degree
             write(pivot);
         }
         return std::move(order_);
@@ -82,6 +90,7 @@ class QuotientGraph {
    private:
     Node stage_of(Node i) const { return stage_.empty() ? 0 : stage_[i]; }
 
+    /// Put a variable into the list of those with degree d, and take it out again.
     void link(Node i, Node d) {
         degree_[i] = d;
         after_[i] = head_[d];
@@ -96,19 +105,21 @@ class QuotientGraph {
         (b >= 0 ? after_[b] : head_[degree_[i]]) = a;
     }
 
-    void start_turn() {
+    /// Take the variables of the next stage as candidates.
+    void start_stage() {
         ++now_;
         lowest_ = 0;
         for (Node i = 0; i < n_; ++i)
             if (weight_[i] > 0 && stage_of(i) == now_) link(i, degree_[i]);
     }
 
+    /// A variable of the lowest degree, or -1.
     Node lowest_degree() {
         while (lowest_ <= n_ && head_[lowest_] < 0) ++lowest_;
         return lowest_ > n_ ? -1 : head_[lowest_];
     }
 
-    /// Copy the live lists to the front of new memory, so that `needed` places are free.
+    /// Copy the lists that are in use to the front of new memory, so that `needed` places are free.
     void make_room(Index needed) {
         Index total = 0;
         for (Node i = 0; i < n_; ++i)
@@ -124,7 +135,8 @@ class QuotientGraph {
         graph_ = std::move(fresh);
     }
 
-    /// The pivot becomes an element: the variables that it reaches directly or through its elements, which it absorbs.
+    /// The pivot becomes an element: the variables that it reaches directly or through its elements, which it absorbs. Their
+    /// weights are negative until `restore_degrees`, so that each is counted once.
     void form_element(Node pivot) {
         const Node elements = elements_[pivot];
         Index needed = 0;
@@ -156,7 +168,7 @@ class QuotientGraph {
         length_[pivot] = static_cast<Node>(end_ - first_);
     }
 
-    /// |Le \ Lp| of every element e that meets the new one.
+    /// |Le \ Lp| of every element e that meets the new one: |Le|, less the weight of each variable of Lp that has e in its list.
     void measure_overlaps() {
         for (Index p = first_; p < end_; ++p) {
             const Node i = graph_[p], w = -weight_[i];
@@ -171,7 +183,8 @@ class QuotientGraph {
         }
     }
 
-    /// Approximate degrees of the variables of the new element; elements inside it are absorbed, equal variables eliminated.
+    /// Bounds on the degrees of the variables of the new element. Elements that lie inside it are absorbed. Variables without other
+    /// neighbours are eliminated with the pivot. The others get a hash of their lists.
     void update_degrees(Node pivot) {
         const unsigned mask = static_cast<unsigned>(bucket_.size()) - 1;
         for (Index p = first_; p < end_; ++p) {
@@ -222,7 +235,7 @@ class QuotientGraph {
         }
     }
 
-    /// Variables with the same elements and variables become one.
+    /// Variables with the same elements and variables become one: only those with the same hash are compared.
     void merge_indistinguishable() {
         for (Index p = first_; p < end_; ++p) {
             if (weight_[graph_[p]] >= 0) continue;
@@ -275,22 +288,24 @@ class QuotientGraph {
         if (kept == first_) alive_[pivot] = 0;
     }
 
+    /// Write the members of the pivot to the order.
     void write(Node pivot) {
         for (Node i = pivot; i >= 0; i = chain_[i]) order_[done_++] = i;
     }
 
     Node n_, done_ = 0, last_, now_ = 0, lowest_ = 0;
     std::span<const Node> stage_;
-    std::vector<Node> graph_;
+    std::vector<Node> graph_;  ///< all lists: that of i begins at start_[i]; from free_ on there is room
     std::vector<Index> start_;
     Index free_;
-    std::vector<Node> length_, elements_, weight_, degree_;  ///< weight: 0 absorbed, negative inside the new element
-    std::vector<char> alive_;
-    std::vector<Index> mark_;  ///< stamps of variables; of elements |Le \ Lp| + stamp
-    Index stamp_ = 1;
-    std::vector<Node> head_, after_, before_;  ///< lists of variables by degree
-    std::vector<Node> chain_, tail_;           ///< members of supervariables
-    std::vector<Node> bucket_, sibling_, code_;
+    std::vector<Node> length_, elements_;  ///< of the list of a node; the number of its elements, which come first
+    std::vector<Node> weight_, degree_;  ///< the weight is 0 once absorbed, and negative inside the new element
+    std::vector<char> alive_;  ///< whether the list of a node is in use
+    std::vector<Index> mark_;  ///< of an element that was met since the last stamp, |Le \ Lp| + stamp
+    Index stamp_ = 1;  ///< marks below it are of earlier pivots
+    std::vector<Node> head_, after_, before_;  ///< doubly linked lists of variables by degree
+    std::vector<Node> chain_, tail_;  ///< the members of a supervariable, one after another
+    std::vector<Node> bucket_, sibling_, code_;  ///< variables by the hash of their lists
     Order order_;
     // the element under construction: its place, and the weights of its variables and of the pivot
     Index first_ = 0, end_ = 0;

@@ -90,6 +90,16 @@ class OnlineSystem {
     bool iterate(std::span<const Id> newest);
     bool descends(std::span<const Id> newest);
     Outcome advance(int& done);
+    /// How the passes of a step have gone so far.
+    struct Progress {
+        double last = infinity;  ///< the decrease of J that the last pass predicted
+        double part = 1.0;       ///< of the usual size, up to which the next pass leaves out subtrees
+        bool renewed = false;    ///< whether edges were linearised again after the last pass
+
+        bool first() const { return last == infinity; }
+    };
+    bool is_last(double predicted, double last);
+    void adapt(double predicted, bool ends, Progress& progress);
     /// One pass, but for subtrees that would change J by less than `least`: the decrease of J by the next one, and the edges and
     /// priors that are to be linearised again.
     struct Pass {
