@@ -62,6 +62,11 @@ class PythonFamily : public edges::Family {
         return std::make_unique<PythonFamily>(std::move(part), make_, 3 * static_cast<std::size_t>(count));
     }
 
+    std::size_t measurements() const override {
+        const nb::gil_scoped_acquire python;
+        return nb::cast<std::size_t>(family_.attr("measurements"));
+    }
+
     std::unique_ptr<const edges::Family> trusting(std::span<const double> trust) const override {
         const nb::gil_scoped_acquire python;
         return std::make_unique<PythonFamily>(family_.attr("with_trust")(array(std::vector(trust.begin(), trust.end()))),
@@ -194,6 +199,19 @@ class PythonObjective : public Objective {
     std::vector<double> xi_;
 };
 
+/// What a search for lower states finds while other threads may use Python.
+template <class Search>
+std::pair<std::optional<Out<double>>, int> lowered(Search search) {
+    Lowered found;
+    {
+        const nb::gil_scoped_release others;
+        found = search();
+    }
+    std::optional<Out<double>> to;
+    if (found.state) to = state_array(found.state->data(), found.state->size());
+    return {std::move(to), found.steps};
+}
+
 void bind_objectives(nb::module_& m) {
     nb::class_<PythonFamily, edges::Family>(m, "PythonFamily").def(nb::init<nb::object, nb::object, std::size_t>());
     nb::class_<Objective>(m, "Objective")
@@ -235,19 +253,16 @@ void bind_objectives(nb::module_& m) {
               return state_array(grown->data(), grown->size());
           });
     m.def("most_steps_of_growth", [](Index poses, Index each) { return Growth{poses, each, {}, {}, {}}.most_steps(); });
-    // the state (n, 3), or None where no other turn leads to a lower one, and the number of steps
-    m.def("lowered_by_restarts",
-          [](Objective& graph, In<double> state, In<double> motions, In<double> variances, double limit) {
-              const std::vector<double> from = copy_of(state);
-              Lowered lowered;
-              {
-                  const nb::gil_scoped_release others;
-                  lowered = lowered_by_restarts(graph, from, {span(motions), span(variances)}, limit);
-              }
-              std::optional<Out<double>> to;
-              if (lowered.state) to = state_array(lowered.state->data(), lowered.state->size());
-              return std::pair(to, lowered.steps);
-          });
+    // from a state (n, 3): a lower one, or None where no other turn leads to one, and the number of steps
+    m.def("lowered_by_turns", [](Objective& graph, In<double> state, In<double> motions, In<double> variances, double limit) {
+        return lowered([&] { return lowered_by_turns(graph, span(state), {span(motions), span(variances)}, limit); });
+    });
+    // the same without halves of the measurements of the families with these numbers
+    m.def("lowered_by_halves", [](BoundGraph& graph, std::vector<std::size_t> doubted, In<double> state, In<double> motions,
+                                  In<double> variances, double limit) {
+        return lowered(
+            [&] { return lowered_by_halves(graph, doubted, span(state), {span(motions), span(variances)}, limit); });
+    });
     nb::class_<PythonObjective, Objective>(m, "PythonObjective").def(nb::init<nb::object>());
 }
 
@@ -305,16 +320,17 @@ void bind_runs(nb::module_& m) {
 
 void bind_graduation(nb::module_& m) {
     nb::class_<Graduation>(m, "Graduation")
-        // doubted: (place among the families, number of measurements, c², edges that give their squares or None for themselves)
+        // doubted: (place among the families, c², edges that give their squares or None for themselves)
         .def(
             "__init__",
             [](Graduation* at, const BoundGraph& graph, nb::tuple doubted, double tolerance, int most_steps, In<double> state,
                In<double> trust) {
                 std::vector<Doubted> families;
                 for (const nb::handle each : doubted) {
-                    const auto [member, count, limit, measured] =
-                        nb::cast<std::tuple<std::size_t, std::size_t, double, std::optional<const edges::Family*>>>(each);
-                    families.push_back({member, count, limit, measured.value_or(graph.families().at(member).family)});
+                    const auto [member, limit, measured] =
+                        nb::cast<std::tuple<std::size_t, double, std::optional<const edges::Family*>>>(each);
+                    const edges::Family* own = graph.families().at(member).family;
+                    families.push_back({member, own->measurements(), limit, measured.value_or(own)});
                 }
                 new (at) Graduation(graph, std::move(families), {tolerance, most_steps}, copy_of(state), copy_of(trust));
             },

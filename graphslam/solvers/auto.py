@@ -23,7 +23,7 @@ from ..se2 import Array
 from .certificate import GLOBAL, Certificate, prove
 from .initialize import GROWING, starting_state, starts_of_auto
 from .iteration import Run, end_of, factorized, gauss_newton, levenberg_marquardt, rounding
-from .starts import descents, lower_by_restarts, most_steps
+from .starts import descents, lower_by_halves, lower_by_turns, most_steps
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
@@ -42,6 +42,8 @@ PROVABLE, FURTHER = 1000, 2
 SAME = 1e-6
 #: the search after the first end takes at most so many steps for each step that led to that, ...
 MULTIPLE = 10
+#: ... and this part of them more without halves of the measurements, ...
+FINAL = 0.6
 #: ... or this number divided by the number of nodes, if that is more: some three seconds
 SHORT = 1_000_000
 #: the names of the two starts of graphs with a kernel: the plain optimum, and the sequence of kernels from there on, ...
@@ -144,9 +146,10 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
     """The lowest end among the starts of `AUTO`.
 
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
-    another start, other turns are tried from the end of the last one (`lower_by_restarts`), with a kernel only after its
-    second start. If the lowest end is not accepted or still open then, the search continues along the negative direction
-    that its failed proof shows. The whole search after the first end is bounded by a multiple of the steps that led to it.
+    another start, other turns are tried from the end of the last one (`lower_by_turns`), with a kernel only after its
+    second start. From the lowest end of a search that took these, random halves of the measurements are left out
+    (`lower_by_halves`). If it is not accepted or still open then, the search continues along the negative direction that its
+    failed proof shows. The whole search after the first end is bounded by a multiple of the steps that led to it.
     An end with a higher cost than the given values never counts. If no run converges to a lower one, Levenberg-Marquardt
     runs from the given values and accepts only steps that lower J itself. (With state-dependent information a fixed point
     of the iteration may have a higher J.)
@@ -167,7 +170,7 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
     good: list[End] = []
     # the starts from whose ends other turns are not yet tried: name, number of ends before and after
     unturned: list[tuple[str, int, int]] = []
-    further = FURTHER
+    further, searched = FURTHER, False
     effort = _Effort(graph.num_nodes)
     for initialize, start in _starts(graph, ends, effort):
         # with state-dependent information a fixed point may lie above the state that the iteration starts from
@@ -191,8 +194,8 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
         # the second start of a kernel costs less than other turns, and often ends the search
         if initialize != PLAIN and not _finished(good, further):
             for started, before, after in unturned:
-                ends += _with_restarts(graph, run_from, ends[:after], before, started, effort)
-            unturned = []
+                ends += _with_turns(graph, run_from, ends[:after], before, started, effort)
+            unturned, searched = [], True
             good = _counted(ends, given)
         if _finished(good, further):
             break
@@ -201,6 +204,10 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
         further -= enough(good)
         if good and effort.left <= 0:
             break
+    if searched and good and not _lowest(good).proven:
+        effort.most = max(effort.most, effort.spent + FINAL * effort.most)
+        ends += _lower(graph, run_from, _lowest(good), lower_by_halves, "without halves", ends, effort)
+        good = _counted(ends, given)
     if good and (not enough(good) or _lowest(good).open):
         ends += _descended(graph, run_from, method, _lowest(good), effort)
     if error is not None and not any(end.run.converged for end in ends):
@@ -235,30 +242,44 @@ def _end(graph: Graph, run_from: Callable[..., Run], start: Array, search: str, 
     return End(graph, run, search, before)
 
 
-def _with_restarts(
+def _with_turns(
     graph: Graph, run_from: Callable[..., Run], ends: list[End], tried: int, started: str, effort: _Effort
 ) -> list[End]:
     """The lower end that other turns lead to from the last end, if it has converged and no end before it has its cost.
 
-    Beyond J of `DOUBTFUL` times the expected one, wrong sightings or noise models dominate, and other turns do not lower it.
-
     Args:
         ends: those until the last one; the first ``tried`` of them are those of earlier starts.
     """
-    if not _sighted(graph) or len(ends) == tried or not ends[-1].run.converged:
+    if len(ends) == tried:
         return []
     end = ends[-1]
-    if end.cost > DOUBTFUL * graph.expected_cost:
-        return []
     if any(abs(other.cost - end.cost) <= SAME * end.cost for other in ends[:tried] if other.run.converged):
         return []
+    return _lower(graph, run_from, end, lower_by_turns, f"{started}, other turns", ends, effort)
+
+
+def _lower(
+    graph: Graph,
+    run_from: Callable[..., Run],
+    end: End,
+    lower_by: Callable[[Graph, Array, float], tuple[Array | None, int]],
+    started: str,
+    ends: list[End],
+    effort: _Effort,
+) -> list[End]:
+    """The lower end that restarts lead to from a converged end.
+
+    Beyond J of `DOUBTFUL` times the expected one, wrong sightings or noise models dominate, and restarts do not lower it.
+    """
+    if not _sighted(graph) or not end.run.converged or end.cost > DOUBTFUL * graph.expected_cost:
+        return []
     effort.allow(ends[0].steps)
-    state, steps = lower_by_restarts(graph, end.run.state, effort.left)
+    state, steps = lower_by(graph, end.run.state, effort.left)
     effort.spent += steps
     if state is None:
         return []
     try:
-        lower = _end(graph, run_from, state, end.method, f"{started}, other turns", ends)
+        lower = _end(graph, run_from, state, end.method, started, ends)
     except GraphError:
         return []
     effort.spent += lower.steps

@@ -162,7 +162,7 @@ class _Doubts:
         """The rounds in the engine (``engine/include/vmslam/solve/graduated.hpp``), from a state (n, 3) and trust (N,)."""
         trusting, about_landmarks = self._trusting, None if self.sightings is None else self.sightings.in_engine
         doubted = tuple(
-            (k, f.measurements, self.limit(f.dimension), about_landmarks if isinstance(f, SightingEdges) else None)
+            (k, self.limit(f.dimension), about_landmarks if isinstance(f, SightingEdges) else None)
             for k, f in enumerate(trusting.families)
             if isinstance(f, DoubtedEdges)
         )

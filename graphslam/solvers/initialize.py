@@ -167,7 +167,7 @@ MIRRORED = "mirror images"
 #: the starts that "auto" tries, in this order
 AUTO = (MIRRORED, "cartesian", "virtual-motion", "rotation-first", "given")
 #: the starts that grow the graph, and by how many poses at a time; "auto" tries them where ends are doubtful
-GROWING = {"grow": 10, "grow by 3": 3, "grow by 1": 1}
+GROWING = {"grow": 10, "grow by 3": 3}
 #: longer trajectories are first solved for every eighth pose, recursively
 LONG, EVERY = 5_000, 8
 

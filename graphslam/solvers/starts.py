@@ -23,7 +23,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..edges import AnchorEdges, ObservationEdges, PriorEdges, RelationEdges, RelativePoseEdges
+from ..edges import AnchorEdges, DoubtedEdges, ObservationEdges, PriorEdges, RelationEdges, RelativePoseEdges
 from ..engine import engine
 from ..errors import GraphError, quoted
 from ..graph import Graph
@@ -185,7 +185,7 @@ def _tree(graph: Graph) -> tuple[np.ndarray, Array]:
     return parents, offsets
 
 
-def lower_by_restarts(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
+def lower_by_turns(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
     """The state (n, 3) that other turns lead to, one after the other, each kept if it lowers J; None if none does.
 
     It runs in the engine (``engine/include/vmslam/solve/restarts.hpp``).
@@ -194,13 +194,34 @@ def lower_by_restarts(graph: Graph, state: Array, limit: float = np.inf) -> tupl
         The state, and the number of steps that were taken: after ``limit`` steps no further turn is tried.
     """
     try:
-        driven, information = odometry(graph, "auto")
-        variances = np.zeros(len(driven))
-        variances[1:] = _turn_variance(information[1:])
-        return engine.lowered_by_restarts(graph.objective, state, driven, variances, limit)
+        return engine.lowered_by_turns(graph.objective, state, *_turned(graph), limit)
     except GraphError:
         # there is no odometry, or a family in NumPy refuses a state
         return None, 0
+
+
+def lower_by_halves(graph: Graph, state: Array, limit: float = np.inf) -> tuple[Array | None, int]:
+    """The same without random halves of the measurements that may be wrong, until 25 one after the other lead no lower.
+
+    The halves are the same in each call.
+    """
+    doubted = [k for k, family in enumerate(graph.families) if isinstance(family, DoubtedEdges)]
+    try:
+        return engine.lowered_by_halves(graph.objective, doubted, state, *_turned(graph), limit)
+    except GraphError:
+        return None, 0
+
+
+def _turned(graph: Graph) -> tuple[Array, Array]:
+    """The measured motion (P, 3) to each pose, and the variance (P,) of its turn.
+
+    Raises:
+        GraphError: no motion edge leads to a pose.
+    """
+    driven, information = odometry(graph, "auto")
+    variances = np.zeros(len(driven))
+    variances[1:] = _turn_variance(information[1:])
+    return driven, variances
 
 
 #: the lengths that are tried, as changes of the heading [rad] that turns most

@@ -53,6 +53,7 @@ void Graph::add_anchor(Index node, const edges::Vector& value, double informatio
 void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel) {
     reweighted = reweighted || kernel;
     Member member;
+    member.doubted = static_cast<bool>(kernel);
     for (const edges::RelativeEdge& edge : edges) {
         check_node(edge.i);
         check_node(edge.j);
@@ -78,7 +79,7 @@ void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<co
     for (const Index node : nodes) check_node(node);
     for (std::size_t g = 0; g + 1 < starts.size(); ++g) sizes_.push_back(starts[g + 1] - starts[g]);
     grouped_.insert(grouped_.end(), nodes.begin(), nodes.end());
-    members_.push_back({std::move(family), {}, {}});
+    members_.push_back({std::move(family), {}, {}, true});
 }
 
 void Graph::assemble(int threads, const std::function<void(GraphObjective&, Factor&)>& work) const {
@@ -145,7 +146,15 @@ Lowered Graph::lowered_by_restarts(std::span<const double> state, double limit, 
     check_state(state);
     Lowered lowered;
     assemble(threads, [&](GraphObjective& objective, Factor&) {
-        lowered = solve::lowered_by_restarts(objective, state, {motions_, variances_}, limit);
+        const Odometry odometry{motions_, variances_};
+        lowered = lowered_by_turns(objective, state, odometry, limit);
+        std::vector<std::size_t> doubted;
+        for (std::size_t k = 0; k < members_.size(); ++k)
+            if (members_[k].doubted) doubted.push_back(k);
+        const std::vector<double> from = lowered.state.value_or(std::vector(state.begin(), state.end()));
+        const Lowered further = lowered_by_halves(objective, doubted, from, odometry, limit - lowered.steps);
+        if (further.state) lowered.state = further.state;
+        lowered.steps += further.steps;
     });
     return lowered;
 }

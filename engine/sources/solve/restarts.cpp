@@ -7,6 +7,7 @@
 #include <tuple>
 
 #include "vmslam/edges/arithmetic.hpp"
+#include "vmslam/numbers/random.hpp"
 #include "vmslam/solve/run.hpp"
 
 namespace vmslam::solve {
@@ -26,6 +27,13 @@ constexpr double lower = 1e-6;
 /// The most steps after a turn. They end where J changes by less than this part of it, and go on where it is the lowest one.
 constexpr int steps_after = 30;
 constexpr double settled = 3e-3;
+/// The same after steps without a half of the measurements, which end nearer to the minimum that they come from.
+constexpr double settled_after_half = 1e-5;
+/// So many halves one after the other that lead no lower end the search.
+constexpr int most_halves = 25;
+/// The most steps without a half, and the part of their information that keeps what it measures determined.
+constexpr int steps_without = 15;
+constexpr double left_out = 1e-6;
 
 /// E and V from the first pose to each pose.
 struct Deviations {
@@ -66,8 +74,8 @@ struct Deviations {
     }
 };
 
-/// A run from a state with other turns, to the minimum where that is lower than `cost`.
-Run run_below(Objective& objective, State start, double cost, int& steps) {
+/// A run from a changed state, to the minimum where that is lower than `cost`.
+Run run_below(Objective& objective, State start, double cost, double settled, int& steps) {
     const std::size_t nodes = start.size() / 3;
     Rules rules{.tolerance = 1e-6 * std::sqrt(static_cast<double>(nodes)), .most_steps = steps_after};
     rules.cost_tolerance = settled;
@@ -80,6 +88,26 @@ Run run_below(Objective& objective, State start, double cost, int& steps) {
     gauss_newton(objective, further);
     steps += further.steps();
     return further;
+}
+
+/// The end of some steps without a random half of the measurements of some families; where these fail, the state itself.
+State without_half(const GraphObjective& graph, std::span<const std::size_t> doubted, const State& state, std::uint64_t key,
+                   int& steps) {
+    std::vector<GraphObjective::Member> members = graph.families();
+    std::vector<std::unique_ptr<const edges::Family>> halves;
+    for (std::uint64_t index = 0; const std::size_t m : doubted) {
+        std::vector<double> trust(members[m].family->measurements());
+        for (double& w : trust) w = numbers::uniform(key, index++) < 0.5 ? left_out : 1.0;
+        halves.push_back(members[m].family->trusting(trust));
+        if (halves.back()) members[m].family = halves.back().get();
+    }
+    GraphObjective half = graph.with(std::move(members));
+    Run run{{.tolerance = 1e-3 * std::sqrt(static_cast<double>(state.size() / 3)), .most_steps = steps_without}, state};
+    gauss_newton(half, run);
+    steps += run.steps();
+    const bool good =
+        run.end != End::not_determined && std::ranges::all_of(run.state, [](double x) { return std::isfinite(x); });
+    return good ? run.state : state;
 }
 
 }  // namespace
@@ -122,7 +150,7 @@ std::vector<double> other_turn(std::vector<double> state, const Odometry& odomet
     return state;
 }
 
-Lowered lowered_by_restarts(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit) {
+Lowered lowered_by_turns(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit) {
     const std::size_t most = std::min(most_turns, odometry.poses() / poses_per_turn);
     Lowered out;
     State best(state.begin(), state.end());
@@ -133,7 +161,7 @@ Lowered lowered_by_restarts(Objective& objective, std::span<const double> state,
         for (const Stretch& stretch : stretches(best, odometry)) {
             if (tried.size() >= most || out.steps >= limit) break;
             if (!tried.emplace(stretch.first, stretch.last, stretch.left).second) continue;
-            const Run run = run_below(objective, other_turn(best, odometry, stretch), cost, out.steps);
+            const Run run = run_below(objective, other_turn(best, odometry, stretch), cost, settled, out.steps);
             if (run.end == End::not_determined) continue;
             const double reached = objective.cost(run.state, run.state);
             if (reached < cost * (1 - lower)) {
@@ -143,6 +171,33 @@ Lowered lowered_by_restarts(Objective& objective, std::span<const double> state,
                 break;
             }
         }
+    }
+    return out;
+}
+
+Lowered lowered_by_halves(GraphObjective& graph, std::span<const std::size_t> doubted, std::span<const double> state,
+                          const Odometry& odometry, double limit) {
+    Lowered out;
+    State best(state.begin(), state.end());
+    double cost = graph.cost(best, best);
+    std::uint64_t key = 0;
+    for (bool again = true; again;) {
+        for (int failed = 0; failed < most_halves && out.steps < limit; ++failed) {
+            State start = without_half(graph, doubted, best, key++, out.steps);
+            const Run run = run_below(graph, std::move(start), cost, settled_after_half, out.steps);
+            if (run.end == End::not_determined) continue;
+            const double reached = graph.cost(run.state, run.state);
+            if (!(reached < cost * (1 - lower))) continue;
+            out.state = best = run.state;
+            cost = reached;
+            failed = -1;
+        }
+        const Lowered turned = out.state ? lowered_by_turns(graph, best, odometry, limit - out.steps) : Lowered{};
+        out.steps += turned.steps;
+        again = turned.state.has_value();
+        if (!again) continue;
+        out.state = best = *turned.state;
+        cost = graph.cost(best, best);
     }
     return out;
 }

@@ -44,6 +44,8 @@ class Family {
     virtual std::vector<HeadingRelation> headings() const { return {}; }
     /// The relative positions that they measure, with the headings of a state; none by default.
     virtual std::vector<PositionRelation> positions(const double* /* state */) const { return {}; }
+    /// The number of measurements, each of which may be wrong by itself; 0 where none is.
+    virtual std::size_t measurements() const { return 0; }
     /// The same edges with a trust from 0 to 1 in each measurement, a factor on its information. None where no measurement may be
     /// wrong.
     virtual std::unique_ptr<const Family> trusting(std::span<const double> /* trust */) const { return nullptr; }

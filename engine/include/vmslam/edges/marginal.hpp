@@ -38,6 +38,11 @@ class MarginalEdges : public LandmarkSightings {
         : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)), body_(body) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
+        auto out = std::make_unique<MarginalEdges>(*this);
+        out->seen_.trust.assign(trust.begin(), trust.end());
+        return out;
+    }
     std::unique_ptr<const Family> among(std::span<const Index> number) const override {
         auto [starts, nodes, sightings] = from_nodes(number);
         return std::make_unique<MarginalEdges>(std::move(starts), std::move(nodes), std::move(sightings), body_);

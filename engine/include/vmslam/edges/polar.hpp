@@ -12,6 +12,12 @@ class PolarEdges : public Family {
         : first_(std::move(first)), second_(std::move(second)), seen_(std::move(sightings)) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    std::size_t measurements() const override { return first_.size(); }
+    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
+        auto out = std::make_unique<PolarEdges>(*this);
+        out->seen_.trust.assign(trust.begin(), trust.end());
+        return out;
+    }
     std::unique_ptr<const Family> among(std::span<const Index> number) const override;
 
    private:

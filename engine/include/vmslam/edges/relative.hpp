@@ -31,6 +31,7 @@ class RelativeEdges : public Family {
     std::vector<HeadingRelation> headings() const override;
     std::vector<PositionRelation> positions(const double* state) const override;
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
+    std::size_t measurements() const override { return edges_.size(); }
     std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
         return std::make_unique<RelativeEdges>(trusted(edges_, trust), poses_, world_, kernel_);
     }
@@ -71,6 +72,7 @@ class PositionEdges : public Family {
         : positions_(std::move(positions)), kernel_(kernel) {}
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
+    std::size_t measurements() const override { return positions_.size(); }
     std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
         return std::make_unique<PositionEdges>(trusted(positions_, trust), kernel_);
     }

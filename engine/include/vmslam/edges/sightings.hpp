@@ -81,6 +81,7 @@ class LandmarkSightings : public Family {
     std::vector<Placed> from_robot(Covariance mode) const;
     std::vector<HeadingRelation> headings() const override;
     std::vector<PositionRelation> positions(const double* state) const override;
+    std::size_t measurements() const override { return nodes_.size(); }
 
    protected:
     /// The sightings from the nodes that have a new number, not -1, of the landmarks that these see.

@@ -49,6 +49,7 @@ class NumberEdges : public Family {
     NumberEdges(Number kind, std::vector<NumberEdge> edges, Kernel kernel)
         : kind_(kind), edges_(std::move(edges)), kernel_(kernel) {}
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    std::size_t measurements() const override { return edges_.size(); }
     std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
         return std::make_unique<NumberEdges>(kind_, trusted(edges_, trust), kernel_);
     }

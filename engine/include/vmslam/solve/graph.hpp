@@ -39,8 +39,9 @@ class Graph {
     std::optional<std::vector<double>> grown(Index each = 10, int threads = 1) const;
     /// Minimise J from run.state by `gauss_newton`.
     void solve(Run& run, int threads = 1) const;
-    /// The end that other turns of the robot lead to from an end of `solve`, where it is lower; it takes at most `limit` steps and
-    /// those of one turn more.
+    /// The end that other turns of the robot, and then random halves of the measurements that may be wrong, lead to from an end of
+    /// `solve`, where it is lower; it takes at most `limit` steps and those of one restart more. Those of `add_groups`, and those
+    /// with a kernel, may be wrong.
     Lowered lowered_by_restarts(std::span<const double> state, double limit = 1e4, int threads = 1) const;
     /// J of a state, a lower bound on J of all states, and whether the state is a global minimum. With a kernel all of these are
     /// about the cost with its weights held at those of the state: necessary for a global minimum of J, and not sufficient.
@@ -64,6 +65,7 @@ class Graph {
     struct Member {
         std::unique_ptr<const edges::Family> family;
         std::vector<Index> first, second;  ///< the ends of pairs, for the families that list their edges
+        bool doubted = false;  ///< whether its measurements may be wrong
     };
     Index nodes_;
     std::vector<Member> members_;

@@ -1,9 +1,13 @@
-// Restarts with one stretch of the trajectory turned by 2 pi, which look for a lower minimum near a local one.
+// Restarts which look for a lower minimum near a local one: with one stretch of the trajectory turned by 2 pi, or from where a random
+// half of the measurements leads.
 //
 // Sightings hold headings up to full turns. Where they are few or noisy, mainly the motion edges say how far the robot turns over
 // a stretch of poses, and one full turn more or less, spread over the stretch, leads to another minimum. If the headings of an end
 // deviate from those of the odometry by E over a stretch whose odometry has the variance V, the motion edges cost about E² / V
 // there, and (2 pi - abs(E))² / V after the other turn.
+//
+// With a robust kernel some sightings may agree on a wrong place while others count little there. Which these are differs from
+// minimum to minimum: without a random half of the sightings the steps often leave a wrong one.
 #pragma once
 
 #include <optional>
@@ -39,8 +43,12 @@ std::vector<double> other_turn(std::vector<double> state, const Odometry& odomet
 /// The state that other turns lead to, one after the other, each kept where it lowers J; none where none does.
 struct Lowered {
     std::optional<std::vector<double>> state;
-    int steps = 0;  ///< that were taken; after `limit` of them no further turn is tried
+    int steps = 0;  ///< that were taken; after `limit` of them no further restart is tried
 };
-Lowered lowered_by_restarts(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit);
+Lowered lowered_by_turns(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit);
+/// The state that steps without halves of the measurements of the families `doubted` lead to, the same ones in each call, and other
+/// turns from there, in turn.
+Lowered lowered_by_halves(GraphObjective& graph, std::span<const std::size_t> doubted, std::span<const double> state,
+                          const Odometry& odometry, double limit);
 
 }  // namespace vmslam::solve
