@@ -19,7 +19,7 @@ from graphslam.solvers.initialize import starting_state
 
 from ..display import Displayed
 from ..options import GraphOptions, SolverCheckOptions
-from ..options.option import options_of
+from ..options.declaration import options_of
 from ..options.reading import prepare
 from ..results import of_expected
 from ..results.documents import Count

@@ -25,11 +25,19 @@ from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
-from ..arguments import check_motion, checked_control, checked_motion, index, measurements, one_position
-from ..motions import Record, robot_poses, sensor_motions
-from ..options import FilterOptions, check_memory, check_one_drive
+from ..motions import Record, first_poses, in_frame, in_map, log_likelihoods, robot_poses, sensor_motions
+from ..options import (
+    FilterOptions,
+    check_memory,
+    check_motion,
+    check_one_drive,
+    checked_control,
+    checked_motion,
+    index,
+    measurements,
+    one_position,
+)
 from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, ParticleState, Samples, draw_key
-from ..positions import first_poses, in_frame, in_map, log_likelihoods
 
 #: the variance of a number that was not measured: it multiplies all likelihoods by the same factor
 NOT_MEASURED = 1e12

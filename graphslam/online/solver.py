@@ -28,8 +28,8 @@ from ..errors.checks import (
     finite_numbers,
     singular,
 )
-from ..graph.integrity import beyond, inflation
 from ..graph.landmark_map import as_map
+from ..graph.tracker import beyond, inflation
 from ..linear.precision import inverses, model_of
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..models import MotionModel, SensorModel
@@ -343,7 +343,7 @@ class OnlineSolver:
         """The probability that the newest pose is off by more than the bounds; in a map 1 before the robot is `located`.
 
         Without a map, errors are those against the first pose, and covariances count as they are: the sizes of residuals, by
-        which a map enlarges them, are known after the drive (`Solution.integrity_risk`). `graph.integrity` has the equations.
+        which a map enlarges them, are known after the drive (`Solution.integrity_risk`). `graph.tracker` has the equations.
 
         Args:
             metres: the bound on the position.

@@ -21,9 +21,8 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
 from .certificate import GLOBAL, Certificate, prove
-from .initialize import GROWING, starting_state, starts_of_auto
+from .initialize import GROWING, descents, lower_by_restarts, most_steps, starting_state, starts_of_auto
 from .iteration import Run, end_of, factorized, gauss_newton, levenberg_marquardt, rounding
-from .starts import descents, lower_by_restarts, most_steps
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 import comparisons
 from comparisons.cli import app
 from comparisons.options import GraphOptions
-from comparisons.options.option import options_of
+from comparisons.options.declaration import options_of
 from fastslam import associate
 from graphslam import Graph, load, sample_log_path, save, simulate, solve, solve_online
 from graphslam.edges.robust import KERNELS

@@ -11,8 +11,8 @@ from graphslam.edges import RelativePoseEdges
 from graphslam.edges.base import EdgeFamily, EngineEdges
 from graphslam.graph.transform import first_poses
 from graphslam.se2 import compose
+from graphslam.solvers.initialize import most_steps, sequential_start
 from graphslam.solvers.iteration import end_of, gauss_newton
-from graphslam.solvers.starts import most_steps, sequential_start
 
 LOG = load(sample_log_path())
 
