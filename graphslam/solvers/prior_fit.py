@@ -35,7 +35,7 @@ from ..edges import EdgeFamily, LandmarkPriors, ObservationEdges, PolarObservati
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
-from ..linear.cholesky import FactorizationError
+from ..linear.cholesky import Bordered, FactorizationError
 from ..se2 import Array, turn_matrix
 from .iteration import end_of, levenberg_marquardt
 from .joint import JointFactor, JointGraph, times
@@ -176,12 +176,11 @@ def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array
         if not isinstance(family, (LandmarkPriors, PriorEdges)):
             family.accumulate(state, state, system)
     mixed = times(system, directions)
-    g, S = np.einsum("nik,ni->k", directions, system.xi), np.einsum("nik,nil->kl", directions, mixed)
-    alone = S.copy()
+    g, alone = np.einsum("nik,ni->k", directions, system.xi), np.einsum("nik,nil->kl", directions, mixed)
     mixed[graph.fixed] = 0.0
-    reach = factor.solve(mixed)
+    moved = Bordered(factor, mixed, alone)
+    reach, S = moved.reach, moved.schur
     g -= np.einsum("nik,ni->k", reach, xi)
-    S -= np.einsum("nik,nil->kl", mixed, reach)
     if graph.held is not None:
         joint = JointGraph(replace(graph, parameters=graph.held))
         border = joint.border(joint.graph, state, state)
@@ -282,6 +281,6 @@ def _lever_step(graph: Graph, families: list[PositionEdges], state: Array) -> tu
         own += np.einsum("eji,ejk,ekl->il", J, W, J)
         g -= np.einsum("eji,ejk,ek->i", J, W, linear.residuals)
     mixed[graph.fixed] = 0.0
-    S = own - np.einsum("nik,nil->kl", mixed, system.own_factor().solve(mixed))
+    S = Bordered(system.own_factor(), mixed, own).schur
     determined = np.linalg.eigvalsh(S)[0] > DETERMINED * np.trace(own)
     return np.linalg.solve(S, g) if determined else np.zeros(2), S
