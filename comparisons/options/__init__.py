@@ -23,7 +23,7 @@ from graphslam.graph.landmark_map import USES, LandmarkMap
 from graphslam.identification.declared import PARAMETERS, parsed
 from graphslam.log.rows import ReadOptions
 from graphslam.metrics import METRICS as ERRORS
-from graphslam.models import EDGES, FRAMES, RESIDUALS, WEIGHTS, MotionModel, SensorModel
+from graphslam.models import EDGES, EdgeOptions, MotionModel, SensorModel
 from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS, World
 from graphslam.solvers import INITIALIZE
@@ -127,20 +127,10 @@ class LogOptions(NoiseOptions, ReadingOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraphOptions(Options):
+class GraphOptions(Options, EdgeOptions):
     """The graph and how it is solved; see `graphslam.Graph.from_log` and `graphslam.solve`."""
 
     panel = "Graph"
-    edges: str | None = option(
-        None, "Edges of the graph.", choices=EDGES,
-        default_text="what suits the log",
-    )  # fmt: skip
-    frame: str = option("body", "Axes of the residuals.", choices=FRAMES)
-    weight: str = option(
-        "pairs", "Weight of virtual-motion edges: pairs as in the book; tempered and marginal count each sighting once.",
-        choices=WEIGHTS,
-    )  # fmt: skip
-    motion_weight: float = option(1.0, "Factor lambda on the motion edges.", positive=True)
     kernel: str | None = option(
         None, "Robust kernel against wrong sightings; gnc is graduated non-convexity.",
         choices=(*KERNELS, "gnc"), alias="robust",
@@ -149,10 +139,6 @@ class GraphOptions(Options):
     initialize: str = option(
         "auto", "Where the iteration starts; auto tries several starts.",
         choices=INITIALIZE,
-    )  # fmt: skip
-    residual: str = option(
-        RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
-        choices=RESIDUALS,
     )  # fmt: skip
     estimate: tuple[str, ...] | None = option(
         None, "Parameters of robot and sensor to estimate with the poses, relative to what is recorded: "

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from graphslam import Certificate, Graph, GraphError, Log, LogError, Solution, simulate, solve, solve_with_gtsam
-from graphslam.graph import FRAMES, WEIGHTS
+from graphslam.models import FRAMES, WEIGHTS
 from graphslam.se2 import difference
 from graphslam.solvers.initialize import starting_state
 

@@ -120,7 +120,7 @@ class Unknowns:
             names = tuple(PRIORS)
             ideal = np.array([ideal_values(sensor)[name] for name in names])
             deviations = np.array([PRIORS[name] for name in names])
-            self.parameters = Parameters(names, ideal, ideal, deviations, self.odometry.log, MotionModel(), sensor, 1.0)
+            self.parameters = Parameters(names, ideal, ideal, deviations, self.odometry.log, MotionModel(), sensor)
             self.logarithms = dict(self.centres)
             poses = self.dead_reckoning()
         else:

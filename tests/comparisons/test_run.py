@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
+from comparisons import estimators
 from comparisons.comparison import Comparison, run
-from comparisons.estimators import Estimator, estimators
+from comparisons.estimators import Estimator
 from comparisons.estimators.attempt import Skipped
 from comparisons.estimators.config import read_config
 from comparisons.options import RunOptions
