@@ -19,6 +19,8 @@ import numpy as np
 from .errors import FormatError, OptionError, quoted, shortened
 from .errors.checks import suggestion
 
+T = TypeVar("T")
+
 #: what compressed files may unpack to: a log of 20 million sightings
 MOST_BYTES = 2**30
 #: first bytes of files that are compressed as a whole -> the program that unpacks them
@@ -189,12 +191,7 @@ def number(path: Path, line: int, what: str, word: str) -> float:
     Raises:
         FormatError: it is none; the message begins with ``what`` it should be.
     """
-    try:
-        value = float(word)
-        if "_" in word:
-            raise ValueError  # Python reads 1_0 as 10, other programs do not
-    except ValueError:
-        raise FormatError(path, line, f"{what} should be a number, not {quoted(word)}") from None
+    value = _of_word(path, line, what, word, float, "a number")
     if not math.isfinite(value):
         raise FormatError(path, line, f"{what} is {shortened(word)}; only finite numbers are allowed")
     return value
@@ -206,18 +203,19 @@ def whole(path: Path, line: int, what: str, word: str) -> int:
     Raises:
         FormatError: it is none; the message begins with ``what`` it should be.
     """
-    try:
-        value = int(word)
-        if "_" in word:
-            raise ValueError
-    except ValueError:
-        raise FormatError(path, line, f"{what} should be a whole number, not {quoted(word)}") from None
+    value = _of_word(path, line, what, word, int, "a whole number")
     if not -(2**63) <= value < 2**63:
         raise FormatError(path, line, f"{what} should be a whole number of at most 64 bits, not {quoted(word)}")
     return value
 
 
-T = TypeVar("T")
+def _of_word(path: Path, line: int, what: str, word: str, kind: Callable[[str], T], expected: str) -> T:
+    with suppress(ValueError):
+        # Python reads 1_0 as 10, other programs do not
+        if "_" not in word:
+            return kind(word)
+    raise FormatError(path, line, f"{what} should be {expected}, not {quoted(word)}")
+
 
 #: how messages name the types that a key may have
 TYPE_NAMES = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false", list: "a list [..]",

@@ -181,7 +181,9 @@ def declared(
     if "sensor_delay" in found and log.controls is None:
         raise GraphError(f"{log.name} has no controls, which sensor_delay needs")
     means = np.array([ideal_values(sensor)[name] for name in found])
-    return Parameters(tuple(found), means, means, np.array(list(found.values())), log, motion, sensor, options.motion_weight)
+    return Parameters(
+        tuple(found), means, means, np.array(list(found.values())), log, motion, sensor, options.motion_weight
+    )
 
 
 def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[str, float]:
