@@ -23,15 +23,13 @@ from graphslam.errors import OptionError, quoted
 from graphslam.errors.checks import (
     check_number,
     check_options,
-    check_sighted,
     checked_covariance,
     checked_pose,
     finite_numbers,
     option,
-    real_array,
 )
 from graphslam.log import Log
-from graphslam.log.measurements import AbsolutePositions
+from graphslam.log.measurements import AbsolutePositions, checked_sightings
 from graphslam.log.rows import NO_ID, UNIDENTIFIED
 from graphslam.models import RANGE_NOISES
 from graphslam.se2 import Array, wrap
@@ -303,42 +301,19 @@ def index(name: str, value: Any, count: int) -> int:
 
 
 def measurements(ids: Any, sightings: ArrayLike, by_ids: bool) -> tuple[np.ndarray, Array]:
-    """Return ids (k,) and sightings (k, 2 or 3) as arrays, angles wrapped; ids None stands for k unknown ids.
+    """Ids (k,) and sightings (k, 2 or 3) as `checked_sightings` returns them, angles wrapped.
 
-    One of range and bearing may be NaN, which was not measured then, if the sightings have no psi. Where the association is
-    ``by_ids``, each sighting needs the id of its landmark.
+    Where the association is ``by_ids``, each sighting needs the id of its landmark.
     """
     if ids is None and by_ids:
         raise OptionError(
             "ids may be None only if they are ignored (association maximum-likelihood); give the id of each sighting"
         )
-    try:
-        z = real_array(sightings).copy()
-        numbers = np.zeros(len(z), dtype=np.int64) if ids is None else np.asarray(ids)
-        if numbers.size == 0 and z.size == 0:
-            return numbers, np.empty((0, 2))
-        if z.ndim != 2 or z.shape[1] not in (2, 3) or numbers.shape != (len(z),):
-            raise ValueError
-    except (TypeError, ValueError, OverflowError):
-        expected = "whole numbers (k,) and sightings (k, 2) or (k, 3)"
-        raise OptionError(f"observe takes {expected}, not {quoted(ids)} and {quoted(sightings)}") from None
-    if numbers.dtype.kind not in "iu":
-        raise OptionError(f"the ids of landmarks must be whole numbers, not {quoted(numbers.tolist())}")
-    if numbers.dtype.kind == "u" and np.any(numbers > np.iinfo(np.int64).max):
-        raise OptionError(f"the ids of landmarks must be below 2^63, not {quoted(int(np.max(numbers)))}")
-    numbers = numbers.astype(np.int64)
-    if by_ids and np.isin(numbers, (UNIDENTIFIED, NO_ID)).any():
-        raise OptionError(
-            "the filter takes identified landmarks only: leave out what nobody has identified, or use FastSLAM with the "
-            "association maximum-likelihood"
-        )
-    missing = np.isnan(z)
-    if not np.all(np.isfinite(z) | missing) or np.any(z[:, 0] <= 0) or np.any(missing.sum(axis=1) > (z.shape[1] == 2)):
-        raise OptionError(
-            "sightings must be finite and their ranges above zero; NaN stands for a range or a bearing that was not "
-            "measured, in sightings without psi"
-        )
-    check_sighted("sightings", (np.nanmin(z[:, 1:], initial=0.0), np.nanmax(z[:, 1:], initial=0.0)))
+    advice = (
+        "the filter takes identified landmarks only: leave out what nobody has identified, or use FastSLAM with the "
+        "association maximum-likelihood"
+    )
+    numbers, z = checked_sightings(ids, sightings, (UNIDENTIFIED, NO_ID) if by_ids else (), advice)
     z[:, 1:] = wrap(z[:, 1:])
     return numbers, z
 
