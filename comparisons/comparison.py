@@ -317,7 +317,7 @@ class Comparison(Displayed):
 
         A file that cannot be made for another reason, such as the figure, is left out with a note.
 
-        comparison.json (docs/schema.json), the figure, trajectories NAME.tum and maps NAME-map.csv (see `exchange`), of
+        comparison.json (docs/schema.json), the figure, trajectories NAME.tum and maps NAME-map.csv (see `results.files`), of
         solved graphs NAME-map.npz with the joint covariance of the landmarks, for ``--map`` with other logs, the
         graph as graph.g2o where pose-graph files can hold it, noise and biases that were estimated from the log as
         noise.toml, for ``--noise`` with other logs of the robot, and the configuration as config.toml.

@@ -3,7 +3,7 @@
 An option is a field of a dataclass: its name, type and default are those of the field, its help, unit,
 choices and limits are the field's metadata (see `options.declaration`). The command line, configuration files, study files,
 the printed next commands and the keywords of the Python functions all derive from these fields. Options of
-the particle filters are fields of `fastslam.options`, the numbers of the noise models fields of `graphslam.models`, and those
+the particle filters are fields of `fastslam.options`, those of edges and noise models fields of `graphslam.models`, and those
 of the simulator are in `graphslam.simulation`. All others are declared here.
 
 To add an option, add a field and use it where it takes effect.

@@ -49,7 +49,7 @@ class TomlFile(files.TomlFile):
 
         Args:
             table: whose keys are read.
-            known: the options, by name; see `options.options_of`.
+            known: the options, by name; see `declaration.options_of`.
             where: the name of the table, for messages.
 
         Raises:

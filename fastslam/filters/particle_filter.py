@@ -88,7 +88,7 @@ class ParticleFilter(ABC):
         motion, sensor: the models; default: those of the log, else the book's.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose, in the frame of
             its positions, or the first fix in ``map`` where that is far from it. Of a `Fix`, poses are drawn with
-            `positions.SPREAD` times its standard deviations, because its sightings weigh the particles again.
+            `motions.SPREAD` times its standard deviations, because its sightings weigh the particles again.
         map: of landmarks that is known; `FastSLAM1` and `MonteCarloLocalization` say how they use it.
 
     Raises:
