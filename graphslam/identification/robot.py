@@ -46,7 +46,7 @@ from .result import (
     with_book,
 )
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
-from .unknowns import Unknowns
+from .unknowns import PRIORS, Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
 PAUSES = (2.0, 10.0)
@@ -66,6 +66,8 @@ COMMON = 2.0
 #: a calibrated robot has no biases of the one kind or of the other: they are held at their ideal values where the logarithmic
 #: evidence for that is above this number
 CONVINCING = 1.0
+#: and may then have this part of their prior's standard deviation: a thousandth of the scale of the wheels
+CALIBRATED = 1 / 30
 #: below this gain of the log likelihood, divided by the sightings that count as one, odometry counts as nearly exact; and the
 #: seconds for one sighting of each landmark in the second test
 NEEDED, MORE = 8.0, 1.0
@@ -396,15 +398,21 @@ def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
 def _hold_needless(fitted: Unknowns) -> dict[str, float]:
     """Hold the biases of the kinds that the log does not show: {name: its remaining standard deviation}.
 
-    With the evidence K the ideal values have the probability P = K / (1 + K), and the mean square of a bias about them is
-    (1 - P) times that of the estimate.
+    With the evidence K the ideal values have the probability P = K / (1 + K). With the probability 1 - P the mean square of a
+    bias about them is that of the estimate. Otherwise the robot is calibrated, but not perfectly: its bias has the standard
+    deviation `CALIBRATED` of the prior before the log, and a smaller one after a log that tells it better.
     """
     held: dict[str, float] = {}
+    p, variances = fitted.parameters, np.diagonal(fitted.linearized().covariance)
     for names in KINDS.values():
         evidence = fitted.evidence_against(names)
         if evidence > CONVINCING:
-            left = (1.0 + np.exp(min(evidence, 700.0))) ** -0.5
-            held |= {name: float(left * fitted.distance(name)) for name in names}
+            doubt = 1.0 / (1.0 + np.exp(min(evidence, 700.0)))
+            k = [p.names.index(name) for name in names]
+            squares = variances[k] + (p.values[k] - p.means[k]) ** 2
+            of_log = np.maximum(1 / variances[k] - p.deviations[k] ** -2, 0.0)
+            calibrated = 1 / (of_log + (CALIBRATED * np.array([PRIORS[name] for name in names])) ** -2)
+            held |= dict(zip(names, np.sqrt(doubt * squares + (1 - doubt) * calibrated).tolist()))
     if held:
         fitted.hold(held)
         fit(fitted, ROUNDS[2])

@@ -163,13 +163,6 @@ class Unknowns:
         scaled = covariance / np.outer(p.deviations[k], p.deviations[k])
         return float(-0.5 * away @ np.linalg.solve(covariance, away) - 0.5 * np.linalg.slogdet(scaled)[1])
 
-    def distance(self, name: str) -> float:
-        """The root of the mean square of a parameter about its ideal value, its uncertainty included."""
-        p = self.parameters
-        k = p.names.index(name)
-        away = p.values[k] - p.means[k]
-        return float(np.sqrt(self.linearized().covariance[k, k] + away**2))
-
     def hold(self, names: Collection[str]) -> None:
         """Keep parameters at their ideal values."""
         p = self.parameters
