@@ -32,8 +32,7 @@ from comparisons.datasets import data_folder
 from comparisons.options import RunOptions
 from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, load, solve
 from graphslam.io.mrclam import robots
-from graphslam.solvers.initialize import AUTO, starting_state
-from graphslam.solvers.starts import place_landmarks
+from graphslam.solvers.initialize import AUTO, place_landmarks, starting_state
 
 #: docs/results.md
 BY_HAND = {

@@ -26,14 +26,13 @@ from .estimators.attempt import Skipped, attempts
 from .estimators.config import config_text
 from .estimators.filters import Announce, announce_memory
 from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOptions
-from .options.option import options_of
+from .options.declaration import options_of
 from .options.reading import LogOrPath, prepare
 from .options.toml_files import write_noise
 from .results import EstimatorResult, noted, typical_costs
 from .results.documents import LogDocument, describe, jsonable, one_of, write_json
-from .results.exchange import texts, write_pose_graph
+from .results.files import SavedFiles, fill_results, new_directory, texts, write_pose_graph
 from .results.results import Row, found_ids, parameters_of
-from .results.saving import SavedFiles, fill_results, new_directory
 from .results.sessions import SolvedSession, solved_sessions
 
 
@@ -318,7 +317,7 @@ class Comparison(Displayed):
 
         A file that cannot be made for another reason, such as the figure, is left out with a note.
 
-        comparison.json (docs/schema.json), the figure, trajectories NAME.tum and maps NAME-map.csv (see `exchange`), of
+        comparison.json (docs/schema.json), the figure, trajectories NAME.tum and maps NAME-map.csv (see `results.files`), of
         solved graphs NAME-map.npz with the joint covariance of the landmarks, for ``--map`` with other logs, the
         graph as graph.g2o where pose-graph files can hold it, noise and biases that were estimated from the log as
         noise.toml, for ``--noise`` with other logs of the robot, and the configuration as config.toml.

@@ -31,7 +31,7 @@ from .display import Displayed
 from .options import ImportOptions, ReadingOptions
 from .options.reading import read_log
 from .results.documents import Count, LogDocument, Numbers, describe, one_of
-from .results.exchange import elapsed_of
+from .results.files import elapsed_of
 
 #: what a table or topic holds
 Kind = Annotated[str, one_of("odometry", "sightings", "truth")]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from .association import associate
     from .filters import FastSLAM1, FastSLAM2, MonteCarloLocalization
     from .filters.particle_filter import ParticleFilter, VanishedWeightsWarning
-    from .gibbs.chains import GibbsResult, ParticleGibbs
+    from .gibbs import GibbsResult, ParticleGibbs
     from .options import FilterOptions, GibbsOptions
     from .particles import (
         RESAMPLING_SCHEMES,

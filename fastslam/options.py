@@ -1,4 +1,4 @@
-"""The options of a particle filter, and the memory that it may take with them.
+"""The options and arguments of particle filters, checked, and the memory that a filter may take with them.
 
 Options are declared once, with type, default, choices and help. Constructors take them as keywords, and command lines and
 configuration files derive theirs from the fields.
@@ -10,17 +10,29 @@ forecast has a lower and an upper end.
 
 from __future__ import annotations
 
+import operator
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from graphslam.errors import OptionError
-from graphslam.errors.checks import check_options, option
+from graphslam.errors import OptionError, quoted
+from graphslam.errors.checks import (
+    check_number,
+    check_options,
+    checked_covariance,
+    checked_pose,
+    finite_numbers,
+    option,
+)
 from graphslam.log import Log
+from graphslam.log.measurements import AbsolutePositions, checked_sightings
+from graphslam.log.rows import NO_ID, UNIDENTIFIED
 from graphslam.models import RANGE_NOISES
+from graphslam.se2 import Array, wrap
 
 #: how sightings are assigned to landmarks; auto stands for one of the others, which the log decides
 ASSOCIATIONS = ("auto", "known", "maximum-likelihood")
@@ -267,3 +279,75 @@ def _lines(path: str) -> list[str]:
         return Path(path).read_text(encoding="ascii").splitlines()
     except (OSError, ValueError):
         return []
+
+
+#: a larger turn in one step [rad] is an error in the input, and the engine's sine is not made for it
+LARGEST_TURN = 1e5
+#: a longer way in one step [m], 25 times round the Earth, is an error in the input
+LARGEST_WAY = 1e9
+
+
+def index(name: str, value: Any, count: int) -> int:
+    """Return a whole number between 0 and count - 1, of Python or NumPy; True and False are refused."""
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        number = operator.index(value)
+    except TypeError:
+        raise OptionError(f"{name} must be a whole number, not {quoted(value)}") from None
+    if not 0 <= number < count:
+        raise OptionError(f"there is no {name} {number}: they are numbered 0 to {count - 1}")
+    return number
+
+
+def measurements(ids: Any, sightings: ArrayLike, by_ids: bool) -> tuple[np.ndarray, Array]:
+    """Ids (k,) and sightings (k, 2 or 3) as `checked_sightings` returns them, angles wrapped.
+
+    Where the association is ``by_ids``, each sighting needs the id of its landmark.
+    """
+    if ids is None and by_ids:
+        raise OptionError(
+            "ids may be None only if they are ignored (association maximum-likelihood); give the id of each sighting"
+        )
+    advice = (
+        "the filter takes identified landmarks only: leave out what nobody has identified, or use FastSLAM with the "
+        "association maximum-likelihood"
+    )
+    numbers, z = checked_sightings(ids, sightings, (UNIDENTIFIED, NO_ID) if by_ids else (), advice)
+    z[:, 1:] = wrap(z[:, 1:])
+    return numbers, z
+
+
+def check_motion(step: int, way: float, turn: float) -> None:
+    """Raise `OptionError` where the way [m] or the turn [rad] of a step, with its noise, is an error in the input."""
+    if not (way <= LARGEST_WAY and turn <= LARGEST_TURN):
+        raise OptionError(
+            f"step {step}: the control and its noise move the robot by up to {way:g} m and turn it by up to {turn:g} rad; "
+            f"more than {LARGEST_WAY:g} m or {LARGEST_TURN:g} rad is refused"
+        )
+
+
+def checked_control(control: Any, dt: Any) -> tuple[Array, float]:
+    """Return a control (nu, omega) and its time [s], or raise `OptionError`."""
+    u = finite_numbers("control", control, (2,))
+    check_number(dt=dt)
+    if dt < 0:
+        raise OptionError(f"dt must be 0 s or longer, not {quoted(dt)}")
+    return u, float(dt)
+
+
+def checked_motion(motion: Any, covariance: Any) -> tuple[Array, Array]:
+    """Return a motion (1, 3) and its covariance (1, 3, 3), or raise `OptionError`."""
+    z, P = checked_pose("motion", motion), finite_numbers("covariance", covariance, (3, 3))
+    if not np.allclose(P, P.T) or np.linalg.eigvalsh(P)[0] < -1e-12 * np.abs(P).max():
+        raise OptionError(f"covariance must be symmetric positive semidefinite, not {quoted(covariance)}")
+    return z[None], P[None]
+
+
+def one_position(position: Any, covariance: Any, lever: Any) -> AbsolutePositions:
+    """A position (x, y) or (x, y, theta) as the only row of positions, or `OptionError`."""
+    place, arm = finite_numbers("position", position, (2,), (3,)), finite_numbers("lever", lever, (2,))
+    return AbsolutePositions(
+        steps=np.zeros(1, dtype=np.int64), places=place[None], covariances=checked_covariance(covariance, len(place)),
+        levers=arm,
+    )  # fmt: skip

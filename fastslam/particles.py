@@ -33,8 +33,7 @@ from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, difference, wrap
 from graphslam.solvers.uncertainty import ids_of, shaped, split
 
-from .arguments import index
-from .options import FilterOptions
+from .options import FilterOptions, index
 
 if TYPE_CHECKING:
     from .filters.particle_filter import ParticleFilter

@@ -1,19 +1,25 @@
-"""Checks of paths, and files that are written completely or not at all."""
+"""Checks of paths, files that are written completely or not at all, and TOML files whose keys know their lines."""
 
 from __future__ import annotations
 
 import io
 import math
 import os
+import re
 import tempfile
-from collections.abc import Iterator
+import tomllib
+from bisect import bisect_left
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from .errors import FormatError, OptionError, quoted, shortened
+from .errors.checks import suggestion
+
+T = TypeVar("T")
 
 #: what compressed files may unpack to: a log of 20 million sightings
 MOST_BYTES = 2**30
@@ -185,12 +191,7 @@ def number(path: Path, line: int, what: str, word: str) -> float:
     Raises:
         FormatError: it is none; the message begins with ``what`` it should be.
     """
-    try:
-        value = float(word)
-        if "_" in word:
-            raise ValueError  # Python reads 1_0 as 10, other programs do not
-    except ValueError:
-        raise FormatError(path, line, f"{what} should be a number, not {quoted(word)}") from None
+    value = _of_word(path, line, what, word, float, "a number")
     if not math.isfinite(value):
         raise FormatError(path, line, f"{what} is {shortened(word)}; only finite numbers are allowed")
     return value
@@ -202,12 +203,135 @@ def whole(path: Path, line: int, what: str, word: str) -> int:
     Raises:
         FormatError: it is none; the message begins with ``what`` it should be.
     """
-    try:
-        value = int(word)
-        if "_" in word:
-            raise ValueError
-    except ValueError:
-        raise FormatError(path, line, f"{what} should be a whole number, not {quoted(word)}") from None
+    value = _of_word(path, line, what, word, int, "a whole number")
     if not -(2**63) <= value < 2**63:
         raise FormatError(path, line, f"{what} should be a whole number of at most 64 bits, not {quoted(word)}")
     return value
+
+
+def _of_word(path: Path, line: int, what: str, word: str, kind: Callable[[str], T], expected: str) -> T:
+    with suppress(ValueError):
+        # Python reads 1_0 as 10, other programs do not
+        if "_" not in word:
+            return kind(word)
+    raise FormatError(path, line, f"{what} should be {expected}, not {quoted(word)}")
+
+
+#: how messages name the types that a key may have
+TYPE_NAMES = {str: "text in quotes", int: "a whole number", float: "a number", bool: "true or false", list: "a list [..]",
+              dict: "a table"}  # fmt: skip
+
+
+class TomlFile:
+    """A TOML file and its content, which can name the line of a key.
+
+    Args:
+        path: of the file.
+
+    Attributes:
+        path, text, table: the file, its text, and its content.
+
+    Raises:
+        FormatError: there is no such file, or it is not valid TOML; with the line.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.text = path, read_text(path)
+        try:
+            self.table: dict[str, Any] = tomllib.loads(self.text)
+        except RecursionError:
+            raise FormatError(path, None, "lists or tables are nested more deeply than any option is") from None
+        except tomllib.TOMLDecodeError as error:
+            found = re.search(r"\(at line (\d+), column \d+\)$", str(error))
+            message = re.sub(r" \(at .*\)$", "", str(error))
+            raise FormatError(path, int(found[1]) if found else None, f"not valid TOML: {shortened(message)}") from None
+        except ValueError:
+            # Python reads whole numbers of at most 4,300 digits
+            long = re.search(r"[0-9_]{4000}", self.text)
+            line = self.text.count("\n", 0, long.start()) + 1 if long else None
+            raise FormatError(path, line, "a whole number has thousands of digits, more than can be read") from None
+
+    def error(self, key: str, message: str) -> FormatError:
+        """The error of a key, "table.key" where it stands in a table, with its line where it can be determined."""
+        return FormatError(self.path, self.line_of(key), message)
+
+    def line_of(self, key: str) -> int | None:
+        """The line on which the statement begins that sets a key, "table.key" or "tables[1].key"; None if there is none.
+
+        The first lines that have the key are found by bisection.
+        """
+        path, lines = re.findall(r"[^.\[\]]+", key), self.text.split("\n")
+        if not _holds(self.table, path):
+            return None
+        end = bisect_left(range(len(lines)), True, key=lambda end: _holds(_whole(lines, end)[0], path))
+        # one statement, perhaps below comments
+        begin = _whole(lines, end - 1)[1]
+        return next(k for k in range(begin, end) if lines[k].strip() and lines[k].lstrip()[0] != "#") + 1
+
+    def check_keys(self, table: Mapping[str, Any], known: Collection[str], where: str = "") -> None:
+        """Raise `FormatError` for the first key that is not known; the message names the nearest one that is.
+
+        Args:
+            table: whose keys are checked.
+            known: the keys that may be there.
+            where: the name of the table, for the message.
+        """
+        for key in table:
+            if key not in known:
+                place = f" in [{where}]" if where else ""
+                raise self.error(
+                    f"{where}.{key}" if where else key,
+                    f"unknown key {quoted(key)}{place}" + (suggestion(key, known) or f"; known are {', '.join(known)}"),
+                )
+
+    def value(self, table: Mapping[str, Any], key: str, *types: type, where: str = "") -> Any:
+        """The value of a key, None where it is absent. A whole number may stand for a float.
+
+        Raises:
+            FormatError: it is of none of the types.
+        """
+        value = table.get(key)
+        if value is None or (type(value) in types):
+            return value
+        place = f"{where}.{key}" if where else key
+        if float in types and type(value) is int:
+            try:
+                return float(value)
+            except OverflowError:
+                raise self.error(place, f"{place} has {len(str(value))} digits, more than a number can have") from None
+        raise self.error(place, f"{place} should be {' or '.join(TYPE_NAMES[t] for t in types)}, not {quoted(value)}")
+
+    def attempt(self, make: Callable[[], T], where: str = "") -> T:
+        """The result of a function; its `OptionError` becomes a `FormatError` with the line of the option.
+
+        Args:
+            make: its error message begins with the name of the option.
+            where: the table of the option.
+        """
+        try:
+            return make()
+        except OptionError as error:
+            name = str(error).split()[0].rstrip(":")
+            raise self.error(f"{where}.{name}" if where else name, str(error)) from None
+
+
+def _whole(lines: Sequence[str], end: int) -> tuple[dict[str, Any], int]:
+    """The content of the whole statements among the first lines up to ``end``, and the number of lines that these take."""
+    while True:
+        with suppress(tomllib.TOMLDecodeError):
+            return tomllib.loads("\n".join(lines[:end])), end
+        end -= 1
+
+
+def _holds(value: Any, path: Sequence[str]) -> bool:
+    """Whether a table has the key of a path; digits count the tables of an array."""
+    for part in path:
+        if isinstance(value, list):
+            if not part.isdigit() or int(part) >= len(value):
+                return False
+            value = value[int(part)]
+        elif isinstance(value, Mapping) and part in value:
+            value = value[part]
+        else:
+            return False
+    return True

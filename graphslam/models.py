@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from .engine import engine
 from .errors import OptionError, quoted
-from .errors.checks import check_positive, check_real, checked_offset, option
+from .errors.checks import check_options, check_positive, check_real, checked_offset, option
 from .se2 import Array, mounted, wrap
 
 #: the variances of speed, turn rate and sideways speed of a control of one second that stands for an unknown motion, such as
@@ -282,6 +282,40 @@ FRAMES = ("world", "body")
 RESIDUALS = ("cartesian", "polar")
 #: the range at which its noise is taken: as measured, or as predicted by the estimate
 RANGE_NOISES = ("auto", "measured", "estimated")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeOptions:
+    """How the edges of a graph come from a log; `graphslam.Graph.from_log` says what each option means.
+
+    Raises:
+        OptionError: an option has an impossible value.
+    """
+
+    edges: str | None = option(None, "Edges of the graph.", choices=EDGES, default_text="what suits the log")
+    frame: str = option("body", "Axes of the residuals.", choices=FRAMES)
+    weight: str = option(
+        "pairs", "Weight of virtual-motion edges: pairs as in the book; tempered and marginal count each sighting once.",
+        choices=WEIGHTS,
+    )  # fmt: skip
+    motion_weight: float = option(1.0, "Factor lambda on the motion edges.", positive=True)
+    residual: str = option(
+        RESIDUALS[0], "Residual of landmark nodes: the sighting as a position in the robot's axes, or as range and bearing.",
+        choices=RESIDUALS,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    @property
+    def landmark_nodes(self) -> bool:
+        """Whether landmarks are nodes."""
+        return self.edges == "landmark+motion"
+
+    @property
+    def with_motion(self) -> bool:
+        """Whether there are motion edges."""
+        return self.edges is not None and self.edges.endswith("+motion")
 
 
 @dataclass(frozen=True, kw_only=True)

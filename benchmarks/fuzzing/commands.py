@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 import comparisons.options as declared
 from comparisons.cli import make_app
-from comparisons.options.option import Options, options_of
+from comparisons.options.declaration import Options, options_of
 from graphslam import SlamError
 
 from .attempt import Case

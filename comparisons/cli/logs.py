@@ -52,7 +52,7 @@ def simulate(
     import graphslam
 
     from ..results.documents import SimulateDocument, describe
-    from ..results.saving import check_can_write
+    from ..results.files import check_can_write
 
     check_can_write(out)
     log = graphslam.simulate(**options.keywords_of_simulate(), name=out.stem)
@@ -88,7 +88,7 @@ def calibrate(
     """
     from ..options.reading import calibrate as estimate
     from ..options.toml_files import write_noise
-    from ..results.saving import check_can_write
+    from ..results.files import check_can_write
 
     if out is not None:
         check_can_write(out)
@@ -199,7 +199,7 @@ def import_(
     from graphslam import LogError, save
 
     from ..importing import imported
-    from ..results.saving import check_can_write
+    from ..results.files import check_can_write
 
     source: Path | None = None
     out: Path | None = None

@@ -120,7 +120,7 @@ class Output:
     ) -> None:
         from rich.console import Console
 
-        from ..results.saving import check_can_write
+        from ..results.files import check_can_write
         from ..show.language import language_of
 
         self._to_stdout, self._file = json == "-", None if json in (None, "-") else Path(str(json))
@@ -208,7 +208,7 @@ class Output:
 
     def hint_at_import(self, found: Any, options: Any) -> None:
         """Hint at ``import`` where notes or findings of a log name options that the options of the verb do not have."""
-        from ..options.option import options_of
+        from ..options.declaration import options_of
 
         texts = [*found.log.notes, *(finding.message for finding in found.findings)]
         if advice := hint_of_import(" ".join(texts), options_of(type(options))):
@@ -319,7 +319,7 @@ def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
     # options are not imported until an error needs them, so that help is shown at once
     from graphslam.log.rows import TableOptions
 
-    from ..options.option import options_of
+    from ..options.declaration import options_of
 
     names = [f"--{name.replace('_', '-')}" for name in options_of(TableOptions) if name not in known]
     named = [name for name in names if re.search(rf"{name}\b", text)]

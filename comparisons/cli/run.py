@@ -49,8 +49,7 @@ def run(
         slam-compare run --config results/latest/config.toml
     """
     from ..results import noted
-    from ..results.exchange import reason_without_graph
-    from ..results.saving import RESULTS, check_can_make
+    from ..results.files import RESULTS, check_can_make, reason_without_graph
 
     check_can_make(RESULTS if saving.out is None else saving.out)
     writers = {kind: (path, _writer(kind)) for kind in FURTHER if (path := getattr(saving, kind)) is not None}
@@ -99,7 +98,7 @@ def run(
 def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) -> str | None:
     """The command that finds better noise models, where those of the book do not fit a log in which nothing is suspicious."""
     from ..options import DOUBTFUL, ReadingOptions
-    from ..options.option import options_of
+    from ..options.declaration import options_of
 
     fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
     auto = command("run", log, "--noise", "auto", options=options)

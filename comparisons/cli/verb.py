@@ -22,7 +22,7 @@ from .output import Output, in_language, sentences
 if TYPE_CHECKING:
     from typer.core import TyperCommand
 
-    from ..options.option import Option, Options
+    from ..options.declaration import Option, Options
 
 
 def argument(metavar: str, help: str, default: str | bool = False) -> Any:
@@ -47,8 +47,8 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
         kind: the class of its command.
         language: of its help.
     """
-    from ..options import options as declared
-    from ..options.option import Options, options_of
+    from .. import options as declared
+    from ..options.declaration import Options, options_of
     from .output import hint_of_import
 
     # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
@@ -108,7 +108,7 @@ def epilog_of(examples: Sequence[str], language: str) -> str:
 
 def _check_places(options: Options) -> None:
     """Raise now rather than after minutes of work if a file that the options name cannot be written."""
-    from ..results.saving import check_can_write
+    from ..results.files import check_can_write
 
     for option, value in options.changed():
         if option.writes is not None and value is not None:
@@ -240,7 +240,7 @@ def _without_outranked(ctx: typer.Context, values: dict[str, Any], options: dict
     if not ("noise" in options and typed("noise")):
         return values
     from ..options import NoiseOptions
-    from ..options.option import options_of
+    from ..options.declaration import options_of
 
     of_noise = {name for name, each in options_of(NoiseOptions).items() if each.only != "python"}
     return {name: value if name not in of_noise or typed(name) else None for name, value in values.items()}

@@ -1,12 +1,498 @@
-"""The estimators by name, and how one of them is run."""
+"""The estimators that can be compared: each takes a `Log` and `RunOptions` and returns an `EstimatorResult`.
 
-from .estimators import ESTIMATORS as ESTIMATORS
-from .estimators import Estimator as Estimator
-from .estimators import check_estimators as check_estimators
-from .estimators import default_estimators as default_estimators
-from .estimators import isam2_options as isam2_options
-from .estimators import make_graph as make_graph
-from .estimators import online_keywords as online_keywords
-from .estimators import online_steps as online_steps
-from .estimators import pair_count as pair_count
-from .estimators import warm_up as warm_up
+Add one by writing its function and naming it in `ESTIMATORS`; tables, figures and the command line follow.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+import fastslam
+import graphslam
+from fastslam.options import LOCALISATION, check_one_drive
+from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, SlamError, Solution, simulate
+from graphslam.errors import quoted
+from graphslam.errors.checks import suggestion
+from graphslam.graph.defaults import edges_for_map, suitable_edges, suitable_for_isam2, suitable_kernel
+from graphslam.log import UNIDENTIFIED
+from graphslam.log.measurements import MEASURED
+from graphslam.online import replay
+from graphslam.se2 import wrap
+from graphslam.solvers.iteration import Run
+from graphslam.solvers.minimize import takes_estimated_ranges
+from graphslam.solvers.solution import make_solution
+
+from ..options import FrontEndOptions, GraphOptions, RunOptions
+from ..options.declaration import options_of
+from ..results import EstimatorResult, noted
+from .filters import FILTER, identified, mcl, of_several_seeds
+
+#: seconds per iteration above which an estimator is left out unless asked for by name
+PATIENCE = 0.5
+#: a sighting to which the kernel gives less weight than this counts as weighed down
+WEIGHED_DOWN = 0.5
+#: where the noise is this part of a range, that it is taken at the measured range shortens lengths by 2 % or more
+WIDE = 0.1
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """An entry of the registry.
+
+    Attributes:
+        run: the function; raises `graphslam.SlamError` where it cannot run on this log. The options have noise models.
+        uses: the names of the graph and filter options that it uses.
+        seconds_per_iteration: a forecast for estimators that are slow on large logs, or None.
+        repeats: why another estimator gives the same result with these options, or None.
+        on_request: whether it runs only where it is asked for by name.
+    """
+
+    run: Callable[[Log, RunOptions], EstimatorResult]
+    uses: tuple[str, ...] = ()
+    seconds_per_iteration: Callable[[Log, RunOptions], float] | None = None
+    repeats: Callable[[Log, RunOptions], str | None] = lambda _log, _options: None
+    on_request: bool = False
+
+    def reason_to_omit(self, log: Log, options: RunOptions) -> str | None:
+        """The reason to leave the estimator out unless it is asked for by name, or None."""
+        return self.too_slow(log, options) or self.repeats(log, options)
+
+    def too_slow(self, log: Log, options: RunOptions) -> str | None:
+        """The reason why the estimator would take too long on a log, or None."""
+        if self.seconds_per_iteration is None:
+            return None
+        try:
+            seconds = self.seconds_per_iteration(log, options)
+        except SlamError:  # where no ids can be found, it fails with that reason when it runs
+            return None
+        if seconds <= PATIENCE:
+            return None
+        return f"it would take about {seconds:.0f} s per iteration on this log; name it in --estimators to run it"
+
+
+def make_graph(log: Log, options: RunOptions) -> Graph:
+    """The one graph that ``graph`` and ``gtsam`` solve. Where sightings have no ids, these are found first.
+
+    Raises:
+        GraphError: the log does not determine it.
+    """
+    known, found = identified(log, options)
+    keywords = graph_keywords(options) | {"map": options.landmark_map}
+    return Graph.from_log(known, **(keywords if found is None else keywords | {"motion": found.motion}))
+
+
+def graph_keywords(options: RunOptions) -> dict[str, Any]:
+    """The keywords of `Graph.from_log` that the options name; it chooses the others."""
+    given = {name: getattr(options, name) for name in _GRAPH if name != "initialize"}
+    # graduated non-convexity needs no robust kernel
+    kernel = "none" if options.kernel == "gnc" else options.kernel
+    models = {"motion": options.motion, "sensor": options.sensor}
+    return given | models | {"kernel": kernel}
+
+
+def chosen(log: Log, options: RunOptions) -> RunOptions:
+    """The options with the edges and the kernel that suit the log, where they name none.
+
+    The choice is that of `Graph.from_log`.
+    """
+    if options.landmark_map is not None:
+        options = replace(options, edges=edges_for_map(log, options.edges))
+    return replace(options, edges=options.edges or suitable_edges(log), kernel=options.kernel or suitable_kernel(log))
+
+
+def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
+    """x_t = f(x_{t-1}, u_t) without noise; the log's own initial poses where it has no controls."""
+    begin = time.perf_counter()
+    poses = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
+    seconds = time.perf_counter() - begin
+    notes = ["the log has no controls: these are its own initial poses"] if log.controls is None else []
+    poses = np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+    maps: dict[str, Any] = {}
+    with noted(notes, "the map is not known"):
+        landmarks = graphslam.estimate_map(log, poses, sensor=options.sensor)
+        maps = {"landmarks": dict(landmarks), "landmark_covariances": landmarks.covariances}
+    return EstimatorResult(
+        name="dead-reckoning", poses=poses, estimated=np.ones(len(poses), dtype=bool), seconds=seconds, notes=tuple(notes),
+        log=log, motion=options.motion, **maps,
+    )  # fmt: skip
+
+
+def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
+    """The lectures' program as it stands, with the book's threshold; J is the world-frame cost that it works on."""
+    _no_map("textbook", options)
+    check_one_drive("textbook", log)
+    others = {each: getattr(RunOptions, each) for each in ("motion_weight", "residual", "initialize", "estimate")}
+    options, notes = _fixed(
+        options, "it is the lectures' program as it stands", frame="world", weight="pairs", kernel="none", **others
+    )
+    edges = options.edges
+    if edges not in graphslam.textbook.THRESHOLDS:
+        edges = "virtual" if log.controls is None else "virtual+motion"
+    models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
+    begin = time.perf_counter()
+    result = graphslam.textbook.solve(log, edges=edges, **models)
+    seconds = time.perf_counter() - begin
+    # J and the map by the graph's own code, which gets what the book's cost has
+    plain = log.replace(**dict.fromkeys(MEASURED))
+    graph = Graph.from_log(plain, edges=edges, frame="world", kernel="none", **models)
+    run = Run(
+        result.poses[graph.steps], result.threshold, costs=result.costs, step_norms=result.step_norms,
+        converged=result.converged, reason=result.reason,
+    )  # fmt: skip
+    solution = make_solution(graph, run, "textbook", seconds)
+    used = {"edges": edges, "frame": "world", "weight": "pairs", "threshold": result.threshold}
+    found = _of_solution("textbook", log, options, replace(solution, notes=notes))
+    return replace(found, options=used, costs=np.array(result.costs))
+
+
+def _fixed(options: RunOptions, reason: str, **fixed: Any) -> tuple[RunOptions, tuple[str, ...]]:
+    """The options with those that an estimator has fixed, and a note on those that were given another value."""
+    given = [each.flag for each, value in options.changed() if each.name in fixed and value != fixed[each.name]]
+    notes = (f"does not use {', '.join(given)}: {reason}",) * bool(given)
+    if options.filter.range_noise == "estimated":
+        notes += ("does not use --range-noise: it takes the noise of ranges as they were measured",)
+    return replace(options, **fixed), notes
+
+
+def _counted_once(log: Log, options: RunOptions) -> str | None:
+    """The reason why the graph counts each sighting once in any case, or None."""
+    if str(chosen(log, options).edges).startswith("landmark"):
+        return "the landmarks of graph are nodes, which already counts each sighting once"
+    return "graph has marginal weights already" if options.weight == "marginal" else None
+
+
+def by_hand(name: str, log: Log, options: RunOptions, **changes: Any) -> EstimatorResult:
+    """The hand-written solver on the log's graph, with some options changed."""
+    options = replace(options, **changes)
+    method = "gnc" if options.kernel == "gnc" else "gauss-newton"
+    solution = graphslam.solve(make_graph(log, options), method=method, **_solving(options))
+    return _of_solution(name, log, options, solution)
+
+
+def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
+    """GTSAM's Levenberg-Marquardt on the very same graph, made of our factor types, from the same start."""
+    _no_gnc(options)
+    return _of_solution(
+        "gtsam", log, options, graphslam.solve_with_gtsam(make_graph(log, options), **_solving(options))
+    )
+
+
+def _solving(options: RunOptions) -> dict[str, Any]:
+    """The keywords that both solvers have."""
+    return {"initialize": options.initialize, "range_noise": options.filter.range_noise}
+
+
+def online(log: Log, options: RunOptions) -> EstimatorResult:
+    """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
+    options, notes = _online_options(options)
+    risks: list[float] = []
+    asked = (lambda solver: risks.append(solver.integrity_risk(*bounds_of(options)))) if options.landmark_map else None
+    solution = graphslam.solve_online(_online_graph(log, options), lag=options.lag, callback=asked)
+    result = _of_solution("online", log, options, solution)
+    if np.isnan(solution.cost):
+        result = replace(result, cost=None, costs=np.empty(0))
+    risk = np.array(risks) if risks else None
+    return replace(result, converged=None, integrity_risk=risk, notes=(*result.notes, *notes))
+
+
+def _online_options(options: RunOptions) -> tuple[RunOptions, tuple[str, ...]]:
+    """The options with those that `online` has fixed, and a note on them."""
+    ways = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
+    reason = "it has landmark nodes with Cartesian residuals, and estimates no parameters"
+    return _fixed(options, reason, **ways, initialize="auto", estimate=None)
+
+
+def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineSolver]:
+    """The solver of `online` after every step."""
+    return replay(_online_graph(log, _online_options(options)[0]), lag=options.lag)
+
+
+def bounds_of(options: RunOptions) -> tuple[float, float]:
+    """The bounds of `graphslam.Solution.integrity_risk` [m, rad]."""
+    metres, degrees = options.bound
+    return metres, float(np.radians(degrees))
+
+
+def _no_map(name: str, options: RunOptions) -> None:
+    if options.landmark_map is not None:
+        raise OptionError(f"{name} does not use a map; graph, gtsam, online, mcl, fastslam1 and fastslam2 do")
+
+
+def _online_graph(log: Log, options: RunOptions) -> Graph:
+    return Graph.from_log(log, **online_keywords(options), map=options.landmark_map)
+
+
+def isam2(log: Log, options: RunOptions) -> EstimatorResult:
+    """ISAM2 on our factor types, step by step through the log, as a robot that drives could."""
+    reason = "it goes on from its last estimate, and estimates no parameters"
+    options, notes = _fixed(isam2_options(log, options), reason, initialize="auto", estimate=None)
+    keywords = online_keywords(options)
+    result = _of_solution("isam2", log, options, graphslam.solve_online(log, backend="isam2", **keywords))
+    return replace(result, converged=None, notes=(*result.notes, *notes))
+
+
+def isam2_options(log: Log, options: RunOptions) -> RunOptions:
+    """The options with the edges and the kernel that `graphslam.solve_online` takes for ISAM2 where they name none.
+
+    Raises:
+        OptionError: the options have a map.
+    """
+    _no_map("isam2", options)
+    edges, kernel = suitable_for_isam2(log, options.edges, options.kernel)
+    assert isinstance(kernel, str)
+    return replace(options, edges=edges, kernel=kernel)
+
+
+def online_keywords(options: RunOptions) -> dict[str, Any]:
+    """The keywords of graphs that are solved step by step, without the frame.
+
+    Raises:
+        GraphError: the options ask for what that cannot do.
+    """
+    _no_gnc(options)
+    keywords = graph_keywords(options)
+    del keywords["estimate"]
+    if keywords.pop("frame") != "body":
+        raise GraphError("online and isam2 have no world frame, whose information is re-evaluated; use --frame body")
+    return keywords
+
+
+def _no_gnc(options: RunOptions) -> None:
+    if options.kernel == "gnc":
+        raise GraphError(
+            "only graph and graph-marginal have graduated non-convexity: choose a robust kernel, such as --kernel cauchy"
+        )
+
+
+def gibbs_sampler(log: Log, options: RunOptions) -> fastslam.ParticleGibbs:
+    """Particle Gibbs as the options ask for it.
+
+    Raises:
+        LogError, OptionError: it cannot run on this log.
+    """
+    _no_map("particle-gibbs", options)
+    check_one_drive("particle-gibbs", log)
+    return fastslam.ParticleGibbs(
+        log, seed=options.filter.seed, threads=options.filter.threads, options=options.gibbs, motion=options.motion,
+        sensor=options.sensor,
+    )  # fmt: skip
+
+
+def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
+    """Particle Gibbs: the means of sampled trajectories and maps, with the covariances of the samples."""
+    sampler = gibbs_sampler(log, options)
+    begin = time.perf_counter()
+    result = sampler.run()
+    seconds = time.perf_counter() - begin
+    return EstimatorResult(
+        name="particle-gibbs",
+        poses=result.poses,
+        estimated=np.ones(log.num_poses, dtype=bool),
+        seconds=seconds,
+        landmarks=result.landmarks,
+        landmark_covariances=result.landmark_covariances,
+        converged=result.mixing.mixed,
+        iterations=options.gibbs.iterations,
+        # where they have not mixed, the reason says it
+        notes=(result.mixing.statement,) if result.mixing.mixed else (),
+        options={"seed": options.filter.seed} | {f"gibbs_{k}": v for k, v in asdict(options.gibbs).items()},
+        reason=result.mixing.statement,
+        origin=result,
+    )
+
+
+def pair_count(log: Log) -> int:
+    """The number of virtual-motion edges of a log: the sum of K (K-1) / 2 over its landmarks; none without ids."""
+    sightings = _sighting_counts(log)
+    return int(np.sum(sightings * (sightings - 1) // 2))
+
+
+def _sighting_counts(log: Log) -> np.ndarray:
+    """The number of sightings of each landmark."""
+    return np.unique(log.landmarks[log.landmarks != UNIDENTIFIED], return_counts=True)[1]
+
+
+def _textbook_seconds(log: Log, options: RunOptions) -> float:
+    if not log.identified or options.landmark_map is not None:  # the lectures' program refuses them at once
+        return 0.0
+    # 50 us of plain Python per edge; the dense solve at some 10 GFLOP/s
+    return 5e-5 * (pair_count(log) + log.num_poses) + 2 / 3 * (3.0 * log.num_poses) ** 3 / 1e10
+
+
+def _gtsam_seconds(log: Log, options: RunOptions) -> float:
+    return _factor_seconds(log, options, lambda: identified(log, options)[0])
+
+
+def _factor_seconds(log: Log, options: RunOptions, known: Callable[[], Log]) -> float:
+    """The time [s] of one pass over all factors in GTSAM; ``known`` gives the log with the ids that they use."""
+    # 30 us a pose; GTSAM copies all values for every call of a Python factor, of which there is one for 16 poses
+    seconds = 3e-5 * log.num_poses + 4e-8 * log.num_poses**2
+    options = chosen(log, options)
+    if options.estimate:
+        # a factor for each edge, which every step makes again
+        paired = options.weight != "marginal" and not str(options.edges).startswith("landmark")
+        count = log.num_poses + (pair_count(known()) if paired else len(log.steps))
+        return count * (5e-4 + 8e-8 * log.num_poses)
+    if str(options.edges).startswith("landmark"):
+        return seconds
+    # how often each landmark is seen decides, so sightings without ids need them now; they are found once for all
+    log = known()
+    if options.kernel not in ("none", "gnc") and options.weight != "marginal":
+        # a factor for each pair, because each has its own robust weight
+        return seconds + 1e-4 * pair_count(log)
+    # a pair in a landmark's factor takes 0.3 us, a clique of K poses grows with K³
+    return seconds + 3e-7 * pair_count(log) + 3e-9 * float(np.sum((3.0 * _sighting_counts(log)) ** 3))
+
+
+def _isam2_seconds(log: Log, options: RunOptions) -> float:
+    if not log.identified:  # it refuses them at once
+        return 0.0
+    # some ten milliseconds a step, and the landmarks' factors are made again as they grow; "per iteration" is per step here.
+    # It estimates no parameters, and uses the ids of the log
+    options = replace(isam2_options(log, options), estimate=None)
+    return 1e-3 * log.num_poses + _factor_seconds(log, options, lambda: log)
+
+
+_GRAPH = tuple(options_of(GraphOptions))
+#: and what finds the ids for it
+_SOLVED = (*_GRAPH, *options_of(FrontEndOptions), "class_confusion", "range_noise")
+
+
+def _solved_without(*names: str) -> tuple[str, ...]:
+    return tuple(name for name in _SOLVED if name not in names)
+
+
+_GIBBS = tuple(name for name, each in options_of(RunOptions).items() if each.model == "gibbs")
+#: the estimators by name, in the order in which they run and are shown
+ESTIMATORS: dict[str, Estimator] = {
+    "dead-reckoning": Estimator(dead_reckoning),
+    "textbook": Estimator(textbook_estimator, ("edges",), _textbook_seconds),
+    "graph": Estimator(partial(by_hand, "graph"), _SOLVED),
+    # each sighting counted once, where pairs count it up to K/2 times: landmarks are eliminated exactly
+    "graph-marginal": Estimator(
+        partial(by_hand, "graph-marginal", weight="marginal"), _solved_without("weight"), repeats=_counted_once
+    ),
+    # every sighting counts fully, wrong ones too
+    "graph-no-kernel": Estimator(
+        partial(by_hand, "graph-no-kernel", kernel="none"), _solved_without("kernel"), on_request=True
+    ),
+    "gtsam": Estimator(gtsam_estimator, _SOLVED, _gtsam_seconds),
+    "online": Estimator(online, ("motion_weight", "kernel", "lag"), on_request=True),
+    "isam2": Estimator(isam2, _solved_without("initialize", "estimate", "range_noise"), _isam2_seconds),
+    "mcl": Estimator(mcl, LOCALISATION),
+    "fastslam1": Estimator(partial(of_several_seeds, "fastslam1"), FILTER),
+    "fastslam2": Estimator(partial(of_several_seeds, "fastslam2"), FILTER),
+    "particle-gibbs": Estimator(particle_gibbs, _GIBBS, on_request=True),
+}
+
+
+#: the same without those that a script adds: every process has these
+BUILT_IN = dict(ESTIMATORS)
+
+
+def default_estimators() -> tuple[str, ...]:
+    """The estimators that run unless others are named."""
+    return tuple(name for name, estimator in ESTIMATORS.items() if not estimator.on_request)
+
+
+def check_estimators(names: Any) -> tuple[str, ...]:
+    """The names of estimators, each once.
+
+    Raises:
+        OptionError: a name is unknown, or there is none.
+    """
+    names = (names,) if isinstance(names, str) else tuple(dict.fromkeys(names))
+    for name in names:
+        if name not in ESTIMATORS:
+            raise OptionError(
+                f"estimators: there is no estimator {quoted(name)}{suggestion(name, ESTIMATORS)}; the estimators are "
+                f"{', '.join(ESTIMATORS)}"
+            )
+    if not names:
+        raise OptionError(f"estimators: name at least one of {', '.join(ESTIMATORS)}")
+    return names
+
+
+def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
+    options = chosen(log, options)
+    # the lectures' program, and what goes step by step through a log, use the ids that this has
+    found = None if name in ("textbook", "isam2", "online") else identified(log, options)[1]
+    # the fields that both have under the same names
+    shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
+    values = {field: getattr(solution, field) for field in shared}
+    # the notes of a log are shown once
+    notes = [note for note in solution.notes if note not in log.notes]
+    with noted(notes, "the covariances of the map are not known"):
+        values["landmark_covariances"] = solution.landmark_covariances
+    values["options"] = {name: getattr(options, name) for name in _GRAPH}
+    if name not in ("textbook", "isam2", "online"):
+        families = () if solution.graph is None else solution.graph.families
+        estimated = options.filter.range_noise == "estimated" or any(
+            getattr(f, "noise_at", None) is not None for f in families
+        )
+        values["options"]["range_noise"] = "estimated" if estimated else "measured"
+    elif solution.graph is not None and takes_estimated_ranges(solution.graph, "auto"):
+        notes.append(
+            "takes the noise of ranges at the measured ones, and graph at the estimated ones, so that J differs"
+        )
+    parameters = solution.parameters
+    if parameters is not None:
+        notes.append(f"estimated with the poses: {parameters.sentence}")
+        if parameters.doubt:
+            notes.append(parameters.doubt)
+        if options.weight == "pairs" and not str(options.edges).startswith("landmark"):
+            notes.append(
+                "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
+            )
+    rate = solution.graph.sensor.range_rate if solution.graph is not None and solution.graph.sensor is not None else 0.0
+    measured = values["options"].get("range_noise") == "measured" and parameters is None
+    if measured and rate >= WIDE and len(log.steps):
+        notes.append(
+            f"the noise of a range, {rate:.0%} of it, is taken at the measured range, as in the lectures, which alone makes "
+            f"lengths up to {2 * rate**2:.0%} too short; --range-noise estimated does not"
+        )
+    if solution.graph is not None and (kernel := solution.graph.verdict[0]) is not None and len(log.steps):
+        weights = solution.graph.sighting_weights(solution.state)
+        values["weighed_down"] = weighed_down = int(np.count_nonzero(weights < WEIGHED_DOWN))
+        usual = kernel.share_below(WEIGHED_DOWN, log.sightings.shape[1])
+        notes.append(
+            f"the kernel {kernel.name} gives {weighed_down} of {len(weights)} sightings less than half of their weight "
+            f"({weighed_down / len(weights):.1%}; {usual:.1%} would be usual if none were wrong)"
+        )
+    values |= {"name": name, "origin": solution, "parameters": parameters}
+    if options.landmark_map is not None:
+        values["options"]["bound"] = options.bound
+        with noted(notes, "the probability of being off is not known"):
+            values["integrity_risk"] = solution.integrity_risk(*bounds_of(options))
+    if found is not None:
+        # the notes of the association came with its log; that its map is not reliable is a finding of the comparison
+        notes = [*(each for each in found.notes if found.verdict.reliable or each != str(found.verdict)), *notes]
+        values |= {
+            "named": False,
+            "association": found.ids,
+            "found": found,
+            "seconds": solution.seconds + found.seconds,
+        }
+        values["options"] |= {name: getattr(options, name) for name in options_of(FrontEndOptions)}
+        values["options"]["class_confusion"] = options.filter.class_confusion
+    return EstimatorResult(**values | {"notes": tuple(notes)})
+
+
+@cache
+def warm_up(estimator: str) -> None:
+    """Run an estimator on a tiny log, so that loading its modules is no part of its time.
+
+    What goes wrong here shows again, with its message, when the estimator runs on the user's log.
+    """
+    for orientation in (True, False):
+        log = simulate(steps=6, orientation=orientation)
+        with suppress(Exception), warnings.catch_warnings(action="ignore"):
+            ESTIMATORS[estimator].run(log, RunOptions.of(particles=2, motion=MotionModel(), sensor=SensorModel()))

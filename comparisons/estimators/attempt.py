@@ -25,7 +25,7 @@ from graphslam.processes import how_it_ended, processes
 
 from ..options import RunOptions
 from ..results import EstimatorResult, sentence
-from .estimators import BUILT_IN, ESTIMATORS, warm_up
+from . import BUILT_IN, ESTIMATORS, warm_up
 
 Task = TypeVar("Task")
 Row = TypeVar("Row")

@@ -20,10 +20,10 @@ from graphslam.files import check_file
 from graphslam.simulation.worlds import sample_log_path
 
 from ..options import AUTO, BOOK, MODELS, LimitOptions, RunOptions
-from ..options.option import options_of
+from ..options.declaration import options_of
 from ..options.reading import sha256_of
 from ..options.toml_files import TomlFile, to_toml
-from .estimators import check_estimators
+from . import check_estimators
 
 
 def config_text(

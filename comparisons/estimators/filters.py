@@ -25,7 +25,7 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
 
 from ..options import RunOptions
-from ..options.option import options_of
+from ..options.declaration import options_of
 from ..results import EstimatorResult
 
 #: what was found for a log, or why nothing was, by what it was found with

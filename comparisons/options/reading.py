@@ -34,8 +34,8 @@ from graphslam.log.rows import ReadOptions
 from graphslam.sessions import ClockOffsets, clock_offsets, join_robots, with_common_noise
 
 from ..results import noted
-from .option import options_of
-from .options import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
+from . import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions
+from .declaration import options_of
 from .toml_files import read_noise
 
 Given = TypeVar("Given", bound=LogOptions)

@@ -32,18 +32,16 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from graphslam import FormatError, OptionError, SensorModel
+from graphslam import FormatError, OptionError, SensorModel, files
 from graphslam.calibration import Calibration
 from graphslam.errors import printable, quoted
-from graphslam.files import write_whole
-from graphslam.io import toml_file
-from graphslam.io.toml_file import TYPE_NAMES
+from graphslam.files import TYPE_NAMES, write_whole
 
-from .option import Option, options_of
-from .options import MODELS, NoiseOptions
+from . import MODELS, NoiseOptions
+from .declaration import Option, options_of
 
 
-class TomlFile(toml_file.TomlFile):
+class TomlFile(files.TomlFile):
     """A TOML file of options."""
 
     def options(self, table: Mapping[str, Any], known: Mapping[str, Option], where: str = "") -> dict[str, Any]:
@@ -51,7 +49,7 @@ class TomlFile(toml_file.TomlFile):
 
         Args:
             table: whose keys are read.
-            known: the options, by name; see `options.options_of`.
+            known: the options, by name; see `declaration.options_of`.
             where: the name of the table, for messages.
 
         Raises:

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fastslam.gibbs.chains import GibbsResult
+from fastslam.gibbs import GibbsResult
 from fastslam.particles import FilterResult, Samples
 from graphslam import Certificate, FormatError, Graph, Log, MotionModel, SlamError, Solution
 from graphslam.association import Ambiguity, Association, AssociationScore

@@ -15,7 +15,7 @@ from graphslam.se2 import Array, compose, transform
 
 from ..comparison import Comparison
 from ..results import EstimatorResult
-from ..results.exchange import elapsed_of, time_axis
+from ..results.files import elapsed_of, time_axis
 from ..results.sessions import parted
 from . import canvas
 

@@ -20,8 +20,7 @@ from graphslam import Log, OnlineSolver
 from graphslam.errors.checks import singular
 from graphslam.se2 import Array
 
-from ..estimators import online_steps
-from ..estimators.estimators import bounds_of
+from ..estimators import bounds_of, online_steps
 from ..options import RunOptions
 from .canvas import between_poses
 from .cells import NOTHING, LeanTable, number, written, yes_no
@@ -262,7 +261,7 @@ def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     from graphslam.identification.declared import PARAMETERS
 
     from ..options import NoiseOptions
-    from ..options.option import options_of
+    from ..options.declaration import options_of
 
     source = "the ground truth" if calibration.source == "truth" else calibration.source
     table = LeanTable(

@@ -40,7 +40,7 @@ from graphslam.log.measurements import NO_HEADING
 from graphslam.se2 import Array
 
 from ..comparison import Comparison
-from ..results.exchange import elapsed_of
+from ..results.files import elapsed_of
 from .canvas import colour_of
 from .figures import ellipses
 

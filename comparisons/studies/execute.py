@@ -28,7 +28,7 @@ from ..comparison import compare
 from ..estimators import warm_up
 from ..estimators.attempt import Row, Task, ended, loading, too_long
 from ..options import NoiseOptions, ReadingOptions, RunOptions
-from ..options.option import options_of
+from ..options.declaration import options_of
 from ..options.reading import read_log, sha256_of
 from ..results import Figures, sentence
 from .plan import Run, simulated_log

@@ -13,13 +13,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from graphslam import Certificate, Graph, GraphError, Log, LogError, Solution, simulate, solve, solve_with_gtsam
-from graphslam.graph import FRAMES, WEIGHTS
+from graphslam.models import FRAMES, WEIGHTS
 from graphslam.se2 import difference
 from graphslam.solvers.initialize import starting_state
 
 from ..display import Displayed
 from ..options import GraphOptions, SolverCheckOptions
-from ..options.option import options_of
+from ..options.declaration import options_of
 from ..options.reading import prepare
 from ..results import of_expected
 from ..results.documents import Count

@@ -36,7 +36,7 @@ from ..estimators import ESTIMATORS
 from ..estimators.attempt import add_estimators, added_estimators, ended, loading
 from ..estimators.filters import FILTERS, Announce, announce_memory
 from ..options import RunOptions, SweepOptions
-from ..options.option import options_of
+from ..options.declaration import options_of
 from ..results import sentence
 from ..results.documents import Count, jsonable
 from .database import StudyDatabase

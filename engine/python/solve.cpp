@@ -258,7 +258,7 @@ void bind_objectives(nb::module_& m) {
         return lowered([&] { return lowered_by_turns(graph, span(state), {span(motions), span(variances)}, limit); });
     });
     // the same without halves of the measurements of the families with these numbers
-    m.def("lowered_by_halves", [](BoundGraph& graph, std::vector<std::size_t> doubted, In<double> state, In<double> motions,
+    m.def("lowered_by_halves", [](std::vector<std::size_t> doubted, BoundGraph& graph, In<double> state, In<double> motions,
                                   In<double> variances, double limit) {
         return lowered(
             [&] { return lowered_by_halves(graph, doubted, span(state), {span(motions), span(variances)}, limit); });

@@ -25,11 +25,19 @@ from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
-from ..arguments import check_motion, checked_control, checked_motion, index, measurements, one_position
-from ..motions import Record, robot_poses, sensor_motions
-from ..options import FilterOptions, check_memory, check_one_drive
+from ..motions import Record, first_poses, in_frame, in_map, log_likelihoods, robot_poses, sensor_motions
+from ..options import (
+    FilterOptions,
+    check_memory,
+    check_motion,
+    check_one_drive,
+    checked_control,
+    checked_motion,
+    index,
+    measurements,
+    one_position,
+)
 from ..particles import RESAMPLING_SCHEMES, FilterResult, LandmarkEstimate, ParticleState, Samples, draw_key
-from ..positions import first_poses, in_frame, in_map, log_likelihoods
 
 #: the variance of a number that was not measured: it multiplies all likelihoods by the same factor
 NOT_MEASURED = 1e12
@@ -80,7 +88,7 @@ class ParticleFilter(ABC):
         motion, sensor: the models; default: those of the log, else the book's.
         start: the known first pose (3,), or one per particle (N, 3); default: the log's first initial pose, in the frame of
             its positions, or the first fix in ``map`` where that is far from it. Of a `Fix`, poses are drawn with
-            `positions.SPREAD` times its standard deviations, because its sightings weigh the particles again.
+            `motions.SPREAD` times its standard deviations, because its sightings weigh the particles again.
         map: of landmarks that is known; `FastSLAM1` and `MonteCarloLocalization` say how they use it.
 
     Raises:
@@ -118,9 +126,9 @@ class ParticleFilter(ABC):
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
         self._check_options()
         self.particles = self.options.particles
-        if log is not None and log.controls is None:
-            raise LogError(f"{log.name} has no controls, which move the particles of a filter: use graph SLAM")
         if log is not None:
+            if log.controls is None:
+                raise LogError(f"{log.name} has no controls, which move the particles of a filter: use graph SLAM")
             if not self._crosses_logs:
                 check_one_drive(type(self).__name__, log)
             if self._needs_ids and not log.identified:
@@ -128,9 +136,9 @@ class ParticleFilter(ABC):
             used = {"partial_sightings": self._takes_single_numbers, "positions": self._takes_positions}
             log.warn_of_unused("a particle filter", [name for name, is_used in used.items() if is_used])
             check_memory(log, self.options, maps=self.HAS_MAPS)
-        if log is not None and motion is None and sensor is None:
-            # for logs with ids the same choice as that of `Graph.from_log`
-            log, _ = known_noise(log)
+            if motion is None and sensor is None:
+                # for logs with ids the same choice as that of `Graph.from_log`
+                log, _ = known_noise(log)
         self.log = log
         self.motion = motion or getattr(log, "motion", None) or MotionModel()
         self.sensor = sensor or getattr(log, "sensor", None) or SensorModel()
@@ -142,10 +150,10 @@ class ParticleFilter(ABC):
         self._step, self._version, self._next = 0, 0, 0
         # of all steps, for backward simulation
         self._record = Record() if self.options.smoothing and self.HAS_MAPS else None
-        threads = available_threads() if self.options.threads is None else self.options.threads
         #: the particles and their maps
-        self._engine = engine.ParticleFilter(poses, threads, self._record is not None)
-        self._resampled, self._log_evidence = False, 0.0
+        smooths, threads = self._record is not None, self.options.threads or available_threads()
+        self._engine = engine.ParticleFilter(poses, threads, smooths)
+        self._log_evidence = 0.0
         # whether this step has been observed, even if nothing was seen
         self._observed = False
         self._ess_history, self._resampled_history = [float(self.particles)], [False]
@@ -157,8 +165,6 @@ class ParticleFilter(ABC):
     def __repr__(self) -> str:
         on, steps = ("", "") if self.log is None else (f" on {self.log.name}", f" of {self.log.num_poses - 1}")
         return f"<{type(self).__name__}{on}: {self.particles} particles, step {self._step}{steps}>"
-
-    # -- step by step ------------------------------------------------------------------------------------------------
 
     def move(
         self,
@@ -239,10 +245,10 @@ class ParticleFilter(ABC):
     @property
     def state(self) -> ParticleState:
         """The present particles."""
-        particles, ess = self._engine, self._ess_history[-1]
+        particles, ess, resampled = self._engine, self._ess_history[-1], self._resampled_history[-1]
         poses = robot_poses(self.sensor, particles.poses)
         return ParticleState(
-            self._step, poses, particles.log_weights, ess, self._resampled, particles.best, self, self._version
+            self._step, poses, particles.log_weights, ess, resampled, particles.best, self, self._version
         )
 
     @property
@@ -267,8 +273,6 @@ class ParticleFilter(ABC):
         """
         chosen = self._engine.best if particle is None else index("particle", particle, self.particles)
         return robot_poses(self.sensor, self._engine.trajectory(chosen))
-
-    # -- over a log --------------------------------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[ParticleState]:
         """Process the rest of the log step by step; a second loop continues where the first stopped.
@@ -363,8 +367,6 @@ class ParticleFilter(ABC):
         """The fields ``association`` and ``unconfirmed`` of the result, where they are defined."""
         return {}
 
-    # -- the filter --------------------------------------------------------------------------------------------------
-
     def _check_options(self) -> None:  # noqa: B027
         """Raise `OptionError` where the filter cannot use its options."""
 
@@ -439,7 +441,6 @@ class ParticleFilter(ABC):
             self._observed = False
         draw(draw_key(self._rng))
         self._step, self._version = self._step + 1, self._version + 1
-        self._resampled = False
         self._ess_history.append(self._ess_history[-1])
         self._resampled_history.append(False)
 
@@ -493,4 +494,4 @@ class ParticleFilter(ABC):
         if self.options.stage != "resampling" or self._ess_history[-1] > self.options.ess_threshold * self.particles:
             return
         self._engine.branch(RESAMPLING_SCHEMES[self.options.resampling](self._engine.weights(), self._rng))
-        self._resampled = self._resampled_history[-1] = True
+        self._resampled_history[-1] = True

@@ -6,9 +6,6 @@ from ..lazy import lazy_names
 
 if TYPE_CHECKING:
     from .g2o import Graph as Graph
-    from .graph import EDGES as EDGES
-    from .graph import FRAMES as FRAMES
-    from .graph import WEIGHTS as WEIGHTS
     from .graph import check_graph as check_graph
 
 __getattr__, __dir__, __all__ = lazy_names(__name__)

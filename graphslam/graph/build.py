@@ -29,7 +29,7 @@ from ..errors.checks import listed
 from ..identification.declared import Parameters
 from ..linear.precision import check_magnitudes, inverses
 from ..log import Log
-from ..models import MotionModel, SensorModel
+from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .defaults import anchors, position_edges
 from .landmark_map import LandmarkMap, estimate_map
@@ -45,30 +45,26 @@ def graph_of_log(
     *,
     motion: MotionModel,
     sensor: SensorModel,
-    edges: str,
-    frame: str,
-    weight: str,
-    scale: float,
+    options: EdgeOptions,
     kernel: Kernel | None,
-    residual: str,
     landmark_map: LandmarkMap | None,
     notes: Sequence[str],
     **declared: Parameters | None,
 ) -> Graph:
-    """The graph of a log; arguments and errors as in `Graph.from_log`, ``scale`` for the motion edges.
+    """The graph of a log; arguments and errors as in `Graph.from_log`.
 
     With a map the log is in its frame already, and the map takes the place of the anchor. ``declared`` are the parameters.
     """
-    with_motion = edges.endswith("+motion")
+    with_motion, frame = options.with_motion, options.frame
     _check_log(log, with_motion)
     if log.partial_sightings is not None and len(log.steps) == 0:
         log = log.without_orientation()
-    if log.partial_sightings is not None and not edges.startswith("landmark"):
+    if log.partial_sightings is not None and not options.landmark_nodes:
         raise GraphError("ranges or bearings alone need their landmarks as nodes: use edges='landmark+motion'")
     check_magnitudes(log, motion, sensor)
     sighted: EdgeFamily
     ids, d, fixed = np.zeros(0, dtype=np.int64), 2, np.zeros(0, dtype=np.int64)
-    if edges.startswith("landmark"):
+    if options.landmark_nodes:
         steps = np.arange(log.num_poses)
         d = log.sightings.shape[1]
         known = _usable(landmark_map, d, set(log.landmark_ids.tolist()))
@@ -76,7 +72,7 @@ def graph_of_log(
         ids = np.union1d(log.landmark_ids, np.array([*known, *single], dtype=np.int64))
         nodes = log.num_poses + np.searchsorted(ids, log.landmarks)
         seen = (log.steps, nodes, log.sightings, sensor)
-        if residual == "polar":
+        if options.residual == "polar":
             sighted = PolarObservationEdges(*seen, kernel=kernel)
         else:
             sighted = CartesianObservationEdges(*seen, kernel=kernel, frame=frame)
@@ -89,10 +85,10 @@ def graph_of_log(
         steps, remarks = _tied_steps(log, with_motion)
         rows, starts, nodes = _grouped(log, steps)
         grouped = (starts, nodes, log.sightings[rows], sensor)
-        if weight == "marginal":
+        if options.weight == "marginal":
             sighted = MarginalEdges(*grouped, frame=frame, kernel=kernel)
         else:
-            sighted = VirtualMotionEdges(*grouped, frame=frame, kernel=kernel, tempered=weight == "tempered")
+            sighted = VirtualMotionEdges(*grouped, frame=frame, kernel=kernel, tempered=options.weight == "tempered")
         landmarks = np.zeros((0, 3))
         if not with_motion:
             _check_determined(sighted, steps, _measured_edges(log, steps, kernel))
@@ -110,11 +106,12 @@ def graph_of_log(
         families.append(
             motion_edges(
                 steps, log.controls, log.dt, motion, starts=log.control_starts,
-                control_variances=log.control_variances, recorded_dt=log.recorded_dt, frame=frame, scale=scale,
+                control_variances=log.control_variances, recorded_dt=log.recorded_dt, frame=frame,
+                scale=options.motion_weight,
             )
         )  # fmt: skip
     families += measured
-    if edges.startswith("landmark"):
+    if options.landmark_nodes:
         families += edges_of_single_numbers(
             partial, log.num_poses + np.searchsorted(ids, partial.landmarks), sensor, kernel
         )

@@ -18,7 +18,7 @@ from ..linear.precision import inverses
 from ..log import Log
 from ..log.cells import DOUBLED, SIDEWAYS
 from ..log.measurements import AbsolutePositions
-from ..models import RESIDUALS, MotionModel
+from ..models import EdgeOptions, MotionModel
 from ..se2 import Array, transform
 
 
@@ -74,9 +74,7 @@ def suitable_for_isam2(
     return edges, kernel
 
 
-def notes_on_options(
-    log: Log, edges: str, weight: str, residual: str, motion_weight: float, missing: list[str]
-) -> list[str]:
+def notes_on_options(log: Log, options: EdgeOptions, missing: list[str]) -> list[str]:
     """Sentences on options of `Graph.from_log` that have no effect with these edges, on what covariances do not contain, and
     on sightings that count twice.
 
@@ -88,16 +86,17 @@ def notes_on_options(
         notes.append(
             f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}"
         )
-    if edges.startswith("landmark"):
-        if weight != "pairs":
-            notes.append(f"weight={weight!r} has no effect: with landmark nodes each sighting counts once")
+    without = f"with edges={options.edges!r}"
+    if options.landmark_nodes:
+        if options.weight != "pairs":
+            notes.append(f"weight={options.weight!r} has no effect: with landmark nodes each sighting counts once")
     else:
-        if residual != RESIDUALS[0]:
-            notes.append(f"residual={residual!r} has no effect: there are no landmark nodes with edges={edges!r}")
-        if weight == "pairs" and (note := pairs_overweight(log)):
+        if options.residual != EdgeOptions.residual:
+            notes.append(f"residual={options.residual!r} has no effect: there are no landmark nodes {without}")
+        if options.weight == "pairs" and (note := pairs_overweight(log)):
             notes.append(note)
-    if motion_weight != 1 and not edges.endswith("motion"):
-        notes.append(f"motion_weight={motion_weight:g} has no effect: there are no motion edges with edges={edges!r}")
+    if options.motion_weight != 1 and not options.with_motion:
+        notes.append(f"motion_weight={options.motion_weight:g} has no effect: there are no motion edges {without}")
     return notes
 
 

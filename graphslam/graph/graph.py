@@ -24,13 +24,13 @@ from ..edges.base import EngineEdges
 from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import array_of, check_choice, check_positive, make_read_only
+from ..errors.checks import array_of, check_choice, make_read_only
 from ..identification.declared import Parameters, declared
 from ..identification.robot import AUTO, BOOK, known_robot
 from ..linear.information import BlockSystem
 from ..log import Log, check_is_log
 from ..log_checks import readings_of, sizes
-from ..models import EDGES, FRAMES, RESIDUALS, WEIGHTS, MotionModel, SensorModel
+from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .build import graph_of_log, node_names, with_closures, with_dimensions
 from .defaults import edges_for_map, in_frame_of_positions, notes_on_options, suitable_edges, suitable_kernel
@@ -169,12 +169,7 @@ class Graph:
             OptionError: an option has an impossible value.
         """
         check_is_log(log)
-        if edges is not None:
-            check_choice("edges", edges, EDGES)
-        check_choice("frame", frame, FRAMES)
-        check_choice("weight", weight, WEIGHTS)
-        check_choice("residual", residual, RESIDUALS)
-        check_positive(motion_weight=motion_weight)
+        options = EdgeOptions(edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, residual=residual)
         if noise is not None:
             check_choice("noise", noise, (AUTO, BOOK))
         log = with_dimensions(log, dimensions)
@@ -188,22 +183,21 @@ class Graph:
         if known_map is None:
             log = in_frame_of_positions(log)
         else:
-            edges = edges_for_map(log, edges)
+            options = replace(options, edges=edges_for_map(log, edges))
             log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
             notes += found
-        edges = suitable_edges(log) if edges is None else edges
+        options = replace(options, edges=options.edges or suitable_edges(log))
         kernel = suitable_kernel(log) if kernel is None else kernel
-        parameters = declared(estimate, log, motion, sensor, edges, residual, motion_weight)
-        held, once = None, edges == "landmark+motion" or (edges == "virtual+motion" and weight == "marginal")
-        if parameters is None and once and residual == RESIDUALS[0]:
-            held = declared(log.uncertain, log, motion, sensor, edges, residual, motion_weight)
+        parameters, held = declared(estimate, log, motion, sensor, options), None
+        once = options.landmark_nodes or (options.with_motion and weight == "marginal")
+        if parameters is None and once and residual == EdgeOptions.residual:
+            held = declared(log.uncertain, log, motion, sensor, options)
         known = parameters or held
         missing = [name for name in log.uncertain or () if known is None or name not in known.names]
-        notes += notes_on_options(log, edges, weight, residual, motion_weight, missing)
+        notes += notes_on_options(log, options, missing)
         return graph_of_log(
-            cls, log, motion=motion, sensor=sensor, edges=edges, frame=frame, weight=weight, scale=motion_weight,
-            kernel=kernel_of(kernel), residual=residual, landmark_map=known_map, notes=notes,
-            parameters=parameters, held=held,
+            cls, log, motion=motion, sensor=sensor, options=options, kernel=kernel_of(kernel), landmark_map=known_map,
+            notes=notes, parameters=parameters, held=held,
         )  # fmt: skip
 
     def with_closures(self, kernel: Kernel | str | None = None) -> Graph:

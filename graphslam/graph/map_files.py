@@ -22,6 +22,7 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -358,15 +359,11 @@ def _as_table(landmarks: LandmarkMap, comma: str = ",") -> bytes:
     return map_text(landmarks, landmarks.covariances, landmarks.classes, comma).encode()
 
 
-def _as_tabbed_table(landmarks: LandmarkMap) -> bytes:
-    return _as_table(landmarks, "\t")
-
-
 _Writer = Callable[["LandmarkMap"], bytes]
 #: readers and writers by the ending of the file
 _FORMATS: dict[str, tuple[Callable[[Path], Parts], _Writer | None]] = {
     **dict.fromkeys((*TEXT, *PARQUET), (_table, None)),
-    **dict.fromkeys((".tsv", ".txt"), (_table, _as_tabbed_table)),
+    **dict.fromkeys((".tsv", ".txt"), (_table, partial(_as_table, comma="\t"))),
     ".csv": (_table, _as_table), ".npz": (_archive, _archived), ".yaml": (_yaml, _as_yaml), ".yml": (_yaml, _as_yaml),
     ".geojson": (_geojson, _as_geojson), ".json": (_geojson, _as_geojson),
 }  # fmt: skip

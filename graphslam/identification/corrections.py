@@ -318,7 +318,7 @@ def without_biases(
         raise LogError(f"{log.name} has no controls, and {', '.join(sorted(lost))} cannot be taken out of them")
     motion, sensor = log.noise_models(motion, sensor)
     numbers, none = np.array(list(wrong.values())), np.full(len(wrong), np.inf)
-    corrected = corrected_log(Parameters(tuple(wrong), numbers, numbers, none, log, motion, sensor, 1.0))
+    corrected = corrected_log(Parameters(tuple(wrong), numbers, numbers, none, log, motion, sensor))
     corrected = corrected.replace(sensor=log.sensor)
     if any(PARAMETERS[name].of_motion for name in wrong):
         corrected = corrected.replace(initial_poses=corrected.dead_reckoning())

@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import suggestion
 from ..log import Log
-from ..models import MotionModel, SensorModel
+from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 
 
@@ -77,7 +77,7 @@ class Parameters:
         means, deviations: (K,) of their priors; a deviation is infinite where there is no prior.
         recorded: the log as it was recorded.
         motion, sensor: the noise models, and the nominal place of the sensor.
-        motion_weight: the factor on the motion edges.
+        motion_weight: the factor on the motion edges, 1 for the lectures'.
     """
 
     names: tuple[str, ...]
@@ -87,7 +87,7 @@ class Parameters:
     recorded: Log
     motion: MotionModel
     sensor: SensorModel
-    motion_weight: float
+    motion_weight: float = 1.0
 
     def __len__(self) -> int:
         return len(self.names)
@@ -162,7 +162,7 @@ def ideal_values(sensor: SensorModel) -> dict[str, float]:
 
 def declared(
     estimate: str | Iterable[str] | Mapping[str, float | None] | None, log: Log, motion: MotionModel, sensor: SensorModel,
-    edges: str, residual: str, motion_weight: float,
+    options: EdgeOptions,
 ) -> Parameters | None:  # fmt: skip
     """The parameters that a graph with these edges estimates, at their ideal values; None for none.
 
@@ -173,15 +173,17 @@ def declared(
     found = parsed(() if estimate is None else estimate)
     if not found:
         return None
-    if residual == "polar" and edges.startswith("landmark"):
+    if options.residual == "polar" and options.landmark_nodes:
         raise GraphError("parameters are estimated with residual='cartesian' only, and not with 'polar'")
-    lost = [name for name in found if PARAMETERS[name].of_motion and not edges.endswith("+motion")]
+    lost = [name for name in found if PARAMETERS[name].of_motion and not options.with_motion]
     if lost:
-        raise GraphError(f"edges={quoted(edges)} has no motion edges, which alone depend on {', '.join(lost)}")
+        raise GraphError(f"edges={quoted(options.edges)} has no motion edges, which alone depend on {', '.join(lost)}")
     if "sensor_delay" in found and log.controls is None:
         raise GraphError(f"{log.name} has no controls, which sensor_delay needs")
     means = np.array([ideal_values(sensor)[name] for name in found])
-    return Parameters(tuple(found), means, means, np.array(list(found.values())), log, motion, sensor, motion_weight)
+    return Parameters(
+        tuple(found), means, means, np.array(list(found.values())), log, motion, sensor, options.motion_weight
+    )
 
 
 def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[str, float]:

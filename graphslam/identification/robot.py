@@ -403,15 +403,15 @@ def _hold_needless(fitted: Unknowns) -> dict[str, float]:
     deviation `CALIBRATED` of the prior before the log, and a smaller one after a log that tells it better.
     """
     held: dict[str, float] = {}
-    p, variances = fitted.parameters, np.diagonal(fitted.linearized().parameter_covariance)
+    p, variances = fitted.parameters, np.diagonal(fitted.linearized().covariance)
     for names in KINDS.values():
         evidence = fitted.evidence_against(names)
         if evidence > CONVINCING:
             doubt = 1.0 / (1.0 + np.exp(min(evidence, 700.0)))
             k = [p.names.index(name) for name in names]
             squares = variances[k] + (p.values[k] - p.means[k]) ** 2
-            told = np.maximum(1 / variances[k] - p.deviations[k] ** -2, 0.0)
-            calibrated = 1 / (told + (CALIBRATED * np.array([PRIORS[name] for name in names])) ** -2)
+            of_log = np.maximum(1 / variances[k] - p.deviations[k] ** -2, 0.0)
+            calibrated = 1 / (of_log + (CALIBRATED * np.array([PRIORS[name] for name in names])) ** -2)
             held |= dict(zip(names, np.sqrt(doubt * squares + (1 - doubt) * calibrated).tolist()))
     if held:
         fitted.hold(held)

@@ -28,7 +28,7 @@ import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError
-from ..linear.cholesky import Factor, FactorizationError
+from ..linear.cholesky import Bordered, Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
 from ..models import MotionModel, SensorModel, plausible_ranges
@@ -120,7 +120,7 @@ class Unknowns:
             names = tuple(PRIORS)
             ideal = np.array([ideal_values(sensor)[name] for name in names])
             deviations = np.array([PRIORS[name] for name in names])
-            self.parameters = Parameters(names, ideal, ideal, deviations, self.odometry.log, MotionModel(), sensor, 1.0)
+            self.parameters = Parameters(names, ideal, ideal, deviations, self.odometry.log, MotionModel(), sensor)
             self.logarithms = dict(self.centres)
             poses = self.dead_reckoning()
         else:
@@ -159,7 +159,7 @@ class Unknowns:
         """
         p = self.parameters
         k = [p.names.index(name) for name in names]
-        covariance, away = self.linearized().parameter_covariance[np.ix_(k, k)], p.values[k] - p.means[k]
+        covariance, away = self.linearized().covariance[np.ix_(k, k)], p.values[k] - p.means[k]
         scaled = covariance / np.outer(p.deviations[k], p.deviations[k])
         return float(-0.5 * away @ np.linalg.solve(covariance, away) - 0.5 * np.linalg.slogdet(scaled)[1])
 
@@ -338,7 +338,7 @@ class Unknowns:
         edges = self.linearized().edges
         for each, part in zip(edges, (OVERSTATED_MOTIONS, OVERSTATED_SIGHTINGS[self.sightings.shape[1]])):
             each.information /= part
-        return Linear(self, edges).parameter_covariance
+        return Linear(self, edges).covariance
 
     def hide(self, linear: Linear) -> list[Array]:
         """Set what edges hide (`hidden`); and F (E, d, d) of motions and sightings."""
@@ -393,7 +393,7 @@ class Unknowns:
         return new
 
 
-class Linear:
+class Linear(Bordered):
     """The normal equations of `Unknowns` at one state, and their factors."""
 
     def __init__(self, unknowns: Unknowns, edges: Sequence[Edges]) -> None:
@@ -404,21 +404,19 @@ class Linear:
         self.gradient = -self.prior * (parameters.values - parameters.means)
         own = np.diag(self.prior).astype(float)
         system.clear()
-        self.mixed = np.zeros((system.num_nodes, 3, K))
+        mixed = np.zeros((system.num_nodes, 3, K))
         for each in self.edges:
             jacobians = each.by_first, each.by_second, each.by_parameters, each.information
             engine.add_linearized(
                 each.first, each.second, system.slots_of(each.first, each.second), each.residuals,
-                *(np.ascontiguousarray(each) for each in jacobians), *system.arrays, self.mixed, own, self.gradient,
+                *(np.ascontiguousarray(each) for each in jacobians), *system.arrays, mixed, own, self.gradient,
             )  # fmt: skip
         if self.flat:
             system.rest(np.arange(self.poses, system.num_nodes), 2)
         system.hold(np.zeros(1, dtype=np.int64))
         self.xi = system.xi.copy()
-        self._free(self.mixed)
-        self.factor = _factorized(system, unknowns.log.name)
-        self.reach = self.factor.solve(self.mixed)
-        self.schur = own - self._through(self.reach)
+        self._free(mixed)
+        super().__init__(_factorized(system, unknowns.log.name), mixed, own)
 
     def _free(self, nodes: Array) -> None:
         """Set to zero what belongs to no free coordinate, in right-hand sides (n, 3, k)."""
@@ -426,21 +424,14 @@ class Linear:
         if self.flat:
             nodes[self.poses :, 2] = 0.0
 
-    def _through(self, nodes: Array) -> Array:
-        """What nodes (n, 3, k) add to the equations (K, k) of the parameters."""
-        return np.einsum("nik,nij->kj", self.mixed, nodes)
-
-    def solve(self, nodes: Array, parameters: Array) -> tuple[Array, Array]:
-        """The solution (n, 3, k), (K, k) for right-hand sides of these shapes; ``nodes`` is changed."""
+    def solve(self, nodes: Array, values: Array) -> tuple[Array, Array]:
+        """As `Bordered.solve`; ``nodes`` is changed."""
         self._free(nodes)
-        found = self.factor.solve(nodes)
-        values = np.linalg.solve(self.schur, parameters - self._through(found))
-        return found - self.reach @ values, values
+        return super().solve(nodes, values)
 
     def step(self) -> tuple[Array, Array]:
         """The Gauss-Newton step of the nodes (n, 3) and the parameters (K,)."""
-        nodes, values = self.solve(self.xi[:, :, None].copy(), self.gradient[:, None])
-        return nodes[:, :, 0], values[:, 0]
+        return self.solve(self.xi.copy(), self.gradient)
 
     def fitted(self, edges: Edges) -> Array:
         """The covariance (E, d, d) of the residuals of edges that is due to that of the solution.
@@ -457,7 +448,7 @@ class Linear:
             two, 1, 2
         )
         of_parameters = edges.moved(-self.reach, np.eye(len(self.schur)))
-        spread = of_parameters @ np.linalg.cholesky(self.parameter_covariance)
+        spread = of_parameters @ np.linalg.cholesky(self.covariance)
         return total + crossed + np.swapaxes(crossed, 1, 2) + spread @ np.swapaxes(spread, 1, 2)
 
     def samples(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -471,11 +462,6 @@ class Linear:
             signs = rng.choice([-1.0, 1.0], size=(*each.residuals.shape, count))
             values += each.pull(np.linalg.cholesky(each.information) @ signs, nodes)
         return self.solve(nodes, values)
-
-    @property
-    def parameter_covariance(self) -> Array:
-        """The covariance (K, K) of the parameters."""
-        return np.linalg.inv(self.schur)
 
 
 def _factorized(system: BlockSystem, name: str) -> Factor:

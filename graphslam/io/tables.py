@@ -23,14 +23,13 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError, OptionError, quoted
-from ..files import check_unpacked, first_bytes
+from ..files import TomlFile, check_unpacked, first_bytes
 from ..log import Log
 from ..log.drive import ROLES
 from ..log.join import Drive, read_drive
 from ..log.rows import TABLES, ReadOptions, TableOptions
 from ..log.text_table import PARQUET, TEXT
 from .base import Format, errors_name
-from .toml_file import TomlFile
 
 #: keys of the table of a stream that are not its columns
 _UNITS = ("time", "angles", "lengths")

@@ -310,3 +310,36 @@ def fill_reducing(
         worth: and the flops of the order by minimum degree for each node and adjacency entry.
     """
     return engine.fill_reducing(*_pattern(indptr, indices), smallest, worth)
+
+
+class Bordered:
+    """A system with K further unknowns y, which may touch all nodes; Omega keeps its sparse factor.
+
+        [ Omega  C ] [x]   [a]        S = D - C' Omega^-1 C,   y = S^-1 (b - C' Omega^-1 a),   x = Omega^-1 (a - C y).
+        [ C'     D ] [y] = [b],
+
+    Args:
+        factor: of Omega.
+        mixed: C (n, 3, K).
+        own: D (K, K).
+
+    Attributes:
+        reach: Omega^-1 C (n, 3, K).
+        schur: S (K, K), whose inverse is the covariance of the further unknowns.
+    """
+
+    def __init__(self, factor: Factor, mixed: NDArray[Any], own: NDArray[Any]) -> None:
+        self.factor, self.mixed, self.reach = factor, mixed, factor.solve(mixed)
+        schur = own - np.einsum("nik,nil->kl", mixed, self.reach)
+        self.schur = (schur + schur.T) / 2
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """S^-1 (K, K)."""
+        return np.linalg.inv(self.schur)
+
+    def solve(self, nodes: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """x and y for right-hand sides a (n, 3) and b (K,), or (n, 3, k) and (K, k)."""
+        alone = self.factor.solve(nodes)
+        y = np.linalg.solve(self.schur, values - np.einsum("nik,ni...->k...", self.mixed, alone))
+        return alone - self.reach @ y, y

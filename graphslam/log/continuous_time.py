@@ -158,7 +158,7 @@ def with_poses_every(log: Log, seconds: float) -> Log:
         LogError: the log has no controls.
         OptionError: ``seconds`` is not positive, or so short that there were too many poses.
     """
-    check_positive(keep_every=seconds)
+    check_positive(seconds=seconds)
     if log.controls is None or log.dt is None:
         raise LogError(f"{log.name} has no controls, so there is nothing between its poses to keep")
     # without the start time, which may be so large that fractions of a second are lost

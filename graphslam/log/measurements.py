@@ -3,13 +3,13 @@
 A relation is a pose measured from another one: by scan matching, a loop closure, or the odometry of a second source. An
 absolute position is the place of a point of the robot in the world: by GPS, motion capture, or a total station.
 
-Functions such as `finite_floats` and `whole_numbers` check the arguments of a `Log`: wrong shapes, wrong types and impossible
-values are refused in one sentence.
+Functions such as `finite_floats` and `whole_numbers` check the arguments of a `Log`, and `checked_sightings` those of an
+observation: wrong shapes, wrong types and impossible values are refused in one sentence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import LogError, OptionError, quoted, shortened
-from ..errors.checks import array_of, first, real_array
+from ..errors.checks import array_of, array_or_none, check_sighted, first, real_array
 from ..se2 import Array, wrap
+from .rows import UNIDENTIFIED
 
 
 def length_of(value: Any) -> int | None:
@@ -428,3 +429,52 @@ def same(a: Any, b: Any) -> bool:
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
         return np.array_equal(a, b, equal_nan=a.dtype.kind == b.dtype.kind == "f")
     return bool(a == b) if type(a) is type(b) else False
+
+
+def checked_sightings(ids: Any, sightings: Any, refused: Collection[int], advice: str) -> tuple[np.ndarray, Array]:
+    """Ids (k,) and sightings (k, 2 or 3) that are handed in one observation at a time, as new arrays.
+
+    One of range and bearing may be NaN, which was not measured then, if the sightings have no psi.
+
+    Args:
+        ids: None stands for k times `UNIDENTIFIED`.
+        refused: ids that stand for none, where an id is needed; the message is the ``advice``.
+
+    Raises:
+        OptionError: a value is impossible.
+    """
+    z = array_or_none(sightings)
+    if ids is None and z is not None:
+        ids = np.full(len(z) if z.ndim else 0, UNIDENTIFIED)
+    try:
+        numbers = np.atleast_1d(np.asarray(ids))
+    except ValueError:  # lists of different lengths
+        numbers = np.zeros((0, 0))
+    if z is not None and z.size == numbers.size == 0:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+    if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
+        raise OptionError(f"ids must be whole numbers, not {quoted(ids)}")
+    if numbers.size and numbers.max() > np.iinfo(np.int64).max:
+        raise OptionError(f"ids must be below 2^63, not {quoted(int(numbers.max()))}")
+    numbers = numbers.astype(np.int64)
+    if np.isin(numbers, [*refused]).any():
+        raise OptionError(advice)
+    if z is None or not _are_sightings(z):
+        raise OptionError(
+            "sightings must be (range, bearing) or with psi, finite and with ranges above zero; without psi NaN stands for a "
+            f"range or a bearing that was not measured. They are {quoted(sightings)}"
+        )
+    check_sighted("sightings", (np.nanmin(z[:, 1:], initial=0.0), np.nanmax(z[:, 1:], initial=0.0)))
+    if len(z) != len(numbers):
+        raise OptionError(
+            f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
+        )
+    return numbers, z.copy()
+
+
+def _are_sightings(z: Array) -> bool:
+    if z.ndim != 2 or z.shape[1] not in (2, 3):
+        return False
+    missing = np.isnan(z)
+    whole = np.all(missing.sum(axis=1) <= (z.shape[1] == 2)) and np.all(np.isfinite(z) | missing)
+    return bool(whole and not np.any(z[:, 0] <= 0))

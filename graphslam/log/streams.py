@@ -193,7 +193,7 @@ def filled(times: Array, most: float, whole: Sequence[int] = ()) -> Array:
         pieces = np.maximum(1.0, np.ceil(durations / most - 1e-9))
     if pieces.sum() - len(pieces) > MOST_POSES:
         raise OptionError(
-            f"keep_every = {most:g} s would make {pieces.sum():.3g} poses, more than {MOST_POSES:,}; choose a longer time"
+            f"keep_every of {most:g} s would make {pieces.sum():.3g} poses, more than {MOST_POSES:,}; choose a longer time"
         )
     pieces[[*whole]] = 1
     of = np.repeat(np.arange(len(pieces)), pieces.astype(np.int64))

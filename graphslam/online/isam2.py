@@ -16,9 +16,8 @@ from ..edges.robust import Kernel
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_choice
 from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, PositionFactor, RelativePoseFactor
-from ..graph import WEIGHTS
 from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
-from ..models import RESIDUALS, SensorModel
+from ..models import RESIDUALS, WEIGHTS, SensorModel
 from ..se2 import Array, between, compose, inverse, turn_matrix
 from ..solvers.gtsam_factors import factors_of_single_numbers
 from .backend import RELEASED_START, Backend, Relation, information_of

@@ -27,8 +27,7 @@ from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_known
 from ..graph import Graph
 from ..graph.defaults import suitable_for_isam2
-from ..graph.integrity import unlocated
-from ..graph.tracker import Tracker
+from ..graph.tracker import Tracker, unlocated
 from ..graph.trilateration import places_of_rows
 from ..log import Log
 from ..models import SensorModel

@@ -23,14 +23,14 @@ from ..errors.checks import (
     check_known,
     check_move,
     check_positive,
-    check_sighted,
     checked_pose,
     finite_numbers,
     singular,
 )
-from ..graph.integrity import beyond, inflation
 from ..graph.landmark_map import as_map
+from ..graph.tracker import beyond, inflation
 from ..linear.precision import inverses, model_of
+from ..log.measurements import checked_sightings
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, transform, wrap
@@ -343,7 +343,7 @@ class OnlineSolver:
         """The probability that the newest pose is off by more than the bounds; in a map 1 before the robot is `located`.
 
         Without a map, errors are those against the first pose, and covariances count as they are: the sizes of residuals, by
-        which a map enlarges them, are known after the drive (`Solution.integrity_risk`). `graph.integrity` has the equations.
+        which a map enlarges them, are known after the drive (`Solution.integrity_risk`). `graph.tracker` has the equations.
 
         Args:
             metres: the bound on the position.
@@ -384,44 +384,16 @@ class OnlineSolver:
             )
 
     def _checked(self, ids: ArrayLike | None, sightings: ArrayLike) -> tuple[list[int], Array]:
-        in_map = isinstance(self._backend, Localizer)
-        if ids is None and in_map:
-            ids = np.full(len(np.atleast_2d(np.asarray(sightings))), UNIDENTIFIED)
-        try:
-            landmarks = np.atleast_1d(np.asarray(ids))
-        except ValueError:
-            raise OptionError(f"ids must be whole numbers, not {ids!r:.80}") from None
-        z, columns = array_or_none(sightings), self._backend.columns
-        if landmarks.size == 0 and z is not None and z.size == 0:
+        in_map, columns = isinstance(self._backend, Localizer), self._backend.columns
+        advice = "the solver takes identified landmarks only: leave out what nobody has identified"
+        landmarks, z = checked_sightings(ids, sightings, (NO_ID,) if in_map else (UNIDENTIFIED, NO_ID), advice)
+        if len(z) == 0:
             return [], np.zeros((0, columns or 2))
-        if landmarks.size and (landmarks.dtype.kind not in "iu" or landmarks.ndim != 1):
-            raise OptionError(f"ids must be whole numbers, not {quoted(ids)}")
-        if np.any((landmarks == UNIDENTIFIED) & (not in_map) | (landmarks == NO_ID)):
-            raise OptionError("the solver takes identified landmarks only: leave out what nobody has identified")
-        shaped = z is not None and z.ndim == 2 and z.shape[1] in (2, 3)
-        completed = self._completed(z) if z is not None and shaped else None
-        if z is None or completed is None or not np.isfinite(completed).all() or np.any(z[:, 0] <= 0):
-            raise OptionError(
-                f"sightings must be (range, bearing) or with psi, with ranges above zero, not {quoted(sightings)}"
-            )
-        check_sighted("sightings", completed[:, 1:].ravel().tolist())
-        if len(z) != landmarks.size:
-            raise OptionError(
-                f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
-            )
         if np.any(np.isnan(z).any(axis=1) & (landmarks == UNIDENTIFIED)):
             raise OptionError("a range or a bearing alone needs the id of its landmark")
         if columns not in (None, z.shape[1]) and not (in_map and z.shape[1] == 3):
             raise OptionError(f"the sightings so far have {columns} numbers each, these have {z.shape[1]}")
-        return landmarks.tolist(), z.copy()
-
-    @staticmethod
-    def _completed(z: Array) -> Array:
-        """Sightings (K, d) with 1 in place of the number that each may lack."""
-        if np.isfinite(z).all():
-            return z
-        alone = (np.isnan(z).sum(axis=1) == 1) & (z.shape[1] == 2)
-        return np.where(np.isnan(z) & alone[:, None], 1.0, z)
+        return landmarks.tolist(), z
 
 
 def _pairs(first: Any, second: Any) -> tuple[list[tuple[int, int]], bool]:

@@ -2,8 +2,7 @@
 
 from ..graph import Graph
 from .clocks import ClockOffsets, clock_offsets
-from .drives import Sessions, from_logs, join_logs, with_common_noise
-from .robots import join_robots, relations_of
+from .drives import Sessions, from_logs, join_logs, join_robots, relations_of, with_common_noise
 
 __all__ = [
     "ClockOffsets",

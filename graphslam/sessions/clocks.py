@@ -33,8 +33,7 @@ from ..models import SensorModel
 from ..se2 import Array
 from ..solvers.solve import solve
 from ..solvers.uncertainty import Uncertainty
-from .drives import Sessions, join_logs, with_common_noise
-from .robots import join_robots, meetings, not_of_robots
+from .drives import Sessions, join_logs, join_robots, meetings, not_of_robots, with_common_noise
 
 #: offsets from -`REACH` to `REACH` are searched in steps of `GRID` [s], with at most `MOST_SEARCHED` sightings of each pair
 REACH, GRID, MOST_SEARCHED = 120.0, 0.05, 200

@@ -112,6 +112,8 @@ def sample_log_path() -> Path:
     return Path(str(files("graphslam") / "data" / "sample.npz"))
 
 
+#: the sides of the field of `simulate_single_numbers` [m]
+SIZE = 40.0
 #: what the sensor measures
 NUMBERS = ("range", "bearing")
 #: the noise of a mower with radio beacons or a camera
@@ -125,11 +127,8 @@ def simulate_single_numbers(
     seed: int | np.random.Generator = 0,
     poses: int = 300,
     landmarks: int = 8,
-    size: float = 40.0,
     every: int = 2,
     lanes: int = 6,
-    motion: MotionModel = MOTION,
-    sensor: SensorModel = SENSOR,
 ) -> Log:
     """A robot that mows a square field in lanes, and measures the range or the bearing of one landmark after the other.
 
@@ -140,15 +139,13 @@ def simulate_single_numbers(
         seed: of landmarks and noise.
         poses: number of poses, one a second.
         landmarks: number of landmarks, anywhere in the field or up to a quarter of its size outside.
-        size: of the field [m].
         every: a sighting at every so many poses.
         lanes: 1 is a straight way, from which ranges have mirror images.
-        motion, sensor: the noise.
     """
     check_choice("number", number, NUMBERS)
     check_count(poses=poses, landmarks=landmarks, every=every, lanes=lanes)
-    rng = np.random.default_rng(seed)
-    truth = _lanes(poses, size, lanes)
+    rng, motion, sensor = np.random.default_rng(seed), MOTION, SENSOR
+    truth = _lanes(poses, lanes)
     moved = between(truth[:-1], truth[1:])
     # speed and turn rate of the arc to the next pose
     half = moved[:, 2] / 2
@@ -156,7 +153,7 @@ def simulate_single_numbers(
     dt = np.ones(poses - 1)
     spread = np.sqrt(np.diagonal(motion.M(controls, dt), axis1=1, axis2=2))
     controls = controls + spread * rng.standard_normal(controls.shape)
-    places = rng.uniform(-size / 4, size * 1.25, (landmarks, 2))
+    places = rng.uniform(-SIZE / 4, SIZE * 1.25, (landmarks, 2))
     steps = np.arange(0, poses, every)
     seen = rng.integers(0, landmarks, len(steps))
     z = sensor.h(truth[steps], places[seen])
@@ -174,19 +171,15 @@ def simulate_single_numbers(
     )  # fmt: skip
 
 
-def _lanes(poses: int, size: float, count: int) -> Array:
+def _lanes(poses: int, count: int) -> Array:
     """Poses (T+1, 3) along lanes over a square field, joined by half circles, at equal distances of arc."""
-    width = size / count
-    radius = width / 2
-    lane, turn = size, np.pi * radius
-    total = count * lane + (count - 1) * turn
-    way = np.linspace(0.0, total, poses)
-    number = np.minimum((way / (lane + turn)).astype(int), count - 1)
-    along = way - number * (lane + turn)
-    up = number % 2 == 0
-    angle = np.maximum(along - lane, 0.0) / radius
-    straight = np.minimum(along, lane)
+    width, radius = SIZE / count, SIZE / count / 2
+    both = SIZE + np.pi * radius
+    way = np.linspace(0.0, count * both - np.pi * radius, poses)
+    number = np.minimum((way / both).astype(int), count - 1)
+    along, up = way - number * both, number % 2 == 0
+    angle, straight = np.maximum(along - SIZE, 0.0) / radius, np.minimum(along, SIZE)
     x = radius + number * width + radius * (1 - np.cos(angle))
-    y = np.where(up, straight, size - straight) + np.where(up, 1, -1) * radius * np.sin(angle)
+    y = np.where(up, straight, SIZE - straight) + np.where(up, 1, -1) * radius * np.sin(angle)
     theta = np.where(up, np.pi / 2 - angle, -np.pi / 2 + angle)
     return np.column_stack([x, y, theta])

@@ -34,9 +34,9 @@ from ..edges import RelationEdges
 from ..graph import Graph
 from ..linear.precision import inverses
 from ..se2 import Array, between, compose, inverse, turn_matrix, turned_by
+from .initialize import dead_reckoning, odometry
 from .iteration import end_of, levenberg_marquardt, rough
 from .minimize import minimize
-from .starts import dead_reckoning, odometry
 from .uncertainty import Uncertainty
 
 #: neighbours are at most so many poses apart, and each relation is compared with at most so many others

@@ -17,13 +17,20 @@ from functools import cached_property
 import numpy as np
 
 from ..edges import SightingEdges
+from ..engine import engine
 from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
 from .certificate import GLOBAL, Certificate, prove
-from .initialize import GROWING, starting_state, starts_of_auto
+from .initialize import (
+    GROWING,
+    descents,
+    lower_by_halves,
+    lower_by_turns,
+    starting_state,
+    starts_of_auto,
+)
 from .iteration import Run, end_of, factorized, gauss_newton, levenberg_marquardt, rounding
-from .starts import descents, lower_by_halves, lower_by_turns, most_steps
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
@@ -324,7 +331,7 @@ def _starts(graph: Graph, ends: list[End], effort: _Effort) -> Iterator[tuple[st
         names, growing = names + growing, []
     while names:
         name = names.pop(0)
-        forecast = most_steps(len(graph.steps), GROWING[name]) if name in GROWING else 0.0
+        forecast = engine.most_steps_of_growth(len(graph.steps), GROWING[name]) if name in GROWING else 0.0
         if ends and forecast > effort.left:
             continue
         try:

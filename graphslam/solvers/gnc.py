@@ -46,11 +46,10 @@ from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
 from .agreement import Trusted, grown_trust
 from .corrected import corrected, sighted_edges
-from .initialize import partial_edges
+from .initialize import partial_edges, place_landmarks
 from .iteration import refuse, rough
 from .minimize import minimize, without_parameters
 from .solution import Solution
-from .starts import place_landmarks
 
 #: the most damped steps in a round: the next one changes the problem anyway
 STEPS = 5

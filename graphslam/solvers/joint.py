@@ -3,11 +3,7 @@
     [ Omega  C ] [Delta]   [xi]        C = sum B' Omega_e J,   D = sum J' Omega_e J + P,
     [ C'     D ] [delta] = [g ],       g = - sum J' Omega_e e - P (p - mean),        J = de/dp, P the priors.
 
-Omega keeps its sparse factorisation. With the Schur complement S = D - C' Omega^-1 C the solution is
-
-    delta = S^-1 (g - C' Omega^-1 xi),   Delta = Omega^-1 (xi - C delta),
-
-at the price of K further right-hand sides. S^-1 is the covariance of the parameters.
+Omega keeps its sparse factorisation (`linear.cholesky.Bordered`), at the price of K further right-hand sides.
 
 J of a sighting is its Jacobian by its pose times the move of this pose (`identification.corrections`). So every sighting
 gets a copy of its pose, the family writes the Omega of these copies as it does for any graph, and C, D and g are sums of it.
@@ -30,7 +26,7 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..identification.corrections import corrected_controls, motion_slopes, moves
 from ..identification.declared import PARAMETERS
-from ..linear.cholesky import Factor, FactorizationError
+from ..linear.cholesky import Bordered, Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..se2 import Array, between, turn_matrix
 from .corrected import controls_of, corrected, motion_edges, sighted_edges, undetermined
@@ -107,7 +103,7 @@ class JointGraph:
 
     def solve(self) -> Array:
         """The step (n + r, 3)."""
-        return self._factor.solve(self.xi)
+        return self.joined(*self._factor.solve(self._here.system.xi, self._border.gradient))
 
     def border(
         self, graph: Graph, nodes: Array, held: Array, scaled: bool = False, controls: Array | None = None
@@ -184,37 +180,21 @@ class Border:
         return cls(mixed, (own + own.T) / 2, -np.einsum("eik,ei->k", weighed, ends.residuals))
 
 
-class JointFactor:
-    """Solves the bordered system.
+class JointFactor(Bordered):
+    """The bordered system of a graph and its parameters.
 
     Raises:
         GraphError: S is not positive definite.
     """
 
     def __init__(self, joint: JointGraph, factor: Factor, border: Border, damping: float = 0.0) -> None:
-        self._joint, self._factor, self.border = joint, factor, border
-        # Omega^-1 C
-        self.reach = factor.solve(border.mixed)
-        own = border.own + damping * np.diag(np.diag(border.own))
-        self.schur = own - np.einsum("nik,nil->kl", border.mixed, self.reach)
+        super().__init__(factor, border.mixed, border.own + damping * np.diag(np.diag(border.own)))
+        self.border = border
         try:
-            self.schur = (self.schur + self.schur.T) / 2
             np.linalg.cholesky(self.schur)
         except np.linalg.LinAlgError:
             names = ", ".join(joint.parameters.names)
             raise GraphError(f"the log does not determine the parameters {names} together: estimate fewer") from None
-
-    @property
-    def covariance(self) -> Array:
-        """S^-1 (K, K)."""
-        return np.linalg.inv(self.schur)
-
-    def solve(self, right: Array) -> Array:
-        """The solution (n + r, 3) for a right side (n + r, 3)."""
-        xi, g = self._joint.parted(right)
-        first = self._factor.solve(np.ascontiguousarray(xi))
-        delta = np.linalg.solve(self.schur, g - np.einsum("nik,ni->k", self.border.mixed, first))
-        return self._joint.joined(first - self.reach @ delta, delta)
 
 
 def copied(edges: SightingEdges, state: Array, poses: int) -> tuple[SightingEdges, Array]:
@@ -280,7 +260,7 @@ def check_observable(joint: JointGraph, nodes: Array, values: Array) -> None:
     still = [name for name, information in zip(parameters.names, known) if not information > 0]
     if still:
         raise GraphError(f"the log does not tell {' and '.join(still)}: nothing that was recorded depends on it")
-    schur = border.own - np.einsum("nik,nil->kl", border.mixed, factor.solve(border.mixed))
+    schur = Bordered(factor, border.mixed, border.own).schur
     scale = 1 / np.sqrt(known)
     information, directions = np.linalg.eigh(scale[:, None] * schur * scale)
     if information[0] < LEAST:

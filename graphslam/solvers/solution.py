@@ -20,9 +20,9 @@ from ..edges import AnchorEdges, LandmarkSightings, SightingEdges
 from ..errors import OptionError, quoted
 from ..errors.checks import make_read_only
 from ..graph import Graph
-from ..graph.integrity import beyond, inflation, presence
 from ..graph.landmark_map import LandmarkMap
 from ..graph.stretch import Stretch
+from ..graph.tracker import beyond, inflation, presence
 from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
 from ..log import Log
@@ -31,8 +31,7 @@ from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
 from .corrected import motion_edges
 from .iteration import Run
-from .map_fit import doubt_of_map
-from .position_fit import doubt_of_positions
+from .prior_fit import doubt_of_map, doubt_of_positions
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -262,7 +261,7 @@ class Solution:
         """The probability (T+1,) that a pose is off by more than the bounds; NaN where it is not estimated.
 
         In a map it counts that the robot may have been elsewhere; without one, errors are those against the first pose.
-        Covariances grow where residuals are larger than the noise models say. `graph.integrity` has the equations.
+        Covariances grow where residuals are larger than the noise models say. `graph.tracker` has the equations.
 
         Args:
             metres: the bound on the position.

@@ -12,9 +12,9 @@ from comparisons.results.documents import jsonable
 from comparisons.results.results import parameters_of
 from comparisons.show.tables import as_text
 from graphslam import Log, MotionModel, OptionError, SensorModel, SlamError, simulate, solve, textbook
-from graphslam.graph import EDGES
 from graphslam.graph.defaults import suitable_edges
 from graphslam.log.rows import UNIDENTIFIED
+from graphslam.models import EDGES
 
 
 @pytest.fixture(scope="module")

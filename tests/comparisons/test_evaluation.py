@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import comparisons
 from comparisons.cli import make_app
-from comparisons.results.exchange import tum_text
+from comparisons.results.files import tum_text
 from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics, sample_log_path, save, simulate
 from graphslam.graph.map_files import COVARIANCE, UPPER
 from graphslam.se2 import compose

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import comparisons
-from comparisons.results.exchange import tum_text
+from comparisons.results.files import tum_text
 from graphslam import Graph, OptionError, simulate, solve
 from graphslam.graph.map_files import map_text
 

@@ -20,7 +20,7 @@ from comparisons.cli import app
 from comparisons.estimators import make_graph
 from comparisons.estimators.filters import particle_filter
 from comparisons.options import AnimationOptions, RunOptions
-from comparisons.options.option import options_of
+from comparisons.options.declaration import options_of
 from comparisons.show.figures import ellipses
 from comparisons.show.films import Film, animate
 from comparisons.show.films.graphs import Residuals

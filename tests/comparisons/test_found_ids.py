@@ -9,7 +9,7 @@ import pytest
 
 from comparisons import run
 from comparisons.estimators import ESTIMATORS, pair_count
-from comparisons.results.exchange import texts
+from comparisons.results.files import texts
 from comparisons.show.films import animate
 from comparisons.show.report.page import association_table
 from comparisons.show.tables import landmark_table

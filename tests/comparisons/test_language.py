@@ -31,7 +31,7 @@ from comparisons.cli.help import line_breaks
 from comparisons.cli.output import language_of_words
 from comparisons.cli.verb import name_of
 from comparisons.estimators import filters
-from comparisons.results import exchange
+from comparisons.results import files as result_files
 from comparisons.show import canvas, log_tables, studies, tables
 from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
 from comparisons.show.report import charts, page
@@ -48,7 +48,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     tables.result_tables, tables.comparison_tables, tables.session_table, tables.state_table, tables.landmark_table,
     tables._exchanged, tables._noise_remarks, verbs.run, verbs.report, verbs._noise_advice,
     comparison.Comparison._noise_findings, comparison.Comparison._unused_options,
-    exchange.reason_without_graph, filters._one_run, filters.of_several_seeds,
+    result_files.reason_without_graph, filters._one_run, filters.of_several_seeds,
     build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._convergence, page._matrix,
     charts.remarks, charts.description, page.association_table, defaults.pairs_overweight,
     RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, studies.solver_tables, studies.backend_tables,

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
+from comparisons import estimators
 from comparisons.comparison import Comparison, run
-from comparisons.estimators import Estimator, estimators
+from comparisons.estimators import Estimator
 from comparisons.estimators.attempt import Skipped
 from comparisons.estimators.config import read_config
 from comparisons.options import RunOptions
@@ -224,7 +225,7 @@ def test_a_graph_that_fails_is_a_row_where_others_have_results(log: Log, monkeyp
     def singular(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("comparisons.estimators.estimators.make_graph", singular)
+    monkeypatch.setattr("comparisons.estimators.make_graph", singular)
     outcome = run(log, estimators=["dead-reckoning", "graph"])
     assert outcome.table["graph"].skipped == "LinAlgError: Singular matrix"
 
@@ -349,8 +350,8 @@ def test_an_export_that_fails_is_a_note(
     def fails(*_: object, **__: object) -> str:
         raise ValueError("too large")
 
-    monkeypatch.setattr("comparisons.results.exchange.relative_graph", fails)
-    monkeypatch.setattr("comparisons.results.exchange.map_text", fails)
+    monkeypatch.setattr("comparisons.results.files.relative_graph", fails)
+    monkeypatch.setattr("comparisons.results.files.map_text", fails)
     files = comparison.save(tmp_path / "out", figures=())
     assert "graph.tum" in files
     assert "there is no graph.g2o: ValueError: too large" in files.notes

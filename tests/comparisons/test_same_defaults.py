@@ -9,12 +9,11 @@ from typer.testing import CliRunner
 import comparisons
 from comparisons.cli import app
 from comparisons.options import GraphOptions
-from comparisons.options.option import options_of
+from comparisons.options.declaration import options_of
 from fastslam import associate
 from graphslam import Graph, load, sample_log_path, save, simulate, solve, solve_online
 from graphslam.edges.robust import KERNELS
 from graphslam.factors import arguments, landmark
-from graphslam.graph import graph
 from graphslam.graph.defaults import suitable_edges, suitable_kernel
 from graphslam.identification.robot import known_robot
 from graphslam.models import EDGES
@@ -142,8 +141,8 @@ def test_pairs_say_that_covariances_are_too_small():
 def test_choices_are_those_of_the_library():
     """Declared once: the tuples of the options are the objects that `Graph.from_log`, the factors and `solve` check."""
     choices = {name: each.choices for name, each in options_of(GraphOptions).items()}
-    assert choices["edges"] is graph.EDGES is EDGES
-    assert choices["frame"] is graph.FRAMES is arguments.FRAMES
-    assert choices["weight"] is graph.WEIGHTS is landmark.WEIGHTS
+    assert choices["edges"] is EDGES
+    assert choices["frame"] is arguments.FRAMES
+    assert choices["weight"] is landmark.WEIGHTS
     assert choices["initialize"] is solve_module.INITIALIZE
     assert choices["kernel"] == ("none", *KERNELS, "gnc")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from comparisons.results.documents import json_text, jsonable, write_json
-from comparisons.results.saving import check_can_make, check_can_write, fill_whole, new_directory, point_latest
+from comparisons.results.files import check_can_make, check_can_write, fill_whole, new_directory, point_latest
 from graphslam import FormatError
 
 NOON = datetime(2024, 5, 6, 12, 0, 1)

@@ -7,7 +7,7 @@ import pytest
 
 import comparisons
 from comparisons.options import MODELS, RunOptions
-from comparisons.options.option import options_of
+from comparisons.options.declaration import options_of
 from comparisons.studies.plan import Run, read_study, simulated_log
 from graphslam import FormatError, MotionModel, save, simulate
 

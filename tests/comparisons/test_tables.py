@@ -18,7 +18,7 @@ from comparisons.datasets import DATA_SETS, Found, Survey
 from comparisons.estimators.attempt import Skipped
 from comparisons.evaluation import Evaluated
 from comparisons.options import SummaryOptions
-from comparisons.options.option import options_of
+from comparisons.options.declaration import options_of
 from comparisons.results import EstimatorResult
 from comparisons.results.documents import shown_by
 from comparisons.results.results import Row

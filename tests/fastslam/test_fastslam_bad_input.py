@@ -203,7 +203,7 @@ def test_sightings(cls: type, ids: list, sightings: list) -> None:
 
 @pytest.mark.parametrize("ids", [["a"], [1.5], [None], [True], [2**70]])
 def test_ids_of_the_wrong_type(ids: list) -> None:
-    with pytest.raises(OptionError, match="ids of landmarks must be whole numbers, not"):
+    with pytest.raises(OptionError, match="ids must be whole numbers, not"):
         FastSLAM1().observe(ids, [[1.0, 0.0]])
 
 

@@ -9,8 +9,7 @@ from importance_sampling import Moments, importance
 
 import comparisons
 from fastslam import GibbsOptions, GibbsResult, ParticleGibbs
-from fastslam.gibbs.chains import judge
-from fastslam.gibbs.low_rank import LowRank, Target
+from fastslam.gibbs import LowRank, Target, judge
 from fastslam.motions import Problem
 from graphslam import Graph, Log, LogError, MotionModel, OptionError, PoseRelations, SensorModel, simulate, solve
 from graphslam.log import UNIDENTIFIED
@@ -176,7 +175,7 @@ def test_long_logs_mix_by_low_rank_moves(monkeypatch: pytest.MonkeyPatch) -> Non
     log = simulate(seed=0, steps=40, clean=True, orientation=False, **FIFTH)
     options = {"seed": 1, "particles": 5, "iterations": 150, "warm_up": 40, "chains": 2, **FIFTH}
     whole = ParticleGibbs(log, **options).run()
-    monkeypatch.setattr("fastslam.gibbs.chains.MOVES", 0)
+    monkeypatch.setattr("fastslam.gibbs.MOVES", 0)
     without = ParticleGibbs(log, **options).run()
     assert np.nanmin(whole.mixing.ess) > 2 * np.nanmin(without.mixing.ess)
     off = (whole.poses - without.poses)[1:] / np.sqrt(np.diagonal(whole.covariance()[1:], axis1=1, axis2=2))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization, ParticleFilter
-from fastslam.positions import log_likelihoods
+from fastslam.motions import log_likelihoods
 from graphslam import AbsolutePositions, Graph, MotionModel, OptionError, SensorModel, simulate, solve
 from graphslam.se2 import mounted, transform, wrap
 

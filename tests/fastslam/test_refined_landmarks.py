@@ -21,7 +21,7 @@ SENSOR = SensorModel()
 @pytest.mark.parametrize("range_noise", ["measured", "estimated"])
 def test_moments_and_likelihood_of_an_update(columns: int, range_noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A sighting after those that are integrated together: prior times density, by samples of the prior."""
-    monkeypatch.setattr("fastslam.filters.filters.JOINT", 1)
+    monkeypatch.setattr("fastslam.filters.JOINT", 1)
     landmark, pose = np.array([3.0, 2.0, 0.4])[:columns], np.array([0.2, -0.1, 0.3])
     z = SENSOR.h(pose, landmark) + np.array([[0.3, 0.04, -0.03], [-0.3, -0.03, 0.05]])[:, :columns]
     q = np.diagonal(SENSOR.Q(z[1:]), axis1=1, axis2=2).copy()
@@ -130,7 +130,7 @@ def test_joint_landmarks_through_resampling_repeated_sightings_and_threads(monke
     for kind in (FastSLAM1, FastSLAM2):
         results = [kind(log, particles=9000, threads=threads, **options).run() for threads in (1, 2)]
         np.testing.assert_array_equal(results[0].mean_poses, results[1].mean_poses)
-        monkeypatch.setattr("fastslam.filters.filters.JOINT", 3)
+        monkeypatch.setattr("fastslam.filters.JOINT", 3)
         few = kind(log, particles=9000, **options).run()
         monkeypatch.undo()
         assert results[0].resampled.any()

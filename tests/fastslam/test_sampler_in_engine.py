@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fastslam import GibbsOptions
-from fastslam.gibbs.low_rank import LowRank, Target
+from fastslam.gibbs import LowRank, Target
 from fastslam.motions import Problem
 from graphslam import Log, MotionModel, SensorModel, simulate
 from graphslam.engine import engine

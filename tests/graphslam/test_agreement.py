@@ -9,7 +9,7 @@ from graphslam import Graph, solve
 from graphslam.edges import AnchorEdges, RelationEdges, RelativePoseEdges
 from graphslam.se2 import between, compose
 from graphslam.solvers.agreement import agreeing, differences
-from graphslam.solvers.starts import dead_reckoning
+from graphslam.solvers.initialize import dead_reckoning
 
 LIMIT = 11.345  # the quantile 0.99 of chi-square with three degrees of freedom
 

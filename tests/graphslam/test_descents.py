@@ -8,7 +8,7 @@ from certified_graphs import ring
 
 from graphslam import Graph, certify, simulate, solve
 from graphslam.solvers import auto
-from graphslam.solvers.starts import descents
+from graphslam.solvers.initialize import descents
 
 
 @pytest.mark.parametrize("seed", [3, 6, 7])

@@ -96,7 +96,7 @@ def test_what_cannot_be_solved_is_refused_with_the_way_out(log, options, message
         ({"frame": "robot"}, "frame must be one of"),
         ({"weight": "all"}, "weight must be one of"),
         ({"motion_weight": 0.0}, "motion_weight must be a positive number"),
-        ({"motion_weight": float("nan")}, "motion_weight must be a positive number"),
+        ({"motion_weight": float("nan")}, "motion_weight must be a finite number"),
         ({"dimensions": 4}, "dimensions must be 2 or 3"),
     ],
 )

@@ -9,10 +9,11 @@ import pytest
 from graphslam import Graph, GraphError, load, sample_log_path, solve
 from graphslam.edges import RelativePoseEdges
 from graphslam.edges.base import EdgeFamily, EngineEdges
+from graphslam.engine import engine
 from graphslam.graph.transform import first_poses
 from graphslam.se2 import compose
+from graphslam.solvers.initialize import sequential_start
 from graphslam.solvers.iteration import end_of, gauss_newton
-from graphslam.solvers.starts import most_steps, sequential_start
 
 LOG = load(sample_log_path())
 
@@ -149,7 +150,7 @@ def test_a_family_that_cannot_be_divided_is_named():
 
 def test_the_steps_of_growth_are_those_of_all_parts():
     # 11, 21 and 25 of 25 poses
-    assert most_steps(25, 10) == pytest.approx(4 * (11 + 21 + 25) / 25)
+    assert engine.most_steps_of_growth(25, 10) == pytest.approx(4 * (11 + 21 + 25) / 25)
     # beyond 300 poses, more are added in proportion: 301, 311 and 320 of 320 poses
-    assert most_steps(320, 300) == pytest.approx(4 * (301 + 320) / 320)
-    assert most_steps(1, 10) == 0
+    assert engine.most_steps_of_growth(320, 300) == pytest.approx(4 * (301 + 320) / 320)
+    assert engine.most_steps_of_growth(1, 10) == 0

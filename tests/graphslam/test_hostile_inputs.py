@@ -31,8 +31,8 @@ from graphslam import (
     solve,
 )
 from graphslam.errors import named, quoted
+from graphslam.files import TomlFile
 from graphslam.graph.transform import relative_graph
-from graphslam.io.toml_file import TomlFile
 from graphslam.log.rows import TableOptions
 
 ODOMETRY = "t,v,w\n" + "".join(f"{k * 0.5},0.5,0.1\n" for k in range(20))

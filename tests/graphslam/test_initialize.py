@@ -21,13 +21,13 @@ from graphslam.se2 import between, wrap
 from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers import auto
-from graphslam.solvers.initialize import starting_state
-from graphslam.solvers.starts import (
+from graphslam.solvers.initialize import (
     dead_reckoning,
     lower_by_halves,
     lower_by_turns,
     rotation_first,
     sequential_start,
+    starting_state,
 )
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "hard_logs.py"

@@ -157,7 +157,7 @@ def test_standard_errors_are_those_of_gaussian_errors() -> None:
     unknowns.iterate(5)
     p = unknowns.parameters
     unknowns.parameters = replace(p, deviations=np.full(len(p), 1e3))
-    claimed, honest = unknowns.linearized().parameter_covariance, unknowns.parameter_covariance()
+    claimed, honest = unknowns.linearized().covariance, unknowns.parameter_covariance()
     ratios = np.linalg.eigvals(np.linalg.solve(claimed, honest)).real
     assert ratios.min() > unknowns_module.OVERSTATED_MOTIONS - 1e-3
     assert ratios.max() < unknowns_module.OVERSTATED_SIGHTINGS[2] + 1e-3

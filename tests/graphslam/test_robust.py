@@ -25,7 +25,7 @@ from graphslam import (
 from graphslam.edges import SightingEdges, VirtualMotionEdges
 from graphslam.edges.robust import EFFICIENCY, KERNELS, Cauchy, GemanMcClure, Huber
 from graphslam.factors import ResidualFactor
-from graphslam.solvers.starts import place_landmarks
+from graphslam.solvers.initialize import place_landmarks
 
 cases = pytest.mark.parametrize(("kernel", "d"), list(product(KERNELS.values(), (2, 3))), ids=str)
 

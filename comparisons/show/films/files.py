@@ -22,7 +22,7 @@ from graphslam import OptionError
 from graphslam.errors import printable
 from graphslam.files import write_whole
 
-from ...results.saving import check_can_write
+from ...results.files import check_can_write
 from ..language import translated
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from fastslam.particles import ParticleState
 from graphslam import Log
 from graphslam.se2 import Array
 
-from ...estimators.estimators import gibbs_sampler
+from ...estimators import gibbs_sampler
 from ...estimators.filters import particle_filter
 from ...options import AnimationOptions, RunOptions
 from ..canvas import FLASH, PARTICLE

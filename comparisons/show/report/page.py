@@ -25,8 +25,8 @@ from ...comparison import Comparison, run
 from ...estimators.config import versions
 from ...results import EstimatorResult, sentence
 from ...results.documents import jsonable
+from ...results.files import check_can_write
 from ...results.results import sightings_of
-from ...results.saving import check_can_write
 from ..canvas import MATRIX, colour_of, reference_of
 from ..cells import NOTHING, LeanTable, number, word
 from ..language import catalogue, language_of, translated, translated_table

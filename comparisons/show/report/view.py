@@ -20,7 +20,7 @@ from graphslam.se2 import Array, perpendicular, turn_matrix
 
 from ...comparison import Comparison
 from ...results import EstimatorResult
-from ...results.exchange import elapsed_of, time_axis
+from ...results.files import elapsed_of, time_axis
 from .. import canvas
 
 #: of longer logs every N-th step is shown: a screen has no more points, and the file must stay small
