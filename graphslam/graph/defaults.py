@@ -16,7 +16,7 @@ from ..edges.robust import Kernel
 from ..errors import GraphError
 from ..linear.precision import inverses
 from ..log import Log
-from ..log.cells import DOUBLED, SIDEWAYS
+from ..log.cells import COVERED, DOUBLED, REPEATED, SHARED, SIDEWAYS
 from ..log.measurements import AbsolutePositions
 from ..models import RESIDUALS, MotionModel
 from ..se2 import Array, transform
@@ -78,12 +78,12 @@ def notes_on_options(
     log: Log, edges: str, weight: str, residual: str, motion_weight: float, missing: list[str]
 ) -> list[str]:
     """Sentences on options of `Graph.from_log` that have no effect with these edges, on what covariances do not contain, and
-    on sightings that count twice.
+    on probable mistakes of the log that its reader found.
 
     ``missing`` are the biases taken out of the log whose uncertainty the graph leaves out.
     """
     # of what is doubtful in a log, these change its solution unseen
-    notes = [text for check, text in log.doubts if check in (DOUBLED, SIDEWAYS)]
+    notes = [text for check, text in log.doubts if check in (DOUBLED, SIDEWAYS, SHARED, COVERED, REPEATED)]
     if missing:
         notes.append(
             f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}"
