@@ -28,7 +28,7 @@ from graphslam.online import replay
 from graphslam.se2 import wrap
 from graphslam.solvers.iteration import Run
 from graphslam.solvers.minimize import takes_estimated_ranges
-from graphslam.solvers.solution import make_solution
+from graphslam.solvers.solution import BEYOND_NOISE, make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions
 from ..options.option import options_of
@@ -428,8 +428,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}
-    # the notes of a log are shown once
-    notes = [note for note in solution.notes if note not in log.notes]
+    # the notes of a log are shown once, and J per degree of freedom has a line of its own
+    notes = [note for note in solution.notes if note not in log.notes and BEYOND_NOISE not in note]
     with noted(notes, "the covariances of the map are not known"):
         values["landmark_covariances"] = solution.landmark_covariances
     values["options"] = {name: getattr(options, name) for name in _GRAPH}
