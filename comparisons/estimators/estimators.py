@@ -105,7 +105,8 @@ def chosen(log: Log, options: RunOptions) -> RunOptions:
     """
     if options.landmark_map is not None:
         options = replace(options, edges=edges_for_map(log, options.edges))
-    return replace(options, edges=options.edges or suitable_edges(log), kernel=options.kernel or suitable_kernel(log))
+    edges = options.edges or suitable_edges(log, options.motion, options.sensor)
+    return replace(options, edges=edges, kernel=options.kernel or suitable_kernel(log))
 
 
 def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
@@ -246,7 +247,7 @@ def isam2_options(log: Log, options: RunOptions) -> RunOptions:
         OptionError: the options have a map.
     """
     _no_map("isam2", options)
-    edges, kernel = suitable_for_isam2(log, options.edges, options.kernel)
+    edges, kernel = suitable_for_isam2(log, options.edges, options.kernel, options.motion, options.sensor)
     assert isinstance(kernel, str)
     return replace(options, edges=edges, kernel=kernel)
 

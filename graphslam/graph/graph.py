@@ -191,7 +191,7 @@ class Graph:
             edges = edges_for_map(log, edges)
             log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
             notes += found
-        edges = suitable_edges(log) if edges is None else edges
+        edges = suitable_edges(log, motion, sensor) if edges is None else edges
         kernel = suitable_kernel(log) if kernel is None else kernel
         parameters = declared(estimate, log, motion, sensor, edges, residual, motion_weight)
         held, once = None, edges == "landmark+motion" or (edges == "virtual+motion" and weight == "marginal")
