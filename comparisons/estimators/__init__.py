@@ -28,7 +28,7 @@ from graphslam.online import replay
 from graphslam.se2 import wrap
 from graphslam.solvers.iteration import Run
 from graphslam.solvers.minimize import takes_estimated_ranges
-from graphslam.solvers.solution import make_solution
+from graphslam.solvers.solution import BEYOND_NOISE, make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions
 from ..options.declaration import options_of
@@ -105,7 +105,8 @@ def chosen(log: Log, options: RunOptions) -> RunOptions:
     """
     if options.landmark_map is not None:
         options = replace(options, edges=edges_for_map(log, options.edges))
-    return replace(options, edges=options.edges or suitable_edges(log), kernel=options.kernel or suitable_kernel(log))
+    edges = options.edges or suitable_edges(log, options.motion, options.sensor)
+    return replace(options, edges=edges, kernel=options.kernel or suitable_kernel(log))
 
 
 def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
@@ -246,7 +247,7 @@ def isam2_options(log: Log, options: RunOptions) -> RunOptions:
         OptionError: the options have a map.
     """
     _no_map("isam2", options)
-    edges, kernel = suitable_for_isam2(log, options.edges, options.kernel)
+    edges, kernel = suitable_for_isam2(log, options.edges, options.kernel, options.motion, options.sensor)
     assert isinstance(kernel, str)
     return replace(options, edges=edges, kernel=kernel)
 
@@ -428,8 +429,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}
-    # the notes of a log are shown once
-    notes = [note for note in solution.notes if note not in log.notes]
+    # the notes of a log are shown once, and J per degree of freedom has a line of its own
+    notes = [note for note in solution.notes if note not in log.notes and BEYOND_NOISE not in note]
     with noted(notes, "the covariances of the map are not known"):
         values["landmark_covariances"] = solution.landmark_covariances
     values["options"] = {name: getattr(options, name) for name in _GRAPH}

@@ -16,14 +16,14 @@ from ..edges.robust import Kernel
 from ..errors import GraphError
 from ..linear.precision import inverses
 from ..log import Log
-from ..log.cells import DOUBLED, SIDEWAYS
+from ..log.cells import COVERED, DOUBLED, REPEATED, SHARED, SIDEWAYS
 from ..log.measurements import AbsolutePositions
-from ..models import EdgeOptions, MotionModel
+from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array, transform
 
 
-def suitable_edges(log: Log) -> str:
-    """The edges that suit a log: with motion edges wherever it has controls.
+def suitable_edges(log: Log, motion: MotionModel | None = None, sensor: SensorModel | None = None) -> str:
+    """The edges that suit a log and the noise models that are given, else its own: with motion edges where it has controls.
 
     Virtual-motion edges for logs that were made with the noise of the lectures, if they have psi. Landmarks as nodes
     otherwise: without psi the information of a virtual-motion edge depends on the poses, and on real logs pairs count
@@ -33,7 +33,8 @@ def suitable_edges(log: Log) -> str:
         return "virtual"
     if len(log.steps) == 0 or log.partial_sightings is not None:
         return "landmark+motion"
-    of_lectures = log.simulated or log.motion in (None, MotionModel())
+    motion, sensor = log.noise_models(motion, sensor)
+    of_lectures = log.simulated or (motion == MotionModel() and sensor.of_book)
     return "virtual+motion" if log.has_orientation and of_lectures else "landmark+motion"
 
 
@@ -59,7 +60,11 @@ def suitable_kernel(log: Log) -> str:
 
 
 def suitable_for_isam2(
-    log: Log, edges: str | None = None, kernel: Kernel | str | None = None
+    log: Log,
+    edges: str | None = None,
+    kernel: Kernel | str | None = None,
+    motion: MotionModel | None = None,
+    sensor: SensorModel | None = None,
 ) -> tuple[str, Kernel | str]:
     """The edges and the kernel of `Graph.from_log` where they are None, as far as ISAM2 can have both.
 
@@ -70,18 +75,18 @@ def suitable_for_isam2(
         kernel = "none" if edges is not None and edges.startswith("virtual") else suitable_kernel(log)
     if edges is None:
         robust = kernel != "none" and log.controls is not None
-        edges = "landmark+motion" if robust else suitable_edges(log)
+        edges = "landmark+motion" if robust else suitable_edges(log, motion, sensor)
     return edges, kernel
 
 
 def notes_on_options(log: Log, options: EdgeOptions, missing: list[str]) -> list[str]:
     """Sentences on options of `Graph.from_log` that have no effect with these edges, on what covariances do not contain, and
-    on sightings that count twice.
+    on probable mistakes of the log that its reader found.
 
     ``missing`` are the biases taken out of the log whose uncertainty the graph leaves out.
     """
     # of what is doubtful in a log, these change its solution unseen
-    notes = [text for check, text in log.doubts if check in (DOUBLED, SIDEWAYS)]
+    notes = [text for check, text in log.doubts if check in (DOUBLED, SIDEWAYS, SHARED, COVERED, REPEATED)]
     if missing:
         notes.append(
             f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}"

@@ -186,7 +186,7 @@ class Graph:
             options = replace(options, edges=edges_for_map(log, edges))
             log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
             notes += found
-        options = replace(options, edges=options.edges or suitable_edges(log))
+        options = replace(options, edges=options.edges or suitable_edges(log, motion, sensor))
         kernel = suitable_kernel(log) if kernel is None else kernel
         parameters, held = declared(estimate, log, motion, sensor, options), None
         once = options.landmark_nodes or (options.with_motion and weight == "marginal")

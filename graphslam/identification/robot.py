@@ -115,8 +115,7 @@ def unknown_noise(log: Log) -> bool:
     """Whether the noise of a log with controls is unknown."""
     if log.simulated or log.motion is not None or log.controls is None:
         return False
-    sensor, book = log.sensor or SensorModel(), SensorModel()
-    return all(value == getattr(book, name) for name, value in vars(sensor).items() if name not in SensorModel.GEOMETRY)
+    return log.sensor is None or log.sensor.of_book
 
 
 def enough_ids(log: Log) -> bool:

@@ -387,6 +387,8 @@ def controls_between(poses: Array, dt: Array) -> tuple[Array, float]:
 Doubt = tuple[str, str]
 #: rows of odometry or truth, and sightings of one landmark, that share a time and are a larger part of all are a doubt
 _SHARE = 0.01
+#: the checks that find odometry with many rows of the time of the row before, and sightings that cover little of it
+REPEATED, COVERED = "odometry repeats", "covered"
 
 
 def repeated_times(
@@ -445,8 +447,8 @@ def sideways_speed(table: Table, title: str, speed: Array, lateral: Array) -> tu
     return ((SIDEWAYS, message),) if share > _SPEEDS else ()
 
 
-#: the check that finds sightings whose rows are there twice
-DOUBLED = "doubled sightings"
+#: the checks that find sightings whose rows are there twice, and other sightings with one time and id
+DOUBLED, SHARED = "doubled sightings", "duplicate ids"
 
 
 def repeated_sightings(
@@ -471,7 +473,7 @@ def repeated_sightings(
         cause = "several objects have one id, or the times were rounded"
         if rounded := _rounded(ns):
             cause = f"the times were probably rounded{rounded}, or several objects have one id"
-        doubts.append(("duplicate ids", f"{which}: {cause}"))
+        doubts.append((SHARED, f"{which}: {cause}"))
     return tuple(doubts)
 
 

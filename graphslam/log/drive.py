@@ -31,7 +31,18 @@ from .cells import (
     sideways_speed,
     time_faults,
 )
-from .rows import AXES, SIZES, UNIDENTIFIED, UNITS_OF, Fault, TableOptions, finite_fault, range_faults, sound_rows
+from .rows import (
+    AXES,
+    MOST_LEFT_OUT,
+    SIZES,
+    UNIDENTIFIED,
+    UNITS_OF,
+    Fault,
+    TableOptions,
+    finite_fault,
+    range_faults,
+    sound_rows,
+)
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
@@ -190,6 +201,22 @@ class Reader:
             self.table = Kept(self.table, np.flatnonzero(kept), notes)
         return self.table
 
+    def without_empty(self, role: str) -> tuple[str, ...]:
+        """Do without a column of which more cells are empty than rows may be left out; and a note that says so."""
+        if not self.has(role) or self.options.strict:
+            return ()
+        column, count = self.found[role].column, 0
+        # a column of words has its error where it is read
+        with suppress(LogError):
+            count = int(np.count_nonzero(np.isnan(self.table.numbers([column])[:, 0])))
+        if count <= MOST_LEFT_OUT * len(self.table):
+            return ()
+        self.found = {other: chosen for other, chosen in self.found.items() if other != role}
+        return (
+            f"{self.table.source}: {count:,} of {len(self.table):,} rows have no {self.table.title(column)}, so that this "
+            "column is not used",
+        )
+
     def times(self, role: str = "t") -> np.ndarray:
         """The times (N,) of a column in nanoseconds, by the clock of the table."""
         self.need(role)
@@ -341,6 +368,8 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     plane = ("x", "z") if options.axes == "optical" else ("x", "y")
     cartesian = reader.has("x", "y") and not reader.has("range")
     measured = plane if cartesian else ("range", "bearing")
+    # psi may be that of some landmarks alone
+    empty = reader.without_empty("orientation")
     # ids before range and bearing: columns in another order show first there
     table = reader.leave_out("id", *measured, "orientation")
     ns = reader.times()
@@ -382,7 +411,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
     alone = (f"{table.source}: the sensor measures the {single} alone",) if single else ()
-    notes = (*found.notes, *more, *remarks, *alone)
+    notes = (*found.notes, *empty, *more, *remarks, *alone)
     return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
 
 

@@ -17,7 +17,7 @@ from ..errors import LogError, OptionError
 from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, checked_offset, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
-from .cells import Doubt, seconds
+from .cells import COVERED, Doubt, seconds
 from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
@@ -192,7 +192,7 @@ class Drive:
             return []
         share = f"{spans[1] / 1e9:.1f} s of the {spans[0] / 1e9:.1f} s of the odometry"
         message = f"the sightings cover {share}; the times of one of them may be in another unit, or count rows"
-        return [("covered", message)]
+        return [(COVERED, message)]
 
     def log(self, reading: ReadOptions, name: str) -> Log:
         """The log of this drive.

@@ -289,7 +289,8 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
 
     if not isinstance(log, Log):
         raise OptionError("isam2 goes through a log, not through a graph")
-    own["edges"], options["kernel"] = suitable_for_isam2(log, own.get("edges"), options.get("kernel"))
+    models = options.get("motion"), options.get("sensor")
+    own["edges"], options["kernel"] = suitable_for_isam2(log, own.get("edges"), options.get("kernel"), *models)
     if own["edges"] not in EDGES:
         raise GraphError(f"isam2 needs motion edges: edges must be {' or '.join(EDGES)}, not {quoted(own['edges'])}")
     if options.get("frame", "body") == "world":

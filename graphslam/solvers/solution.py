@@ -31,6 +31,7 @@ from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
 from .corrected import motion_edges
 from .iteration import Run
+from .odometry_fit import doubt_of_odometry
 from .prior_fit import doubt_of_map, doubt_of_positions
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
@@ -340,8 +341,13 @@ class Solution:
         raise OptionError(f"there is no pose {quoted(id)}; the ids of the poses are {what}")
 
 
-#: a pose graph with a J of so many times its expected value is said to; of seven public ones the largest is 2.1
-MISFIT = 10.0
+#: a J of so many times its expected value is said: of pose graphs, of which of seven public ones the largest has 2.1, and of
+#: logs, of which the largest of 60 drives of unknown robots has 1.1 and of the real logs 1.0
+MISFIT, MISFIT_OF_LOGS = 10.0, 2.0
+#: and if chance, with the variance of chi-square, does not explain it by so many standard deviations
+BEYOND_CHANCE = 4.0
+#: what a note on the J of a log says
+BEYOND_NOISE = "times what the noise models let expect"
 
 
 def make_solution(
@@ -387,7 +393,7 @@ def make_solution(
 
 
 def doubted(solution: Solution) -> Solution:
-    """A solution with notes on what contradicts it: its map, its positions, and edges that contradict each other."""
+    """A solution with notes on what contradicts it: its map, its positions, its odometry, and edges among each other."""
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
         return solution
@@ -395,12 +401,21 @@ def doubted(solution: Solution) -> Solution:
         notes.append(doubt)
     if doubt := doubt_of_positions(graph, solution.state):
         notes.append(doubt)
+    if doubt := doubt_of_odometry(graph, solution.state):
+        notes.append(doubt)
     # families that do not say how many numbers they measure leave the expected cost open
     counted = all(family.numbers[0] or isinstance(family, AnchorEdges) for family in graph.families)
-    if graph.log is None and counted and (ratio := solution.cost / max(graph.expected_cost, 1.0)) > MISFIT:
+    expected = max(graph.expected_cost, 1.0)
+    ratio = solution.cost / expected if counted else 0.0
+    if graph.log is None and ratio > MISFIT:
         notes.append(
             f"J is {ratio:,.0f} times what the information of the edges lets expect: edges are wrong, which method gnc "
             "leaves out of Graph.with_closures, or their information is too large, or of other units"
+        )
+    if graph.log is not None and ratio > max(MISFIT_OF_LOGS, 1 + BEYOND_CHANCE * np.sqrt(2 / expected)):
+        notes.append(
+            f"J is {ratio:,.1f} {BEYOND_NOISE}: they assume less noise than there is, or measurements or ids are wrong, so "
+            "that covariances are too small; compare with the noise that the log itself shows (estimate_robot)"
         )
     if not notes:
         return solution

@@ -178,3 +178,13 @@ def test_range_and_bearing_swapped_are_not_taken_for_degrees(drive):
     with pytest.raises(FormatError, match="a range is above zero: are range and bearing swapped") as caught:
         load(drive(swapped))
     assert "degrees" not in str(caught.value)
+
+
+def test_an_orientation_of_some_landmarks_alone_is_not_used(drive):
+    # a missing orientation is no reason to lose the range and the bearing
+    path = drive({(row, 4): "" for row in range(0, M, 2)})
+    log = load(path)
+    assert log.equals(load(drive()).without_orientation())
+    assert f"sightings.csv: {(M + 1) // 2} of {M} rows have no 'psi', so that this column is not used" in log.notes[0]
+    with pytest.raises(FormatError, match="'psi' is empty or NaN"):
+        load(drive({(row, 4): "" for row in range(0, M, 2)}), strict=True)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, Log, OptionError, load, simulate, solve
+from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, load, simulate, solve
 
 
 def log_of(sightings, poses=4, psi=True, controls=True):
@@ -164,3 +164,12 @@ def test_arrays_of_graphs_and_solutions_are_read_only(book_log):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
         assert not array.flags.writeable, name
+
+
+def test_noise_models_that_are_given_choose_the_edges_like_those_of_the_log():
+    # with the lectures' edges each of K sightings of a landmark would count up to K/2 times
+    log, book = simulate(seed=1, steps=40).replace(simulated=False), {"motion": MotionModel(), "sensor": SensorModel()}
+    for models in ({"motion": MotionModel(nn=0.1)}, {"sensor": SensorModel(range_rate=0.1)}):
+        given, of_log = Graph.from_log(log, **models), Graph.from_log(log.replace(**{**book, **models}))
+        assert repr(given) == repr(of_log) and len(given.landmark_ids) > 0
+    assert len(Graph.from_log(log, **book).landmark_ids) == 0

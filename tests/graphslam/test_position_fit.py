@@ -1,4 +1,4 @@
-"""Notes on positions whose lever or covariances are wrong."""
+"""Notes on positions whose lever or covariances are wrong, on wheels that slip, and on noise models that are too narrow."""
 
 import numpy as np
 import pytest
@@ -45,3 +45,33 @@ def test_covariances_that_are_wrong_by_five(sigma, said):
     (note,) = notes_on_positions(1, sigma=sigma, said=said, wrong=0.1)
     assert note.startswith(NOISE)
     assert float(note.split()[6]) == pytest.approx(sigma / said, rel=0.4)
+
+
+def notes_on_slip(seed, *, speed=1.0, turn=1.0, steps=slice(60, 70), **models):
+    """The notes on a drive whose odometry reads so many times the true speed and turn rate during some steps."""
+    log = simulate(seed=seed, steps=150, clean=True, orientation=False, max_range=5.0, **ROBOT)
+    controls = log.controls.copy()
+    controls[steps] *= [speed, turn]
+    log = log.replace(controls=controls, **{**ROBOT, **models})
+    return solve(Graph.from_log(log, edges="landmark+motion", kernel="cauchy")).notes
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_right_odometry_has_no_note(seed):
+    assert notes_on_slip(seed) == ()
+    # a bias on the whole way is no stretch
+    assert not any("between steps" in note for note in notes_on_slip(seed, speed=1.1, steps=slice(None)))
+
+
+@pytest.mark.parametrize(("speed", "turn"), [(1.8, 1.0), (1.0, 3.0)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_stretch_on_which_wheels_slip(seed, speed, turn):
+    (note,) = (note for note in notes_on_slip(seed, speed=speed, turn=turn) if note.startswith("between steps"))
+    first, last = (int(word) for word in note.split()[2:5:2])
+    assert 50 <= first < 70 and 60 < last <= 80
+
+
+def test_noise_models_that_are_too_narrow():
+    narrow = SensorModel(range_rate=0.005, bearing_std=0.005)
+    (note,) = (note for note in notes_on_slip(0, sensor=narrow) if note.startswith("J is"))
+    assert float(note.split()[2]) > 2

@@ -151,6 +151,18 @@ def test_the_graph_of_several_logs_has_their_steps_and_the_means_of_their_noise(
     assert [each.start for each in built.log.drives] == [0, parts[0].num_poses]
     # the first log brings no model, and counts with the book's
     assert built.log.motion.nn == pytest.approx(np.sqrt((0.19**2 + 0.07**2) / 2))
+    assert not any("of its own sightings" in note for note in built.log.notes)
+
+
+def test_a_log_whose_sensor_is_much_better_than_the_mean_is_said() -> None:
+    first, second = cut(drive(), 2)
+    sloppy = SensorModel(range_rate=0.16, bearing_std=0.08, orientation_std=8 * SENSOR.orientation_std)
+    models = {"motion": QUIET, "sensor": SENSOR}
+    built = Graph.from_logs([first.replace(**models), second.replace(**models | {"sensor": sloppy})])
+    assert built.log is not None
+    # the root of (1 + 64) / 2
+    (note,) = (note for note in built.log.notes if "of its own sightings" in note)
+    assert note.startswith(first.name) and "5.7 times the noise" in note
 
 
 def test_one_log_is_itself() -> None:

@@ -76,8 +76,14 @@ def test_rows_that_come_twice_are_a_doubt(drive, expected, tmp_path):
 
 
 def test_times_that_are_rounded_are_a_doubt(drive):
-    rows = [(float(np.floor(t)), *row) for t, *row in ODOMETRY]
-    (message,) = messages(load(drive(odometry=text("t,nu,omega", rows))), "odometry repeats")
+    rows, models = (
+        [(float(np.floor(t)), *row) for t, *row in ODOMETRY],
+        {"motion": MotionModel(), "sensor": SensorModel()},
+    )
+    log = load(drive(odometry=text("t,nu,omega", rows)))
+    (message,) = messages(log, "odometry repeats")
+    # nine of ten rows are not used
+    assert message in Graph.from_log(log, **models).notes
     assert (
         "odometry.csv:3: the first of 180 odometry rows (of 201) with the time of the row before and other" in message
     )
@@ -85,7 +91,9 @@ def test_times_that_are_rounded_are_a_doubt(drive):
     times = np.repeat(np.arange(1.0, 9.0), 4) + np.tile(np.arange(4) / 10, 8)
     rows = [(t, 3 + k % 2, 2.0 + t / 10, 0.1) for k, t in enumerate(times.tolist())]
     rounded = [(float(np.floor(t)), *row) for t, *row in rows]
-    (message,) = messages(load(drive(sightings=text("t,id,range,bearing", rounded))), "duplicate ids")
+    log = load(drive(sightings=text("t,id,range,bearing", rounded)))
+    (message,) = messages(log, "duplicate ids")
+    assert message in Graph.from_log(log, **models).notes
     assert "sightings.csv:4: the first of 16 sightings (of 32) with the time and id of another row" in message
     assert "the times were probably rounded to seconds, or several objects have one id" in message
     assert not check_log(load(drive(sightings=text("t,id,range,bearing", [*rows, (9.0, 4, 1.0, 0.1)]))))
