@@ -286,11 +286,7 @@ RANGE_NOISES = ("auto", "measured", "estimated")
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeOptions:
-    """How the edges of a graph come from a log; `graphslam.Graph.from_log` says what each option means.
-
-    Raises:
-        OptionError: an option has an impossible value.
-    """
+    """How the edges of a graph come from a log; `Graph.from_log` has the options. Impossible values raise `OptionError`."""
 
     edges: str | None = option(None, "Edges of the graph.", choices=EDGES, default_text="what suits the log")
     frame: str = option("body", "Axes of the residuals.", choices=FRAMES)

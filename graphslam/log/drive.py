@@ -43,7 +43,7 @@ from .rows import (
     range_faults,
     sound_rows,
 )
-from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find, ordered
 
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
@@ -202,7 +202,7 @@ class Reader:
         return self.table
 
     def without_empty(self, role: str) -> tuple[str, ...]:
-        """Do without a column of which more cells are empty than rows may be left out; and a note that says so."""
+        """Do without a column of which more cells are empty than rows may be left out; returns a note on that."""
         if not self.has(role) or self.options.strict:
             return ()
         column, count = self.found[role].column, 0
@@ -310,7 +310,7 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         rows = reader.poses()
         if rows.shape[1] == 2:
             reader.need("theta")
-    ns, order, notes = ordered(reader, ns)
+    ns, order, notes = ordered(reader.table, ns)
     rows = rows[order]
     more, doubts = repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
     notes += more
@@ -405,7 +405,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
             )
         from_centre = rows[:, :1] * np.column_stack([np.cos(rows[:, 1]), np.sin(rows[:, 1])])
         rows[:, :2] = _polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))
-    ns, order, more = ordered(reader, ns)
+    ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     doubts = repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
     classes, remarks = reader.classes()
@@ -448,7 +448,7 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     if rows.shape[1] == 3 and not reader.has("qz"):
         reader.refuse("theta", rows[:, 2], FOUR_TURNS, "the heading is {:g} rad: is it in degrees?")
     kept = np.flatnonzero(known)
-    ns, order, more = ordered(reader, ns[kept], kept)
+    ns, order, more = ordered(reader.table, ns[kept], kept)
     rows = rows[kept][order]
     few, doubts = repeated_times("truth", table, ns, rows, kept[order])
     return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *few), doubts=doubts)
@@ -486,37 +486,3 @@ def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None 
         raise table.error(again, f"landmark {name} is in the map twice; each landmark has one place")
     rows = zip(ids.tolist(), places, headings.tolist())
     return {j: place if np.isnan(heading) else np.append(place, heading) for j, place, heading in rows}
-
-
-def ordered(
-    reader: Reader, ns: np.ndarray, rows: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray | slice, tuple[str, ...]]:
-    """The times in order, their order, and notes; ``rows`` are the rows of the table, where it has others, too.
-
-    Raises:
-        LogError: the clock starts again within the table, or its rows are in another order.
-    """
-    back = np.diff(ns) < 0
-    if not back.any():
-        return ns, slice(None), ()
-    rows = np.arange(len(ns)) if rows is None else rows
-    k = int(np.argmax(back))
-    times = f"{ns[k + 1] / 1e9:.3f} s comes after {ns[k] / 1e9:.3f} s"
-    reached = np.maximum.accumulate(ns)
-    restarts = (reached - ns > 0.5 * (reached - ns[0])) & (reached - ns > 10_000_000_000)
-    if restarts.any():
-        k = int(np.argmax(restarts))
-        if (times_back := int(np.count_nonzero(np.diff(ns) < -1_000_000_000))) > 2:
-            raise reader.table.error(
-                int(rows[k]),
-                f"the time goes back {times_back} times: sort the rows by their time if they are of one drive, or import "
-                "each drive alone",
-            )
-        raise reader.table.error(
-            int(rows[k]),
-            f"the time goes back by {(reached[k] - ns[k]) / 1e9:.0f} s: does the table hold two drives, or a clock that "
-            "was set? Import each part alone",
-        )
-    note = f"{reader.table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
-    order = np.argsort(ns, kind="stable")
-    return ns[order], order, (note,)

@@ -18,12 +18,12 @@ from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, che
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
 from .cells import COVERED, Doubt, seconds
-from .drive import Reader, Timed, map_of, odometry_of, ordered, sightings_of, truth_of
+from .drive import Reader, Timed, map_of, odometry_of, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
 from .rows import ReadOptions, TableOptions
 from .streams import Stream, synchronize
-from .table import COVARIANCES, Table
+from .table import COVARIANCES, Table, ordered
 from .text_table import table_of
 
 #: the major half-axis [m] and the squared eccentricity of the ellipsoid
@@ -121,7 +121,7 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     for column, role in enumerate(("lever_x", "lever_y")):
         if reader.has(role):
             levers[:, column] = reader.numbers(role)[:, 0]
-    ns, order, notes = ordered(reader, ns)
+    ns, order, notes = ordered(reader.table, ns)
     rows = np.column_stack([places, covariances.reshape(-1, 9), levers])[order]
     return Timed(table, ns, rows, reader.described(), notes=(*notes, *plane))
 

@@ -322,3 +322,37 @@ def _stated(table: Table, role: str, column: str | int) -> Chosen:
             None, f"there is no column {quoted(column)} for {role}{suggestion(column, table.names) or f'; {known}'}"
         )
     return Chosen(table.names.index(column), plain(column)[1])
+
+
+def ordered(
+    table: Table, ns: np.ndarray, rows: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray | slice, tuple[str, ...]]:
+    """The times in order, their order, and notes; ``rows`` are the rows of the table, where it has others, too.
+
+    Raises:
+        LogError: the clock starts again within the table, or its rows are in another order.
+    """
+    back = np.diff(ns) < 0
+    if not back.any():
+        return ns, slice(None), ()
+    rows = np.arange(len(ns)) if rows is None else rows
+    k = int(np.argmax(back))
+    times = f"{ns[k + 1] / 1e9:.3f} s comes after {ns[k] / 1e9:.3f} s"
+    reached = np.maximum.accumulate(ns)
+    restarts = (reached - ns > 0.5 * (reached - ns[0])) & (reached - ns > 10_000_000_000)
+    if restarts.any():
+        k = int(np.argmax(restarts))
+        if (times_back := int(np.count_nonzero(np.diff(ns) < -1_000_000_000))) > 2:
+            raise table.error(
+                int(rows[k]),
+                f"the time goes back {times_back} times: sort the rows by their time if they are of one drive, or import "
+                "each drive alone",
+            )
+        raise table.error(
+            int(rows[k]),
+            f"the time goes back by {(reached[k] - ns[k]) / 1e9:.0f} s: does the table hold two drives, or a clock that "
+            "was set? Import each part alone",
+        )
+    note = f"{table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
+    order = np.argsort(ns, kind="stable")
+    return ns[order], order, (note,)

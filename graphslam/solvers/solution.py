@@ -29,10 +29,9 @@ from ..log import Log
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
+from .contradictions import doubt_of_map, doubt_of_odometry, doubt_of_positions
 from .corrected import motion_edges
 from .iteration import Run
-from .odometry_fit import doubt_of_odometry
-from .prior_fit import doubt_of_map, doubt_of_positions
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
