@@ -142,6 +142,29 @@ void test_other_turns() {
     expect(graph.lowered_by_restarts(wrong.state, 0).steps == 0, "no steps are left", 0);
 }
 
+/// Two of five closures with a kernel agree on a wrong place of the last pose, whose odometry says little.
+void test_halves() {
+    solve::Graph graph(3);
+    graph.add_anchor(0, {0.0, 0.0, 0.0});
+    graph.add_relative(
+        {{0, 1, {1.0, 0.0, 0.0}, {1e4, 0.0, 1e4, 0.0, 0.0, 1e4}}, {1, 2, {1.0, 0.0, 0.0}, {1e-4, 0.0, 1e-4, 0.0, 0.0, 1.0}}});
+    const edges::Symmetric omega{100.0, 0.0, 100.0, 0.0, 0.0, 100.0};
+    graph.add_relative({{0, 2, {2.0, 0.0, 0.0}, omega},
+                        {0, 2, {2.0, 0.01, 0.0}, omega},
+                        {1, 2, {1.0, 0.0, 0.0}, omega},
+                        {0, 2, {2.0, 3.0, 0.0}, omega},
+                        {0, 2, {2.0, 3.01, 0.0}, omega}},
+                       {edges::Robust::cauchy, 3.0});
+    solve::Run right{{.tolerance = 1e-9}, {0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0}}, wrong = right;
+    wrong.state[7] = 3.0;
+    graph.solve(right);
+    graph.solve(wrong);
+    expect(wrong.converged && wrong.state[7] > 2.9, "a wrong minimum", 0);
+    const solve::Lowered lowered = graph.lowered_by_restarts(wrong.state);
+    expect(lowered.state && std::abs((*lowered.state)[7] - right.state[7]) < 1e-4, "a half without it leads out of it", 0);
+    expect(!graph.lowered_by_restarts(right.state).state, "no half leads below the minimum", 0);
+}
+
 void test_loose() {
     solve::Graph graph(3);
     graph.add_anchor(0, {0.0, 0.0, 0.0});
@@ -211,6 +234,7 @@ void test_start() {
     for (unsigned seed = 0; seed < 50; ++seed) test_ring(seed);
     for (unsigned seed = 0; seed < 2; ++seed) test_growth(seed);
     test_other_turns();
+    test_halves();
     test_loose();
     test_no_proof();
     test_wrong_arguments();

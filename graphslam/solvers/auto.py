@@ -49,10 +49,10 @@ PROVABLE, FURTHER = 1000, 2
 SAME = 1e-6
 #: the search after the first end takes at most so many steps for each step that led to that, ...
 MULTIPLE = 10
-#: ... and this part of them more without halves of the measurements, ...
-FINAL = 0.6
 #: ... or this number divided by the number of nodes, if that is more: some three seconds
 SHORT = 1_000_000
+#: restarts without halves of the measurements come last, and may take this part of these steps in any case
+FINAL = 0.6
 #: the names of the two starts of graphs with a kernel: the plain optimum, and the sequence of kernels from there on, ...
 PLAIN, NARROWED = "without kernel", "kernel narrowed"
 #: ... which begins with these multiples of the kernel's width, with at most so many steps for each
@@ -149,7 +149,7 @@ class _Effort:
         return self.most - self.spent
 
 
-def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
+def best_end(graph: Graph, run_from: Callable[..., Run], method: str, *, halves: bool = True) -> End:
     """The lowest end among the starts of `AUTO`.
 
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
@@ -166,6 +166,7 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
         run_from: runs a method from a state; with ``descend=True`` so that every step lowers J itself.
         method: the method that is tried first from every start. Levenberg-Marquardt follows if it does not converge, unless
             an earlier start has converged to an acceptable cost.
+        halves: whether halves of the measurements are left out at the end.
 
     Raises:
         GraphError: the edges do not determine the nodes.
@@ -211,7 +212,7 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str) -> End:
         further -= enough(good)
         if good and effort.left <= 0:
             break
-    if searched and good and not _lowest(good).proven:
+    if halves and searched and good and not _lowest(good).proven:
         effort.most = max(effort.most, effort.spent + FINAL * effort.most)
         ends += _lower(graph, run_from, _lowest(good), lower_by_halves, "without halves", ends, effort)
         good = _counted(ends, given)
@@ -359,7 +360,7 @@ def _starts_of_kernel(graph: Graph, ends: list[End]) -> Iterator[tuple[str, Arra
         yield NARROWED, _narrowed(graph, first.run.state)
     lowest = min((end.cost for end in ends), default=np.inf)
     if first.cost < UNDERCUT * lowest and not first.proven:
-        found = best_end(plain, _runs(plain), "gauss-newton")
+        found = best_end(plain, _runs(plain), "gauss-newton", halves=False)
         if found.cost < first.cost * (1 - SAME):
             yield f"{PLAIN}, searched", found.run.state
 

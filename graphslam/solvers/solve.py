@@ -55,10 +55,11 @@ def solve(
             and so on; or "auto". "auto" starts landmark nodes from virtual-motion edges, and other graphs rotation-first
             where the edges allow it. Where that does not converge, or ends above the cost of the given values, at an
             implausible J or after many steps, it tries other turns of the robot and further starts until ends agree, or
-            an end is proven to be the global minimum. In graphs of at most 1,000 nodes it also tries a few more if no
-            end is proven. It returns the converged solution with the lowest cost, which is never above that of the
-            given values. Unless it is proven, a lower one may exist: of 200 logs with up to three times the book's
-            noise, three ended 1.2 to 1.6 % too high (benchmarks/hard_logs.py --seed 20 and 22).
+            an end is proven to be the global minimum, and then steps without random halves of the sightings. In graphs of
+            at most 1,000 nodes it also tries a few more if no end is proven. It returns the converged solution with the
+            lowest cost, which is never above that of the given values. Unless it is proven, a lower one may exist: of 400
+            logs with up to three times the book's noise, one ended 1.6 % too high (benchmarks/hard_logs.py --seed 20, 22,
+            60 and 61).
         callback: called after each step with an `Iteration`; with "auto" only after the search, once for each step of the
             run that is returned. It counts the steps of all passes to the estimated ranges. Not for "gnc".
         cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less
