@@ -461,4 +461,6 @@ class Log:
 def check_is_log(log: object) -> None:
     """Raise `OptionError` unless this is a `Log`."""
     if not isinstance(log, Log):
-        raise OptionError(f"log must be a Log, not {quoted(log)}; graphslam.load(path) reads one")
+        inside = isinstance(getattr(log, "log", None), Log)
+        remedy = "take its attribute log" if inside else "graphslam.load(path) reads one"
+        raise OptionError(f"log must be a Log, not {quoted(log)}; {remedy}")

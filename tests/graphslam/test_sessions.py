@@ -169,6 +169,8 @@ def test_one_log_is_itself() -> None:
     joined = join_logs([drive()])
     assert joined.log == drive()
     assert joined.starts == (0, drive().num_poses)
+    with pytest.raises(OptionError, match="take its attribute log"):
+        Graph.from_log(joined)  # type: ignore[arg-type]
 
 
 def test_logs_that_cannot_be_joined() -> None:
