@@ -83,6 +83,8 @@ SLIPPED = 6.0
 FEWEST_MOTIONS, GROWTH = 20, 1.4
 #: the median of the absolute value of a standard normal number
 MEDIAN = 0.6745
+#: a part of the variance of all motions that rounding may leave
+LITTLE = 1e-12
 
 
 def doubt_of_map(graph: Graph, state: Array) -> str:
@@ -313,7 +315,11 @@ def doubt_of_odometry(graph: Graph, state: Array) -> str:
         return ""
     errors = between(state[edges.first], state[edges.second]) - edges.measured
     errors[:, 2] = wrap(errors[:, 2])
-    variances = np.linalg.inv(edges.information)
+    try:
+        variances = np.linalg.inv(edges.information)
+    except np.linalg.LinAlgError:
+        # a motion of which nothing is known
+        return ""
     z, first, last, error, unit = max(
         (*_largest_stretch(errors[:, axis], variances[:, axis, axis]), unit) for axis, unit in ((0, "m"), (2, "rad"))
     )
@@ -337,8 +343,11 @@ def _largest_stretch(errors: Array, variances: Array) -> tuple[float, int, int, 
     while length <= len(errors) // 2:
         within, variance = S[length:] - S[:-length], V[length:] - V[:-length]
         rest = V[-1] - variance
+        # beside motions of which next to nothing is known, rounding leaves nothing of the variance of others
+        known = np.minimum(variance, rest) > LITTLE * V[-1]
+        variance, rest = np.where(known, variance, 1.0), np.where(known, rest, 1.0)
         d = within - (S[-1] - within) * variance / rest
-        z = np.abs(d) / np.sqrt(variance * (1 + variance / rest))
+        z = np.where(known, np.abs(d) / np.sqrt(variance * (1 + variance / rest)), 0.0)
         z /= max(1.0, float(np.median(z)) / MEDIAN)
         k = int(np.argmax(z))
         best = max(best, (float(z[k]), k, k + length - 1, abs(float(d[k]))))

@@ -75,3 +75,14 @@ def test_noise_models_that_are_too_narrow():
     narrow = SensorModel(range_rate=0.005, bearing_std=0.005)
     (note,) = (note for note in notes_on_slip(0, sensor=narrow) if note.startswith("J is"))
     assert float(note.split()[2]) > 2
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("variance", [1e3, 1e300])
+def test_a_motion_of_which_nothing_is_known_is_no_doubt(variance):
+    log = simulate(seed=1, steps=60, clean=True)
+    variances = np.zeros((60, 3))
+    variances[10] = variance
+    solution = solve(Graph.from_log(log.replace(control_variances=variances), edges="landmark+motion"))
+    assert solution.converged
+    assert not solution.notes
