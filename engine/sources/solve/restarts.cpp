@@ -102,7 +102,8 @@ State without_half(const GraphObjective& graph, std::span<const std::size_t> dou
         if (halves.back()) members[m].family = halves.back().get();
     }
     GraphObjective half = graph.with(std::move(members));
-    Run run{{.tolerance = 1e-3 * std::sqrt(static_cast<double>(state.size() / 3)), .most_steps = steps_without}, state};
+    const std::size_t nodes = state.size() / 3;
+    Run run{{.tolerance = 1e-3 * std::sqrt(static_cast<double>(nodes)), .most_steps = steps_without}, state};
     gauss_newton(half, run);
     steps += run.steps();
     const bool good =
