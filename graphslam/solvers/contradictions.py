@@ -85,6 +85,8 @@ FEWEST_MOTIONS, GROWTH = 20, 1.4
 MEDIAN = 0.6745
 #: a part of the variance of all motions that rounding may leave
 LITTLE = 1e-12
+#: motions with so many times the variance of others are left out
+UNUSUAL = 1e3
 
 
 def doubt_of_map(graph: Graph, state: Array) -> str:
@@ -105,7 +107,7 @@ def doubt_of_map(graph: Graph, state: Array) -> str:
         directions[tested, axis, 1 + axis + 2 * np.arange(len(tested))] = 1.0
     try:
         g, S, alone = _scores(_unbiased(graph, state), state, directions)
-    except (FactorizationError, GraphError):
+    except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return ""
     ratio, size = _misfit(g[1:], S[1:, 1:], alone[1:, 1:])
     scale, error = 1 + g[0] / S[0, 0], max(1.0, ratio) / np.sqrt(S[0, 0])
@@ -228,7 +230,7 @@ def doubt_of_positions(graph: Graph, state: Array) -> str:
         else:
             rest = 1.0
         ratio = _position_misfit(families, state, Uncertainty(graph, state))
-    except (FactorizationError, GraphError):
+    except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return ""
     if np.sqrt(lever @ S @ lever) > SIGNIFICANT * rest:
         error = rest * np.sqrt(np.diag(np.linalg.inv(S)).max())
@@ -338,6 +340,9 @@ def doubt_of_odometry(graph: Graph, state: Array) -> str:
 
 def _largest_stretch(errors: Array, variances: Array) -> tuple[float, int, int, float]:
     """The largest abs(z) of all stretches of errors (E,), the first and the last motion of that stretch, and its abs(d)."""
+    # motions of which next to nothing is known, such as those between two drives, tell no bias of the others
+    usual = variances <= UNUSUAL * np.quantile(variances, 0.9)
+    errors, variances = np.where(usual, errors, 0.0), np.where(usual, variances, 0.0)
     S, V = (np.concatenate([[0.0], np.cumsum(values)]) for values in (errors, variances))
     best, length = (0.0, 0, 0, 0.0), 1
     while length <= len(errors) // 2:

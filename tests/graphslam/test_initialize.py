@@ -339,7 +339,11 @@ def test_without_halves_of_the_sightings_a_wrong_minimum_of_a_kernel_is_left(har
 
 @pytest.mark.parametrize(
     "options",
-    [{"edges": "virtual+motion"}, {"edges": "virtual+motion", "weight": "marginal"}, {"residual": "polar"}],
+    [
+        {"edges": "virtual+motion"},
+        {"edges": "virtual+motion", "weight": "marginal"},
+        {"edges": "landmark+motion", "residual": "polar"},
+    ],
     ids=["pairs", "marginal", "polar"],
 )
 def test_halves_of_all_kinds_of_sightings_lead_no_higher(options):
