@@ -162,7 +162,8 @@ def _directed(families: list[PositionEdges]) -> bool:
         return True
     for family in families:
         apart = np.hypot(*(family.measured - family.measured[0]).T)
-        variances = np.trace(np.linalg.inv(family.information), axis1=1, axis2=2)
+        values = np.linalg.eigvalsh(family.information)
+        variances = np.divide(1.0, values, out=np.full_like(values, np.inf), where=values > 0).sum(axis=1)
         if np.any(apart > APART * np.sqrt(variances + variances[0])):
             return True
     return False

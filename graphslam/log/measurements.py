@@ -444,8 +444,8 @@ def checked_sightings(ids: Any, sightings: Any, refused: Collection[int], advice
         OptionError: a value is impossible.
     """
     z = array_or_none(sightings)
-    if ids is None and z is not None:
-        ids = np.full(len(z) if z.ndim else 0, UNIDENTIFIED)
+    if ids is None:
+        ids = np.full(len(z) if z is not None and z.ndim else 0, UNIDENTIFIED)
     try:
         numbers = np.atleast_1d(np.asarray(ids))
     except ValueError:  # lists of different lengths

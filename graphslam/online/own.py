@@ -30,7 +30,7 @@ from ..models import SensorModel
 from ..se2 import Array, compose, inverse, wrap
 from .backend import RELEASED_START, Backend, Relation, information_of
 
-#: so many times at most in a row
+#: other places of landmarks are tried so many times in a row at most, as long as J falls
 SWEEPS = 3
 #: the way is tried where its positions put it when that turns it by more than this [rad]
 TURNED = 0.1
@@ -40,7 +40,7 @@ POSITIONS = 3
 
 @dataclass
 class OtherEnds:
-    """What a solver needs to find them again.
+    """Other ends of an online solution: what the solver needs to find them.
 
     Attributes:
         waiting: the single numbers of landmarks that have no place yet.

@@ -51,7 +51,7 @@ SAME = 1e-6
 MULTIPLE = 10
 #: ... or this number divided by the number of nodes, if that is more: some three seconds
 SHORT = 1_000_000
-#: restarts without halves of the measurements come last, and may take this part of these steps in any case
+#: restarts without halves of the measurements come last, and may take at least this part of all steps that are allowed
 FINAL = 0.6
 #: the names of the two starts of graphs with a kernel: the plain optimum, and the sequence of kernels from there on, ...
 PLAIN, NARROWED = "without kernel", "kernel narrowed"

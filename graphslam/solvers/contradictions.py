@@ -233,7 +233,7 @@ def doubt_of_positions(graph: Graph, state: Array) -> str:
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return ""
     if np.sqrt(lever @ S @ lever) > SIGNIFICANT * rest:
-        error = rest * np.sqrt(np.diag(np.linalg.inv(S)).max())
+        error = rest * np.linalg.eigvalsh(S)[0] ** -0.5
         return (
             f"the positions fit better with the point that they measure {lever[0]:.2g} m ahead and {lever[1]:.2g} m left of "
             f"where the log has it (standard error {error:.1g} m): poses are off by as much. Check the lever of the antenna "

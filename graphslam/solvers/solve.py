@@ -55,8 +55,9 @@ def solve(
             and so on; or "auto". "auto" starts landmark nodes from virtual-motion edges, and other graphs rotation-first
             where the edges allow it. Where that does not converge, or ends above the cost of the given values, at an
             implausible J or after many steps, it tries other turns of the robot and further starts until ends agree, or
-            an end is proven to be the global minimum, and then steps without random halves of the sightings. In graphs of
-            at most 1,000 nodes it also tries a few more if no end is proven. It returns the converged solution with the
+            an end is proven to be the global minimum. If no end is proven then, it also starts from the lowest one with a
+            random half of the sightings left out, several times, and then with all of them. In graphs of at most 1,000
+            nodes it also tries a few more starts if no end is proven. It returns the converged solution with the
             lowest cost, which is never above that of the given values. Unless it is proven, a lower one may exist: of 400
             logs with up to three times the book's noise, one ended 1.6 % too high (benchmarks/hard_logs.py --seed 20, 22,
             60 and 61).

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from graphslam import AbsolutePositions, Graph, MotionModel, SensorModel, simulate, solve
+from graphslam import AbsolutePositions, Graph, MotionModel, SensorModel, join_logs, simulate, solve
 from graphslam.se2 import mounted
 
 LEVER, NOISE = "the positions fit better", "the errors of the positions"
@@ -86,3 +86,14 @@ def test_a_motion_of_which_nothing_is_known_is_no_doubt(variance):
     solution = solve(Graph.from_log(log.replace(control_variances=variances), edges="landmark+motion"))
     assert solution.converged
     assert not solution.notes
+
+
+def test_a_bias_of_joined_drives_is_no_slip():
+    """Nothing is known of the motion between them, and the wheels read a tenth too far all the time."""
+    drives = []
+    for seed in (0, 1):
+        log = simulate(seed=seed, steps=150, clean=True, orientation=False, max_range=5.0, **ROBOT)
+        drives.append(log.replace(controls=log.controls * [1.1, 1.0], **ROBOT))
+    joined = join_logs(drives, placed=True).log
+    solution = solve(Graph.from_log(joined, edges="landmark+motion", kernel="cauchy"))
+    assert not any(note.startswith("between steps") for note in solution.notes)

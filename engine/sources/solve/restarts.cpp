@@ -179,6 +179,7 @@ Lowered lowered_by_turns(Objective& objective, std::span<const double> state, co
 Lowered lowered_by_halves(GraphObjective& graph, std::span<const std::size_t> doubted, std::span<const double> state,
                           const Odometry& odometry, double limit) {
     Lowered out;
+    if (doubted.empty()) return out;
     State best(state.begin(), state.end());
     double cost = graph.cost(best, best);
     std::uint64_t key = 0;
