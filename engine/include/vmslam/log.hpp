@@ -43,10 +43,11 @@ struct Log {
     }
 };
 
-/// Standard deviations of the speed per root of distance driven and of angle turned (nn, no), those of the turn rate (on,
-/// oo), the variance that is added to every pose, standard deviations of the speed and of the turn rate that every control has, and
-/// that of the motion sideways per root of distance driven.
 struct ControlVariances;
+
+/// Standard deviations of the speed per root of distance driven and of angle turned (nn, no), those of the turn rate (on,
+/// oo), the variance that is added to every pose, standard deviations of the speed and of the turn rate that every control
+/// has, and that of the motion sideways per root of distance driven.
 struct MotionNoise {
     double nn = 0.19, no = 0.001, on = 0.13, oo = 0.2, epsilon = 1e-4;
     double sigma_v = 0.0, sigma_omega = 0.0, slip = 0.0;

@@ -95,8 +95,8 @@ double square_bound(HermitianFactor& factor, std::span<const std::complex<double
 }
 
 void Proof::begin(std::span<const double> state, std::vector<char> free) {
-    // relative to the first node: errors of rounding would grow with its distance from the origin of the world (UTM coordinates
-    // are millions of metres); the rounding of these differences is part of `place_error`
+    // relative to the first node: errors of rounding would grow with its distance from the origin of the world (UTM
+    // coordinates are millions of metres); the rounding of these differences is part of `place_error`
     const Complex origin = state.empty() ? Complex{} : Complex{state[0], state[1]};
     state_.set(state, origin);
     for (Edge& edge : edges)
@@ -149,30 +149,30 @@ bool Proof::zero() const {
     return true;
 }
 
-/// Factorise S, its diagonal for headings shifted, less the rounding errors, until `margin` (2 N) is enough for those of the
-/// factor; false where S is not proven positive definite.
+/// Factorise S with `shifts` on its diagonal entries for headings, less bounds on the rounding errors, with a larger `margin`
+/// (2 N) until it is enough for those of the factor; false where S is not proven positive definite.
 ///
-/// S is at least what is assembled minus `assembled`, and L L^H is at most that minus `assembled + margin`, so that S is at
-/// least L L^H plus `margin`.
+/// S is at least the matrix as assembled minus `rounded_off`. L L^H is at most the same matrix minus `rounded_off` and `margin`,
+/// so that S is at least L L^H plus `margin`.
 bool Proof::factorize(std::span<const double> shifts, Errors errors, std::vector<double>& margin) {
     const std::vector<double>& scale = function_.scale;
     const sparse::Order& order = factor_.symbolic().order;
     const double largest = rounding_.empty() ? 0.0 : *std::max_element(rounding_.begin(), rounding_.end());
-    std::vector<double> assembled(scale.size(), 0.0);
+    std::vector<double> rounded_off(scale.size(), 0.0);  // a bound on the rounding errors of the sums over edges
     margin.assign(scale.size(), 1.0);
     for (std::size_t k = 0; k < order.size(); ++k)
         for (int c = 0; c < 2; ++c) {
             const Index i = order[k], at = 2 * i + c;
             const double size = scale[at] + (c == 0 ? shifts[i] : 0.0);
-            assembled[at] = summation_[i] * size;
+            rounded_off[at] = summation_[i] * size;
             const double part = errors == Errors::by_structure ? by_structure_[k] : 2 * std::sqrt(rounding_[k] * largest);
-            if (scale[at] > 0) margin[at] = assembled[at] + part * size;
+            if (scale[at] > 0) margin[at] = rounded_off[at] + part * size;
         }
     while (true) {
-        // 1 where a node is not free
+        // 1 where a node is not free, or no edge depends on this number of it
         values_ = function_.values;
         for (std::size_t at = 0; at < scale.size(); ++at) {
-            const double change = (at % 2 == 0 ? shifts[at / 2] : 0.0) - assembled[at] - 2 * margin[at];
+            const double change = (at % 2 == 0 ? shifts[at / 2] : 0.0) - rounded_off[at] - 2 * margin[at];
             values_[4 * (column_start_[at / 2 + 1] - 1) + 3 * (at % 2)] += scale[at] > 0 ? change : 1.0;
         }
         negative_.clear();
@@ -184,12 +184,12 @@ bool Proof::factorize(std::span<const double> shifts, Errors errors, std::vector
         const std::vector<double> error = factor_errors(factor_, values_, column_start_, rounding_);
         if (std::equal(error.begin(), error.end(), margin.begin(), std::less_equal<>())) return true;
         for (std::size_t at = 0; at < scale.size(); ++at)
-            margin[at] = scale[at] > 0 ? std::max(margin[at], assembled[at] + 2 * error[at]) : 1.0;
+            margin[at] = scale[at] > 0 ? std::max(margin[at], rounded_off[at] + 2 * error[at]) : 1.0;
     }
 }
 
-/// The bound with the multipliers of the headings shifted, in units of the scale of S: with lower multipliers S is positive
-/// definite, but its function touches J no longer at its own minimum.
+/// The bound with `shift`, in units of the scale of S, times abs(z_i)² - 1 added to the function for each node. That is zero for
+/// all states, and large shifts make S positive definite. But the candidate is then no longer the minimum of the function.
 double Proof::shifted_bound(double shift, Errors errors) {
     std::vector<double> shifts(state_.size()), margin;
     for (Index i = 0; i < state_.size(); ++i) shifts[i] = shift * function_.scale[2 * i] / 8;
@@ -212,7 +212,7 @@ double Proof::bound() {
     return negative_.empty() ? found : shifted_bound(0.0);
 }
 
-/// The best lower bound among a few shifts.
+/// The best lower bound among a few shifts, and the least of these with which S is positive definite.
 Proof::Shifted Proof::least_shift() {
     Shifted found{shifted_bound(0.0), 0.0, true};
     if (negative_.empty()) return found;
@@ -248,8 +248,8 @@ std::vector<std::complex<double>> Proof::smallest() {
     return x;
 }
 
-/// Average the split of each edge with the choice that is best in the smallest direction of S. A change x of (z, t) stretches
-/// and turns each edge: these multiply beta and A in x^H S x.
+/// Average the split of each edge with the choice that is best in the smallest direction x of S. Its part of x^H S x has beta
+/// times the square by which x stretches the edge, and A times the square by which x turns it.
 void Proof::choose_splits(std::span<const std::vector<Curvature>> choices, double part) {
     const std::vector<std::complex<double>> x = smallest();
     const auto change = [&](Index node, int c) { return node >= 0 ? Complex(x[2 * node + c]) : Complex{}; };

@@ -18,8 +18,8 @@
 namespace vmslam::online {
 namespace {
 
-/// A pass leaves out subtrees below this part of J: the edges there are not linearised again. Where passes of a step are slow,
-/// the next ones leave out less by the factor `finer`, because edges that are not looked at may be the reason.
+/// A pass leaves out subtrees that would change J by less than this part of it. Where a pass is slow, this is multiplied by
+/// `finer` for the next ones, because edges of subtrees that were left out may be the reason.
 constexpr double settled = 2e-7, finer = 0.3;
 /// What rounding leaves of a prediction where J is zero.
 constexpr double rounding = 1e-15;
@@ -42,7 +42,7 @@ constexpr double forget = 0.9;
 constexpr double hopeless = 10.0;
 /// The next pass is assumed to predict at least this part of what this one predicts.
 constexpr double least_left = 0.3;
-/// Everything is ordered again where the number of nodes is this many times that of the last time.
+/// All nodes are ordered again where there are this many times as many as when they were ordered last.
 constexpr double growth = 1.3;
 /// The part by which J may rise in the passes of a step with single numbers.
 constexpr double rises = 1e-6;
@@ -174,7 +174,7 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
     return Outcome::unfinished;
 }
 
-/// Whether what is left after a pass is small, if the predictions of further ones shrink as slowly as lately.
+/// Whether further passes would lower J little in all, if their predictions shrink as slowly as those of the last passes.
 bool OnlineSystem::is_last(double predicted, double last) {
     Memory& m = memory_;
     m.shrinks = std::max({m.shrinks, std::min(predicted / last, 0.9), m.bent.convex == 0.0 ? 0.75 : 0.0});

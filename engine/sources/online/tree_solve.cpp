@@ -47,23 +47,23 @@ const double* Tree::motion(const Graph& graph, const Supernode& group) {
     for (Id k = 0; k < group.r; ++k) {
         const Node& node = graph.nodes[group.nodes[group.w + k]];
         const Seen& then = group.seen[k];
-        double* const w = all + group.begin_of(k);
+        double* const m = all + group.begin_of(k);
         if (!frame) {
             const Lever way = turned_back(node.point ? Rotation() : then.axes, node.x[0] - then.x, node.x[1] - then.y);
-            w[0] = way.x, w[1] = way.y;
-            if (!node.point) w[2] = node.x[2] - then.angle;
+            m[0] = way.x, m[1] = way.y;
+            if (!node.point) m[2] = node.x[2] - then.angle;
         } else if (k != group.frame) {
             const Lever at = turned_back(frame->axes, node.x[0] - frame->x[0], node.x[1] - frame->x[1]);
             const Lever way = node.point ? turned(group.seen[group.frame].axes, at.x - then.x, at.y - then.y)
                                          : turned_back(then.axes, at.x - then.x, at.y - then.y);
-            w[0] = way.x, w[1] = way.y;
-            if (!node.point) w[2] = node.x[2] - frame->x[2] - then.angle;
+            m[0] = way.x, m[1] = way.y;
+            if (!node.point) m[2] = node.x[2] - frame->x[2] - then.angle;
         }
     }
     return all;
 }
 
-const double* Tree::predict(Supernode& group, const double* w) {
+const double* Tree::predict(Supernode& group, const double* m) {
     using sparse::lanes, sparse::load, sparse::store;
     const Front front = group.front();
     const Index h = front.update_height, pad = front.update_pad;
@@ -71,10 +71,10 @@ const double* Tree::predict(Supernode& group, const double* w) {
     std::fill_n(pull, h, 0.0);
     // each block of the lower triangle, and of the upper one, which is not there
     for (Index j = 0; j < front.r; ++j) {
-        const double *const x = group.update() + 3 * j * h, *const by = w + 3 * j;
+        const double *const x = group.update() + 3 * j * h, *const by = m + 3 * j;
         sparse::Vector<lanes> s0{}, s1{}, s2{};
         for (Index i = sparse::group_of(pad + 3 * j); i < h; i += lanes) {
-            const auto v = load<lanes>(w - pad + i), x0 = load<lanes>(x + i), x1 = load<lanes>(x + h + i),
+            const auto v = load<lanes>(m - pad + i), x0 = load<lanes>(x + i), x1 = load<lanes>(x + h + i),
                        x2 = load<lanes>(x + 2 * h + i);
             store<lanes>(pull + i, load<lanes>(pull + i) + x0 * by[0] + x1 * by[1] + x2 * by[2]);
             s0 += x0 * v, s1 += x1 * v, s2 += x2 * v;
@@ -86,7 +86,7 @@ const double* Tree::predict(Supernode& group, const double* w) {
         own[2] += sparse::sum<lanes>(s2) - d[2 * h + 2] * by[2];
     }
     group.separator_change = 0.0;
-    for (Index j = 0; j < 3 * front.r; ++j) group.separator_change += w[j] * pull[pad + j];
+    for (Index j = 0; j < 3 * front.r; ++j) group.separator_change += m[j] * pull[pad + j];
     // exact second derivatives may make U indefinite, and J then falls with the motion
     group.separator_change = std::abs(group.separator_change);
     return pull + pad;
@@ -138,12 +138,12 @@ void Tree::follow(const Graph& graph, Id s) {
     if (group.w > 0) follow(graph, group, predict(group, motion(graph, group)));
 }
 
-void Tree::move(Graph& graph, Supernode& group, const double* w) {
+void Tree::move(Graph& graph, Supernode& group, const double* m) {
     const Front front = group.front();
     double* const a = work(front.height);
     // rows that are not known yet are zero, so that the unused part of the panel does not enter the sums
     std::memset(a, 0, (front.pad + 3 * front.w) * sizeof(double));
-    std::copy_n(w, 3 * front.r, a + front.pad + 3 * front.w);
+    std::copy_n(m, 3 * front.r, a + front.pad + 3 * front.w);
     const double* const y = group.y();
     const auto get = [y](Index j) { return Part{y[3 * j], y[3 * j + 1], y[3 * j + 2]}; };
     sparse::solve_backward<Real3>(front, group.panel(), a, 0, get,
@@ -208,15 +208,15 @@ Tree::Moved Tree::descend(Graph& graph, double least) {
                 if (s > 0) moved.priors.push_back(c);
                 continue;
             }
-            const double* const w = motion(graph, child);
+            const double* const m = motion(graph, child);
             if (s > 0 && child.largest_decrease <= least) {
-                const double* const pull = predict(child, w);
+                const double* const pull = predict(child, m);
                 if (child.separator_change * child.largest_squares <= least) {
                     follow(graph, child, pull);
                     continue;
                 }
             }
-            move(graph, child, w);
+            move(graph, child, m);
             stack.push_back(c);
         }
     }

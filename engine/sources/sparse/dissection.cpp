@@ -11,7 +11,7 @@
 namespace vmslam::sparse {
 namespace {
 
-/// The share of the nodes that a cut leaves on each side at least, but for the part of a contracted separator.
+/// The share of the nodes that a cut puts on each side before the separator, which may take some of them, is sought.
 constexpr double least_share = 0.4;
 constexpr std::size_t most_bins = 65'536;
 constexpr Node far = Node{1} << 30;
@@ -72,9 +72,9 @@ class Separator {
         return size;
     }
 
-    /// The region divided in the middle, along the axis with the narrowest cut; `side` as after `separate`. Returns the
-    /// size of the separator. The axes are a's distance minus b's for two nodes far apart, the same for two nodes far from
-    /// both, and their sum and difference.
+    /// Divide a region in the middle, across the axis with the narrowest cut; `side` as after `separate`. Returns the size of
+    /// the separator. The coordinates of a node on the axes are its distance from a minus that from b, a and b far apart, the
+    /// same for two nodes far from both, and the sum and the difference of these two.
     Node cut(std::span<const Node> nodes) {
         const auto m = static_cast<Node>(nodes.size());
         for (const Node v : nodes) side[v] = 1;
@@ -286,11 +286,12 @@ class Separator {
     }
 
     const Neighbours& graph_;
-    std::vector<signed char> part_;
-    std::vector<Node> before_, after_, hops_;
+    std::vector<signed char> part_;  ///< the sides to come
+    std::vector<Node> before_, after_;  ///< of each node on its path
+    std::vector<Node> hops_;  ///< the number of edges to side 2
     std::vector<Node> seen_;  ///< stamp of the last sweep that visited each state
     Node stamp_ = 0;
-    std::vector<Node> queue_;  ///< nodes, or the states of a path
+    std::vector<Node> queue_;  ///< of nodes in breadth-first order; in `sweep` the stack of the states of a path
     std::vector<Index> arc_;   ///< of each state on the path: where to go on in its list,
     std::vector<char> turn_;   ///< and which kind of step is tried
     std::array<std::vector<Node>, 4> axes_;
@@ -304,8 +305,8 @@ struct Contracted {
     Neighbours graph;
 };
 
-/// Pairs of neighbours: each node with the free neighbour of the fewest neighbours. In graphs of poses and landmarks these
-/// are consecutive poses, which see nearly the same landmarks, so that most of the edges become multiple and vanish.
+/// Pairs of neighbours: each node with the unpaired neighbour of the lowest degree. In graphs of poses and landmarks these are
+/// consecutive poses, which see nearly the same landmarks, so that most of the edges of the pair are double and become one.
 struct Matching {
     std::vector<Node> number, first, second;  // the pair of each node; the nodes of each pair, -1 for none
 

@@ -10,10 +10,11 @@
 namespace vmslam::sparse {
 namespace {
 
-/// The graph during elimination. Eliminating a node ties all its neighbours together. Instead of the edges between them the node
-/// itself stays, as an element e, with the list Le of the nodes that it ties together; a node that is not yet eliminated is a
-/// variable i, with the list of its elements Ei, then of its variables Ai. So no list ever becomes longer, and the neighbours of i are
-/// Ai and all Le of its elements. Variables with the same neighbours become one supervariable, which weighs as many as it has members.
+/// The graph during elimination. Eliminating a node ties all its neighbours together. Instead of the edges between them the
+/// node itself stays, as an element e, with the list Le of the nodes that it ties together. A node that is not yet eliminated
+/// is a variable i, with the list Ei of its elements and then the list Ai of its neighbours by edges of the graph. Its
+/// neighbours are Ai and the Le of all elements in Ei. No list ever becomes longer. Variables with the same neighbours become
+/// one supervariable, whose weight is the number of its members.
 ///
 /// The degree of a variable is the weight of its neighbours. For those of a new element p it is bounded from above by
 ///
@@ -79,9 +80,9 @@ class QuotientGraph {
             unlink(pivot);
             form_element(pivot);        // Lp, from the lists of the pivot and of its elements, which end here
             measure_overlaps();         // |Le \ Lp| of all other elements of the variables in Lp
-            update_degrees(pivot);  // the bounds without |Lp \ i|; variables that only p ties are eliminated with the pivot
+            update_degrees(pivot);      // the bounds without |Lp \ i|; variables tied by p alone are eliminated with the pivot
             merge_indistinguishable();  // variables of Lp with the same lists
-            restore_degrees(pivot);  // |Lp \ i| more; back to the lists by degree
+            restore_degrees(pivot);     // add |Lp \ i| to the bounds, and put the variables back into the lists by degree
             write(pivot);
         }
         return std::move(order_);
@@ -168,7 +169,8 @@ class QuotientGraph {
         length_[pivot] = static_cast<Node>(end_ - first_);
     }
 
-    /// |Le \ Lp| of every element e that meets the new one: |Le|, less the weight of each variable of Lp that has e in its list.
+    /// |Le \ Lp| of every element e that meets the new one: |Le| minus the weights of the variables of Lp that have e in
+    /// their lists.
     void measure_overlaps() {
         for (Index p = first_; p < end_; ++p) {
             const Node i = graph_[p], w = -weight_[i];
@@ -183,8 +185,8 @@ class QuotientGraph {
         }
     }
 
-    /// Bounds on the degrees of the variables of the new element. Elements that lie inside it are absorbed. Variables without other
-    /// neighbours are eliminated with the pivot. The others get a hash of their lists.
+    /// Bounds on the degrees of the variables of the new element. Elements that lie inside it are absorbed. Variables without
+    /// other neighbours are eliminated with the pivot. The others get a hash of their lists.
     void update_degrees(Node pivot) {
         const unsigned mask = static_cast<unsigned>(bucket_.size()) - 1;
         for (Index p = first_; p < end_; ++p) {

@@ -12,7 +12,7 @@ namespace vmslam::sparse {
 
 constexpr Step group_of(Step row) { return row & ~(group - 1); }
 
-/// A block of A in a third of a second-level cache of 1 MB.
+/// The rows and columns of the blocks of A that are copied: they take a third of a second-level cache of 1 MB.
 inline constexpr Step pack_rows = 240, pack_depth = 192;
 /// Numbers that `product` needs for packing.
 template <class Block>

@@ -9,11 +9,12 @@
 
 namespace vmslam::sparse {
 
-/// Blocks of a wide panel that are factorised before the rest is updated at once; the update of the rest of a wider panel is
-/// large enough to copy its operands.
+/// Block columns of a panel are factorised in groups of `outer`, and these in groups of `inner`. After an inner group the rest
+/// of its outer group is updated, and after an outer group the rest of the panel, by a product large enough to copy its
+/// operands.
 inline constexpr Step inner = 16, outer = 64;
 
-/// A panel in work: its numbers, its front, and scratch for products for each of the threads that may work on it.
+/// A panel during its factorisation: its numbers, its front, and scratch for the products of each thread that may work on it.
 template <class Block>
 struct Panel {
     double* x;
@@ -22,8 +23,8 @@ struct Panel {
 
     double* packed() const { return scratch[0].data(); }
 
-    /// work(from, to, packed) for all of `nodes` block columns, on several threads where the flops are worth it. Every number is
-    /// computed as on one thread.
+    /// work(from, to, packed) for all of `nodes` block columns, on several threads where the flops are worth it. Every number
+    /// is computed as on one thread.
     template <class Work>
     void share(Step nodes, Step rows, Step depth, const Work& work) const {
         const int count = threads_for(scratch.size(), nodes, rows, depth, Block::columns * nodes);
@@ -102,8 +103,8 @@ struct Panel {
     }
 };
 
-/// Add the columns of the nodes `from` to `to` below supernode c, in its update matrix, to the panel or the update matrix of its
-/// parent, in which `skip` numbers are left out, and whose first row is `pad`.
+/// Add the columns `from` to `to`, counted in nodes, of the update matrix of supernode c to the panel or the update matrix of
+/// its parent. That begins with number `skip` of the parent's front, after `pad` unused rows.
 template <class Block>
 void extend(const Symbolic& t, Node c, Node from, Node to, const double* update, double* target, Step height, Step pad,
             Step skip) {

@@ -83,11 +83,11 @@ class Proof {
    private:
     struct Shifted {
         double best = -std::numeric_limits<double>::infinity();
-        double shift = 0.0;    ///< the least one with which S is positive definite, whose factor is there
-        bool factored = false;
+        double shift = 0.0;    ///< the least one that was found with which S is positive definite
+        bool factored = false;  ///< whether there is one; the factor is then that with `shift`
     };
-    /// Which bound on the errors of the factor is subtracted from S before: that of the structure takes no time, and the other one
-    /// is smaller.
+    /// Which bound on the errors of the factor is subtracted from S before it is factorised: that of the structure takes no
+    /// time, and the other one is smaller.
     enum class Errors { by_structure, of_factor };
     double shifted_bound(double shift, Errors errors = Errors::of_factor);
     bool factorize(std::span<const double> shifts, Errors errors, std::vector<double>& margin);

@@ -150,8 +150,8 @@ inline void add_gradient(double* row, double sign, const Vector& g, const Lever&
     row[2] += sign * (u.x * g.x + u.y * g.y + g.t);
 }
 
-/// Add an edge between the nodes i and j: B' W B and -B' W e, with g = W e and the number of the block that they share.
-/// B_i = -[I, u; 0, 1] and B_j = [I, v; 0, 1]. All pair edges of the plane have this form in world axes.
+/// Add an edge between the nodes i and j: B' W B to Omega and -B' W e to xi, with g = W e, B_i = -[I, u; 0, 1] and
+/// B_j = [I, v; 0, 1]. `pair` is the number of the block between i and j. All edges between two nodes have this form.
 inline void add_pair(System& to, Index i, Index j, Index pair, const Symmetric& W, const Vector& g, const Lever& u,
                      const Lever& v) {
     add_gradient(to.xi + 3 * i, 1.0, g, u);

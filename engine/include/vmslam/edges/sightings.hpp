@@ -50,8 +50,8 @@ struct Placed {
     Symmetric C;
 };
 
-/// Range and bearing sightings by one sensor with a robust kernel. `noisy` are those at which the covariance is evaluated,
-/// `trust` is a factor on the information of each.
+/// Range and bearing sightings by one sensor with a robust kernel. The covariance of each is evaluated at its `noisy` values,
+/// and its information multiplied by its `trust`.
 struct Sightings {
     std::vector<Sighting> z, noisy;
     std::vector<double> trust;
@@ -71,13 +71,13 @@ struct ByLandmark {
     Sightings sightings;
 };
 
-/// Sightings of landmarks that are no nodes: landmark g has the sightings starts[g] to starts[g + 1], by increasing node.
+/// Edges from the sightings of landmarks that are no nodes, grouped as in `ByLandmark`.
 class LandmarkSightings : public Family {
    public:
     LandmarkSightings(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings);
 
     std::vector<Placed> placed(const State& state, Covariance mode) const;
-    /// The sightings in the axes of their poses, and their covariances there, or in the landmark's own axes.
+    /// The sightings with all poses at the origin, so that places are in the axes of the poses.
     std::vector<Placed> from_robot(Covariance mode) const;
     std::vector<HeadingRelation> headings() const override;
     std::vector<PositionRelation> positions(const double* state) const override;
@@ -88,13 +88,13 @@ class LandmarkSightings : public Family {
     ByLandmark from_nodes(std::span<const Index> number) const;
 
     Index landmarks() const { return static_cast<Index>(starts_.size()) - 1; }
-    /// The sightings from a node, in order_.
+    /// The numbers of the sightings from a node.
     std::span<const Index> from(Index node) const {
         return {order_.data() + node_starts_[node], order_.data() + node_starts_[node + 1]};
     }
     Index last_node() const { return static_cast<Index>(node_starts_.size()) - 2; }
 
-    std::vector<Index> starts_, nodes_, groups_;
+    std::vector<Index> starts_, nodes_, groups_;  ///< `groups_`: the landmark of each sighting
     Sightings seen_;
 
    private:
@@ -102,7 +102,7 @@ class LandmarkSightings : public Family {
     template <class Use>
     void for_consecutive(Use use) const;
 
-    std::vector<Index> order_, node_starts_;
+    std::vector<Index> order_, node_starts_;  ///< the sightings by node, and where those of each node begin
 };
 
 }  // namespace vmslam::edges

@@ -18,7 +18,7 @@ struct Memory {
     double limit = 1e-4;     ///< how far an edge in the factor may be from the present one
     Bent bent;
     int hold = 0;            ///< for how many further passes second derivatives stay convex
-    double shrinks = 0.0;    ///< the largest ratio of the predictions of two passes, one after the other, of late
+    double shrinks = 0.0;    ///< the largest recent ratio of the predictions of two successive passes
 };
 
 class OnlineSystem {
@@ -93,7 +93,7 @@ class OnlineSystem {
     /// How the passes of a step have gone so far.
     struct Progress {
         double last = infinity;  ///< the decrease of J that the last pass predicted
-        double part = 1.0;       ///< of the usual size, up to which the next pass leaves out subtrees
+        double part = 1.0;       ///< a factor on the size below which the next pass leaves out subtrees
         bool renewed = false;    ///< whether edges were linearised again after the last pass
 
         bool first() const { return last == infinity; }

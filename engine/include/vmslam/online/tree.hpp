@@ -1,8 +1,8 @@
 // The elimination tree of an online solution: the Bayes tree of iSAM2 (Kaess et al., IJRR 2012).
 //
-// A supernode is a group of w nodes that are eliminated together, and r nodes, its separator, to which they are tied and which
-// are eliminated later. A pose has three numbers in its front and a point two; unit rows fill each of the two parts up to
-// blocks of three, for which the dense work is made. It keeps
+// A supernode is a group of w nodes that are eliminated together, and r nodes, its separator, to which they are tied and
+// which are eliminated later. A pose has three numbers in its front and a point two; rows of the identity fill each of the
+// two parts up to blocks of three, for which the dense work is made. It keeps
 //
 //     panel       the columns of L, L11 over L21, with inverse pivots (`sparse::Front`),
 //     update      U, what the whole subtree adds to Omega of the separator: its edges, less what eliminating its nodes takes,
@@ -10,16 +10,17 @@
 //     pull_then   xi of the separator from the whole subtree, at the last evaluation,
 //     pull_now    the same at the estimate.
 //
-// An edge is assembled where its first end is eliminated, with its parts for both ends. So U and the pulls belong to the subtree
-// as a whole, and J of a subtree does not change when its separator moves as a rigid body. Let w be the motion of the separator
-// since the last evaluation against one of its poses, the `frame`, in the axes that its nodes had then. Then
+// An edge is assembled where its first end is eliminated, with its parts for both ends. So U and the pulls belong to the
+// subtree as a whole, and J of a subtree does not change when its separator moves as a rigid body. Let m be the motion of the
+// nodes of the separator since the last evaluation, relative to one of its poses, the `frame`, and in the axes that the nodes
+// had then. Then
 //
-//     a = L11^-T (y - L21' w)     are the increments of its nodes, which first move along with the frame,
-//     pull_then - U w             is pull_now, turned along with the frame.
+//     a = L11^-T (y - L21' m)     are the increments of its nodes, which first move along with the frame,
+//     pull_then - U m             is pull_now, turned along with the frame.
 //
-// A pass leaves a subtree out as long as the change w' U w of J is small: it has no nodes to move and no edges to evaluate.
-// The pull on the frame is computed from the others so that forces and torques sum to zero. Otherwise rounding would rotate the
-// map, whose heading has little information.
+// As long as the change m' U m of J is small, a pass leaves the subtree out: it moves no nodes and evaluates no edges there.
+// The pull on the frame is computed from the others so that forces and torques sum to zero. Otherwise rounding would rotate
+// the map, whose heading has little information.
 //
 // A supernode with w = 0 is a prior: a dense quadratic on its separator. Supernode 0 is the parent of all roots.
 #pragma once
@@ -32,7 +33,7 @@ namespace vmslam::online {
 using sparse::Front;
 using sparse::Numbers;
 
-/// Where the frame sees a node of the separator; of the frame itself, and of all without a frame, the value.
+/// A node of the separator in the axes of the frame. The frame itself, and all nodes where there is no frame, in the world.
 struct Seen {
     double x, y, angle;
     Rotation axes;
@@ -47,7 +48,7 @@ struct Supernode {
     bool ascending = true;  ///< whether `relative` ascends
     bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
     double largest_decrease = 0.0;  ///< y' y, by how much solving a supernode lowers J: the largest in the subtree
-    double separator_change = 0.0;  ///< abs(w' U w), by how much the motion of the separator changes J
+    double separator_change = 0.0;  ///< abs(m' U m), by how much the motion of the separator since then changes J
     double largest_squares = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
     std::vector<Id> nodes;  ///< w nodes, then r nodes, both in the order of elimination
     std::vector<Id> row;  ///< (w + r + 1) where the numbers of each begin in the front, and where those of the last one end
@@ -113,11 +114,11 @@ class Tree {
     void move_all(Graph& graph);
     /// Take the present values of all nodes as the solution: their steps are zero.
     void stay();
-    /// What a subtree pulls its separator with where that is now, and `separator_change`.
+    /// Compute `pull_now` and `separator_change` of a subtree from the present place of its separator.
     void follow(const Graph& graph, Id s);
-    /// Count the steps of the nodes of a supernode from their present values: they are zero.
+    /// Take the present values of the nodes of a supernode as those of its last evaluation, so that their increments are zero.
     void rest(Graph& graph, Id s);
-    /// Evaluate the edges of a supernode, whose nodes and children are where they are to be, and solve it forward.
+    /// Evaluate the edges of a supernode where its nodes are now, and solve it forward; its children must be evaluated before.
     void evaluate(Graph& graph, Id s, Evaluation& found);
 
     /// Move supernodes to the solution from the roots down, but for subtrees that would change J by less than `least`.
@@ -139,11 +140,11 @@ class Tree {
     double* work(sparse::Index rows);
     void put_entries(const Graph& graph, const Supernode& group, double* x);
     void put_separator_entries(const Graph& graph, const Supernode& group, double* update);
-    /// w of a supernode.
+    /// m of a supernode, the motion of its separator.
     const double* motion(const Graph& graph, const Supernode& group);
-    void move(Graph& graph, Supernode& group, const double* w);
-    /// U w, and `separator_change`.
-    const double* predict(Supernode& group, const double* w);
+    void move(Graph& graph, Supernode& group, const double* m);
+    /// U m, and `separator_change`.
+    const double* predict(Supernode& group, const double* m);
     void follow(const Graph& graph, Supernode& group, const double* pull);
 
     std::vector<Id> free_;
@@ -151,9 +152,9 @@ class Tree {
     std::vector<Numbers> packed_;
 };
 
-/// Factorise supernodes again where edges are linearised again, `others`, and those above them: the same nodes in the same
-/// order, other numbers. All of them are where they are to be. Returns whether Omega is positive definite. If it is not, the tree
-/// is of no use until all of it is built anew.
+/// Linearise the edges `late` again, and factorise and evaluate their supernodes, `others` and those above them, with the same
+/// nodes in the same order, where these are now. Returns whether Omega is positive definite. If it is not, the tree is of no use
+/// until all of it is built anew.
 bool refactor(Graph& graph, Tree& tree, std::span<const Id> late, std::span<const Id> others, Evaluation& found);
 
 /// A part of the graph that is eliminated anew.
@@ -163,8 +164,9 @@ struct Changes {
     std::span<const Id> gone;  ///< supernodes that are taken out
 };
 
-/// Eliminate the top of the tree again: all supernodes from changed nodes up to the roots, in a new order. Their nodes are where
-/// they are to be. What hangs below stays as it is, and enters as further children. False where a node is not determined; nothing is changed then.
+/// Eliminate the top of the tree again: all supernodes from changed nodes up to the roots, in a new order. Their edges are
+/// evaluated where the nodes are now. The supernodes below stay as they are and become children of the new ones. False where a
+/// node is not determined; then nothing is changed.
 bool rebuild(Graph& graph, Tree& tree, const Changes& changes, Evaluation& found);
 
 }  // namespace vmslam::online

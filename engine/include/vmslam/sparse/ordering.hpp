@@ -17,9 +17,9 @@ Order nested_dissection(const Pattern& pattern, Node limit);
 /// The number of neighbours up to which a node is ordered by its degree: max(16, dense sqrt(n)); all for dense < 0.
 Node degree_limit(Node nodes, double dense);
 
-/// From which size on, and for how many flops for each node and neighbour, dissection is tried. Dissection and the order
-/// inside the parts take 0.3 us for each of these, and save a third of the flops where maps grow in both directions, in
-/// each of about five factorisations at 50 Gflop/s.
+/// Dissection is tried from so many nodes on, where the factorisation takes more than so many flops for each block of the
+/// matrix. Dissection and the order inside the parts take 0.3 us for each block. They save a third of the flops where maps
+/// grow in both directions, in each of about five factorisations at 50 Gflop/s.
 struct DissectionWorth {
     Node smallest = 5'000;
     double flops = 10'000.0;
@@ -41,7 +41,7 @@ struct Reduced {
 };
 Reduced without_low_degrees(const Pattern& pattern);
 
-/// Minimum degree among nodes of the same `stage` (n, empty: all the same), stage after stage.
+/// Minimum degree among the nodes of one `stage` (n) after the other, from the lowest stage on; empty: all nodes are in one.
 Order minimum_degree(const Neighbours& graph, Node limit, std::span<const Node> stage);
 
 /// The depth of the separator that each node belongs to, 0 for the first; -1 for nodes in no separator.

@@ -1,4 +1,4 @@
-// Symbolic analysis: the supernodes of L, which columns are factorised together, and where their numbers are stored.
+// Symbolic analysis: the supernodes of L, groups of columns that are factorised together, and where their numbers are stored.
 #pragma once
 
 #include <type_traits>
