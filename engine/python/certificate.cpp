@@ -126,8 +126,8 @@ void bind(nb::module_& m) {
         .def(nb::init<const In<Index>&, const In<Index>&, std::shared_ptr<sparse::Symbolic>>())
         .def("begin", &OwnedProof::begin_at)
         .def_prop_ro("cost", &Proof::cost)
-        // what a proof finds, the lower bound, the number of edges without a split, the ends of the edge without a lower bound, or
-        // None, and a direction (N, 2) in which S is not positive, or None
+        // what a proof finds, the lower bound, the number of edges without a split, the ends of the edge without a lower
+        // bound, or None, and a direction (N, 2) in which S is not positive, or None
         .def("judge",
              [](OwnedProof& proof, double cost, bool thorough) {
                  Judgement found;
@@ -153,8 +153,8 @@ void bind(nb::module_& m) {
         const Split s = split(records<edges::Symmetric>(w, 1)[0], share);
         return std::pair(s.beta, s.kappa);
     });
-    // of a factor: c (N,) in the order of elimination, the errors (N, 2) for blocks of a matrix, the parts (N,) of its diagonal
-    // that bound them by the structure, in the order of elimination, and the bound on b^H A^-1 b
+    // of a factor: c (N,) in the order of elimination, the errors (N, 2) for blocks of a matrix, the parts (N,) of its
+    // diagonal that bound them by the structure, in the order of elimination, and the bound on b^H A^-1 b
     m.def("rounding_bounds", [](HermitianFactor& factor, In<Complexes> values, In<Index> start, In<Complexes> b) {
         const std::vector<double> c = rounding_of(factor.symbolic());
         const double square = square_bound(factor, span(b), c);

@@ -231,8 +231,8 @@ void bind_objectives(nb::module_& m) {
                 std::move(members), {places(system[0]), places(system[1]), values.data(), xi.data(), workspace.data()},
                 {places(held[0]), places(held[1]), places(held[2])}, constant, *nb::cast<Factor*>(owned[4]), owned);
         });
-    // initial values (n, 3), poses whose heading no edge measures, and a node that the edges do not tie, and one of a relation
-    // that the pattern does not have, or -1
+    // initial values (n, 3), poses whose heading no edge measures, and a node that the edges do not tie, and one of a
+    // relation that the pattern does not have, or -1
     m.def("rotation_first", [](const BoundGraph& graph, In<double> state, In<Index> held, Index poses) {
         Start start = rotation_first(graph, copy_of(state), span(held), poses);
         return std::tuple(state_array(start.state.data(), start.state.size()), array(std::move(start.unturned)), start.untied,

@@ -21,8 +21,8 @@ int failures = 0;
 double draw(std::mt19937& random, double) { return std::normal_distribution<>()(random); }
 std::complex<double> draw(std::mt19937& random, std::complex<double>) { return {draw(random, 0.0), draw(random, 0.0)}; }
 
-/// A random positive definite matrix on a random graph: upper blocks, and the whole matrix. What points do not have is that of
-/// the identity.
+/// A random positive definite matrix on a random graph: upper blocks, and the whole matrix. What points do not have is that
+/// of the identity.
 template <class Block>
 struct Matrix {
     using Value = typename Block::Value;

@@ -1,7 +1,7 @@
 // The engine as functions of a WebAssembly module: numbers, and places of numbers in the memory of the module.
 //
-// `vmslam.js` calls them. Rows are: controls (nu, omega, dt); sightings (landmark, range, bearing, orientation), in logs with the
-// step in front; noise (nn, no, on, oo, epsilon, range rate, std of bearing, std of orientation).
+// `vmslam.js` calls them. Rows are: controls (nu, omega, dt); sightings (landmark, range, bearing, orientation), in logs with
+// the step in front; noise (nn, no, on, oo, epsilon, range rate, std of bearing, std of orientation).
 #include <cstdlib>
 #include <map>
 
@@ -34,9 +34,9 @@ Control control_of(const double* row) { return {row[0], row[1], row[2]}; }
 edges::Sighting sighting_of(const double* row) { return {row[1], row[2], row[3]}; }
 std::int64_t landmark_of(const double* row) { return static_cast<std::int64_t>(row[0]); }
 
-/// The graph of a log whose edges are members of their own, so that each has its cost: the anchor, the motion edges if wanted,
-/// and a virtual-motion edge for each pair of sightings given, or a marginal edge for each landmark. A negative number of pairs
-/// is the graph of `graph_of`, with one member for all motion edges and one for all landmarks.
+/// The graph of a log whose edges are members of their own, so that each has its cost: the anchor, the motion edges if
+/// wanted, and a virtual-motion edge for each pair of sightings given, or a marginal edge for each landmark. A negative
+/// number of pairs is the graph of `graph_of`, with one member for all motion edges and one for all landmarks.
 struct LogGraph {
     struct Options {
         edges::Kernel kernel;
@@ -156,8 +156,9 @@ VMSLAM_EXPORT(vm_allocate) double* vm_allocate(int numbers) {
 }
 VMSLAM_EXPORT(vm_free) void vm_free(double* numbers) { std::free(numbers); }
 
-/// The graph of a log, whose motion t consists of the controls from starts[t] on. `options`: whether orientations are measured,
-/// whether motion edges are used, kernel, its width, whether the frame is the landmark's, whether edges are marginal.
+/// The graph of a log, whose motion t consists of the controls from starts[t] on. `options`: whether orientations are
+/// measured, whether motion edges are used, kernel, its width, whether the frame is the landmark's, whether edges are
+/// marginal.
 VMSLAM_EXPORT(vm_graph)
 LogGraph* vm_graph(const double* start, const double* controls, const double* starts, int poses, const double* sightings,
                    int count, const double* noise, const double* options, const double* pairs, int pair_count) {
@@ -199,8 +200,8 @@ VMSLAM_EXPORT(vm_graph_solve) int vm_graph_solve(const LogGraph* graph, double* 
     summary[0] = run.norms.empty() ? 0.0 : run.norms.back(), summary[1] = run.steps();
     return run.converged ? 1 : run.end == solve::End::not_determined ? 2 : 0;
 }
-/// Write a lower bound on the cost of all poses, the cost at these poses, and whether no poses have a lower one: J, with a kernel
-/// that with its weights held.
+/// Write a lower bound on the cost of all poses, the cost at these poses, and whether no poses have a lower one: J, with a
+/// kernel that with its weights held.
 /// Returns 0 where the edges have no constant information, so that there is no proof.
 VMSLAM_EXPORT(vm_graph_proof) int vm_graph_proof(const LogGraph* graph, const double* poses, double* bound) {
     const auto found = graph->graph.lower_bound({poses, 3 * graph->log.poses()});
@@ -279,8 +280,8 @@ VMSLAM_EXPORT(vm_fastslam_free) void vm_fastslam_free(FastSlam* slam) { delete s
 VMSLAM_EXPORT(vm_fastslam_move) void vm_fastslam_move(FastSlam* slam, const double* control, std::uint64_t key) {
     slam->filter.move({slam->robot.motion.of(control_of(control)), key}, true);
 }
-/// Weigh by sightings, and update the maps; `version` 0: FastSLAM 1.0, 1: 2.0. Returns the effective sample size; -1 if only new
-/// landmarks were seen, or the sightings are impossible for all particles.
+/// Weigh by sightings, and update the maps; `version` 0: FastSLAM 1.0, 1: 2.0. Returns the effective sample size; -1 if only
+/// new landmarks were seen, or the sightings are impossible for all particles.
 VMSLAM_EXPORT(vm_fastslam_weigh) double vm_fastslam_weigh(FastSlam* slam, const double* sightings, int count, int version) {
     std::vector<particles::LandmarkId> names;
     std::vector<particles::Sighting> seen;
@@ -311,7 +312,8 @@ VMSLAM_EXPORT(vm_fastslam_particles) void vm_fastslam_particles(FastSlam* slam, 
     for (int k = 0; k < 3; ++k) std::copy_n(slam->filter.poses()->row(k), count, poses + k * count);
     std::copy_n(slam->filter.log_weights()->row(0), count, log_weights);
 }
-/// Write x and y of a landmark in the map of a particle and their covariance (xx, xy, yy); returns 0 if there is none of this name.
+/// Write x and y of a landmark in the map of a particle and their covariance (xx, xy, yy); returns 0 if there is none of this
+/// name.
 VMSLAM_EXPORT(vm_fastslam_landmark)
 int vm_fastslam_landmark(FastSlam* slam, int particle, double name, double* landmark) {
     const particles::LandmarkView view = slam->filter.identified()->view(static_cast<std::int64_t>(name));

@@ -72,8 +72,8 @@ struct Measured {
     edges::Symmetric omega;
 };
 
-/// Where controls that follow one another lead from the origin: f(... f(0, u_1) ..., u_k), P <- F P F' + A M A' + S for each, with
-/// S = s n n', s the variance sideways and n across the chord. With a noise model epsilon I is added once.
+/// Where controls that follow one another lead from the origin: f(... f(0, u_1) ..., u_k), P <- F P F' + A M A' + S for each,
+/// with S = s n n', s the variance sideways and n across the chord. With a noise model epsilon I is added once.
 struct Moved {
     edges::Vector end;
     edges::Symmetric covariance;

@@ -1,5 +1,5 @@
-// The vectors of the processor for which this is compiled. How they are aligned, passed and returned depends on it, so that the
-// library and whoever includes its headers must be compiled for the same one.
+// The vectors of the processor for which this is compiled. How they are aligned, passed and returned depends on it, so that
+// the library and whoever includes its headers must be compiled for the same one.
 #pragma once
 
 /// The numbers in a register.

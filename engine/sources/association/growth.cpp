@@ -47,7 +47,8 @@ class Growth {
    private:
     double* row(std::size_t c, std::size_t r) { return L_.data() + (c * d_ + r) * nu_.size(); }
 
-    /// S less the product of the rows of L that are there: what belongs to row r of pair c in the column of number q of pair b.
+    /// S less the product of the rows of L that are there: what belongs to row r of pair c in the column of number q of pair
+    /// b.
     double rest(std::size_t c, std::size_t r, std::size_t b, std::size_t q) {
         const double *const L = row(c, r), *const other = row(b, q);
         double value = pairs_.residuals.row(c * d_ + r)[b * d_ + q];

@@ -152,8 +152,8 @@ bool Proof::zero() const {
 /// Factorise S with `shifts` on its diagonal entries for headings, less bounds on the rounding errors, with a larger `margin`
 /// (2 N) until it is enough for those of the factor; false where S is not proven positive definite.
 ///
-/// S is at least the matrix as assembled minus `rounded_off`. L L^H is at most the same matrix minus `rounded_off` and `margin`,
-/// so that S is at least L L^H plus `margin`.
+/// S is at least the matrix as assembled minus `rounded_off`. L L^H is at most the same matrix minus `rounded_off` and
+/// `margin`, so that S is at least L L^H plus `margin`.
 bool Proof::factorize(std::span<const double> shifts, Errors errors, std::vector<double>& margin) {
     const std::vector<double>& scale = function_.scale;
     const sparse::Order& order = factor_.symbolic().order;
@@ -188,8 +188,9 @@ bool Proof::factorize(std::span<const double> shifts, Errors errors, std::vector
     }
 }
 
-/// The bound with `shift`, in units of the scale of S, times abs(z_i)² - 1 added to the function for each node. That is zero for
-/// all states, and large shifts make S positive definite. But the candidate is then no longer the minimum of the function.
+/// The bound with `shift`, in units of the scale of S, times abs(z_i)² - 1 added to the function for each node. That is zero
+/// for all states, and large shifts make S positive definite. But the candidate is then no longer the minimum of the
+/// function.
 double Proof::shifted_bound(double shift, Errors errors) {
     std::vector<double> shifts(state_.size()), margin;
     for (Index i = 0; i < state_.size(); ++i) shifts[i] = shift * function_.scale[2 * i] / 8;

@@ -18,7 +18,8 @@ bool positive(const Symmetric& H, const Symmetric& inverse) {
     return H.xx > 0 && H.xx * H.yy > H.xy * H.xy && inverse.tt > 0;
 }
 
-/// The cost at a mean m, half its negative gradient b = - sum w W e, A = sum w W, and D = sum 2 w' (W e)(W e)', w' = dw / dr².
+/// The cost at a mean m, half its negative gradient b = - sum w W e, A = sum w W, and D = sum 2 w' (W e)(W e)', w' the
+/// derivative of w by r².
 struct Evaluation {
     double cost = 0.0;
     Vector b{0.0, 0.0, 0.0};
@@ -55,10 +56,10 @@ double start_heading(const Cluster& cluster, std::span<const AroundMean> sightin
     return std::atan2(s, c);
 }
 
-// Re-weighting lowers the cost from anywhere, but near the minimum it may take thousands of steps. There Newton's method takes
-// over, with H = A + D. A Newton step that raises the cost is replaced by re-weighting. Re-weighting itself can raise the cost
-// only by wrapping a heading: W ties headings to positions, so that the cost jumps there. Where it has done so `most_raises`
-// times, the steps go to and fro over a jump. They are then halved, and the lower side of the jump is the end.
+// Re-weighting lowers the cost from anywhere, but near the minimum it may take thousands of steps. There Newton's method
+// takes over, with H = A + D. A Newton step that raises the cost is replaced by re-weighting. Re-weighting itself can raise
+// the cost only by wrapping a heading: W ties headings to positions, so that the cost jumps there. Where it has done so
+// `most_raises` times, the steps go to and fro over a jump. They are then halved, and the lower side of the jump is the end.
 Mean robust_mean(const Cluster& cluster, const Vector& start, std::span<AroundMean> sightings) {
     constexpr double infinite = std::numeric_limits<double>::infinity();
     Vector mean = start, back{0.0, 0.0, 0.0}, step{0.0, 0.0, 0.0};

@@ -1,9 +1,10 @@
 // Move the whole trajectory and map at once along the directions in which the log determines them least.
 //
-// Motion moves and block moves change a few poses at a time. A long log holds each of them tightly, while its whole trajectory may
-// still shift, turn and bend by much more: it then takes them very many small steps. Here the posterior of trajectory and map
-// is approximated by a Gaussian N(s, (J' J)^-1) at its mode s, as graph SLAM does. Its r widest directions, the columns of V
-// with standard deviations d, are independent of all others under the Gaussian. Their coordinates a are proposed anew,
+// Motion moves and block moves change a few poses at a time. A long log holds each of them tightly, while its whole
+// trajectory may still shift, turn and bend by much more: it then takes them very many small steps. Here the posterior of
+// trajectory and map is approximated by a Gaussian N(s, (J' J)^-1) at its mode s, as graph SLAM does. Its r widest
+// directions, the columns of V with standard deviations d, are independent of all others under the Gaussian. Their
+// coordinates a are proposed anew,
 //
 //     a' = sqrt(1 - b²) a + b n,    n ~ N(0, I),
 //

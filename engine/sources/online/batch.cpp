@@ -139,8 +139,8 @@ std::vector<double> lower_state(BatchProblem& problem, bool damped_only) {
 
 }  // namespace
 
-// The correction is too large for undamped passes: the step is undone, the batch solver solves the graph, and the tree is built
-// anew where that has ended.
+// The correction is too large for undamped passes: the step is undone, the batch solver solves the graph, and the tree is
+// built anew where that has ended.
 bool OnlineSystem::solve_as_batch(std::span<const Id> newest) {
     ++batch_solutions;
     for (Node& node : graph_.nodes)

@@ -99,8 +99,8 @@ Symmetric information(const Graph& graph, const Edge& edge, const Present& now) 
 }
 
 /// W of a sighting with a kernel. Gauss-Newton has w W, times what turns weights into information. The second derivative of
-/// J/2 is w W + 2 w' (W e) (W e)', w' the derivative of w by r² = e' W e. Along e that is w + 2 w' r² times W, which is negative
-/// far out, and kept above `least_bend` w.
+/// J/2 is w W + 2 w' (W e) (W e)', w' the derivative of w by r² = e' W e. Along e that is w + 2 w' r² times W, which is
+/// negative far out, and kept above `least_bend` w.
 Symmetric robust_information(const Graph& graph, const Edge& edge, const Present& now, bool bent) {
     const Symmetric W = information(graph, edge, now);
     if (!bent || now.squares == 0.0) return (now.weight * graph.gain_of(edge)) * W;
@@ -125,8 +125,8 @@ struct Curvature {
     if (edge.form != Form::relative) return {std::max(gamma, 0.0), {}};
     double a = W.xx, b = W.xy, c = W.yy;
     if (edge.oriented) a -= W.xt * W.xt / W.tt, b -= W.xt * W.yt / W.tt, c -= W.yt * W.yt / W.tt;
-    // along the direction in which its residual does not change, the edge adds gamma + 2 h' u - h' P h, P its covariance. That is
-    // -(gamma + h' P h), because h' u = -gamma
+    // along the direction in which its residual does not change, the edge adds gamma + 2 h' u - h' P h, P its covariance.
+    // That is -(gamma + h' P h), because h' u = -gamma
     const double least = (a * g.x * g.x + 2 * b * g.x * g.y + c * g.y * g.y) / (a * c - b * b);
     if (least + gamma > 0.0 && now.cost < bent.exact) return {std::max(gamma, 0.0), {}};
     return {gamma, {-g.y, g.x}};

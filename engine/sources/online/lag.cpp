@@ -1,5 +1,5 @@
-// Taking the edges of an old pose out of the graph. Eliminating the increments of its node from Omega d = rhs of its edges and
-// priors leaves a prior on its neighbours: dense, and exact for the linearisation that the edges had last.
+// Taking the edges of an old pose out of the graph. Eliminating the increments of its node from Omega d = rhs of its edges
+// and priors leaves a prior on its neighbours: dense, and exact for the linearisation that the edges had last.
 #include <algorithm>
 
 #include "vmslam/online/system.hpp"

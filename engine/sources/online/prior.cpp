@@ -194,7 +194,8 @@ double Way::turned_from(const Way& other) const {
     return std::max(most, stretched * steepest);
 }
 
-// With u, phi the increments of the first node and B, A the rotations `of_first_` and `own_` of node k, relative ways change by
+// With u, phi the increments of the first node and B, A the rotations `of_first_` and `own_` of node k, relative ways change
+// by
 //
 //     dv_k = A d_k - B (u + phi perp(seen_k)),    dtheta_k = d_theta_k - phi.
 void Way::times_jacobian(const double* row, double* product) const {

@@ -6,8 +6,8 @@
 //     passes through the tree until the next pass would lower J by less than the tolerance (`advance`),
 //     and where that fails, solves the graph as a batch (batch.cpp), or undoes what it has changed.
 //
-// A pass moves the nodes to the solution from the roots down, evaluates their edges, and solves the tree again on the way up. It
-// leaves out subtrees that are not deformed; see tree.hpp.
+// A pass moves the nodes to the solution from the roots down, evaluates their edges, and solves the tree again on the way up.
+// It leaves out subtrees that are not deformed; see tree.hpp.
 #include <algorithm>
 #include <cmath>
 #include <tuple>
@@ -26,13 +26,13 @@ constexpr double rounding = 1e-15;
 /// A pass is slow where it predicts more than this part of the decrease that the pass before predicted; after edges were
 /// linearised again, where it predicts more than `diverging` of it.
 constexpr double slow = 0.2, diverging = 0.5;
-/// The limit beyond which an edge is linearised again is multiplied by `stricter` after a slow pass, and by `easier` after every
-/// step whose last pass is not slow.
+/// The limit beyond which an edge is linearised again is multiplied by `stricter` after a slow pass, and by `easier` after
+/// every step whose last pass is not slow.
 constexpr double stricter = 0.1, easier = 1.5;
 /// All edges get their second derivatives after a slow pass if its prediction is larger by the factor `grows` than the one
-/// before, although the end is near: it is below `near` times J, the limit of edges is below `strict`, and what is left out is
-/// below `fine` times the usual. Second derivatives make passes slow along directions that are hardly determined, so that they
-/// are not in the factor otherwise.
+/// before, although the end is near: it is below `near` times J, the limit of edges is below `strict`, and what is left out
+/// is below `fine` times the usual. Second derivatives make passes slow along directions that are hardly determined, so that
+/// they are not in the factor otherwise.
 constexpr double grows = 1.5, near = 1e-6, strict = 1e-4, fine = 0.03;
 /// For so many passes second derivatives are convex once exact ones have made Omega indefinite.
 constexpr int held = 3;
@@ -49,8 +49,8 @@ constexpr double rises = 1e-6;
 
 }  // namespace
 
-/// What a step changes until an elimination has succeeded, to put it back: nodes from `homes` up to the roots, the new nodes and
-/// edges, and what the system remembers.
+/// What a step changes until an elimination has succeeded, to put it back: nodes from `homes` up to the roots, the new nodes
+/// and edges, and what the system remembers.
 class OnlineSystem::Undo {
    public:
     Undo(OnlineSystem& system, std::span<const Id> homes, Id known)
@@ -143,9 +143,10 @@ bool OnlineSystem::descends(std::span<const Id> newest) {
 
 bool OnlineSystem::is_small(double decrease) const { return decrease <= std::max(tolerance_ * memory_.cost, rounding); }
 
-// A step that begins at the solution needs no pass: nothing promises to lower J. Each pass moves the nodes by what is predicted to
-// lower J, and evaluates their edges; those that are far from their linearisation are linearised again, and the tree above them is
-// factorised again. The last pass is the one after which further ones are predicted to lower J by less than the tolerance.
+// A step that begins at the solution needs no pass: nothing promises to lower J. Each pass moves the nodes by what is
+// predicted to lower J, and evaluates their edges; those that are far from their linearisation are linearised again, and the
+// tree above them is factorised again. The last pass is the one after which further ones are predicted to lower J by less
+// than the tolerance.
 OnlineSystem::Outcome OnlineSystem::advance(int& done) {
     Memory& m = memory_;
     Progress progress;
@@ -181,7 +182,7 @@ bool OnlineSystem::is_last(double predicted, double last) {
     return is_small(predicted * std::max(least_left, m.shrinks / (1 - m.shrinks)));
 }
 
-/// After a pass that is slow, keep edges nearer to their linearisation and leave out less; otherwise allow a little more again.
+/// After a slow pass, keep edges nearer to their linearisation and leave out less; after a fast last one, allow more again.
 void OnlineSystem::adapt(double predicted, bool ends, Progress& progress) {
     Memory& m = memory_;
     const double last = std::exchange(progress.last, predicted);
@@ -226,8 +227,8 @@ bool OnlineSystem::factorize_late(std::span<const Id> late, std::span<const Id> 
     return good;
 }
 
-// Relative priors, and those that turn, have no second derivatives in the factor. Those of the edges are of no use then: along
-// a common turn of many nodes they cancel only together with those of the priors.
+// Relative priors, and those that turn, have no second derivatives in the factor. Those of the edges are of no use then:
+// along a common turn of many nodes they cancel only together with those of the priors.
 Bent OnlineSystem::usual_bent() const {
     const bool all = std::ranges::all_of(priors_, [](const Prior& prior) { return prior.linear_in_places(); });
     return all ? Bent{} : Bent::never();

@@ -284,8 +284,8 @@ void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
     found.predicted += square;
 }
 
-// With the unit vectors E of the nodes, it is Y' Y, L Y = E. The columns of Y are zero beside the paths from their nodes to the
-// roots, so that they are solved forward on these only.
+// With the unit vectors E of the nodes, it is Y' Y, L Y = E. The columns of Y are zero beside the paths from their nodes to
+// the roots, so that they are solved forward on these only.
 std::vector<double> Tree::covariance(Graph& graph, std::span<const Id> nodes) {
     std::vector<Id> homes;
     for (const Id node : nodes) homes.push_back(graph.nodes[node].home);

@@ -151,7 +151,8 @@ Innovation pose_innovation(const Gaussian& P, const Gaussian& m, const Sighting&
     b = {-(across.x + P.xh), -(across.y + P.yh), -(across.t + P.hh)};
     // V, with Cov(m - x, theta) = -P_xt and Cov(m - x, h) = S_xh
     const Lanes fx = cxx * vx + cxy * vy, fy = cxy * vx + cyy * vy;
-    // with v = d angle / d m: the variance of v' (m - x), and the parts of V from its covariances with theta, and with h below
+    // with v = d angle / d m: the variance of v' (m - x), and the parts of V from its covariances with theta, and with h
+    // below
     const Lanes bearing = vx * fx + vy * fy, turned = vx * P.xh + vy * P.yh;
     v.d0 = u.ux * (cxx * u.ux + cxy * u.uy) + u.uy * (cxy * u.ux + cyy * u.uy) + s.variances.range;
     const Lanes v10 = u.ux * fx + u.uy * fy + u.ux * P.xh + u.uy * P.yh, i0 = 1.0 / v.d0;

@@ -305,8 +305,8 @@ struct Contracted {
     Neighbours graph;
 };
 
-/// Pairs of neighbours: each node with the unpaired neighbour of the lowest degree. In graphs of poses and landmarks these are
-/// consecutive poses, which see nearly the same landmarks, so that most of the edges of the pair are double and become one.
+/// Pairs of neighbours: each node with the unpaired neighbour of the lowest degree. In graphs of poses and landmarks these
+/// are consecutive poses, which see nearly the same landmarks, so that most of the edges of the pair are double.
 struct Matching {
     std::vector<Node> number, first, second;  // the pair of each node; the nodes of each pair, -1 for none
 

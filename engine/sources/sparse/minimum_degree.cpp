@@ -80,9 +80,9 @@ class QuotientGraph {
             unlink(pivot);
             form_element(pivot);        // Lp, from the lists of the pivot and of its elements, which end here
             measure_overlaps();         // |Le \ Lp| of all other elements of the variables in Lp
-            update_degrees(pivot);      // the bounds without |Lp \ i|; variables tied by p alone are eliminated with the pivot
+            update_degrees(pivot);      // the bounds without |Lp \ i|; variables tied by p alone are eliminated with it
             merge_indistinguishable();  // variables of Lp with the same lists
-            restore_degrees(pivot);     // add |Lp \ i| to the bounds, and put the variables back into the lists by degree
+            restore_degrees(pivot);     // add |Lp \ i| to the bounds; the variables go back into the lists by degree
             write(pivot);
         }
         return std::move(order_);

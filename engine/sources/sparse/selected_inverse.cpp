@@ -20,8 +20,8 @@ void solve_from_right(double* x, Step h, Step count, const Real3::Pivot& p) {
     Real3::solve_rows(x + 2 * h, -h, count, {p.i2, p.l21, p.l20, p.i1, p.l10, p.i0});
 }
 
-/// The inverse over one front: a full symmetric matrix, of which the rows and columns are those of the panel. Rows above those
-/// that a step is about hold anything: they are computed with their group of eight and written later.
+/// The inverse over one front: a full symmetric matrix, of which the rows and columns are those of the panel. Rows above
+/// those that a step is about hold anything: they are computed with their group of eight and written later.
 class FrontInverse {
    public:
     FrontInverse(Step tallest, int threads)

@@ -9,8 +9,8 @@
 
 namespace vmslam::sparse {
 
-/// Block columns of a panel are factorised in groups of `outer`, and these in groups of `inner`. After an inner group the rest
-/// of its outer group is updated, and after an outer group the rest of the panel, by a product large enough to copy its
+/// Block columns of a panel are factorised in groups of `outer`, and these in groups of `inner`. After an inner group the
+/// rest of its outer group is updated, and after an outer group the rest of the panel, by a product large enough to copy its
 /// operands.
 inline constexpr Step inner = 16, outer = 64;
 

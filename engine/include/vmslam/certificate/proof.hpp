@@ -30,9 +30,9 @@ std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const
 
 /// A weaker bound on these errors, from the structure alone: for each node, in the order of elimination, a part of A_ii.
 ///
-/// Let l_i be the norm of row i of L within the columns of a supernode s, and S_s the sum of sqrt(c) over the rows of s. By the
-/// inequality of Cauchy and Schwarz, (|L| |L|^H C w)_i is at most the sum of l_i S_s over the supernodes that have row i, and
-/// that is at most A_ii^1/2 times the root of the sum of S_s², because the sum of l_i² is A_ii.
+/// Let l_i be the norm of row i of L within the columns of a supernode s, and S_s the sum of sqrt(c) over the rows of s. By
+/// the inequality of Cauchy and Schwarz, (|L| |L|^H C w)_i is at most the sum of l_i S_s over the supernodes that have row i,
+/// and that is at most A_ii^1/2 times the root of the sum of S_s², because the sum of l_i² is A_ii.
 std::vector<double> errors_by_structure(const sparse::Symbolic& symbolic, std::span<const double> rounding);
 
 /// A bound on b^H (A + diag(e))^-1 b for any e of at least the errors of the factor, rounding errors included.
@@ -55,8 +55,8 @@ class Proof {
 
     std::vector<Edge> edges;
 
-    /// Evaluate the edges at a state, once: those from the world become relative to the first node. `free` nodes may move, but
-    /// one node is held in every piece that nothing ties to the world: the cost does not change when such a piece moves.
+    /// Evaluate the edges at a state, once: those from the world become relative to the first node. `free` nodes may move,
+    /// but one node is held in every piece that nothing ties to the world: the cost does not change when such a piece moves.
     void begin(std::span<const double> state, std::vector<char> free);
 
     /// The splits of the edges that are tried first.
@@ -139,8 +139,8 @@ struct Judgement {
 
     bool global() const { return finding == Finding::global || finding == Finding::zero; }
 };
-/// Judge the state at which a proof has begun, whose cost is `cost`. A `thorough` judgement tries other splits where the first ones
-/// prove nothing, some 50 factorisations.
+/// Judge the state at which a proof has begun, whose cost is `cost`. A `thorough` judgement tries other splits where the
+/// first ones prove nothing, some 50 factorisations.
 Judgement judge(Proof& proof, double cost, bool thorough);
 
 /// The cost of a state, a lower bound on the cost of all states, and whether the state is a global minimum.
@@ -152,8 +152,8 @@ struct Bound {
 /// semidefinite, so that the cost may have no lower bound, or where the cost is not finite.
 std::optional<Bound> lower_bound(std::span<const double> state, std::vector<Edge> edges);
 
-/// Whether a symmetric matrix is positive semidefinite, by the exact signs of its principal minors; also false where its entries
-/// differ by so many orders of magnitude that these are below the smallest numbers.
+/// Whether a symmetric matrix is positive semidefinite, by the exact signs of its principal minors; also false where its
+/// entries differ by so many orders of magnitude that these are below the smallest numbers.
 bool semidefinite(const edges::Symmetric& w);
 
 }  // namespace vmslam::certificate

@@ -46,8 +46,8 @@ class Family {
     virtual std::vector<PositionRelation> positions(const double* /* state */) const { return {}; }
     /// The number of measurements, each of which may be wrong by itself; 0 where none is.
     virtual std::size_t measurements() const { return 0; }
-    /// The same edges with a trust from 0 to 1 in each measurement, a factor on its information. None where no measurement may
-    /// be wrong.
+    /// The same edges with a trust from 0 to 1 in each measurement, a factor on its information. None where no measurement
+    /// may be wrong.
     virtual std::unique_ptr<const Family> trusting(std::span<const double> /* trust */) const { return nullptr; }
     /// The edges between the nodes that have a new number, not -1, with these numbers. None where they cannot be divided.
     virtual std::unique_ptr<const Family> among(std::span<const Index> /* number */) const { return nullptr; }

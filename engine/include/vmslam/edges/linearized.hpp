@@ -11,8 +11,8 @@
 
 namespace vmslam::edges {
 
-/// `rows` numbers in each residual, 2 or 3, and `parameters` columns of P; all matrices by rows, one edge after another. The two
-/// nodes of an edge differ, and W is symmetric.
+/// `rows` numbers in each residual, 2 or 3, and `parameters` columns of P; all matrices by rows, one edge after another. The
+/// two nodes of an edge differ, and W is symmetric.
 struct Linearized {
     std::span<const Index> first, second, pairs;
     std::size_t rows, parameters;

@@ -65,7 +65,7 @@ struct Position {
     Lever lever{0.0, 0.0};
 };
 
-/// Absolute positions, and anchors: positions with a heading and without lever. Those without heading have no information on it.
+/// Absolute positions, and anchors, which are positions with a heading and no lever. The others have no heading information.
 class PositionEdges : public Family {
    public:
     explicit PositionEdges(std::vector<Position> positions, Kernel kernel = {})

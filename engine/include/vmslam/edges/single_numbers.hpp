@@ -5,7 +5,8 @@
 //     range    e = d - z,                                     n = (x, y) / d,
 //     bearing  e = atan2(y, x) - z,   the angle wrapped,      n = (-y, x) / d²,
 //
-// n the derivative by (x, y). So with W = omega n n' and the pull omega e n in the place of Omega e they are edges to a point.
+// n the derivative by (x, y). So with W = omega n n' and the pull omega e n in the place of Omega e they are edges to a
+// point.
 #pragma once
 
 #include <algorithm>

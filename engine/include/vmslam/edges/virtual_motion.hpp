@@ -1,12 +1,13 @@
 // Virtual-motion edges: two sightings of one landmark connect the two poses from which they were made.
 //
-// Every sighting places the landmark at y_a = h^-1(x_a, z_a), with covariance C_a = R_a Q_a R_a' and lever t_a, the derivative
-// of its position by the heading of pose a. Each pair of sightings of a landmark from different steps gives an edge
+// Every sighting places the landmark at y_a = h^-1(x_a, z_a), with covariance C_a = R_a Q_a R_a' and lever t_a, the
+// derivative of its position by the heading of pose a. Each pair of sightings of a landmark from different steps gives an
+// edge
 //
 //     e = y_b - y_a  (heading wrapped),   Omega^-1 = C_a + C_b,   B_a = -[I, t_a; 0, 1],  B_b = [I, t_b; 0, 1].
 //
-// In the world frame C_a is evaluated at the reference state. In the body frame Omega rotates with pose a, by the angle gamma_a
-// of `Placed`, and the derivative of the rotation, (-e_y, e_x), is added to t_a.
+// In the world frame C_a is evaluated at the reference state. In the body frame Omega rotates with pose a, by the angle
+// gamma_a of `Placed`, and the derivative of the rotation, (-e_y, e_x), is added to t_a.
 #pragma once
 
 #include "vmslam/edges/sightings.hpp"

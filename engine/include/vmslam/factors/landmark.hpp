@@ -12,7 +12,8 @@ namespace vmslam::factors {
 using edges::Index;
 
 /// Where the sightings z (l, phi[, psi]) of poses put their landmark, y = h^-1(x, z), its heading not wrapped; what turning
-/// the pose does to y; and the axes of the pairs whose first sighting it is, which stand at theta + ahead, or are the world's.
+/// the pose does to y; and the axes of the pairs whose first sighting it is, which stand at theta + ahead, or are the
+/// world's.
 struct PlacedSighting {
     Index node;
     edges::Vector y;

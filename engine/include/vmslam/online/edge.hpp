@@ -5,9 +5,9 @@
 //
 //     B_i = -[I, u; 0, 1],  u the lever, and B_j = blkdiag(R(alpha), 1), alpha = theta_j - theta_i, or -theta_i for a point.
 //
-// A range or a bearing alone is an edge to a point whose W is omega n n'; see edges/single_numbers.hpp. A position of the only end
-// has e = R(theta)' (z - p) - a, theta_z - theta, a the point that it measures: with u = (-a_y, a_x) its Jacobian is B_i, and its
-// information in these axes is that of the world turned back by theta.
+// A range or a bearing alone is an edge to a point whose W is omega n n'; see edges/single_numbers.hpp. A position of the
+// only end has e = R(theta)' (z - p) - a, theta_z - theta, a the point that it measures: with u = (-a_y, a_x) its Jacobian is
+// B_i, and its information in these axes is that of the world turned back by theta.
 //
 // The factor holds every edge with the lever, alpha and robust weight of the last time at which its part of the tree was
 // factorised. Its pulls -B(x)' w W e(x), w the robust weight, are those at the estimate, so that passes end at an optimum,
@@ -20,8 +20,8 @@
 //
 //     J/2 has the further terms  phi h' (q - a) + gamma phi^2 / 2,   h = (-g_y, g_x),  gamma = -g' d,  d = (u_y, -u_x).
 //
-// They may make Omega indefinite. So an edge that is indefinite by itself has gamma only, and only if that is positive, unless
-// its cost is above `Bent::exact`: next to a minimum, passes converge faster with all of them.
+// They may make Omega indefinite. So an edge that is indefinite by itself has gamma only, and only if that is positive,
+// unless its cost is above `Bent::exact`: next to a minimum, passes converge faster with all of them.
 #pragma once
 
 #include "vmslam/online/graph.hpp"
@@ -36,8 +36,8 @@ struct Bent {
     static Bent never() { return {infinity, infinity}; }
 };
 
-/// An edge at the estimate: lever, cosine and sine of alpha (of theta for a position), robust weight w, w W e, W e, e' W e, and
-/// its cost; of a number n; whether there is no second end.
+/// An edge at the estimate: lever, cosine and sine of alpha (of theta for a position), robust weight w, w W e, W e, e' W e,
+/// and its cost; of a number n; whether there is no second end.
 struct Present {
     Lever u;
     double c, s, weight;
@@ -67,7 +67,8 @@ void relinearize(Graph& graph, Edge& edge, const Bent& bent);
 /// Whether an edge in the factor differs from that of Gauss-Newton at the estimate.
 bool differs_from_gauss_newton(const Graph& graph, const Edge& edge, double limit);
 
-/// The parts of the edge, as it is in the factor, of Omega: the diagonal blocks of its ends, and the one between them, by rows.
+/// The parts of the edge, as it is in the factor, of Omega: the diagonal blocks of its ends, and the one between them, by
+/// rows.
 struct Blocks {
     Symmetric first, second;
 };

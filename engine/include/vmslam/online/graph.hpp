@@ -30,8 +30,8 @@ struct Node {
     Rotation axes, base_axes;  ///< of x and of the base
     Triple kept{};       ///< the value before the latest step that changed it
     Triple diagonal{};   ///< the diagonal of Omega, without priors
-    /// The smallest standard deviations of its edges [m, rad], with which changes of Jacobians are weighed. A new pose has those
-    /// of the pose before it until its first sighting.
+    /// The smallest standard deviations of its edges [m, rad], with which changes of Jacobians are weighed. A new pose has
+    /// those of the pose before it until its first sighting.
     double place_std = infinity, heading_std = infinity;
     Stamp changed = 0;  ///< the latest step that changed x
     Id home = 0;  ///< the supernode in which the node is eliminated; 0: none yet
@@ -66,8 +66,8 @@ struct Linear {
 /// point of its only node in the world.
 enum class Form : std::int8_t { relative, range, bearing, position };
 
-/// An edge; `oriented` where it measures a heading, too. A single number stands in z.x and omega.xx. An edge of one node has it
-/// at both ends.
+/// An edge; `oriented` where it measures a heading, too. A single number stands in z.x and omega.xx. An edge of one node has
+/// it at both ends.
 struct Edge {
     Vector z{};
     Symmetric omega{};
@@ -89,8 +89,8 @@ struct Edge {
     bool taken_out() const { return ends[0] < 0; }
 };
 
-/// An edge of a step. `motion` leads to a new pose, `sighting` to a landmark; a range or a bearing alone leads to a node that is
-/// known. A position has its pose at both ends.
+/// An edge of a step. `motion` leads to a new pose, `sighting` to a landmark; a range or a bearing alone leads to a node that
+/// is known. A position has its pose at both ends.
 enum class Kind { motion, sighting, relation, range, bearing, position };
 struct NewEdge {
     Id first, second;
@@ -105,7 +105,8 @@ struct NewEdge {
 struct Graph {
     std::vector<Node> nodes;
     std::vector<Edge> edges;
-    /// By the number of rows of an edge, less 1: the robust kernel, and what turns weights into information, 1 without a kernel.
+    /// By the number of rows of an edge, less 1: the robust kernel, and what turns weights into information, 1 without a
+    /// kernel.
     std::array<edges::Kernel, 3> kernels{};
     std::array<double, 3> gains{1.0, 1.0, 1.0};
     bool has_single_numbers = false;  ///< whether there have been single numbers, whose cost has many minima
@@ -114,8 +115,8 @@ struct Graph {
     const edges::Kernel& kernel_of(const Edge& edge) const { return kernels[edge.rows() - 1]; }
     double gain_of(const Edge& edge) const { return gains[edge.rows() - 1]; }
 
-    /// Add edges. Nodes from number `known` on are new, and placed by their first edge, but for those of single numbers. Returns
-    /// the nodes of the edges, each once.
+    /// Add edges. Nodes from number `known` on are new, and placed by their first edge, but for those of single numbers.
+    /// Returns the nodes of the edges, each once.
     std::vector<Id> append(std::span<const NewEdge> added, Id known);
     /// Take the edges from number `first` on out, which were added last.
     void detach(Id first);

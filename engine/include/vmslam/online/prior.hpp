@@ -4,12 +4,13 @@
 //
 //     absolute   v_k = R_ck' (p_k - c_k), theta_k - theta_ck, in the axes of the centre; of points in those of the world,
 //     relative   the same for what the first node sees, R_0' (p_k - p_0), so that turning all nodes together costs nothing,
-//     turning    R_ck' (R_t' (p_k - q) - (c_k - q) + t perp(c_k - q)), theta_k - theta_ck: turning all nodes together about the
-//                pivot q counts as the angle t, which turns the centres about their centroid onto the nodes. So is the joint
-//                prior of a map, of whose landmarks the heading of the whole is known worst (`Way` in edges/priors.py).
+//     turning    R_ck' (R_t' (p_k - q) - (c_k - q) + t perp(c_k - q)), theta_k - theta_ck: turning all nodes together about
+//                the pivot q counts as the angle t, which turns the centres about their centroid onto the nodes. The joint
+//                prior of a map is of this kind, because the heading of the whole map is known worst (`Way` in
+//                edges/priors.py).
 //
-// What edges between nodes leave is relative: after a long way the heading of the first node is uncertain, and an absolute way
-// is not linear in it. The tree has Lambda_x = J' Lambda J, J = dv/dx, and
+// What edges between nodes leave is relative: after a long way the heading of the first node is uncertain, and an absolute
+// way is not linear in it. The tree has Lambda_x = J' Lambda J, J = dv/dx, and
 //
 //     pull = J' (b - Lambda v).
 #pragma once

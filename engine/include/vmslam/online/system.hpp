@@ -23,8 +23,8 @@ struct Memory {
 
 class OnlineSystem {
    public:
-    /// Steps end where the next pass would lower the cost by less than `tolerance` of it; after `most_passes` the batch solver
-    /// takes over.
+    /// Steps end where the next pass would lower the cost by less than `tolerance` of it; after `most_passes` the batch
+    /// solver takes over.
     OnlineSystem(double tolerance, int most_passes) : tolerance_(tolerance), most_passes_(most_passes) {}
 
     /// The robust kernel of edges with so many rows, 0 for all, and what turns their weights into information.
@@ -44,7 +44,8 @@ class OnlineSystem {
     bool add(Id known, std::span<const NewEdge> added, std::span<const Id> newest);
     /// Bring the solution to the optimum after edges were added at nodes.
     bool solve(std::span<const Id> touched, std::span<const Id> fresh, std::span<const Id> newest);
-    /// Put nodes elsewhere, such as a landmark at its mirror image, and solve from there; false where not all nodes are determined.
+    /// Put nodes elsewhere, such as a landmark at its mirror image, and solve from there; false where not all nodes are
+    /// determined.
     bool solve_from(std::span<const Id> nodes, std::span<const Triple> places, std::span<const Id> newest);
     /// Give the prior that was added first, that of one pose, another place and information; `solve_from` takes it over.
     void loosen(const Triple& place, std::vector<double> information);
@@ -100,8 +101,8 @@ class OnlineSystem {
     };
     bool is_last(double predicted, double last);
     void adapt(double predicted, bool ends, Progress& progress);
-    /// One pass, but for subtrees that would change J by less than `least`: the decrease of J by the next one, and the edges and
-    /// priors that are to be linearised again.
+    /// One pass, but for subtrees that would change J by less than `least`: the decrease of J by the next one, and the edges
+    /// and priors that are to be linearised again.
     struct Pass {
         double predicted;
         std::vector<Id> late;

@@ -116,9 +116,9 @@ class Tree {
     void stay();
     /// Compute `pull_now` and `separator_change` of a subtree from the present place of its separator.
     void follow(const Graph& graph, Id s);
-    /// Take the present values of the nodes of a supernode as those of its last evaluation, so that their increments are zero.
+    /// Take the present values of the nodes of a supernode as those of its last evaluation: their increments become zero.
     void rest(Graph& graph, Id s);
-    /// Evaluate the edges of a supernode where its nodes are now, and solve it forward; its children must be evaluated before.
+    /// Evaluate the edges of a supernode where its nodes are now, and solve it forward, after its children.
     void evaluate(Graph& graph, Id s, Evaluation& found);
 
     /// Move supernodes to the solution from the roots down, but for subtrees that would change J by less than `least`.
@@ -152,9 +152,9 @@ class Tree {
     std::vector<Numbers> packed_;
 };
 
-/// Linearise the edges `late` again, and factorise and evaluate their supernodes, `others` and those above them, with the same
-/// nodes in the same order, where these are now. Returns whether Omega is positive definite. If it is not, the tree is of no use
-/// until all of it is built anew.
+/// Linearise the edges `late` again, and factorise and evaluate their supernodes, `others` and those above them, with the
+/// same nodes in the same order, where these are now. Returns whether Omega is positive definite. If it is not, the tree is
+/// of no use until all of it is built anew.
 bool refactor(Graph& graph, Tree& tree, std::span<const Id> late, std::span<const Id> others, Evaluation& found);
 
 /// A part of the graph that is eliminated anew.
@@ -165,8 +165,8 @@ struct Changes {
 };
 
 /// Eliminate the top of the tree again: all supernodes from changed nodes up to the roots, in a new order. Their edges are
-/// evaluated where the nodes are now. The supernodes below stay as they are and become children of the new ones. False where a
-/// node is not determined; then nothing is changed.
+/// evaluated where the nodes are now. The supernodes below stay as they are and become children of the new ones. False where
+/// a node is not determined; then nothing is changed.
 bool rebuild(Graph& graph, Tree& tree, const Changes& changes, Evaluation& found);
 
 }  // namespace vmslam::online

@@ -1,5 +1,5 @@
-// The blocks that the factorisation is made for: real 3 x 3 and 2 x 2, and complex 2 x 2 of a Hermitian matrix. Points, which have
-// no heading, have a number less in blocks of poses.
+// The blocks that the factorisation is made for: real 3 x 3 and 2 x 2, and complex 2 x 2 of a Hermitian matrix. Points, which
+// have no heading, have a number less in blocks of poses.
 //
 // A complex column is stored as two real ones, its real part first. With a = a' + i a'' and b = b' + i b'' a product with the
 // adjoint, a conj(b) = (a' b' + a'' b'') + i (a'' b' - a' b''), is a real product of those columns with a right factor that

@@ -20,8 +20,8 @@ struct BlockShape {
 };
 
 /// One supernode: `w` blocks that are eliminated together, and `r` blocks below, to which they are tied. Without points each
-/// node is a block. With points the numbers of the nodes of each of these two parts follow each other, and those of the identity
-/// fill the last block.
+/// node is a block. With points the numbers of the nodes of each of these two parts follow each other, and those of the
+/// identity fill the last block.
 ///
 /// Its panel holds the w columns of L, with `pad` unused rows on top; its update matrix what it adds to Omega of the nodes
 /// below, with `update_pad` rows on top.
@@ -113,8 +113,8 @@ struct Symbolic {
     Node owner(Node column) const;
 };
 
-/// work(i, at, count) for the nodes below supernode s: the first of their `count` numbers is number i of the front, and number
-/// `at` of vectors.
+/// work(i, at, count) for the nodes below supernode s: the first of their `count` numbers is number i of the front, and
+/// number `at` of vectors.
 template <class Block, class Work>
 void each_below(const Symbolic& t, Node s, const Work& work) {
     Index i = Block::rows * static_cast<Index>(t.wide[s]);
@@ -133,8 +133,8 @@ void each_below(const Symbolic& t, Node s, const Work& work) {
         }
 }
 
-/// work(node, at, count) for all columns: the first of the `count` numbers of its node is number `node` of a vector in the order
-/// of nodes, which have a block each, and number `at` of one in the order of elimination.
+/// work(node, at, count) for all columns: the first of the `count` numbers of its node is number `node` of a vector in the
+/// order of nodes, which have a block each, and number `at` of one in the order of elimination.
 template <class Block, class Work>
 void each_column(const Symbolic& t, const Work& work) {
     constexpr Index rows = Block::rows;
@@ -148,8 +148,8 @@ void each_column(const Symbolic& t, const Work& work) {
         for (Node k = 0; k < t.nodes(); ++k) work(rows * t.order[k] + t.first_number(k), t.number_of(k), t.size(k));
 }
 
-/// The structure of L for an order of elimination, which amalgamation may change to an equivalent one. `points` (n, or none) says
-/// which nodes are points.
+/// The structure of L for an order of elimination, which amalgamation may change to an equivalent one. `points` (n, or none)
+/// says which nodes are points.
 Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads,
                  std::span<const char> points = {});
 
