@@ -2,7 +2,7 @@
 
 Positions determine the frame of the world, so that an anchor of the first pose would contradict them. With two places far
 enough apart, or one heading, they determine all of it, and the graph has no anchor. Otherwise the direction stays free, and
-the anchor holds the heading of the first pose alone. A trajectory that has a frame of its own is put where they say.
+the anchor holds the heading of the first pose alone. `into_world` moves a trajectory in another frame to the positions.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def suitable_edges(log: Log, motion: MotionModel | None = None, sensor: SensorMo
     """The edges that suit a log and the noise models that are given, else its own: with motion edges where it has controls.
 
     Virtual-motion edges for logs that were made with the noise of the lectures, if they have psi. Landmarks as nodes
-    otherwise: without psi the information of a virtual-motion edge depends on the poses, and on real logs pairs count
-    sightings of a landmark that is seen often many times.
+    otherwise: without psi the information of a virtual-motion edge depends on the poses, and on real logs, where a landmark
+    is seen often, its pairs count each sighting many times.
     """
     if log.controls is None:
         return "virtual"
@@ -85,7 +85,7 @@ def notes_on_options(log: Log, options: EdgeOptions, missing: list[str]) -> list
 
     ``missing`` are the biases taken out of the log whose uncertainty the graph leaves out.
     """
-    # of what is doubtful in a log, these change its solution unseen
+    # those doubts about the log that change its solution without any other sign
     notes = [text for check, text in log.doubts if check in (DOUBLED, SIDEWAYS, SHARED, COVERED, REPEATED)]
     if missing:
         notes.append(

@@ -149,8 +149,8 @@ def with_common_noise(logs: Sequence[Log]) -> list[Log]:
         variances = [np.diagonal(model.Q(log.sightings), axis1=1, axis2=2) for model in (sensor, own)]
         ratio = float(np.sqrt(np.median(variances[0] / variances[1]))) if len(log.sightings) else 1.0
         unlike = (
-            f", {ratio:.1f} times the noise of its own sightings, which count too little: solve this log alone, and the "
-            "others in its map (map=)"
+            f", with {ratio:.1f} times the noise of its own sightings, so that these have too little weight: solve this log "
+            "alone, and the others in its map (map=)"
         )
         common.append(
             log.replace(

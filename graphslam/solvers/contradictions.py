@@ -1,25 +1,26 @@
 """Whether a solution contradicts what it takes for right: the map, the absolute positions, and the odometry.
 
-The first two are score tests. Let s be a change of them
-with the derivative J of the residuals e, W the information of these, Omega that of the graph, and M the sum of B' W J over
-the measurements. Then
+The map and the positions are checked by score tests. Let s be the numbers by which they may be wrong, zero where they are
+right, and J the derivative of the residuals e by s. With W the information of e, B the Jacobian by the nodes, Omega the
+information matrix of the graph, and M the sum of B' W J over the measurements,
 
     g = - sum J' W e + M' Omega^-1 sum B' W e,     S = sum J' W J - M' Omega^-1 M,     s = S^-1 g,     its covariance S^-1:
 
-s is where one Gauss-Newton step of the solution together with s would lead.
+this s is the result of one Gauss-Newton step of the nodes and s together.
 
-**Map.** s moves landmarks along a direction d (n, 3): all away from their centre, d_j = m_j - c, so that s is the scale of
-the map less 1; or one along x or y. The measurements are all but the map, H their information, so that J' W J = d' H d and
-M = H d. If the map is right, s is zero up to its standard error, and q = g' S^-1 g of a landmark has the median 2 log 2.
-Biases of the robot whose uncertainty the graph holds (`Graph.held`) are solved for as well. Sightings have the polar residual
-and the noise at predicted ranges here, because the Cartesian one and noise that grows with measured ranges change the size of
-a world by a little.
+**Map.** s moves landmarks along a direction d (n, 3): all of them away from their centre, d_j = m_j - c, where 1 + s is the
+scale of the map; or one landmark along x or y. The measurements are all but the map, with the information matrix H, so that
+J' W J = d' H d and M = H d. If the map is right, s is zero up to its standard error, and q = g' S^-1 g of a landmark has the
+median 2 log 2. Biases of the robot whose uncertainty the graph holds (`Graph.held`) are solved for as well. Sightings have
+the polar residual and the noise at predicted ranges here, because the Cartesian one and noise that grows with measured ranges
+change the size of a world by a little.
 
 **Positions.** An antenna beside the robot's pose, whose lever nobody has stated, moves all positions by R(theta) s, and
 odometry and sightings follow them as far as they can: J = R(theta), and the sum of B' W e over all measurements is zero at
-the solution. Where s is large, the solution follows it, and the steps are repeated. Where the heading does not change, S is
-small. A residual has the covariance W^-1 - B P B' at the solution, P that of the pose. The median of its squared Mahalanobis
-norm, over that of chi-square, tells the errors of the positions over what their covariances say, also where some are wrong.
+the solution. Where s is large, the graph is solved again with it, and the step repeated. Where the heading does not change,
+S is small. A residual has the covariance W^-1 - B P B' at the solution, P that of the pose. The median of its squared
+Mahalanobis norm, over that of chi-square, tells how much larger the errors of the positions are than their covariances say,
+also where some positions are wrong.
 
 **Odometry.** Noise models say how much all motions scatter. Wheels that slip for ten seconds are off by metres in one
 direction there, and the solution, which believes the models, spreads the error over poses and landmarks. With e_k the
@@ -249,7 +250,7 @@ def doubt_of_positions(graph: Graph, state: Array) -> str:
 
 
 def _lever_followed(graph: Graph, state: Array, lever: Array) -> tuple[Array, Array, float]:
-    """s, S and how many times as large as stated errors then are, at least 1: the solution follows the lever, step by step.
+    """s and S after repeated solutions with the lever that s gives, and the errors over the stated ones there, at least 1.
 
     Raises:
         FactorizationError, GraphError: the edges do not determine the nodes.
