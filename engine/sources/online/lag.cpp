@@ -44,6 +44,17 @@ struct Dense {
     }
 };
 
+/// The nodes that some edges and priors tie to a node, ascending.
+std::vector<Id> neighbours(const Graph& graph, Id node, std::span<const Id> edges, std::span<const Prior> priors) {
+    std::vector<Id> found;
+    for (const Id e : edges) found.insert(found.end(), graph.edges[e].ends, graph.edges[e].ends + 2);
+    for (const Prior& prior : priors) found.insert(found.end(), prior.members.begin(), prior.members.end());
+    std::sort(found.begin(), found.end());
+    found.erase(std::unique(found.begin(), found.end()), found.end());
+    std::erase(found, node);
+    return found;
+}
+
 /// Take an edge out of the graph.
 void take_out(Graph& graph, Id number) {
     Edge& edge = graph.edges[number];
@@ -61,19 +72,13 @@ void take_out(Graph& graph, Id number) {
 
 Triple OnlineSystem::marginalize(Id node, std::span<const Id> newest) {
     const std::vector<Id> gone = graph_.edges_of(node);
-    std::vector<Id> around, removed{graph_.nodes[node].home};
-    for (const Id e : gone) around.insert(around.end(), graph_.edges[e].ends, graph_.edges[e].ends + 2);
     const auto mine = std::stable_partition(priors_.begin(), priors_.end(), [&](const Prior& prior) {
         return std::find(prior.members.begin(), prior.members.end(), node) == prior.members.end();
     });
-    for (auto prior = mine; prior != priors_.end(); ++prior) {
-        around.insert(around.end(), prior->members.begin(), prior->members.end());
-        removed.push_back(prior->group);
-    }
-    std::sort(around.begin(), around.end());
-    around.erase(std::unique(around.begin(), around.end()), around.end());
-    std::vector<Id> members{node};
-    std::copy_if(around.begin(), around.end(), std::back_inserter(members), [&](Id other) { return other != node; });
+    std::vector<Id> removed{graph_.nodes[node].home};
+    for (auto prior = mine; prior != priors_.end(); ++prior) removed.push_back(prior->group);
+    std::vector<Id> members = neighbours(graph_, node, gone, {mine, priors_.end()});
+    members.insert(members.begin(), node);
     const bool absolute = std::any_of(mine, priors_.end(), [](const Prior& prior) { return !prior.relative; }) ||
                           std::ranges::any_of(gone, [&](Id e) { return graph_.edges[e].one_ended(); });
     // the others are relative to the oldest one that has a heading

@@ -47,7 +47,7 @@ Filter::Filter(const Filter& other)
 std::shared_ptr<Rows> Filter::fresh(int rows) {
     for (const auto& buffer : buffers_) {
         if (buffer.use_count() != 1 || buffer->rows() != rows) continue;
-        // what the last other owner did with it is over
+        // `use_count` does not order memory: what the last other owner read must be read before it is overwritten
         std::atomic_thread_fence(std::memory_order_acquire);
         return buffer;
     }

@@ -234,6 +234,18 @@ constexpr double least = 1.0e6;  ///< the estimated time [ns] for which threads 
 constexpr double gain = 0.85;    ///< several threads must take less than this part of the time of one
 constexpr int steps = 100;       ///< the most supernodes that are taken from the subtrees and left for the end
 
+/// Give each subtree, one after the other, to the thread with the least work; returns the most work of a thread.
+double give(std::span<const Node> subtrees, std::span<const double> work, int threads, std::vector<Node>& given) {
+    std::vector<double> load(threads, 0.0);
+    given.clear();
+    for (const Node t : subtrees) {
+        const auto thread = std::min_element(load.begin(), load.end());
+        *thread += work[t];
+        given.push_back(static_cast<Node>(thread - load.begin()));
+    }
+    return *std::max_element(load.begin(), load.end());
+}
+
 }  // namespace
 
 // Each thread takes whole subtrees, and one does the rest of the tree afterwards. Every supernode is computed from the same
@@ -243,18 +255,18 @@ constexpr int steps = 100;       ///< the most supernodes that are taken from th
 // first, each to the thread with the least work. The cut with the shortest estimated time is used.
 void divide(Symbolic& s, int threads) {
     const Node count = s.supernodes();
-    std::vector<double> own(count), tree(count, 0.0);
+    std::vector<double> own(count), subtree(count, 0.0);  // the times of a supernode, and of all below it too
     std::vector<Node> size(count, 1), tasks;
     double total = 0.0;
     for (Node t = 0; t < count; ++t) {
         own[t] = time_of(s, t);
         total += own[t];
-        tree[t] += own[t];
+        subtree[t] += own[t];
         if (s.parent[t] < 0) {
             tasks.push_back(t);
             continue;
         }
-        tree[s.parent[t]] += tree[t];
+        subtree[s.parent[t]] += subtree[t];
         size[s.parent[t]] += size[t];
     }
     s.part.assign(count, 0);
@@ -264,15 +276,8 @@ void divide(Symbolic& s, int threads) {
     if (total >= least && threads > 1) {
         double top = 0.0, best = gain * total;
         for (int step = 0; step < steps; ++step) {
-            std::stable_sort(tasks.begin(), tasks.end(), [&](Node a, Node b) { return tree[a] > tree[b]; });
-            std::vector<double> load(threads, 0.0);
-            given.clear();
-            for (const Node t : tasks) {
-                const auto thread = std::min_element(load.begin(), load.end());
-                *thread += tree[t];
-                given.push_back(static_cast<Node>(thread - load.begin()));
-            }
-            if (const double time = top + *std::max_element(load.begin(), load.end()); time < best) {
+            std::stable_sort(tasks.begin(), tasks.end(), [&](Node a, Node b) { return subtree[a] > subtree[b]; });
+            if (const double time = top + give(tasks, subtree, threads, given); time < best) {
                 best = time;
                 chosen = tasks;
                 owner = given;

@@ -49,6 +49,7 @@ class Filter {
     /// Go to the next step: every particle draws its own motion. `corrects`: sightings may still correct it.
     void move(const Motion& motion, bool corrects);
 
+    /// Maps of sightings with ids, or without; the arguments are those of `IdentifiedMap` and `AnonymousMap`.
     void use_ids(bool oriented, std::size_t jointly, std::optional<RangeNoise> range_noise);
     void use_no_ids(bool oriented, const AnonymousOptions& options, Confusion confusion);
     IdentifiedMap* identified() { return identified_.get(); }
