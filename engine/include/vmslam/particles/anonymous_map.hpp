@@ -27,7 +27,7 @@ struct Limits {
 struct AnonymousOptions {
     /// the squared Mahalanobis distance at the border of the ellipse beyond which a sighting is of a new landmark
     double border;
-    /// and that within which two landmarks are one; they are merged after every so many scans, 0: never
+    /// and that within which two landmarks are one; they are merged after every so many steps with sightings, 0: never
     double merge_gate;
     std::size_t merge_interval;
     Limits limits;
