@@ -204,8 +204,9 @@ void bind_measured(nb::module_& m) {
         return std::pair(array(std::move(ends), {starts.size() - 1, 3}),
                          array<double>(std::move(by_control), {controls.size(), 3, 2}));
     });
-    // the places (K, d) of sightings (K, d) in the axes of the robot, and their covariances (K, d, d)
-    m.def("places", [](const std::array<double, 6>& numbers, In<double> z) {
+    // the places (K, d) of sightings (K, d) in the axes of the robot, and their covariances (K, d, d) at the sightings `noisy`
+    m.def("places", [](const std::array<double, 6>& numbers, In<double> z, In<double> noisy) {
+        require(z.ndim() == 2 && has_shape(noisy, {z.shape(0), z.shape(1)}), "sightings have rows of the same length");
         const auto sensor = std::bit_cast<Sensor>(numbers);
         const std::size_t d = z.shape(1);
         std::vector<double> places, covariances;
@@ -214,7 +215,9 @@ void bind_measured(nb::module_& m) {
             const double heading = wrap(seen.bearing - seen.orientation);
             const double place[] = {sensor.offset_x + seen.range * along.c, sensor.offset_y + seen.range * along.s, heading};
             places.insert(places.end(), place, place + d);
-            const auto [xx, xy, yy, xt, yt, tt] = landmark_covariance(sensor, seen.range, along, d == 3);
+        }
+        for (const Sighting& at : filled<Sighting>(noisy)) {
+            const auto [xx, xy, yy, xt, yt, tt] = landmark_covariance(sensor, at.range, Rotation(at.bearing), d == 3);
             const double rows[3][3] = {{xx, xy, xt}, {xy, yy, yt}, {xt, yt, tt}};
             for (std::size_t r = 0; r < d; ++r) covariances.insert(covariances.end(), rows[r], rows[r] + d);
         }

@@ -161,7 +161,6 @@ void bind_maps(nb::class_<SharedFilter>& c) {
     c.def(
         "use_ids",
         [](SharedFilter& s, bool oriented, std::size_t jointly, std::optional<std::array<double, 2>> range_noise) {
-            require(jointly <= most_sightings, "at most 16 sightings together");
             std::optional<RangeNoise> noise;
             if (range_noise) noise = {(*range_noise)[0], (*range_noise)[1]};
             s.with([&](Filter& f) { f.use_ids(oriented, jointly, noise); });

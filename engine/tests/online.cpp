@@ -229,6 +229,9 @@ void a_refused_step_changes_nothing(unsigned seed) {
     const NewEdge edges[] = {loose, range};
     expect(!system.add(known, edges, {&pose, 1}), "a step without information is refused", seed);
     expect(system.save() == before, "and changes nothing", seed);
+    OnlineSystem alone{1e-8, 15};
+    for (const Id node : {alone.add_point(1.0, 2.0), alone.add_node()})
+        expect(refused([&] { alone.marginalize(node, {&node, 1}); }), "a node without neighbours is not marginalised", seed);
     drive.step();
     expect(system.converged, "the next step is taken", seed);
 }

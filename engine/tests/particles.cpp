@@ -201,9 +201,10 @@ void test_filters(bool oriented, bool ids, Version version, std::size_t jointly)
         poses.fill(0.0);
         Filter filter(std::move(poses), threads, false);
         const double unknown = std::numeric_limits<double>::quiet_NaN();
-        if (ids)
+        if (ids) {
+            expect(refused([&] { filter.use_ids(oriented, most_sightings + 1, std::nullopt); }), "17 sightings", 0);
             filter.use_ids(oriented, jointly, std::nullopt);
-        else
+        } else
             filter.use_no_ids(oriented, {20.0, 6.0, 2, {unknown, unknown, unknown}}, {});
         for (int step = 0; step < 5; ++step) {
             if (step > 0)

@@ -63,16 +63,6 @@ void test_ring(unsigned seed) {
     expect(other && (seed % 2 || other->lowest <= least->cost), "a lower bound is below the minimum", seed);
 }
 
-template <class Call>
-bool refused(Call call) {
-    try {
-        call();
-    } catch (const std::invalid_argument&) {
-        return true;
-    }
-    return false;
-}
-
 /// Growth along odometry that turns 3 % too fast ends near the minimum, because sightings correct it on the way.
 void test_growth(unsigned seed) {
     const double turn = 2 * std::numbers::pi / 20;
@@ -140,6 +130,16 @@ void test_other_turns() {
     expect(lowered.state && std::abs(cost(*lowered.state) - cost(best.state)) < 1e-6, "another turn leads out of it", 0);
     expect(!graph.lowered_by_restarts(best.state).state, "no turn leads below the minimum", 0);
     expect(graph.lowered_by_restarts(wrong.state, 0).steps == 0, "no steps are left", 0);
+
+    // after an unknown motion other turns are tried as before
+    std::vector<double> motions(39, 0.0), unknown(13, 0.04);
+    for (std::size_t t = 1; t < 13; ++t) motions[3 * t + 2] = std::numbers::pi / 12;
+    for (const double missing : {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
+        unknown[1] = missing;
+        const std::vector<solve::Stretch> later = solve::stretches(wrong.state, {motions, unknown});
+        expect(!later.empty(), "turns after an unknown motion", 0);
+        expect(std::ranges::all_of(later, [](const solve::Stretch& s) { return s.first > 0; }), "none across it", 0);
+    }
 }
 
 /// Two of five closures with a kernel agree on a wrong place of the last pose, whose odometry says little.
@@ -212,6 +212,7 @@ void test_no_proof() {
            "a rounding apart", 0);
     expect(semidefinite({1e300, 1e300, 1e300, 1e300, 1e300, 1e300}) && semidefinite({1e-300, 0.0, 1e-300, 0.0, 0.0, 1e-300}),
            "large and small numbers", 0);
+    expect(!semidefinite({1e300, 0.0, 1e-300, 0.0, 2e-300, 1e-300}), "numbers too far apart", 0);
 }
 
 void test_wrong_arguments() {

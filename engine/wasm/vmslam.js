@@ -28,6 +28,7 @@ class Engine {
   with(arrays, work) {
     const places = arrays.map((numbers) => this.exports.vm_allocate(Math.max(1, numbers.length)));
     try {
+      if (places.includes(0)) throw new RangeError("there is no memory left for these numbers");
       arrays.forEach((numbers, k) => this.view(places[k], numbers.length).set(numbers));
       return work(...places);
     } finally {

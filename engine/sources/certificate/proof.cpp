@@ -378,8 +378,14 @@ bool semidefinite(const edges::Symmetric& w) {
     // by a power of two, which rounds nothing
     int exponent;
     std::frexp(std::max({w.xx, w.yy, w.tt, std::abs(w.xy), std::abs(w.xt), std::abs(w.yt)}), &exponent);
-    const auto part = [exponent](double x) { return std::ldexp(x, -exponent); };
+    bool lost = false;
+    const auto part = [&](double x) {
+        const double scaled = std::ldexp(x, -exponent);
+        lost = lost || std::ldexp(scaled, exponent) != x;
+        return scaled;
+    };
     const double xx = part(w.xx), xy = part(w.xy), yy = part(w.yy), xt = part(w.xt), yt = part(w.yt), tt = part(w.tt);
+    if (lost) return false;
     const auto minor = [](double a, double b, double c) {
         ExactSum sum;
         sum.add(a, c, 1.0);

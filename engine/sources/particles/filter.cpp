@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <stdexcept>
 
 #include "step.hpp"
 
@@ -58,6 +59,7 @@ std::shared_ptr<Rows> Filter::fresh(int rows) {
 }
 
 void Filter::use_ids(bool oriented, std::size_t jointly, std::optional<RangeNoise> range_noise) {
+    if (jointly > most_sightings) throw std::invalid_argument("at most 16 sightings are weighed together");
     identified_ = std::make_unique<IdentifiedMap>(history_, particles_, oriented, jointly, range_noise);
 }
 

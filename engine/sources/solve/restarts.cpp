@@ -35,15 +35,19 @@ constexpr int most_halves = 25;
 constexpr int steps_without = 15;
 constexpr double left_out = 1e-6;
 
-/// E and V from the first pose to each pose.
+/// E and V from the first pose to each pose, and how many motions up to it are unknown.
 struct Deviations {
     std::vector<double> E, V;
+    std::vector<std::size_t> unknown;
 
-    Deviations(std::span<const double> state, const Odometry& odometry) : E(odometry.poses()), V(odometry.poses()) {
+    Deviations(std::span<const double> state, const Odometry& odometry)
+        : E(odometry.poses()), V(odometry.poses()), unknown(odometry.poses()) {
         for (std::size_t t = 1; t < E.size(); ++t) {
+            const bool known = std::isfinite(odometry.variances[t]);
             const double turn = state[3 * t + 2] - state[3 * t - 1];
-            E[t] = E[t - 1] + edges::wrap(turn - odometry.motions[3 * t + 2]);
-            V[t] = V[t - 1] + odometry.variances[t];
+            E[t] = E[t - 1] + (known ? edges::wrap(turn - odometry.motions[3 * t + 2]) : 0.0);
+            V[t] = V[t - 1] + (known ? odometry.variances[t] : 0.0);
+            unknown[t] = unknown[t - 1] + !known;
         }
     }
 
@@ -52,6 +56,7 @@ struct Deviations {
         std::vector<Stretch> found, out;
         for (std::size_t length = shortest; length <= longest; ++length)
             for (std::size_t a = 0, b = length; b < E.size(); ++a, ++b) {
+                if (unknown[b] != unknown[a]) continue;
                 const double rise = 4 * pi * (pi - std::abs(E[b] - E[a])) / std::max(V[b] - V[a], 1e-300);
                 if (rise < most_rise) found.push_back({rise, a, b, E[b] > E[a]});
             }

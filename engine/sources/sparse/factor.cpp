@@ -73,7 +73,7 @@ template <class Block>
 Index Factor<Block>::factorize_part(int part, std::span<const Value> values, double damping) {
     // the last part has all threads for itself
     const bool last = part + 1 == symbolic_->parts;
-    const auto scratch = last ? std::span(packed_) : std::span(packed_).subspan(part, 1);
+    const auto scratch = last ? std::span(packed_).first(symbolic_->threads) : std::span(packed_).subspan(part, 1);
     for (const Node s : members_[part])
         if (const Index bad = factorize_supernode(s, values, damping, scratch); bad >= 0) return bad;
     return -1;

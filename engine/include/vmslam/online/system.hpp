@@ -52,8 +52,9 @@ class OnlineSystem {
     /// Linearise all edges where they are now and factorise again, in the order of the tree, and solve.
     void relinearize(std::span<const Id> newest);
 
-    /// Take a pose, which must have neighbours, out of the graph, and put a prior on these in its place; returns its last
-    /// value.
+    /// Take a pose out of the graph, and put a prior on its neighbours in its place; returns its last value.
+    ///
+    /// Throws std::invalid_argument for a landmark without heading, and for a pose without neighbours.
     Triple marginalize(Id node, std::span<const Id> newest);
     /// Whether more than half of the nodes were marginalised.
     bool crowded() const;

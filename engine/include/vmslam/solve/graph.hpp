@@ -40,8 +40,8 @@ class Graph {
     /// Minimise J from run.state by `gauss_newton`.
     void solve(Run& run, int threads = 1) const;
     /// The end that other turns of the robot, and then random halves of the measurements that may be wrong, lead to from an end of
-    /// `solve`, where it is lower; it takes at most `limit` steps and those of one restart more. Those of `add_groups`, and those
-    /// with a kernel, may be wrong.
+    /// `solve`, where it is lower; it takes at most `limit` steps and those of one restart more. Measurements of
+    /// `add_groups`, and those with a kernel, may be wrong.
     Lowered lowered_by_restarts(std::span<const double> state, double limit = 1e4, int threads = 1) const;
     /// J of a state, a lower bound on J of all states, and whether the state is a global minimum. With a kernel all of these are
     /// about the cost with its weights held at those of the state: necessary for a global minimum of J, and not sufficient.

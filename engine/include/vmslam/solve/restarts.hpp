@@ -21,7 +21,7 @@ namespace vmslam::solve {
 /// The measured motions between the poses, the first nodes of a graph.
 struct Odometry {
     std::span<const double> motions;  ///< (P, 3) to each pose from the one before it, in the axes of that; 0 for the first
-    std::span<const double> variances;  ///< (P) of the turn of each motion
+    std::span<const double> variances;  ///< (P) of the turn of each motion; infinite or NaN where it is unknown
 
     std::size_t poses() const { return variances.size(); }
 };
@@ -46,8 +46,8 @@ struct Lowered {
     int steps = 0;  ///< that were taken; after `limit` of them no further restart is tried
 };
 Lowered lowered_by_turns(Objective& objective, std::span<const double> state, const Odometry& odometry, double limit);
-/// The state that steps without halves of the measurements of the families `doubted` lead to, the same ones in each call, and other
-/// turns from there, in turn.
+/// Alternate two searches from the state until neither lowers J: steps without a random half of the measurements of the families
+/// `doubted`, and other turns. The halves are the same in each call.
 Lowered lowered_by_halves(GraphObjective& graph, std::span<const std::size_t> doubted, std::span<const double> state,
                           const Odometry& odometry, double limit);
 

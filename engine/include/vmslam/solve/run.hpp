@@ -38,7 +38,7 @@ struct Rules {
     int most_steps = 100;          ///< the most steps to take
     double cost_tolerance = 0.0;   ///< the relative change of J below which it has converged; 0 for none
     bool descend = false;          ///< damped steps must lower J itself, with information evaluated at both ends
-    double kept = 0.01;            ///< after a plain step that lowers J by at most this part of it the factor is kept
+    double kept = 0.01;  ///< the factor is kept after a plain step that should lower J by at most this part of it
 };
 
 /// An iteration under way.
@@ -47,12 +47,12 @@ class Run {
     Rules rules;
     std::vector<double> state;
     std::optional<AndersonAcceleration> anderson;  ///< of the steps, or none for plain steps
-    std::vector<double> costs, norms;      ///< J before each step, and the norm of each step
+    std::vector<double> costs, norms;  ///< J before each step, and the norm of each step
     double predicted = std::numeric_limits<double>::infinity();  ///< how much the last step should lower J
     bool converged = false;
     End end = End::most_steps;
     double cost_at_end = 0.0, damping = 0.0;  ///< of `diverged` and `no_lower_cost`; of `not_determined`
-    int damped_from = -1;                     ///< the first step of damped ones that followed plain ones, or -1
+    int damped_from = -1;  ///< the first step of damped ones that followed plain ones, or -1
     int factorizations = 0;
     std::function<void(const Run&)> observer;  ///< called after each step
 

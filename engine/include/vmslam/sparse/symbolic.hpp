@@ -61,33 +61,33 @@ struct Begins {
 /// The structure of L in the order of elimination, for blocks of one shape. Supernodes are numbered in that order.
 struct Symbolic {
     BlockShape shape;
-    Order order, position;         ///< the node eliminated k-th, and the inverse
-    std::vector<char> point;       ///< (n) whether the node of each column is a point
-    bool points = false;           ///< whether there are any
-    std::vector<Node> first;       ///< (s+1) the first column of each supernode
+    Order order, position;  ///< the node eliminated k-th, and the inverse
+    std::vector<char> point;  ///< (n) whether the node of each column is a point
+    bool points = false;  ///< whether there are any
+    std::vector<Node> first;  ///< (s+1) the first column of each supernode
     std::vector<Index> row_start;  ///< (s+1) into the next three
-    std::vector<Node> rows;        ///< the rows below the diagonal block of each supernode, ascending
-    std::vector<Node> relative;    ///< where those rows stand in the front of the parent
-    std::vector<Node> run_end;     ///< one past the last row of the run of consecutive `relative` that each belongs to
-    std::vector<Node> split;       ///< (s) the first row that is not among the parent's own columns
-    std::vector<Node> parent;      ///< (s) -1 for roots
+    std::vector<Node> rows;  ///< the rows below the diagonal block of each supernode, ascending
+    std::vector<Node> relative;  ///< where those rows stand in the front of the parent
+    std::vector<Node> run_end;  ///< one past the last row of the run of consecutive `relative` that each belongs to
+    std::vector<Node> split;  ///< (s) the first row that is not among the parent's own columns
+    std::vector<Node> parent;  ///< (s) -1 for roots
     std::vector<Node> child_start, children;
     // these depend on the shape
-    std::vector<Node> wide, tall;    ///< (s) the blocks of each supernode, and those below; see `Front`
-    std::vector<Index> head;         ///< (s+1) where the numbers of each supernode begin in a vector, filled up to blocks
-    std::vector<Node> begins;        ///< with points: where those of each node begin in the fronts; see `begin`
-    std::vector<Index> number;       ///< with points: (n) where those of each column begin in a vector
+    std::vector<Node> wide, tall;  ///< (s) the blocks of each supernode, and those below; see `Front`
+    std::vector<Index> head;  ///< (s+1) where the numbers of each supernode begin in a vector, filled up to blocks
+    std::vector<Node> begins;  ///< with points: where those of each node begin in the fronts; see `begin`
+    std::vector<Index> number;  ///< with points: (n) where those of each column begin in a vector
     std::vector<Index> panel_start;  ///< (s+1) where the panel of each supernode begins
     std::vector<Index> stack_start;  ///< (s) where its update matrix does
     Index stack_size = 0;
     std::vector<Index> entry_start;  ///< (s+1) into the entries
     std::vector<Entry> entries;
     std::vector<Node> row_length;  ///< (n) the blocks left of the diagonal in each row of L, without zeros
-    std::vector<Node> part;        ///< (s) the thread of each supernode; see `divide`
+    std::vector<Node> part;  ///< (s) the thread of each supernode; see `divide`
     int parts = 1, threads = 1;
-    Index tallest = 0;   ///< the rows of the tallest front
-    Index widest = 0;    ///< the most blocks of a supernode
-    Index blocks = 0;    ///< of L, without the zeros that amalgamation adds
+    Index tallest = 0;  ///< the rows of the tallest front
+    Index widest = 0;  ///< the most blocks of a supernode
+    Index blocks = 0;  ///< of L, without the zeros that amalgamation adds
 
     Node nodes() const { return static_cast<Node>(order.size()); }
     Node supernodes() const { return static_cast<Node>(first.size() - 1); }
