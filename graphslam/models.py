@@ -3,8 +3,7 @@
 The method names are those of the equations: f, F, A, M for the motion and h, h^-1, H, R, Q for the sensor. Every
 method takes arrays of any matching leading shape: poses (..., 3), controls (..., 2), sightings (..., 2 or 3).
 
-Sources: Thrun, Burgard and Fox, Probabilistic Robotics, sections 5.3 and 6.6; Ueda, *LNPR* (the lectures' book),
-chapters 5 to 9.
+Sources: Thrun, Burgard and Fox, Probabilistic Robotics, 5.3 and 6.6; Ueda, *LNPR* (the lectures' book), chapters 5 to 9.
 """
 
 from __future__ import annotations
@@ -473,16 +472,17 @@ class SensorModel(NoiseModel):
     def places(
         self, sightings: ArrayLike, poses: ArrayLike | None = None, noisy: ArrayLike | None = None
     ) -> tuple[Array, Array]:
-        """The landmarks of sightings with their covariances: h^-1(x, z) (..., n) and R Q R' (..., n, n).
+        """The landmarks of sightings z (..., n) with their covariances: h^-1(x, z) (..., n) and R Q R' (..., n, n).
 
         Args:
-            sightings: z (..., n).
-            poses: x (..., 3); default: the origin, so that landmarks are in the robot's axes.
+            poses: x (..., 3); default: the origin, so that landmarks are in the robot's axes, and z (M, n).
             noisy: the sightings (..., n) at which R and Q are evaluated; default: z.
         """
         z = np.asarray(sightings, dtype=float)
-        x = np.zeros((*z.shape[:-1], 3)) if poses is None else poses
-        return self.h_inverse(x, z), self.landmark_covariance(x, z if noisy is None else noisy)
+        at = z if noisy is None else np.asarray(noisy, dtype=float)
+        if poses is None:
+            return engine.places(self.for_engine, z, at)  # type: ignore[no-any-return]
+        return self.h_inverse(poses, z), self.landmark_covariance(poses, at)
 
     @property
     def for_engine(self) -> tuple[float, ...]:

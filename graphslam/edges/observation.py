@@ -44,6 +44,7 @@ import numpy as np
 
 from ..engine import engine
 from ..errors import GraphError
+from ..linear.precision import inverses
 from ..models import SensorModel
 from ..se2 import Array, mounted, perpendicular, wrap
 from .base import EngineEdges, FramedEdges, Linearization, PairEdges, check_rows
@@ -87,8 +88,7 @@ class CartesianObservationEdges(ObservationEdges, FramedEdges):
     def relative(self) -> DoubtedPointEdges | RelationEdges:
         """The same edges as landmarks measured in the robot's axes, the trust in their information."""
         measured, covariance = self.sensor.places(self.sightings, noisy=self.noisy)
-        information = np.linalg.inv(covariance)
-        information = (information + np.swapaxes(information, 1, 2)) / 2 * self.trusted[:, None, None]
+        information = inverses(covariance, "sighting", "check the noise of the sensor") * self.trusted[:, None, None]
         edges = RelationEdges if self.oriented else DoubtedPointEdges
         return edges(self.first, self.second, measured, information, frame=self.frame, kernel=self.kernel)
 

@@ -211,7 +211,7 @@ class OwnBackend(Backend):
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         alone: np.ndarray = np.asarray(np.isnan(sightings).any(axis=1))
         # a range beyond floating point has no inverse covariance, and is refused for that
-        measured, covariances = engine.places(self._sensor.for_engine, sightings[~alone])
+        measured, covariances = self._sensor.places(sightings[~alone])
         information = inverses(covariances, "sighting", "check the noise of the sensor")
         whole = [id for id, single in zip(ids, alone) if not single]
         numbers = [(id, z) for id, z, single in zip(ids, sightings, alone) if single]

@@ -155,8 +155,10 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str, *, halves:
     The search ends when the lowest end is accepted (`enough`) and no longer `open`, or after `FURTHER` more starts. Before
     another start, other turns are tried from the end of the last one (`lower_by_turns`), with a kernel only after its
     second start. From the lowest end of a search that took these, random halves of the measurements are left out
-    (`lower_by_halves`). If it is not accepted or still open then, the search continues along the negative direction that its
-    failed proof shows. The whole search after the first end is bounded by a multiple of the steps that led to it.
+    (`lower_by_halves`), unless the ends of a large graph agree. If it is not accepted or still open then, the search
+    continues along the negative direction that its failed proof shows. The whole search after the first end is bounded by a
+    multiple of the steps that led to it.
+
     An end with a higher cost than the given values never counts. If no run converges to a lower one, Levenberg-Marquardt
     runs from the given values and accepts only steps that lower J itself. (With state-dependent information a fixed point
     of the iteration may have a higher J.)
@@ -212,7 +214,7 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str, *, halves:
         further -= enough(good)
         if good and effort.left <= 0:
             break
-    if halves and searched and good and not _lowest(good).proven:
+    if halves and searched and good and not _lowest(good).proven and not _agreed(good):
         effort.most = max(effort.most, effort.spent + FINAL * effort.most)
         ends += _lower(graph, run_from, _lowest(good), lower_by_halves, "without halves", ends, effort)
         good = _counted(ends, given)
@@ -418,7 +420,8 @@ def enough(ends: list[End]) -> bool:
 
     The lowest end is confirmed if another start has led to it, or two others where ends differ. It is enough that it is
     plausible or confirmed, in small graphs both, or that it is proven to be a global minimum. With a kernel it must be
-    confirmed, because a kernel hides misfits, and its weights must not show that there is a lower minimum.
+    confirmed, because a kernel hides misfits, and its weights must not show that there is a lower minimum; in large graphs
+    it is also enough that all of three starts have led to it, and that it is plausible.
     """
     if not ends:
         return False
@@ -426,9 +429,16 @@ def enough(ends: list[End]) -> bool:
     same = sum(end.cost <= lowest.cost * (1 + SAME) for end in ends)
     confirmed = same > (1 if same == len(ends) else 2)
     if lowest.graph.reweighted:
-        return lowest.proven or (confirmed and lowest.possible)
+        return lowest.proven or (confirmed and lowest.possible) or _agreed(ends)
     small = lowest.graph.num_nodes <= SMALL
     return (confirmed and lowest.plausible if small else confirmed or lowest.plausible) or lowest.proven
+
+
+def _agreed(ends: list[End]) -> bool:
+    """Whether all converged ends of a graph that is too large to be proven, three or more, are one plausible minimum."""
+    lowest = _lowest(ends)
+    same = all(end.cost <= lowest.cost * (1 + SAME) for end in ends)
+    return lowest.graph.num_nodes > PROVABLE and len(ends) > 2 and same and lowest.plausible
 
 
 def _finished(ends: list[End], further: int) -> bool:

@@ -127,7 +127,7 @@ def _measured(description: FactorDescription) -> tuple[Array, Array]:
     if "z" in a:
         if a.get("residual") == "polar":
             raise GraphError(f"the residual h(x, m) - z of {description} has no such form; use residual='cartesian'")
-        measured, covariance = a["sensor"].places(a["z"])
+        measured, covariance = (each[0] for each in a["sensor"].places(a["z"][None]))
         return measured, _inverse(covariance) * a["scale"]
     return a["measured"], a["information"]
 

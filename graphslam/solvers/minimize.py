@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..engine import engine
 from ..errors import GraphError, SlamError
 from ..graph import Graph
 from ..se2 import Array, difference, wrap
@@ -118,7 +119,7 @@ def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run]
 
 #: the most passes to the noise at the sightings that the solution predicts, the move [m, rad] below which these are found,
 #: and the part of the move before it to which a pass is exact
-PASSES, SAME, PART = 100, 1e-7, 3e-4
+PASSES, SAME, PART = 100, 1e-7, 3e-3
 
 
 def takes_estimated_ranges(graph: Graph, range_noise: str) -> bool:
@@ -138,6 +139,8 @@ def at_estimated_ranges(
 ) -> Solution:
     """The solution of a graph with the noise of its sensor at the sightings that this solution predicts.
 
+    It is the fixed point of the passes state -> solution with the noise at that state, mixed by Anderson acceleration.
+
     Args:
         graph: with the noise at the measured sightings, from which the first solution comes.
         initialize: of the first solution; the others go on from it.
@@ -148,14 +151,16 @@ def at_estimated_ranges(
     """
     solution = first = solved(graph, initialize, tolerance)
     # the first pass moves nodes by centimetres
-    seconds, moved = solution.seconds, 0.01
+    seconds, moved, at, mixing = solution.seconds, 0.01, solution.state, engine.AndersonAcceleration()
     for _ in range(PASSES):
-        before, asked = solution.state, max(tolerance, PART * moved)
-        there = graph.with_families(graph.with_noise_at(before).families, initial=before)
+        asked = max(tolerance, PART * moved)
+        there = graph.with_families(graph.with_noise_at(at).families, initial=solution.state)
         solution = solved(there, "given", asked)
-        seconds, moved = seconds + solution.seconds, float(np.abs(difference(solution.state, before)).max())
+        change = difference(solution.state, at)
+        seconds, moved = seconds + solution.seconds, float(np.abs(change).max())
         if (moved < SAME and asked == tolerance) or not solution.converged:
             break
+        at = mixing.next(at, change)
     if moved < SAME or not solution.converged:
         return replace(solution, seconds=seconds)
     reason = f"the noise of the ranges still moved the solution by {moved:.1g} after {PASSES} passes"

@@ -4,7 +4,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from graphslam import MotionModel, OptionError, SensorModel
-from graphslam.engine import engine
 from graphslam.models import sinc_derivative
 from graphslam.se2 import wrap
 
@@ -205,8 +204,9 @@ def test_the_engine_moves_and_places_as_the_models_do(seed):
     for found, expected in zip(model.moved(control, dt), (mean, covariance)):
         np.testing.assert_allclose(found, expected, atol=1e-15, rtol=1e-13)
     sensor = SensorModel(range_std=0.1, offset=tuple(rng.normal(size=2)))
-    sightings = rng.normal(size=(5, rng.choice([2, 3])))
-    for found, expected in zip(engine.places(sensor.for_engine, sightings), sensor.places(sightings)):
+    sightings, noisy = rng.normal(size=(2, 5, rng.choice([2, 3])))
+    by_models = sensor.h_inverse(np.zeros((5, 3)), sightings), sensor.landmark_covariance(np.zeros((5, 3)), noisy)
+    for found, expected in zip(sensor.places(sightings, noisy=noisy), by_models):
         np.testing.assert_allclose(found, expected, atol=1e-14, rtol=1e-13)
 
 
