@@ -403,6 +403,20 @@ def test_no_other_turns_are_tried_where_both_starts_of_a_kernel_agree(hard_logs,
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed, number", [(52, 28), (51, 53)])
+def test_a_large_graph_whose_starts_agree_is_not_searched_further(seed, number, hard_logs, monkeypatch):
+    graph, begun = Graph.from_log(hard_logs.hard_log(number, seed)), []
+    lowered = auto.lower_by_halves
+    monkeypatch.setattr(auto, "lower_by_halves", lambda *of: begun.append("halves") or lowered(*of))
+    whole = solve(graph)
+    assert begun == ["halves"]
+    assert whole.certificate.status == "not proven"
+    monkeypatch.setattr(auto, "PROVABLE", 100)
+    begun.clear()
+    assert solve(graph).cost == pytest.approx(whole.cost, rel=1e-9)
+    assert not begun
+
+
 def test_the_search_after_the_first_end_is_bounded(hard_logs, monkeypatch):
     """By a multiple of the steps of the first end, and by a number over all nodes where that is more."""
     graph = Graph.from_log(hard_logs.hard_log(48), edges="landmark+motion", kernel="none")
