@@ -403,7 +403,7 @@ def test_no_other_turns_are_tried_where_both_starts_of_a_kernel_agree(hard_logs,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed, number", [(52, 28), (51, 53)])
+@pytest.mark.parametrize(("seed", "number"), [(52, 28), (51, 53)])
 def test_a_large_graph_whose_starts_agree_is_not_searched_further(seed, number, hard_logs, monkeypatch):
     graph, begun = Graph.from_log(hard_logs.hard_log(number, seed)), []
     lowered = auto.lower_by_halves
