@@ -402,8 +402,11 @@ def doubted(solution: Solution) -> Solution:
         notes.append(doubt)
     if doubt := doubt_of_odometry(graph, solution.state):
         notes.append(doubt)
-    # families that do not say how many numbers they measure leave the expected cost open
-    counted = all(family.numbers[0] or isinstance(family, AnchorEdges) for family in graph.families)
+    # families with edges that do not say how many numbers they measure leave the expected cost open
+    counted = all(
+        family.numbers[0] or isinstance(family, AnchorEdges) or not len(family.cliques()[1])
+        for family in graph.families
+    )
     expected = max(graph.expected_cost, 1.0)
     ratio = solution.cost / expected if counted else 0.0
     if graph.log is None and ratio > MISFIT:
