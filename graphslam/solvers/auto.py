@@ -422,9 +422,9 @@ def enough(ends: list[End]) -> bool:
     """Whether converged ends of a graph leave no reason to try another start.
 
     The lowest end is confirmed if another start has led to it, or two others where ends differ or it is `_unsure`. It is
-    enough that it is plausible or confirmed, in small graphs both, or that it is proven to be a global minimum. With a kernel it must be
-    confirmed, because a kernel hides misfits, and its weights must not show that there is a lower minimum; in large graphs
-    it is also enough that all of three starts have led to it, and that it is plausible.
+    enough that it is plausible or confirmed, in small graphs both, or that it is proven to be a global minimum. With a kernel
+    it must be confirmed, because a kernel hides misfits, and its weights must not show that there is a lower minimum; in
+    large graphs it is also enough that all of three starts have led to it, and that it is plausible.
     """
     if not ends:
         return False
