@@ -142,9 +142,7 @@ def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Va
             # only pairs of sightings can be weighted differently
             continue
         for scale in options.motion_weights if kind.endswith("+motion") else (1.0,):
-            yield Variant(
-                edges=kind, frame=frame, weight=weight, motion_weight=scale, kernel=kernel, dimensions=d
-            )  # fmt: skip
+            yield Variant(edges=kind, frame=frame, weight=weight, motion_weight=scale, kernel=kernel, dimensions=d)
 
 
 def compare_solvers(
