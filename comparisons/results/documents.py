@@ -137,8 +137,7 @@ Position = Annotated[
     np.ndarray, _numbers("x, y [m] and, where the landmark has one, heading [rad]", minItems=2, maxItems=3)
 ]
 Covariance = Annotated[
-    np.ndarray,
-    _list_of(_numbers(), minItems=2, maxItems=3, description="n rows of n numbers, n as long as the mean"),
+    np.ndarray, _list_of(_numbers(), minItems=2, maxItems=3, description="n rows of n numbers, n as long as the mean")
 ]
 Band = Annotated[tuple[float, float], _numbers("lower and upper end", minItems=2, maxItems=2)]
 
