@@ -16,9 +16,12 @@ Modules are imported when a name is first used, so that ``slam-compare --help`` 
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from graphslam.lazy import lazy_names
+
+from . import display
 
 if TYPE_CHECKING:
     from .comparison import Comparison, run
@@ -38,3 +41,6 @@ if TYPE_CHECKING:
     from .studies.sweep import sweep
 
 __getattr__, __dir__, __all__ = lazy_names(__name__)
+
+# the package stands above results and presentation: results ask it for their presentation
+display.presentation.append(lambda: import_module(".show.tables", __name__))

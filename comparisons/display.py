@@ -1,19 +1,17 @@
-"""The link from result objects to their presentation (`comparisons.show`), which is loaded when a result is first shown.
+"""The link from result objects to their presentation, which they do not import.
 
-A result class derives from `Displayed`.
+A result class derives from `Displayed`. The package `comparisons`, which stands above both, says how the presentation
+(`comparisons.show`) is loaded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from importlib import import_module
+from collections.abc import Callable, Sequence
 from os import PathLike
 from typing import Any
 
-
-def _tables() -> Any:
-    """The module that presents results; it imports most of the package, this module included."""
-    return import_module(".show.tables", __package__)
+#: loads the module that presents results, `comparisons.show.tables`; set by `comparisons`
+presentation: list[Callable[[], Any]] = []
 
 
 class Displayed:
@@ -27,10 +25,10 @@ class Displayed:
         return dict(jsonable(self))
 
     def __str__(self) -> str:
-        return str(_tables().as_text(self))
+        return str(presentation[0]().as_text(self))
 
     def _repr_html_(self) -> str:
-        return str(_tables().as_html(self))
+        return str(presentation[0]().as_html(self))
 
     def figure(self, **options: Any) -> Any:
         """The matplotlib figure of this result.
@@ -38,7 +36,7 @@ class Displayed:
         Raises:
             NotImplementedError: there is no figure of this class of results.
         """
-        return _tables().figure_of(self, **options)
+        return presentation[0]().figure_of(self, **options)
 
     def save_figure(self, paths: Sequence[str | PathLike[str]], *, language: str = "en", **options: Any) -> None:
         """Write the figure into files, in the formats that their suffixes name; its texts in English or Japanese ("ja").
@@ -46,4 +44,4 @@ class Displayed:
         Raises:
             FormatError: a file cannot be written.
         """
-        _tables().save_figure(self.figure(**options), paths, language)
+        presentation[0]().save_figure(self.figure(**options), paths, language)
