@@ -450,7 +450,7 @@ def compare(
     progress: Progress | None = None,
     announce: Announce | None = None,
 ) -> Comparison:
-    """The same as `run`, with the options as one object; ``announce`` hears of particle filters that need much memory."""
+    """The same as `run`, with the options as one object; ``announce`` is called where filters need much memory."""
     names = None if estimators is None else check_estimators(estimators)
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options, together=True)

@@ -94,8 +94,7 @@ def graph_keywords(options: RunOptions) -> dict[str, Any]:
     given = {name: getattr(options, name) for name in _GRAPH if name != "initialize"}
     # graduated non-convexity needs no robust kernel
     kernel = "none" if options.kernel == "gnc" else options.kernel
-    models = {"motion": options.motion, "sensor": options.sensor}
-    return given | models | {"kernel": kernel}
+    return given | {"motion": options.motion, "sensor": options.sensor, "kernel": kernel}
 
 
 def chosen(log: Log, options: RunOptions) -> RunOptions:
@@ -192,7 +191,7 @@ def _solving(options: RunOptions) -> dict[str, Any]:
 
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
-    """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
+    """The hand-written solver step by step; after each step it is at the optimum of the graph with landmark nodes."""
     options, notes = _online_options(options)
     risks: list[float] = []
     asked = (lambda solver: risks.append(solver.integrity_risk(*bounds_of(options)))) if options.landmark_map else None

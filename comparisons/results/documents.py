@@ -29,7 +29,7 @@ def shown_by(kind: type) -> dict[str, str]:
 
 
 class Finite(list[Any]):
-    """An array as lists of numbers that JSON can hold, null for what is not finite: nothing in it needs a second look."""
+    """An array as lists of numbers that JSON can hold, null for what is not finite; `jsonable` leaves it as it is."""
 
 
 def jsonable(value: Any) -> Any:

@@ -31,7 +31,7 @@ def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress 
 
     Args:
         log: a log, the file or folder of one, or None for the sample log of the package.
-        progress: called after each step; for ``graph`` and ``particle-gibbs`` after each frame.
+        progress: called after each step; for ``graph``, ``association`` and ``particle-gibbs`` after each frame.
         options: the fields of `options.AnimationOptions` (estimator, max_frames, fps) and of `options.RunOptions`.
 
     Returns:

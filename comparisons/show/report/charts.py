@@ -421,8 +421,7 @@ def pictures(graph: Graph) -> list[Picture]:
         for (r, c), what in ((filled, FILL), ((rows, cols), ENTRY)):
             r, c = r * len(cells) // n, c * len(cells) // n
             cells[r, c] = cells[c, r] = what
-        blocks = analyze(indptr, indices, ordering=order).blocks
-        made.append(Picture(cells, len(indices), blocks, n))
+        made.append(Picture(cells, len(indices), analyze(indptr, indices, ordering=order).blocks, n))
     return made
 
 
