@@ -222,7 +222,7 @@ def _draw_live(output: Output, log: Path | list[Path | None] | None, options: Ru
     from ..results import noted
     from ..show.log_tables import pictures
 
-    prepared, _, filled = prepare(log, options)
+    prepared, _, filled = prepare(log, options, together=True)
     notes: list[str] = []
     with noted(notes, "The live picture ends here"), output.picture() as (draw, size):
         for lines in pictures(prepared, filled, width=size[0], height=size[1]):

@@ -84,9 +84,13 @@ class Options:
         return {option.name: value for option, value in self.changed()}
 
 
-@cache
-def options_of(group: Any) -> dict[str, Option]:
+def options_of(group: type) -> dict[str, Option]:
     """The options of a dataclass by name, in their order; those of its components, too."""
+    return _options_of(group)
+
+
+@cache
+def _options_of(group: Any) -> dict[str, Option]:
     options = {
         name: replace(each, panel=each.panel or _panel(group, name)) for name, each in declared_in(group).items()
     }

@@ -83,7 +83,9 @@ def tracks(comparison: Comparison) -> Iterator[Track]:
     if log.true_poses is not None:
         known = np.asarray(np.isfinite(log.true_poses).all(axis=1))
         poses = log.true_poses[known]
-        path = poses if log.true_path is None else log.true_path[np.isfinite(log.true_path).all(axis=1)]
+        path = log.true_poses if log.true_path is None else log.true_path
+        # a position whose heading is unknown is a point of the path
+        path = np.nan_to_num(path[np.isfinite(path[:, :2]).all(axis=1)])
         yield Track("truth", seconds[known], clock[known], poses, None, path, log.true_landmarks or {})
     between = control_path(log, comparison.options.motion, most_turn=_ARC)
     for result in comparison.results:

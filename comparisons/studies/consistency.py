@@ -96,7 +96,7 @@ class Consistency:
     @property
     def anees(self) -> float | None:
         """ANEES / (3 T) of the whole trajectory."""
-        return None if self.joint is None else float(np.nanmean(self.joint))
+        return None if self.joint is None or np.isnan(self.joint).all() else float(np.nanmean(self.joint))
 
     @property
     def joint_band(self) -> Band:
