@@ -435,7 +435,6 @@ class OwnBackend(Backend):
 
     @property
     def converged(self) -> bool:
-        # otherwise neither the passes nor those after a batch solution ended
         return bool(self.system.converged)
 
     @property
