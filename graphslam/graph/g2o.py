@@ -182,14 +182,14 @@ def _kind(family: EdgeFamily) -> str:
         raise GraphError(
             "g2o has no line for the position of a point beside the pose: positions with a lever cannot be written"
         )
-    if getattr(family, "kernel", None) is None and not family.state_dependent_information:
+    kernel = getattr(family, "kernel", None)
+    if kernel is None and not family.state_dependent_information:
         if isinstance(family, PositionEdges):
             return "prior" if family.dimension == 3 else "place"
         if isinstance(family, PartialEdges) and not family.offset.any():
             return "range" if isinstance(family, RangeEdges) else "bearing"
         if isinstance(family, (RelativePoseEdges, RelativePointEdges)):
             return "pose" if isinstance(family, RelativePoseEdges) else "point"
-    kernel = getattr(family, "kernel", None)
     what = "with state-dependent or angular residuals" if kernel is None else f"with the robust kernel {kernel.name}"
     raise GraphError(
         f"g2o has no line for {type(family).__name__} {what}; relative_graph(graph, state=solution.state) of "

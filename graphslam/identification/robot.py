@@ -14,7 +14,7 @@ biases, and the sightings that contradict their episode. Then:
    (`left_out`), and the best of the three counts;
 5. the noise once more from as many sightings as are nearly independent.
 
-The second-order theory is that of `identification.unknowns` and `identification.restricted_likelihood`.
+The equations are those of `identification.unknowns` and `identification.restricted_likelihood`.
 """
 
 from __future__ import annotations
@@ -179,7 +179,8 @@ def _estimate(
     basis = ESTIMATE
     if compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
         basis = other[0]
-    # few sightings predict well from odometry with biases, too: only where the log shows neither these nor noise
+    # few sightings are predicted well from odometry with biases, too: dead reckoning counts only where the log shows neither
+    # biases nor noise
     exact_and_unbiased = nearly_exact and set(KINDS["odometry"]) <= set(held)
     if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING

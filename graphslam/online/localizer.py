@@ -57,11 +57,8 @@ class Localizer:
         fix = None if leading is None else self.fixes.get(new)
         passed = list(relations)
         if fix is not None and leading is not None:
-            moved = between(last, fix.pose)
-            passed[leading] = (before, new, moved, np.diag(1 / np.array(FREE_START)))
-            # the next calls begin with what the robot did instead of what it measured
-            first, second, _, information = relations[leading]
-            relations = (*relations[:leading], (first, second, moved, information), *relations[leading + 1 :])
+            # the robot was lifted: what was measured of this motion does not count
+            passed[leading] = (before, new, between(last, fix.pose), np.diag(1 / np.array(FREE_START)))
         self._backend.relate(*passed)
         self._calls.append(partial(self.relate, *relations))
         if leading is not None:

@@ -46,7 +46,8 @@ class OtherEnds:
         waiting: the single numbers of landmarks that have no place yet.
         numbers: those of landmarks that have a place by them alone.
         positions: (pose, measured, information, lever) of each.
-        tried, turned_at: how many there were when other places were tried last, and how many positions.
+        tried: how many numbers each of these landmarks had when its other places were tried last.
+        turned_at: how many positions there were when they last moved the way in closed form.
     """
 
     sensor: SensorModel
@@ -57,12 +58,12 @@ class OtherEnds:
     turned_at: int = 0
 
     def placed(self, landmark: int, rows: Iterable[NumberRow]) -> None:
-        """A landmark has got its place by these numbers."""
+        """Note the numbers by which a landmark has got its place."""
         self.numbers[landmark] = list(rows)
         self.tried[landmark] = len(self.numbers[landmark])
 
     def seen(self, whole: Iterable[int], rows: Iterable[tuple[int, NumberRow]]) -> None:
-        """Landmarks with a place have been seen again: as a whole, which leaves no other place, or by single numbers."""
+        """Note landmarks that were seen again: as a whole, which leaves no other place, or by single numbers."""
         for landmark in whole:
             self.numbers.pop(landmark, None)
         for landmark, row in rows:
@@ -70,7 +71,7 @@ class OtherEnds:
                 self.numbers[landmark].append(row)
 
     def located(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
-        """A position of a pose has been added."""
+        """Note a position of a pose."""
         self.positions.append((pose, measured, information, lever))
 
     def doubts(
@@ -283,7 +284,7 @@ class OwnBackend(Backend):
                 fresh.append(landmark)
                 placed[landmark] = still.take(landmark, self.num_final)
                 self._add_numbers(added, landmark, placed[landmark])
-        # before they bend the graph
+        # the state before these numbers bend the graph, from which other places are tried
         before = None
         doubtful = self._others.doubts(rows, poses_now, self._place) if rows and self.lag is None else []
         if doubtful:
@@ -297,7 +298,7 @@ class OwnBackend(Backend):
         for landmark, numbers_of_it in placed.items():
             self._others.placed(landmark, numbers_of_it)
         self._others.seen(landmarks, rows)
-        # those that are seen whole now have one place
+        # landmarks that are seen as a whole now have no other place
         if before is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
             self._try_other_places(*before, doubtful)
         while self.lag is not None and len(self._poses) > self.lag + 1:
@@ -435,7 +436,6 @@ class OwnBackend(Backend):
 
     @property
     def converged(self) -> bool:
-        # otherwise neither the passes nor those after a batch solution ended
         return bool(self.system.converged)
 
     @property

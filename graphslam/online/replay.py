@@ -157,8 +157,8 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
     relations, positions = _arriving(graph)
     held, release = _first_held(graph), None
     if held and (known or positions) and "start_covariance" not in options:
-        # until a position or a landmark of the map is seen, what a free start says is less than rounding errors of precise
-        # odometry
+        # a free start has so little information that it is lost in rounding errors of precise odometry, until a position or a
+        # landmark of the map is seen
         held, release = {}, _anchored(graph)
     solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=kernel or "none", **(held | options))
     backend: Any = solver._backend

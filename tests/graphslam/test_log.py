@@ -3,6 +3,7 @@ import pytest
 
 from graphslam import Graph, GraphError, Log, LogError, MotionModel, SensorModel, load, save
 from graphslam.log import UNIDENTIFIED
+from graphslam.log.measurements import PartialSightings
 
 
 def make(**changes):
