@@ -229,6 +229,11 @@ class Graph:
                 start = end
             else:
                 families.append(f)
+        if start != len(trust):
+            raise OptionError(
+                f"trust has {len(trust)} numbers for {self.measurements} measurements: it needs one for each sighting, or "
+                "one for each of `measurements`"
+            )
         return self.with_families(families)
 
     @property

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import GraphError, LogError
+from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import check_count, check_type
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
@@ -144,10 +144,16 @@ def estimate_robot(
     Raises:
         LogError: the log has too few sightings with ids, or no controls.
         GraphError: the sightings do not determine noise and biases.
+        OptionError: an option has an impossible value.
     """
     check_is_log(log)
     check_type(SensorModel, sensor=sensor)
     check_count(seed=seed)
+    if given is not None:
+        if not isinstance(given, tuple) or len(given) != 2:
+            raise OptionError(f"given must be a MotionModel and a SensorModel, not {quoted(given)}")
+        check_type(MotionModel, given=given[0])
+        check_type(SensorModel, given=given[1])
     _check(log)
     try:
         return _estimate(log, sensor or log.sensor or SensorModel(), given, np.random.default_rng(seed))

@@ -63,7 +63,7 @@ class Localizer:
         self._calls.append(partial(self.relate, *relations))
         if leading is not None:
             self._motions.append(between(last, self._backend.pose))
-            self._noise.append(np.linalg.inv(relations[leading][3]))
+            self._noise.append(relation_covariance(relations[leading], new))
             if self.tracker is not None:
                 self.tracker.move(self._motions[-1], self._noise[-1])
                 if fix is not None:
@@ -156,3 +156,18 @@ class Localizer:
         sightings = np.array([z[: min(map(len, rows))] for z in rows])
         motions, noise = np.array(self._motions).reshape(-1, 3), np.array(self._noise).reshape(-1, 3, 3)
         return Stretch("the drive", motions, noise, np.array(steps), np.array(ids), sightings, self._sensor)
+
+
+def relation_covariance(relation: Relation, new: int) -> Array:
+    """The covariance (3, 3) of a relation to the pose ``new``, in the axes of the other one.
+
+    A relation z = (t, theta) from the new pose has the inverse (-R(theta)' t, -theta), and with the derivative J of that the
+    covariance J P J'.
+    """
+    covariance = np.linalg.inv(relation[3])
+    if relation[0] != new:
+        return covariance
+    x, y, theta = relation[2]
+    c, s = np.cos(theta), np.sin(theta)
+    J = -np.array([[c, s, c * y - s * x], [-s, c, -c * x - s * y], [0.0, 0.0, 1.0]])
+    return np.asarray(J @ covariance @ J.T)
