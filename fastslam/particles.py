@@ -264,6 +264,8 @@ class FilterResult:
             the best particle, unconfirmed landmarks included; `graphslam.log.UNIDENTIFIED` for clutter. Otherwise None.
         unconfirmed: (M,) whether that landmark is not confirmed.
         smoothed: trajectories and maps drawn by backward simulation, if the options ask for it (`fastslam.motions`).
+        notes: one sentence each: where the estimate contradicts the log (a robot that was lifted or lost), and up to which
+            step all particles have one history, so that covariances are too small (`fastslam.doubts`).
     """
 
     estimator: str
@@ -283,6 +285,7 @@ class FilterResult:
     association: np.ndarray | None = None
     unconfirmed: np.ndarray | None = None
     smoothed: Samples | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def map(self) -> LandmarkMap:

@@ -214,7 +214,7 @@ class FastSLAM1(ParticleFilter):
             return np.empty((0, 1))
         return np.exp(self._classes.log_confusion)
 
-    def _association(self, poses: Array) -> dict[str, np.ndarray]:
+    def _association(self, poses: Array) -> dict[str, Any]:
         if self.log is None or self._needs_ids or self._next < self.log.num_poses:
             return {}
         estimates = self._map(self._engine.best, provisional=True)
