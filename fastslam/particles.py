@@ -289,9 +289,14 @@ class FilterResult:
 
     @property
     def map(self) -> LandmarkMap:
-        """The map of the best particle with the covariances of its landmarks, which are those given its path."""
-        known = {j: C for j, C in self.landmark_covariances.items() if np.any(C)}
-        return LandmarkMap(self.landmarks, known)
+        """The map with the covariances of its landmarks, to save, or for another log.
+
+        With ``smoothing`` it is the mean of the maps that are drawn backwards, with their covariances. Without it, it is that
+        of the best particle, with covariances given its path, which are several times too small where histories have run out.
+        """
+        made = self if self.smoothed is None else self.smoothed
+        known = {j: C for j, C in made.landmark_covariances.items() if np.any(C)}
+        return LandmarkMap(made.landmarks, known)
 
     def __repr__(self) -> str:
         drawn = "" if self.smoothed is None else f", {self.smoothed.trajectories.shape[1]} trajectories drawn backwards"
