@@ -131,7 +131,7 @@ class ParticleFilter(ABC):
             if log.controls is None:
                 raise LogError(f"{log.name} has no controls, which move the particles of a filter: use graph SLAM")
             if not self._crosses_logs:
-                check_one_drive(type(self).__name__, log)
+                check_one_drive(type(self).__name__, log, is_class=True)
             if self._needs_ids and not log.identified:
                 raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
             used = {"partial_sightings": self._takes_single_numbers, "positions": self._takes_positions}

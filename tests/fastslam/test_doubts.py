@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from comparisons import run
+from comparisons.show.language import translated
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
 from fastslam.doubts import CONTRADICTION
 from graphslam import Log, simulate
@@ -52,7 +53,7 @@ def test_a_lifted_robot_is_noted(kind: Any) -> None:
     begin, end = (int(note.split()[k]) for k in (2, 4))
     # FastSLAM 1.0 moves its landmarks, until the sightings before do not fit either
     assert kind is FastSLAM1 or begin <= 20 <= end
-    assert "The robot was moved" in note
+    assert "The robot was moved" in note and "ロボットが動かされたか" in translated(note, "ja")
     by_hand = kind(slam.log, particles=100, seed=1)
     by_hand.move((1.0, 0.0), 1.0)
     assert contradictions(by_hand.result().notes) == []
@@ -74,7 +75,8 @@ def test_particles_of_one_history_are_noted() -> None:
     slam = FastSLAM1(log, particles=10, seed=1)
     found = slam.run()
     last = int(np.flatnonzero(found.ancestors == 1)[-1])
-    assert any(f"all particles have one history up to step {last} of 80" in note for note in found.notes)
+    (note,) = (note for note in found.notes if f"all particles have one history up to step {last} of 80" in note)
+    assert translated(note, "ja").startswith(f"時刻{last}まで")
     # a history of one step, and one drawn backwards, say nothing of this kind
     assert not any("one history" in note for note in FastSLAM1(log, particles=10, seed=1, smoothing=10).run().notes)
     assert not any("one history" in note for note in MonteCarloLocalization(log, particles=10, seed=1).run().notes)

@@ -371,3 +371,9 @@ def test_a_log_that_cannot_be_replayed_names_the_step(monkeypatch: pytest.Monkey
     monkeypatch.setattr(OwnBackend, "update", fails)
     with pytest.raises(GraphError, match="step 3 of 10: the call leaves a pose or landmark undetermined"):
         list(replay(simulate(seed=1, steps=10)))
+
+
+def test_an_empty_map_is_refused() -> None:
+    """As `first_fix` does: the robot would never be found."""
+    with pytest.raises(GraphError, match="the map has no landmarks, so that the robot cannot be found in the map"):
+        OnlineSolver(map={})
