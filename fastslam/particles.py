@@ -264,7 +264,8 @@ class FilterResult:
             the best particle, unconfirmed landmarks included; `graphslam.log.UNIDENTIFIED` for clutter. Otherwise None.
         unconfirmed: (M,) whether that landmark is not confirmed.
         smoothed: trajectories and maps drawn by backward simulation, if the options ask for it (`fastslam.motions`).
-        notes: one sentence each: where the estimate contradicts the log (a robot that was lifted or lost), and up to which
+        notes: one sentence each: where the estimate contradicts the log (a robot that was lifted or lost; not of
+            measurements that were handed in), and up to which
             step all particles have one history, so that covariances are too small (`fastslam.doubts`).
     """
 
