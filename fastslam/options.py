@@ -238,13 +238,20 @@ def smoothing_memory(particles: int, poses: int, landmarks: int, events: int, co
     return particles * record + 48.0 * count * (poses + landmarks)
 
 
-def check_one_drive(name: str, log: Log) -> None:
-    """Raise `OptionError` where a log consists of several, for an estimator that follows one robot from its start."""
-    if log.sessions:
+def check_one_drive(name: str, log: Log, *, is_class: bool = False) -> None:
+    """Raise `OptionError` where a log consists of several, for an estimator that follows one robot from its start.
+
+    Args:
+        is_class: whether the name is that of a class, which is used without a comparison.
+    """
+    if not log.sessions:
+        return
+    these = f"{name} follows one robot from its start, and these are {len(log.sessions)} logs"
+    if is_class:
         raise OptionError(
-            f"{name} follows one robot from its start, and these are {len(log.sessions)} logs; graph, gtsam and isam2 solve "
-            "them together"
+            f"{these}; FastSLAM2 finds the robot where the next one begins, and solve takes them together"
         )
+    raise OptionError(f"{these}; graph, gtsam and isam2 solve them together")
 
 
 def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:

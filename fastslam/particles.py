@@ -264,6 +264,9 @@ class FilterResult:
             the best particle, unconfirmed landmarks included; `graphslam.log.UNIDENTIFIED` for clutter. Otherwise None.
         unconfirmed: (M,) whether that landmark is not confirmed.
         smoothed: trajectories and maps drawn by backward simulation, if the options ask for it (`fastslam.motions`).
+        notes: one sentence each: where the estimate contradicts the log (a robot that was lifted or lost; not of
+            measurements that were handed in), and up to which
+            step all particles have one history, so that covariances are too small (`fastslam.doubts`).
     """
 
     estimator: str
@@ -283,12 +286,18 @@ class FilterResult:
     association: np.ndarray | None = None
     unconfirmed: np.ndarray | None = None
     smoothed: Samples | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def map(self) -> LandmarkMap:
-        """The map of the best particle with the covariances of its landmarks, which are those given its path."""
-        known = {j: C for j, C in self.landmark_covariances.items() if np.any(C)}
-        return LandmarkMap(self.landmarks, known)
+        """The map with the covariances of its landmarks, to save, or for another log.
+
+        With ``smoothing`` it is the mean of the maps that are drawn backwards, with their covariances. Without it, it is that
+        of the best particle, with covariances given its path, which are several times too small where histories have run out.
+        """
+        made = self if self.smoothed is None else self.smoothed
+        known = {j: C for j, C in made.landmark_covariances.items() if np.any(C)}
+        return LandmarkMap(made.landmarks, known)
 
     def __repr__(self) -> str:
         drawn = "" if self.smoothed is None else f", {self.smoothed.trajectories.shape[1]} trajectories drawn backwards"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .io.formats import load, save
     from .log import Log
     from .log.continuous_time import control_path
-    from .log.measurements import AbsolutePositions, PoseRelations
+    from .log.measurements import AbsolutePositions, PartialSightings, PoseRelations
     from .log.streams import Stream, synchronize
     from .models import MotionModel, SensorModel
     from .online import OnlineSolver, solve_online

@@ -30,8 +30,9 @@ from graphslam.errors import OptionError
 from graphslam.graph.landmark_map import as_map
 from graphslam.graph.trilateration import WaitingNumbers, edges_of_rows
 from graphslam.log import Log
-from graphslam.se2 import Array
+from graphslam.se2 import Array, wrap
 
+from ..motions import robot_poses
 from ..options import JOINT, WITH_IDS
 from ..particles import LandmarkEstimate, weighted_covariance, weighted_mean
 from .particle_filter import ParticleFilter
@@ -214,7 +215,7 @@ class FastSLAM1(ParticleFilter):
             return np.empty((0, 1))
         return np.exp(self._classes.log_confusion)
 
-    def _association(self, poses: Array) -> dict[str, np.ndarray]:
+    def _association(self, poses: Array) -> dict[str, Any]:
         if self.log is None or self._needs_ids or self._next < self.log.num_poses:
             return {}
         estimates = self._map(self._engine.best, provisional=True)
@@ -309,10 +310,28 @@ class FastSLAM2(FastSLAM1):
         return CORRECTED_EXACT if self.options.proposal_weight == "exact" else CORRECTED_LINEARISED
 
 
+def _log_normal(e: Array, V: Array) -> Array:
+    """log N(e; 0, V) of many e (N, n), V (N, n, n): for small n several times as fast as a factorisation of each V."""
+    left, V = list(e.T), np.ascontiguousarray(np.moveaxis(V, 0, -1))
+    total = np.full(len(e), -0.5 * len(left) * np.log(2 * np.pi))
+    for i in range(len(left)):
+        total -= 0.5 * (left[i] ** 2 / V[i, i] + np.log(V[i, i]))
+        for k in range(i + 1, len(left)):
+            factor = V[k, i] / V[i, i]
+            left[k] = left[k] - factor * left[i]
+            V[k, i + 1 :] -= factor * V[i, i + 1 :]
+    return total
+
+
 class MonteCarloLocalization(ParticleFilter):
     """The particle filter on a known map: the weight is multiplied by N(z; h(x, m), Q).
 
     psi is used where both the sighting and the landmark have a heading, and ignored otherwise.
+
+    Of landmarks with their own covariance C the likelihood is N(z; h(x, m), Q + H C H'), computed in numpy, which takes ten
+    times as long as exact ones. The filter does not learn where they are: each sighting counts as if the landmark were off
+    anew, and correlations between landmarks are not used. So where few are seen again and again, the covariances of poses
+    stay too small; graph SLAM in the map, or `FastSLAM1` with ``map``, does not have this fault.
 
     Args:
         log: controls and sightings; None for a filter that is used with `move` and `observe`.
@@ -357,17 +376,39 @@ class MonteCarloLocalization(ParticleFilter):
 
     def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> bool:  # noqa: ARG002
         known = [self._landmarks[j] for j in ids.tolist()]
+        if not self._landmarks.covariances.keys().isdisjoint(ids.tolist()):
+            self._engine.weigh_by(self._log_likelihoods(ids, sightings, q))
+            return True
         oriented = np.array([len(m) == 3 and sightings.shape[1] == 3 for m in known])
         places = np.array([m if len(m) == 3 else [*m, 0.0] for m in known])
         self._engine.weigh_known(places, sightings, q, oriented)
         return True
 
+    def _log_likelihoods(self, ids: np.ndarray, sightings: Array, q: Array) -> Array:
+        """The sums (N,) of log N(z; h(x, m), Q + H C H') over sightings (k, n) of variances q (k, n)."""
+        poses, total = robot_poses(self.sensor, self._engine.poses), np.zeros(self.particles)
+        # a particle on its landmark has no bearing to it: its likelihood is 0
+        with np.errstate(all="ignore"):
+            for j, z, variances in zip(ids.tolist(), sightings, q):
+                n = min(len(z), len(self._landmarks[j]))
+                place = self._landmarks[j][:n]
+                H = self.sensor.H(poses, place)
+                V = H @ self._covariance_of(j)[:n, :n] @ np.swapaxes(H, 1, 2) + np.diag(variances[:n])
+                e = z[:n] - self.sensor.h(poses, place)
+                e[:, 1:] = wrap(e[:, 1:])
+                total += _log_normal(e, V)
+        return np.where(np.isfinite(total), total, -np.inf)
+
+    def _covariance_of(self, id: int) -> Array:
+        n = len(self._landmarks[id])
+        return self._landmarks.covariances.get(id, np.zeros((n, n)))
+
     def _map(self, particle: int, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
-        return {j: LandmarkEstimate(m.copy(), np.zeros((len(m), len(m)))) for j, m in self._landmarks.items()}
+        return {j: LandmarkEstimate(m.copy(), self._covariance_of(j).copy()) for j, m in self._landmarks.items()}
 
     def _gaussians_of(self, id: int) -> tuple[Array, Array, np.ndarray]:
         m, N = self._landmarks[id], self.particles
-        return np.tile(m, (N, 1)), np.zeros((N, len(m), len(m))), np.ones(N, dtype=bool)
+        return np.tile(m, (N, 1)), np.tile(self._covariance_of(id), (N, 1, 1)), np.ones(N, dtype=bool)
 
     def _mixture(self, weights: Array, provisional: bool) -> dict[int, LandmarkEstimate]:  # noqa: ARG002
         return self._map(0, provisional)

@@ -25,6 +25,7 @@ from graphslam.log.measurements import AbsolutePositions
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 
+from ..doubts import noted
 from ..motions import Record, first_poses, in_frame, in_map, log_likelihoods, robot_poses, sensor_motions
 from ..options import (
     FilterOptions,
@@ -130,7 +131,7 @@ class ParticleFilter(ABC):
             if log.controls is None:
                 raise LogError(f"{log.name} has no controls, which move the particles of a filter: use graph SLAM")
             if not self._crosses_logs:
-                check_one_drive(type(self).__name__, log)
+                check_one_drive(type(self).__name__, log, is_class=True)
             if self._needs_ids and not log.identified:
                 raise OptionError(f"{log.name} has sightings without ids, {self._HOW_WITHOUT_IDS}")
             used = {"partial_sightings": self._takes_single_numbers, "positions": self._takes_positions}
@@ -330,7 +331,7 @@ class ParticleFilter(ABC):
         mean_poses, ancestors = self._engine.summary()
         best_map = self._map(self._engine.best, provisional=False)
         poses = self.trajectory()
-        return FilterResult(
+        result = FilterResult(
             estimator=type(self).__name__,
             log="" if self.log is None else self.log.name,
             options=self.options,
@@ -348,6 +349,8 @@ class ParticleFilter(ABC):
             smoothed=self._smoothed(mean_poses),
             **self._association(poses),
         )
+        # measurements that are handed in between those of the log are not in it
+        return noted(result, self.log if self._next == self._step + 1 else None, self.HAS_MAPS)
 
     def _smoothed(self, mean_poses: Array) -> Samples | None:
         """Trajectories drawn by backward simulation, linearised at the mean history of the sensor, if there are any."""
@@ -363,7 +366,7 @@ class ParticleFilter(ABC):
             self._engine, options.smoothing, rng, self.sensor, mean_poses, marks, options.threads
         )
 
-    def _association(self, poses: Array) -> dict[str, np.ndarray]:  # noqa: ARG002
+    def _association(self, poses: Array) -> dict[str, Any]:  # noqa: ARG002
         """The fields ``association`` and ``unconfirmed`` of the result, where they are defined."""
         return {}
 

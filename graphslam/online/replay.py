@@ -116,8 +116,12 @@ def _place_the_rest(solver: OnlineSolver) -> None:
     """Let landmarks that still wait enter where the cost of their single numbers is lowest, and try other places."""
     for id, rows in list(solver._backend.waiting.items()):
         found = places_of_rows(id, rows, solver.sensor, solver.poses)
-        if found.determined:
+        if not found.determined:
+            continue
+        try:
             solver._backend.place(id, found.places[0])
+        except GraphError as error:
+            raise GraphError(f"landmark {id}, whose place was open until the last step: {error}") from error
     solver._backend.look_again()
 
 
@@ -332,9 +336,16 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
 def _steps(
     solver: OnlineSolver, total: int, seen_from: np.ndarray, add: Callable[[int, np.ndarray], None]
 ) -> Iterator[OnlineSolver]:
-    """Add the motion to each step and the sightings from there (M,), and yield the solver."""
+    """Add the motion to each step and the sightings from there (M,), and yield the solver.
+
+    Raises:
+        GraphError: a step cannot be added; with its number.
+    """
     rows = np.argsort(seen_from, kind="stable")
     bounds = np.searchsorted(seen_from[rows], np.arange(total + 1))
     for step in range(total):
-        add(step, rows[bounds[step] : bounds[step + 1]])
+        try:
+            add(step, rows[bounds[step] : bounds[step + 1]])
+        except GraphError as error:
+            raise GraphError(f"step {step} of {total - 1}: {error}") from error
         yield solver

@@ -71,7 +71,7 @@ class OnlineSolver:
 
     Raises:
         OptionError: an option has an impossible value, or the backend does not have it.
-        GraphError: a noise model is outside of what double precision can hold.
+        GraphError: a noise model is outside of what double precision can hold, or ``map`` has no landmarks.
     """
 
     def __init__(
@@ -98,11 +98,14 @@ class OnlineSolver:
         first = None if start is None else checked_pose("start", start)
         self._backend: Backend
         if in_map is not None:
+            known_map = as_map(in_map)
+            if not known_map:
+                raise GraphError("the map has no landmarks, so that the robot cannot be found in the map")
             held = options.pop("start_covariance", None)
             # without a covariance the start is exact
             held = np.linalg.inv(ANCHOR_INFORMATION) if held is None else held
             make = partial(kind, sensor=self.sensor, kernel=self.kernel, **options)
-            self._backend = cast(Backend, Localizer(make, as_map(in_map), self.sensor, first, held))
+            self._backend = cast(Backend, Localizer(make, known_map, self.sensor, first, held))
         else:
             self._backend = kind(np.zeros(3) if first is None else first, self.sensor, self.kernel, **options)
         #: whether nobody has said where the first pose is

@@ -182,8 +182,12 @@ def _check(log: Log, first: Log) -> None:
 def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -> Log:
     """The log with its initial poses in the frame of those before, by the map that these give."""
     if not set(log.landmark_ids.tolist()) & set(before.landmark_ids.tolist()):
-        others = named([each.name for each in before.sessions] or [before.name])
-        raise GraphError(f"{log.name} and {others} share no landmark: do the ids mean the same ones in all of them?")
+        names = [*([each.name for each in before.sessions] or [before.name]), log.name]
+        if len(set(names)) < len(names):
+            names = [f"{name} ({number})" for number, name in enumerate(names, start=1)]
+        raise GraphError(
+            f"{names[-1]} and {named(names[:-1])} share no landmark: do the ids mean the same ones in all of them?"
+        )
     fix = first_fix(log, known, **models)
     notes = (*log.notes, f"joined where {fix.sentence}")
     return log.replace(initial_poses=begun_at(fix.pose, log.initial_poses), notes=notes)

@@ -70,6 +70,8 @@ TELLING = 3.0
 DETERMINED = 1e-6
 #: the fewest positions that say something, and the part of a position's information that others must have to check it
 FEWEST_POSITIONS, CHECKED = 10, 0.1
+#: above this factor, positions are in another frame rather than noisier than they say
+OTHER_FRAME = 100.0
 #: covariances of positions are doubtful whose roots are wrong by more than this factor
 MISJUDGED = 2.0
 #: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
@@ -242,6 +244,12 @@ def doubt_of_positions(graph: Graph, state: Array) -> str:
         )
     if ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
         return ""
+    if ratio > OTHER_FRAME:
+        return (
+            f"the errors of the positions are {ratio:.2g} times what their covariances say (median): they are probably in "
+            "another frame or unit than the map, the landmarks or the first pose, and pull the poses along. Put them into "
+            "that frame; only where they are in it already, multiply their standard deviations by this factor"
+        )
     return (
         f"the errors of the positions are {ratio:.2g} times what their covariances say (median), so that covariances of "
         "poses are wrong, too: multiply the standard deviations of the positions by this factor, unless they are in another "

@@ -39,6 +39,10 @@ class Uncertainty:
     def __init__(self, graph: Graph, state: Array) -> None:
         self._graph, self._state = graph, state
 
+    def __getstate__(self) -> dict[str, Any]:
+        # the factors are the engine's, and are made again where they are needed
+        return {name: value for name, value in vars(self).items() if name not in ("_factor", "_joint")}
+
     @cached_property
     def _factor(self) -> Factor:
         system = self._graph.information(self._state)

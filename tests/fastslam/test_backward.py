@@ -161,3 +161,14 @@ def test_the_estimator_reports_the_smoothed_trajectory() -> None:
     assert repr(result.origin).endswith("20 trajectories drawn backwards)")
     assert repr(result.origin.smoothed) == f"Samples(20 trajectories of 13 poses, {len(result.landmarks)} landmarks)"
     assert MonteCarloLocalization(log, particles=20, smoothing=20).run().smoothed is None
+
+
+def test_the_map_of_a_smoothed_result_is_that_of_its_trajectories() -> None:
+    """The map of one path has a mean squared Mahalanobis distance of the landmarks over 2 of 6, drawn backwards 1."""
+    log = simulate(seed=3, steps=60, clean=True)
+    found = FastSLAM1(log, particles=100, seed=1, smoothing=30).run()
+    assert found.smoothed is not None
+    for j, mean in found.smoothed.landmarks.items():
+        np.testing.assert_array_equal(found.map[j], mean)
+        np.testing.assert_allclose(found.map.covariances[j], found.smoothed.landmark_covariances[j])
+    assert set(found.map) == set(found.smoothed.landmarks)

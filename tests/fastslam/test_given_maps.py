@@ -5,7 +5,7 @@ import pytest
 
 from fastslam import FastSLAM1, FastSLAM2, MonteCarloLocalization
 from graphslam import LandmarkMap, OptionError, SensorModel, first_fix, simulate
-from graphslam.se2 import compose
+from graphslam.se2 import compose, wrap
 
 LOG = simulate(seed=1, clean=True)
 
@@ -82,3 +82,34 @@ def test_a_map_needs_the_ids_and_headings_where_sightings_have_psi():
         FastSLAM1(LOG, map=LOG.true_landmarks, smoothing=10)
     with pytest.raises(OptionError, match="has no heading, and the sightings have psi"):
         FastSLAM1(LOG, map={j: m[:2] for j, m in LOG.true_landmarks.items()}).run()
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.3, -0.1)])
+def test_localisation_heeds_the_covariances_of_its_map(offset):
+    """N(z; h(x, m), Q + H C H') of each sighting; as with exact landmarks where C is almost 0, also without headings."""
+    sensor = SensorModel(range_rate=0.0, range_std=0.1, bearing_std=0.05, orientation_std=0.1, offset=offset)
+    places = {3: np.array([3.0, 1.0, 0.4]), 4: np.array([1.0, -2.0])}
+    covariances = {3: np.diag([0.04, 0.09, 0.02]) + 0.01, 4: np.array([[0.05, 0.02], [0.02, 0.03]])}
+    poses = np.random.default_rng(1).normal(size=(50, 3)) * [0.2, 0.2, 0.1]
+    z = np.array([[3.1, 0.3, 0.1], [2.2, -1.0, 0.5]])
+
+    def weighed(known):
+        filter = MonteCarloLocalization(map=known, particles=50, sensor=sensor, start=poses, stage="weights")
+        filter.observe([3, 4], z)
+        return filter, filter.state.log_weights
+
+    filter, found = weighed(LandmarkMap(places, covariances))
+    expected = np.zeros(50)
+    for k, x in enumerate(poses):
+        for (j, m), seen in zip(places.items(), z):
+            n = len(m)
+            H = sensor.H(x, m)
+            V = H @ covariances[j] @ H.T + sensor.Q(seen)[:n, :n]
+            e = seen[:n] - sensor.h(x, m)
+            e[1:] = wrap(e[1:])
+            expected[k] -= 0.5 * (e @ np.linalg.solve(V, e) + np.linalg.slogdet(V)[1])
+    assert np.allclose(found, expected - np.logaddexp.reduce(expected), atol=1e-9)
+    assert np.allclose(filter.covariance(landmarks=4), covariances[4])
+    assert np.allclose(filter.result().map.covariances[3], covariances[3])
+    tiny = {j: 1e-16 * np.eye(len(m)) for j, m in places.items()}
+    assert np.allclose(weighed(LandmarkMap(places, tiny))[1], weighed(places)[1], atol=1e-6)

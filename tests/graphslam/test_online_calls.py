@@ -24,6 +24,7 @@ from graphslam import (
 )
 from graphslam.log.rows import UNIDENTIFIED
 from graphslam.online import replay
+from graphslam.online.own import OwnBackend
 from graphslam.se2 import between, compose
 
 
@@ -357,3 +358,22 @@ def test_particle_filters_have_the_same_arguments_but_for_past_poses_and_time(me
     """As `docs/online.md` says."""
     own, theirs = (list(signature(getattr(kind, method)).parameters) for kind in (OnlineSolver, FastSLAM1))
     assert theirs == [name for name in own if name not in ("pose", "time")]
+
+
+def test_a_log_that_cannot_be_replayed_names_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    update = OwnBackend.update
+
+    def fails(self, relations, *arguments, **keywords):
+        if relations and relations[0][1] == 3:
+            raise GraphError("the call leaves a pose or landmark undetermined, so that nothing was added")
+        update(self, relations, *arguments, **keywords)
+
+    monkeypatch.setattr(OwnBackend, "update", fails)
+    with pytest.raises(GraphError, match="step 3 of 10: the call leaves a pose or landmark undetermined"):
+        list(replay(simulate(seed=1, steps=10)))
+
+
+def test_an_empty_map_is_refused() -> None:
+    """As `first_fix` does: the robot would never be found."""
+    with pytest.raises(GraphError, match="the map has no landmarks, so that the robot cannot be found in the map"):
+        OnlineSolver(map={})

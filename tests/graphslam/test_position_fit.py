@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from comparisons.show.language import translated
 from graphslam import AbsolutePositions, Graph, MotionModel, SensorModel, join_logs, simulate, solve
 from graphslam.se2 import mounted
 
@@ -45,6 +46,18 @@ def test_covariances_that_are_wrong_by_five(sigma, said):
     (note,) = notes_on_positions(1, sigma=sigma, said=said, wrong=0.1)
     assert note.startswith(NOISE)
     assert float(note.split()[6]) == pytest.approx(sigma / said, rel=0.4)
+
+
+def test_positions_of_another_frame_are_called_so():
+    """A factor of thousands is no noise: multiplying by it would hide the cause."""
+    log = simulate(seed=1, steps=60, clean=True, orientation=False, max_range=5.0, **ROBOT).replace(**ROBOT)
+    steps = np.arange(0, log.num_poses, 2)
+    there = log.true_poses[steps, :2] * [1, -1] + [500.0, 200.0]
+    positions = AbsolutePositions(steps=steps, places=there, covariances=0.2**2 * np.eye(2))
+    graph = Graph.from_log(log.replace(positions=positions), map=log.true_landmarks, kernel="cauchy")
+    (note,) = (note for note in solve(graph).notes if note.startswith(NOISE))
+    assert float(note.split()[6]) > 100 and "they are probably in another frame or unit than the map" in note
+    assert "別の座標系" in translated(note, "ja")
 
 
 def notes_on_slip(seed, *, speed=1.0, turn=1.0, steps=slice(60, 70), **models):

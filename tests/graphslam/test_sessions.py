@@ -177,6 +177,9 @@ def test_logs_that_cannot_be_joined() -> None:
     first, second = cut(drive(), 2)
     with pytest.raises(GraphError, match="share no landmark"):
         join_logs([first, second.replace(landmarks=second.landmarks + 100)])
+    other = second.replace(name="log", landmarks=second.landmarks + 100)
+    with pytest.raises(GraphError, match=r"^log \(2\) and log \(1\) share no landmark"):
+        join_logs([first.replace(name="log"), other])
     with pytest.raises(LogError, match="differ in motion"):
         join_logs([first, second.replace(motion=MotionModel(nn=0.3))])
     with pytest.raises(LogError, match="sightings of 2 numbers"):

@@ -16,6 +16,7 @@ from graphslam import (
     LogError,
     OnlineSolver,
     OptionError,
+    PartialSightings,
     SensorModel,
     load,
     save,
@@ -29,7 +30,6 @@ from graphslam.edges.robust import Cauchy
 from graphslam.graph.transform import relative_graph
 from graphslam.linear.information import BlockSystem
 from graphslam.log.continuous_time import with_poses_every
-from graphslam.log.measurements import PartialSightings
 from graphslam.online.replay import replay
 from graphslam.se2 import transform, wrap
 from graphslam.simulation.worlds import SENSOR, simulate_single_numbers

@@ -1,3 +1,6 @@
+import pickle
+from copy import deepcopy
+
 import gtsam
 import numpy as np
 import pytest
@@ -133,3 +136,18 @@ def test_the_expected_ate_is_that_of_samples(uncertain):
     error = squares.std() / len(squares) ** 0.5
     assert abs(squares.mean() - solution.expected_ate**2) < bound(2) * error
     assert (solution.graph.held is not None) == uncertain
+
+
+@pytest.mark.parametrize("estimate", [(), ("range_scale",)])
+def test_a_solution_can_be_pickled_when_its_covariances_are_known(estimate: tuple[str, ...]) -> None:
+    """The engine's factors stay behind, and are made again."""
+    solution = solve(Graph.from_log(simulate(seed=1, steps=30), edges="landmark+motion", estimate=list(estimate)))
+    covariances, landmarks = solution.covariance(), solution.landmark_covariances
+    joint, place = solution.covariance(poses=[3, 20], joint=True), solution.map
+    for other in (pickle.loads(pickle.dumps(solution)), deepcopy(solution)):
+        np.testing.assert_array_equal(other.poses, solution.poses)
+        np.testing.assert_allclose(other.covariance(), covariances, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose(other.covariance(poses=[3, 20], joint=True), joint, rtol=1e-9, atol=1e-15)
+        assert other.landmark_covariances.keys() == landmarks.keys() and other.map.keys() == place.keys()
+    graph = pickle.loads(pickle.dumps(solution.graph))
+    assert solve(graph).cost == pytest.approx(solution.cost, rel=1e-9)
