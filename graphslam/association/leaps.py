@@ -85,7 +85,7 @@ def leaps(problem: Problem, solution: MapSolution) -> tuple[Leap, ...]:
 
 
 def _beginnings(problem: Problem, of_each: list[np.ndarray]) -> list[tuple[int, int]]:
-    """Steps where nearly all that is seen is new, the best of each moment, with the last scan before them."""
+    """Steps where nearly all that is seen is new, the best of each half moment, with the last scan before them."""
     moment, scans = problem.moment, np.unique(problem.log.steps)
     ends = np.concatenate([np.unique(each) for each in of_each])
     before = np.concatenate([np.append(-1, np.unique(each)[:-1]) for each in of_each])
@@ -97,11 +97,13 @@ def _beginnings(problem: Problem, of_each: list[np.ndarray]) -> list[tuple[int, 
     old = np.searchsorted(first, scans)
     enough = np.minimum(old, len(first) - old) >= FEWEST
     share = np.where(enough, fresh[scans] / np.maximum(soon[scans], 1), 0.0)
+    # where few had been seen before, or few new ones follow, a step says little
+    weight = np.where(share >= NEW, share * np.minimum(fresh[scans], old), 0.0)
     found: list[tuple[int, int]] = []
-    for k in np.argsort(-share, kind="stable").tolist():
-        if share[k] < NEW or len(found) == MOST:
+    for k in np.argsort(-weight, kind="stable").tolist():
+        if weight[k] == 0 or len(found) == MOST:
             break
-        if all(abs(scans[k] - other) > moment for other, _ in found):
+        if all(abs(scans[k] - other) > moment / 2 for other, _ in found):
             found.append((int(scans[k]), int(scans[k - 1])))
     return found
 
