@@ -4,13 +4,14 @@
     python benchmarks/association.py real sample woods mrclam-1 mrclam-3 huang victoria
     python benchmarks/association.py real mrclam-1 mrclam-3 --front-end best --particles 100
     python benchmarks/association.py limit 1 3
-    python benchmarks/association.py verdict --first 3000 --worlds 200
+    python benchmarks/association.py verdict --first 3000 --worlds 200 [--missed 1 0.5]
 
 The simulated logs are 62 steps among thirty landmarks, at least so many standard deviations of the range (at 6 m) apart. One
 sighting in ten is missing, and one in ten is a false one, uniform over the field of view. "Number exact" counts the logs
 whose number of landmarks is that of the landmarks seen at least twice. The error is compared with that of the same graph
 with the true ids and without the false sightings. "limit" says for robots of MR.CLAM 6 how many sightings could be
-told apart if trajectory and map were known. "verdict" compares `Association.verdict` with the truth in random worlds.
+told apart if trajectory and map were known. "verdict" compares `Association.verdict` with the truth in random worlds,
+with --missed where the odometry misses a motion.
 """
 
 from __future__ import annotations
@@ -216,15 +217,27 @@ def random_world(seed: int) -> Log:
     )  # fmt: skip
 
 
-def verdicts(first: int, worlds: int) -> None:
-    """How often a map that is called reliable is bad, and a good one reliable; worlds with 20 to 320 sightings count."""
+def without_motion(log: Log, metres: float, turn: float) -> Log:
+    """The log whose odometry missed a motion in the middle of the drive, forward and by a turn."""
+    controls = log.controls.copy()
+    controls[len(controls) // 2] -= np.array([metres, turn]) / log.dt[len(controls) // 2]
+    changed = log.replace(controls=controls)
+    return changed.replace(initial_poses=changed.dead_reckoning())
+
+
+def verdicts(first: int, worlds: int, missed: list[float]) -> None:
+    """How often a map that is called reliable is bad, and a good one reliable; worlds with 20 to 320 sightings count.
+
+    In the middle of each drive the odometry has ``missed`` a motion forward [m] and a turn [rad].
+    """
     rows: list[tuple[bool, bool, int, float]] = []
-    seed = first
+    seed, doubled = first, [0, 0]
     while len(rows) < worlds:
         log, seed = random_world(seed), seed + 1
         if not 20 <= len(log.steps) <= 320:
             continue
         hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
+        hidden = without_motion(hidden, *missed) if any(missed) else hidden
         begin = time.process_time()
         try:
             _, a = identified(hidden, RunOptions.of(seed=(seed - 1) % 97))
@@ -235,6 +248,9 @@ def verdicts(first: int, worlds: int) -> None:
         best = ate(log.true_poses, solved(known(log), {}))
         ratio = ate(log.true_poses, a.poses) / best
         v = a.verdict
+        said = [each for each in v.reasons if "the map is there twice" in each]
+        doubled[0] += bool(said)
+        doubled[1] += bool(said) and len(said) == len(v.reasons)
         rows.append((v.reliable, ratio <= GOOD, v.starts, time.process_time() - begin))
         print(
             f"{seed - 1}: ATE / with ids {ratio:.2f}, lead {v.lead:.1f}, {v.agreeing} of {v.starts}, {v.reliable}",
@@ -245,7 +261,8 @@ def verdicts(first: int, worlds: int) -> None:
     print(
         f"{worlds} worlds from seed {first} on: {good.sum():.0f} good; called reliable {reliable.sum():.0f}, of which "
         f"{reliable.sum() - both:.0f} are bad; {both / good.sum():.2f} of the good ones are called reliable; starts "
-        f"{np.mean(starts):.2f}, {np.mean(seconds):.2f} s of processor time (mean)"
+        f"{np.mean(starts):.2f}, {np.mean(seconds):.2f} s of processor time (mean); the map may be "
+        f"there twice: {doubled[0]}, for {doubled[1]} of which that is the only reason"
     )
 
 
@@ -265,11 +282,12 @@ if __name__ == "__main__":
     sub = verbs.add_parser("verdict")
     sub.add_argument("--first", type=int, default=3000)
     sub.add_argument("--worlds", type=int, default=200)
+    sub.add_argument("--missed", type=float, nargs=2, default=[0.0, 0.0], metavar=("METRES", "RADIANS"))
     given = parser.parse_args()
     if given.verb == "simulated":
         simulated(given.logs, given.apart, given.psi)
     elif given.verb == "verdict":
-        verdicts(given.first, given.worlds)
+        verdicts(given.first, given.worlds, given.missed)
     elif given.verb == "limit":
         for robot in given.robots:
             limit(robot)

@@ -178,8 +178,7 @@ def all_alternatives(
     log = problem.log
     labels = np.full(len(log.steps), -1)
     labels[solution.rows] = solution.labels[solution.which]
-    # a moment [steps]
-    moment = max(problem.options.window, -(-log.num_poses // MOST_MOMENTS))
+    moment = problem.moment
     times = clock(problem, moment)
     at = returns(log.steps, times, labels, moment) + arrivals(log.steps, times, labels, moment)
     found = []
@@ -269,8 +268,6 @@ def _pairs(
 
 #: a stretch is blind where odometry leaves landmarks a standard deviation above this share of their distance from each other
 CERTAIN = 1 / 6
-#: the most moments of a drive
-MOST_MOMENTS = 150
 
 
 def clock(problem: Problem, moment: int) -> np.ndarray:

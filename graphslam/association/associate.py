@@ -31,8 +31,9 @@ from ..se2 import Array
 from .adapting import Competition, Robot, Start, compete, spread, tolerance
 from .ambiguity import Ambiguity, ambiguities, readable
 from .front_end import run_front_end
+from .leaps import leaps
 from .map_solution import Problem
-from .problem import AssociationOptions, Field
+from .problem import AssociationOptions
 from .problem import names as names_of
 from .refining import TRIAL_ROUNDS
 
@@ -40,6 +41,8 @@ from .refining import TRIAL_ROUNDS
 MIN_LEAD = 40.0
 #: the fewest starts of a reliable map that have to end alike
 ALIKE = 2
+#: the most ambiguities that become notes of their own, and the most leaps that become reasons
+MOST_NOTES = 3
 
 
 @dataclass(frozen=True)
@@ -70,11 +73,12 @@ class Verdict:
         return f"do not rely on the map without a check: {'; '.join(self.reasons)}"
 
 
-def verdict(competition: Competition, field: Field) -> Verdict:
+def verdict(competition: Competition, problem: Problem) -> Verdict:
     """The verdict on the best end of a competition."""
     k = competition.best
-    best = competition.ends[k].refined.solution
-    near = tolerance(best, field)
+    refined = competition.ends[k].refined
+    best = refined.solution
+    near = tolerance(best, problem.field)
     gaps, agreeing = [np.inf], 0
     for value, end in zip(competition.values, competition.ends, strict=True):
         behind = competition.values[k] - value
@@ -93,13 +97,12 @@ def verdict(competition: Competition, field: Field) -> Verdict:
         reasons.append(
             f"another map that was tried is less likely by a factor of {readable(lead)}, and {readable(MIN_LEAD)} is needed"
         )
+    reasons += [str(each) for each in leaps(replace(problem, densities=refined.densities), best)[:MOST_NOTES]]
     return Verdict(not reasons, tuple(reasons), lead, len(competition.ends), agreeing, spread(best))
 
 
 #: a function that finds a start when it is needed
 Begin = Callable[[], Start]
-#: the most ambiguities that become notes of their own
-MOST_NOTES = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -301,8 +304,8 @@ def _report(
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solution.poses, rounds=refined.rounds,
         settled=refined.settled, cost_per_dof=refined.solution.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
         parameters=robot.estimate, ambiguities=ambiguities(end.alternatives, options.factor, name),
-        verdict=verdict(competition, Field.of(robot.log, robot.sensor)), evidence=max(values), options=options,
-        seconds=seconds, notes=(),
+        verdict=verdict(competition, Problem.of(robot.log, robot.motion, robot.sensor, options)),
+        evidence=max(values), options=options, seconds=seconds, notes=(),
     )  # fmt: skip
     kept = int(np.count_nonzero(found.kept))
     which = "of which some have no id" if kept else "without ids"

@@ -129,6 +129,10 @@ class Backbone:
         ), rows  # fmt: skip
 
 
+#: the most moments of a drive
+MOST_MOMENTS = 150
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """A log whose sightings are to be associated, and all that decides how: its backbone, what the sensor sees, densities,
@@ -147,6 +151,11 @@ class Problem:
         field = Field.of(log, sensor)
         densities, classes = Densities.of(log, field, options.clutter), Classes.of(log, options.confusion)
         return cls(log, Backbone.of(log, sensor, motion), field, densities, classes, options)
+
+    @property
+    def moment(self) -> int:
+        """A moment [steps]: within it odometry determines well enough where landmarks that were just seen must be."""
+        return max(self.options.window, -(-self.log.num_poses // MOST_MOMENTS))
 
 
 @dataclass(frozen=True, eq=False)
