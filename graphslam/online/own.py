@@ -1,15 +1,12 @@
 """The online solver of the project: a minimum of J over all edges so far after every call.
 
-The cost of ranges or bearings alone has several minima, and so has that of absolute positions while the direction of the way
-is hardly known. So whenever there are a quarter more of them, other places of a landmark, and the way where its positions put
-it in closed form, are tried with the whole graph, and the lower J counts, as in `solvers.initialize` (`OtherEnds`).
+J may have several minima: other ends are tried with the whole graph, and the lower J counts; see `online.other_ends`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import repeat
 from typing import Any
@@ -17,100 +14,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges import ANCHOR_INFORMATION, PositionEdges, RangeEdges, freest_turn
+from ..edges import ANCHOR_INFORMATION, RangeEdges, freest_turn
 from ..edges.robust import Kernel, code_and_width
 from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import check_count, check_positive
-from ..graph.defaults import into_world
 from ..graph.landmark_map import LandmarkMap, as_map
-from ..graph.trilateration import MIN_GAP, MORE, NumberRow, WaitingNumbers, edges_of_rows, other_places, places_of_rows
+from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..linear.precision import inverses
 from ..models import SensorModel
 from ..se2 import Array, compose, inverse, wrap
 from .backend import RELEASED_START, Backend, Relation, information_of
+from .other_ends import LatestSightings, OtherEnds
 
 #: other places of landmarks are tried so many times in a row at most, as long as J falls
 SWEEPS = 3
-#: the way is tried where its positions put it when that turns it by more than this [rad]
-TURNED = 0.1
-#: the fewest positions that say something about the direction
-POSITIONS = 3
-
-
-@dataclass
-class OtherEnds:
-    """Other ends of an online solution: what the solver needs to find them.
-
-    Attributes:
-        waiting: the single numbers of landmarks that have no place yet.
-        numbers: those of landmarks that have a place by them alone.
-        positions: (pose, measured, information, lever) of each.
-        tried: how many numbers each of these landmarks had when its other places were tried last.
-        turned_at: how many positions there were when they last moved the way in closed form.
-    """
-
-    sensor: SensorModel
-    waiting: WaitingNumbers
-    numbers: dict[int, list[NumberRow]] = field(default_factory=dict)
-    positions: list[tuple[int, Array, Array, Array]] = field(default_factory=list)
-    tried: dict[int, int] = field(default_factory=dict)
-    turned_at: int = 0
-
-    def placed(self, landmark: int, rows: Iterable[NumberRow]) -> None:
-        """Note the numbers by which a landmark has got its place."""
-        self.numbers[landmark] = list(rows)
-        self.tried[landmark] = len(self.numbers[landmark])
-
-    def seen(self, whole: Iterable[int], rows: Iterable[tuple[int, NumberRow]]) -> None:
-        """Note landmarks that were seen again: as a whole, which leaves no other place, or by single numbers."""
-        for landmark in whole:
-            self.numbers.pop(landmark, None)
-        for landmark, row in rows:
-            if landmark in self.numbers:
-                self.numbers[landmark].append(row)
-
-    def located(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
-        """Note a position of a pose."""
-        self.positions.append((pose, measured, information, lever))
-
-    def doubts(
-        self,
-        rows: Sequence[tuple[int, NumberRow]],
-        poses: Callable[[], Array],
-        place: Callable[[int], Array],
-    ) -> list[int]:
-        """The landmarks whose other places are to be tried: all where a number surprises, or those with many more numbers."""
-        rows = [(id, row) for id, row in rows if id in self.numbers]
-        state = poses() if rows else np.zeros((0, 3))
-        for id, row in rows:
-            nodes = np.concatenate([state, place(id)[None]])
-            for each in edges_of_rows(id, [row], self.sensor, len(state)):
-                if each.linearize(nodes, nodes).mahalanobis[0] > MIN_GAP:
-                    return list(self.numbers)
-        return [id for id, _ in rows if len(self.numbers[id]) + 1 >= MORE * self.tried[id]]
-
-    def elsewhere(self, poses: Array, places: Mapping[int, Array], tried: Sequence[int]) -> Iterator[dict[int, Array]]:
-        """Other places {id: (2,)} of landmarks from poses (T, 3); see `graph.trilateration.other_places`."""
-        for id in tried:
-            self.tried[id] = len(self.numbers[id])
-        return other_places((id, places_of_rows(id, self.numbers[id], self.sensor, poses), places[id]) for id in tried)
-
-    def turned(self, state: Array, poses: int) -> Array | None:
-        """A state (n, 3), poses first, where the positions put it in closed form, where that is due and far from it."""
-        count = len(self.positions)
-        if count < max(POSITIONS, MORE * self.turned_at):
-            return None
-        self.turned_at = count
-        families = []
-        for d in (2, 3):
-            if rows := [row for row in self.positions if len(row[1]) == d]:
-                nodes, measured, information, levers = map(np.array, zip(*rows))
-                families.append(PositionEdges(nodes, measured, information, levers))
-        moved = into_world(state, families, poses)
-        return moved if abs(wrap(moved[0, 2] - state[0, 2])) > TURNED else None
-
-
 #: kinds of edges
 Kind = engine.OnlineEdge
 #: the most passes of one update, after which the batch solver takes over
@@ -176,6 +94,8 @@ class OwnBackend(Backend):
         self._mapped = 0
         self.columns: int | None = None
         self._others = OtherEnds(sensor, WaitingNumbers(sensor))
+        # without a kernel, single sightings do not keep a landmark where all others contradict them
+        self._latest = None if kernel is None else LatestSightings(kernel)
         if kernel is not None:
             for rows in (1, 2, 3):
                 own, gain = kernel.of_dimension(rows), kernel.information_per_weight(rows)
@@ -192,6 +112,8 @@ class OwnBackend(Backend):
         """Add the landmarks of a map as nodes with their priors, for sightings of ``columns`` values."""
         ids, places, information = _priors_of(known, columns)
         self.columns, self._in_map = columns, True
+        if self._latest is not None:
+            self._latest.held = {j for j in ids if j not in known.covariances}
         self._landmarks = {j: self.system.add_node() for j in ids}
         nodes = list(self._landmarks.values())
         # one prior of all of them would tie together those that are not
@@ -301,6 +223,9 @@ class OwnBackend(Backend):
         # landmarks that are seen as a whole now have no other place
         if before is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
             self._try_other_places(*before, doubtful)
+        if self._latest is not None and len(landmarks):
+            assert measured is not None and information is not None
+            self._try_where_seen(self._latest, pose, landmarks, measured, information)
         while self.lag is not None and len(self._poses) > self.lag + 1:
             self._marginalize()
 
@@ -338,6 +263,22 @@ class OwnBackend(Backend):
                 break
             poses, places = self.poses, {id: self._place(id) for id in places}
 
+    def _try_where_seen(
+        self, latest: LatestSightings, pose: int, landmarks: Sequence[int], measured: Array, information: Array
+    ) -> None:
+        """Try landmarks that what is seen now contradicts where their latest sightings put them, and take the lowest J."""
+        omegas = information.reshape(len(measured), -1).tolist()
+        rows = [(pose, *z, *omega) for z, omega in zip(measured.tolist(), omegas)]
+        latest.add(landmarks, rows)
+        nodes = self.system.places([self._node(pose), *[self._landmarks[id] for id in landmarks]]).tolist()
+        for id in latest.contradicted(landmarks, rows, nodes):
+            # sightings from final poses are part of priors
+            first, node = self.num_final, self._landmarks[id]
+            seen_from = self.system.places([*map(self._node, latest.steps(id, first)), node])
+            place = latest.elsewhere(id, first, seen_from)
+            if place is not None and not self._try([node], place[None]):
+                latest.failed(id)
+
     def _place(self, landmark: int) -> Array:
         return np.asarray(self.system.values([self._landmarks[landmark]])[0])
 
@@ -349,13 +290,14 @@ class OwnBackend(Backend):
             poses[-1] = compose(poses[first], z) if first < second else compose(poses[second], inverse(z[None])[0])
         return poses
 
-    def _try(self, nodes: Sequence[int], values: Array) -> None:
-        """Solve from a state with other values of some nodes, and stay there if J is lower."""
+    def _try(self, nodes: Sequence[int], values: Array) -> bool:
+        """Solve from a state with other values of some nodes, and stay there if J is lower, which is returned."""
         other = deepcopy(self.system)
         solved = other.solve_from(list(nodes), np.ascontiguousarray(values), self._poses[-1:]) and other.converged
         least = 1e-9 * (1.0 + self.system.cost())
-        if solved and other.cost_with_priors() < self.system.cost_with_priors() - least:
+        if lower := solved and other.cost_with_priors() < self.system.cost_with_priors() - least:
             self.system = other
+        return bool(lower)
 
     def release(self, motion: Array, position: Callable[[], None], information: Array | None = None) -> None:
         """Hold the first pose until `position` is added; its prior is then that of a free start, and ``information``."""
