@@ -6,9 +6,9 @@ python benchmarks/fastslam_studies.py
 from __future__ import annotations
 
 import argparse
-from math import pi
 
 import numpy as np
+from association import scattered
 
 from fastslam import FastSLAM1, FastSLAM2
 from graphslam import Log, MotionModel, SensorModel, simulate
@@ -35,16 +35,6 @@ def compare_versions() -> None:
             f"2.0 {np.median(rmse[FastSLAM2]):.3f} m; mean ESS 1.0 {np.median(ess[FastSLAM1]):.1f}, "
             f"2.0 {np.median(ess[FastSLAM2]):.1f} ({np.median(ess[FastSLAM2]) / np.median(ess[FastSLAM1]):.1f} times)"
         )
-
-
-def scattered(seed: int, count: int, apart: float, arena: float) -> np.ndarray:
-    """Landmarks drawn uniformly, none nearer than ``apart`` to another; (count, 3)."""
-    rng, places = np.random.default_rng(1000 + seed), []
-    while len(places) < count:
-        place = rng.uniform(-arena, arena, 2)
-        if all(np.hypot(*(place - other)) >= apart for other in places):
-            places.append(place)
-    return np.column_stack([places, rng.uniform(-pi, pi, count)])
 
 
 def compare_association() -> None:

@@ -42,15 +42,21 @@ def logs(data: Path) -> dict[str, Callable[[], tuple[Log, dict]]]:
     }
 
 
-def excess(graph: Graph, estimate: OnlineSolver) -> float:
-    """By how much J of an online solver is above the batch optimum next to it, as a part of that."""
+def so_far(graph: Graph, estimate: OnlineSolver) -> Graph:
+    """The graph up to the step of an online solver, with its estimate as initial values."""
     piece, nodes = first_poses(graph, estimate.step + 1)
     state = np.zeros((graph.num_nodes, 3))
     state[: estimate.step + 1] = estimate.poses
     for landmark, mark in estimate.landmarks.items():
         state[len(graph.steps) + np.searchsorted(graph.landmark_ids, landmark), : len(mark)] = mark
-    best = solve(piece.with_initial(state[nodes]), initialize="given").cost
-    return (piece.cost(state[nodes]) - best) / max(best, 1e-9)
+    return piece.with_initial(state[nodes])
+
+
+def excess(graph: Graph, estimate: OnlineSolver) -> float:
+    """By how much J of an online solver is above the batch optimum next to it, as a part of that."""
+    piece = so_far(graph, estimate)
+    best = solve(piece, initialize="given").cost
+    return (piece.cost(piece.initial) - best) / max(best, 1e-9)
 
 
 def report(name: str, seconds: list[float], gaps: list[float]) -> None:
@@ -240,12 +246,7 @@ def deviations(graph: Graph, steps: int, samples: int) -> tuple[list[np.ndarray]
             clock.append(time.process_time())
         times.append(np.diff(clock))
         online = np.diag(solver.covariance(solver.step, ids, joint=True))
-        piece, nodes = first_poses(graph, estimate.step + 1)
-        state = np.zeros((graph.num_nodes, 3))
-        state[: estimate.step + 1] = estimate.poses
-        for landmark, mark in estimate.landmarks.items():
-            state[len(graph.steps) + np.searchsorted(graph.landmark_ids, landmark), : len(mark)] = mark
-        batch = solve(piece.with_initial(state[nodes]), initialize="given")
+        batch = solve(so_far(graph, estimate), initialize="given")
         blocks = [np.diag(batch.covariance(estimate.step)), *map(np.diag, batch.landmark_covariances.values())]
         ratios.append(np.sqrt(online / np.concatenate(blocks)))
     return ratios, times

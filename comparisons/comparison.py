@@ -450,7 +450,7 @@ def compare(
     progress: Progress | None = None,
     announce: Announce | None = None,
 ) -> Comparison:
-    """The same as `run`, with the options as one object; ``announce`` hears of particle filters that need much memory."""
+    """The same as `run`, with the options as one object; ``announce`` is called where filters need much memory."""
     names = None if estimators is None else check_estimators(estimators)
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options, together=True)
@@ -459,35 +459,31 @@ def compare(
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
     chosen = names or default_estimators()
     announce_memory(((name, data, options) for name in chosen), announce)
-    results: list[EstimatorResult] = []
-    skipped: list[Skipped] = []
+    outcomes: list[EstimatorResult | Skipped] = []
     with attempts(chosen, time_limit) as attempt:
         for name in chosen:
             if progress is not None:
                 progress(name, None)
-            outcome: EstimatorResult | Skipped
             if names is None and (reason := ESTIMATORS[name].reason_to_omit(data, options)) is not None:
-                outcome = Skipped(name, reason)
+                outcomes.append(Skipped(name, reason))
             else:
-                outcome = attempt(name, data, options)
-            if isinstance(outcome, Skipped):
-                skipped.append(outcome)
-            else:
-                results.append(outcome)
+                outcomes.append(attempt(name, data, options))
             if progress is not None:
-                progress(name, outcome)
+                progress(name, outcomes[-1])
+        results = tuple(each for each in outcomes if isinstance(each, EstimatorResult))
+        skipped = tuple(each for each in outcomes if isinstance(each, Skipped))
         alone = dict[str, tuple[EstimatorResult | None, ...]]()
         for name in [r.name for r in results if data.sessions and r.name in ALONE]:
             drives = (data.at_steps(np.arange(each.start, each.stop)).replace(sessions=()) for each in data.drives)
-            outcomes = [attempt(name, drive, options) for drive in drives]
-            alone[name] = tuple(None if isinstance(each, Skipped) else each for each in outcomes)
+            found = [attempt(name, drive, options) for drive in drives]
+            alone[name] = tuple(None if isinstance(each, Skipped) else each for each in found)
     if not results:
         # what was tried says more than what was left out beforehand
         first = next((each for each in skipped if each.error is not None), skipped[0])
         if isinstance(first.error, SlamError):
             raise first.error
         raise SlamError(f"no estimator has a result; {first.name} {first.outcome}: {first.reason}") from first.error
-    return Comparison(data, tuple(results), tuple(skipped), source, options, names, time_limit, alone)
+    return Comparison(data, results, skipped, source, options, names, time_limit, alone)
 
 
 def _noise(model: MotionModel | SensorModel) -> dict[str, Any]:

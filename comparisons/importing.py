@@ -313,14 +313,13 @@ class Overview(Displayed):
     def rates(self) -> tuple[Rate, ...]:
         """The numbers of poses, controls and sightings."""
         log = self.log
-        rates = [_rate("poses", self.times, log.num_poses)]
-        if log.dt is not None:
-            rates.append(_rate("controls", log.control_times[:-1], len(log.dt)))
-        rates.append(_rate("sightings", np.unique(self.times[log.steps]), len(log.steps)))
+        poses, sightings = log.num_poses, len(log.steps)
         if log.dt is None:
             # steps have no rate
-            rates = [Rate(each.name, each.count, None, None, None) for each in rates]
-        return tuple(rates)
+            return Rate("poses", poses, None, None, None), Rate("sightings", sightings, None, None, None)
+        controls = _rate("controls", log.control_times[:-1], len(log.dt))
+        seen = _rate("sightings", np.unique(self.times[log.steps]), sightings)
+        return _rate("poses", self.times, poses), controls, seen
 
     @cached_property
     def landmarks(self) -> tuple[Seen, ...]:

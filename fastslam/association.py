@@ -64,11 +64,13 @@ def associate(
     check_type(AssociationOptions, options=options)
     check_type(FilterOptions, filters=filters)
     names = {kind: [each.name for each in fields(kind)] for kind in (AssociationOptions, FrontEndOptions)}
-    check_known("associate", changes, [name for known in names.values() for name in known])
+    check_known("associate", changes, [name for each in names.values() for name in each])
     front = FrontEndOptions(**{name: changes.pop(name) for name in names[FrontEndOptions] if name in changes})
     options = replace(options or AssociationOptions(), **changes)
     if motion is None and sensor is None and unknown_noise(log):
-        log = _of_known_robot(log)
+        # the noise that the log shows without its ids, and without biases; it keeps its ids and all its sightings
+        known, _ = known_noise(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)))
+        log = known.replace(landmarks=log.landmarks)
     motion, sensor = log.noise_models(motion, sensor)
     given: dict[str, Any] = {"motion": motion, "sensor": sensor, "estimate": estimate}
     # `associate_from` refuses a log without controls or sightings
@@ -87,12 +89,6 @@ def associate(
     )
     note = f"the ids began with those of {which}, with {filters.particles} particles each, and were found anew in the graph"
     return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
-
-
-def _of_known_robot(log: Log) -> Log:
-    """The log with the noise that it shows without its ids, and without biases; it keeps its ids and all its sightings."""
-    known, _ = known_noise(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)))
-    return known.replace(landmarks=log.landmarks)
 
 
 def _starts(

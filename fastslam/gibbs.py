@@ -289,9 +289,11 @@ class ParticleGibbs:
 
     Args:
         log: controls and sightings with ids.
-        seed: random seed. The result does not depend on the number of ``threads``.
+        seed: random seed.
+        threads: their number, on which the result does not depend; default: one for each chain.
         options: the options; ``keywords`` replace single options and are the fields of `GibbsOptions`.
         motion, sensor: the models; default: those of the log, else the book's.
+        start: the known first pose of the filters in which the chains begin, as in `ParticleFilter`.
 
     Raises:
         OptionError: an option has an impossible value or needs more memory than there is, or the log has no sightings or
@@ -384,12 +386,19 @@ class ParticleGibbs:
         """Return of each chain trajectories (sweeps, T + 1, 3) and maps (sweeps, J, 3) after each sweep.
 
         A warm-up adapts the widths of the low-rank moves.
+
+        Raises:
+            OptionError: samples have left floating point.
         """
         o = self.options
         given = low_rank.target.in_engine, *low_rank.mode, low_rank.directions, low_rank.deviations
         rules = o.particles, min(o.block, 2**53), sweeps, MOVES, warm_up
         runs = list(pool.map(lambda chain: chain.run(*given, *rules), chains))
-        _check_finite(self.log, runs)
+        if not all(np.isfinite(samples).all() for run in runs for samples in run):
+            raise OptionError(
+                f"{self.log.name}: the samples of particle Gibbs left floating point. The noise of some directions is far "
+                "less than that of others: raise epsilon of the motion, or the least noise of the sensor"
+            )
         return runs
 
 
@@ -426,15 +435,6 @@ def _check_memory(log: Log, options: GibbsOptions) -> None:
         raise OptionError(
             f"{options.chains:,} chains of {sweeps:,} sweeps of particle Gibbs need {need / GIGABYTE:.3g} GB of memory, but "
             f"{there / GIGABYTE:.3g} GB are available; take fewer chains or shorter ones (iterations, warm_up)"
-        )
-
-
-def _check_finite(log: Log, runs: list[tuple[Array, Array]]) -> None:
-    """Raise `OptionError` where samples have left floating point."""
-    if not all(np.isfinite(samples).all() for run in runs for samples in run):
-        raise OptionError(
-            f"{log.name}: the samples of particle Gibbs left floating point. The noise of some directions is far less than "
-            "that of others: raise epsilon of the motion, or the least noise of the sensor"
         )
 
 

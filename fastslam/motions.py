@@ -201,15 +201,11 @@ class Record:
     """The sightings of a run whose particles the engine keeps."""
 
     def __init__(self) -> None:
-        self._steps: list[int] = []
-        self._ids: list[int] = []
-        self._sightings: list[Array] = []
+        self._seen: list[tuple[int, int, Array]] = []
 
     def observe(self, step: int, ids: np.ndarray, sightings: Array) -> None:
         """Add the sightings of a step."""
-        self._steps += [step] * len(ids)
-        self._ids += ids.tolist()
-        self._sightings += list(sightings)
+        self._seen += ((step, id, z) for id, z in zip(ids.tolist(), sightings, strict=True))
 
     def smooth(
         self, particles: Any, count: int, rng: np.random.Generator, sensor: SensorModel, trajectory: Array, marks: Array,
@@ -225,8 +221,8 @@ class Record:
             OptionError: the record needs more memory than there is.
         """
         T, N = len(trajectory) - 1, len(particles.poses)
-        steps, ids = np.array(self._steps, dtype=np.int64), np.array(self._ids)
-        seen = Sightings.taken(T + 1, steps, ids, np.array(self._sightings), sensor)
+        steps, ids, sightings = map(np.array, zip(*self._seen, strict=True))
+        seen = Sightings.taken(T + 1, steps, ids, sightings, sensor)
         J = len(seen.ids)
         at = np.zeros((J, 3))
         at[:, : marks.shape[1]] = marks

@@ -481,7 +481,7 @@ class SensorModel(NoiseModel):
         z = np.asarray(sightings, dtype=float)
         at = z if noisy is None else np.asarray(noisy, dtype=float)
         if poses is None:
-            return engine.places(self.for_engine, z, at)  # type: ignore[no-any-return]
+            return engine.places(self.for_engine, z, at)
         return self.h_inverse(poses, z), self.landmark_covariance(poses, at)
 
     @property

@@ -71,8 +71,8 @@ def folded() -> AbstractContextManager[None]:
 def _texts_of_typer(language: str) -> AbstractContextManager[None]:
     """While a command runs, replace the fixed texts of Typer, such as titles, and how its tables break lines."""
     texts = {name: text for name, text in vars(rich_utils).items() if name.isupper() and isinstance(text, str)}
-    changed: dict[str, Any] = {name: translated(text, language) for name, text in texts.items()}
-    return _changed(changed | {"Columns": _Wrapped, "Table": _Wrapping})
+    texts = {name: translated(text, language) for name, text in texts.items()}
+    return _changed({**texts, "Columns": _Wrapped, "Table": _Wrapping})
 
 
 @contextmanager

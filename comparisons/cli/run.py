@@ -101,7 +101,6 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
     from ..options.declaration import options_of
 
     fits = outcome.noise_ratio is None or 1 / DOUBTFUL <= outcome.noise_ratio[1] <= DOUBTFUL
-    auto = command("run", log, "--noise", "auto", options=options)
     of_book = set(outcome.noise_source.values()) == {"book"}
     if fits or options.noise is not None or outcome.findings or not of_book or outcome.log.controls is None:
         return None
@@ -114,7 +113,7 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
         # of a data set of several robots it needs to know which one
         reading = ReadingOptions.of(**{name: getattr(options, name) for name in options_of(ReadingOptions)})
         return f"Noise of this robot: {command('calibrate', log, '--out', 'noise.toml', options=reading)}"
-    return f"Noise of this robot: {auto}"
+    return f"Noise of this robot: {command('run', log, '--noise', 'auto', options=options)}"
 
 
 def report(
@@ -223,7 +222,7 @@ def _draw_live(output: Output, log: Path | list[Path | None] | None, options: Ru
     from ..results import noted
     from ..show.log_tables import pictures
 
-    prepared, _, filled = prepare(log, options)
+    prepared, _, filled = prepare(log, options, together=True)
     notes: list[str] = []
     with noted(notes, "The live picture ends here"), output.picture() as (draw, size):
         for lines in pictures(prepared, filled, width=size[0], height=size[1]):

@@ -32,8 +32,7 @@ def argument(metavar: str, help: str, default: str | bool = False) -> Any:
 
 #: the argument LOG of most verbs
 LogFile = Annotated[
-    Path | None,
-    argument("LOG", "The log: a file, or the folder of a data set.", "the sample log of the package"),
+    Path | None, argument("LOG", "The log: a file, or the folder of a data set.", "the sample log of the package")
 ]
 _META = "comparisons.estimators.config"
 

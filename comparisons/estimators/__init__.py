@@ -49,7 +49,7 @@ class Estimator:
 
     Attributes:
         run: the function; raises `graphslam.SlamError` where it cannot run on this log. The options have noise models.
-        uses: the names of the graph and filter options that it uses.
+        uses: the names of the options that it uses, other than those of reading and noise.
         seconds_per_iteration: a forecast for estimators that are slow on large logs, or None.
         repeats: why another estimator gives the same result with these options, or None.
         on_request: whether it runs only where it is asked for by name.
@@ -94,8 +94,7 @@ def graph_keywords(options: RunOptions) -> dict[str, Any]:
     given = {name: getattr(options, name) for name in _GRAPH if name != "initialize"}
     # graduated non-convexity needs no robust kernel
     kernel = "none" if options.kernel == "gnc" else options.kernel
-    models = {"motion": options.motion, "sensor": options.sensor}
-    return given | models | {"kernel": kernel}
+    return given | {"motion": options.motion, "sensor": options.sensor, "kernel": kernel}
 
 
 def chosen(log: Log, options: RunOptions) -> RunOptions:
@@ -192,7 +191,7 @@ def _solving(options: RunOptions) -> dict[str, Any]:
 
 
 def online(log: Log, options: RunOptions) -> EstimatorResult:
-    """The hand-written solver step by step through the log, at the optimum of the graph with landmark nodes after each."""
+    """The hand-written solver step by step; after each step it is at the optimum of the graph with landmark nodes."""
     options, notes = _online_options(options)
     risks: list[float] = []
     asked = (lambda solver: risks.append(solver.integrity_risk(*bounds_of(options)))) if options.landmark_map else None
@@ -423,9 +422,10 @@ def check_estimators(names: Any) -> tuple[str, ...]:
 
 
 def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -> EstimatorResult:
-    options = chosen(log, options)
-    # the lectures' program, and what goes step by step through a log, use the ids that this has
-    found = None if name in ("textbook", "isam2", "online") else identified(log, options)[1]
+    options, graph = chosen(log, options), solution.graph
+    # the lectures' program and the solvers that go step by step use the ids of the log
+    by_log = name in ("textbook", "isam2", "online")
+    found = None if by_log else identified(log, options)[1]
     # the fields that both have under the same names
     shared = {f.name for f in fields(EstimatorResult)} & {f.name for f in fields(Solution)}
     values = {field: getattr(solution, field) for field in shared}
@@ -434,13 +434,12 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     with noted(notes, "the covariances of the map are not known"):
         values["landmark_covariances"] = solution.landmark_covariances
     values["options"] = {name: getattr(options, name) for name in _GRAPH}
-    if name not in ("textbook", "isam2", "online"):
-        families = () if solution.graph is None else solution.graph.families
-        estimated = options.filter.range_noise == "estimated" or any(
-            getattr(f, "noise_at", None) is not None for f in families
-        )
+    if not by_log:
+        families = () if graph is None else graph.families
+        at_estimate = any(getattr(family, "noise_at", None) is not None for family in families)
+        estimated = at_estimate or options.filter.range_noise == "estimated"
         values["options"]["range_noise"] = "estimated" if estimated else "measured"
-    elif solution.graph is not None and takes_estimated_ranges(solution.graph, "auto"):
+    elif graph is not None and takes_estimated_ranges(graph, "auto"):
         notes.append(
             "takes the noise of ranges at the measured ones, and graph at the estimated ones, so that J differs"
         )
@@ -453,15 +452,15 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             notes.append(
                 "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
             )
-    rate = solution.graph.sensor.range_rate if solution.graph is not None and solution.graph.sensor is not None else 0.0
+    rate = 0.0 if graph is None or graph.sensor is None else graph.sensor.range_rate
     measured = values["options"].get("range_noise") == "measured" and parameters is None
     if measured and rate >= WIDE and len(log.steps):
         notes.append(
             f"the noise of a range, {rate:.0%} of it, is taken at the measured range, as in the lectures, which alone makes "
             f"lengths up to {2 * rate**2:.0%} too short; --range-noise estimated does not"
         )
-    if solution.graph is not None and (kernel := solution.graph.verdict[0]) is not None and len(log.steps):
-        weights = solution.graph.sighting_weights(solution.state)
+    if graph is not None and (kernel := graph.verdict[0]) is not None and len(log.steps):
+        weights = graph.sighting_weights(solution.state)
         values["weighed_down"] = weighed_down = int(np.count_nonzero(weights < WEIGHED_DOWN))
         usual = kernel.share_below(WEIGHED_DOWN, log.sightings.shape[1])
         notes.append(
@@ -476,12 +475,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
     if found is not None:
         # the notes of the association came with its log; that its map is not reliable is a finding of the comparison
         notes = [*(each for each in found.notes if found.verdict.reliable or each != str(found.verdict)), *notes]
-        values |= {
-            "named": False,
-            "association": found.ids,
-            "found": found,
-            "seconds": solution.seconds + found.seconds,
-        }
+        seconds = solution.seconds + found.seconds
+        values |= {"named": False, "association": found.ids, "found": found, "seconds": seconds}
         values["options"] |= {name: getattr(options, name) for name in options_of(FrontEndOptions)}
         values["options"]["class_confusion"] = options.filter.class_confusion
     return EstimatorResult(**values | {"notes": tuple(notes)})

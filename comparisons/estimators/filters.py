@@ -82,9 +82,7 @@ FILTER = tuple(name for name in options_of(fastslam.FilterOptions) if name not i
 
 
 def mcl(log: Log, options: RunOptions) -> EstimatorResult:
-    """Monte Carlo localisation on the map, else on the true one: what a robot could know that need not map.
-
-    It estimates no map.
+    """Monte Carlo localisation on the map of the options, else on the true map; it estimates no map.
 
     Raises:
         OptionError: there is no map, and the log does not have the true one.
@@ -121,8 +119,7 @@ def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.Partic
         return filter_class(log, options=options.filter, **models)
     if name != "mcl" and log.has_orientation and not known.oriented:
         log = log.without_orientation()
-    start = first_fix(log, known, **models)
-    return filter_class(log, options=options.filter, map=known, start=start, **models)
+    return filter_class(log, options=options.filter, map=known, start=first_fix(log, known, **models), **models)
 
 
 def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:

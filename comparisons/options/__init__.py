@@ -56,8 +56,8 @@ class ReadingOptions(Options, ReadOptions):
     stride: int = option(1, "Keep every N-th pose and the sightings from it.", minimum=1, metavar="N")
     max_range: float | None = option(None, "Leave out sightings from farther away.", unit="m", positive=True)
     dimensions: int | None = option(
-        None, "3: require the orientation psi; 2: ignore it.", default_text="what the log has", minimum=2, maximum=3,
-    )  # fmt: skip
+        None, "3: require the orientation psi; 2: ignore it.", default_text="what the log has", minimum=2, maximum=3
+    )
 
 
 #: the values of ``noise`` that are no files: estimated from the log, and the lectures' values
@@ -136,10 +136,7 @@ class GraphOptions(Options, EdgeOptions):
         choices=(*KERNELS, "gnc"), alias="robust",
         default_text="cauchy on real data, none on logs of simulate",
     )  # fmt: skip
-    initialize: str = option(
-        "auto", "Where the iteration starts; auto tries several starts.",
-        choices=INITIALIZE,
-    )  # fmt: skip
+    initialize: str = option("auto", "Where the iteration starts; auto tries several starts.", choices=INITIALIZE)
     estimate: tuple[str, ...] | None = option(
         None, "Parameters of robot and sensor to estimate with the poses, relative to what is recorded: "
         f"{', '.join(PARAMETERS)}. NAME:0.1 gives a prior with this standard deviation.", metavar="NAME[:STD],...",
@@ -182,8 +179,8 @@ class OnlineOptions(Options):
 
     panel = "Graph"
     lag: int | None = option(
-        None, "Steps after which online marginalises a pose, which is then final.", minimum=1, default_text="never",
-    )  # fmt: skip
+        None, "Steps after which online marginalises a pose, which is then final.", minimum=1, default_text="never"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,14 +300,10 @@ class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
     motion_weights: tuple[float, ...] = option(
         (1.0, 10.0), "Factors lambda on the motion edges to try.", positive=True, metavar="LAMBDA,..."
     )
-    edges: tuple[str, ...] = option(
-        EDGES, "Kinds of graph to try.",
-        choices=EDGES, metavar="EDGES,...",
-    )  # fmt: skip
+    edges: tuple[str, ...] = option(EDGES, "Kinds of graph to try.", choices=EDGES, metavar="EDGES,...")
     kernel: tuple[str, ...] = option(
-        ("none",), "Robust kernels to try.", choices=KERNELS, alias="kernels",
-        metavar="KERNEL,...",
-    )  # fmt: skip
+        ("none",), "Robust kernels to try.", choices=KERNELS, alias="kernels", metavar="KERNEL,..."
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -456,10 +449,7 @@ class SummaryOptions(FigureOptions):
     baseline: str | None = option(
         None, "Method that the others are compared with.", metavar="METHOD", default_text="graph, or the first"
     )
-    metric: str = option(
-        "ate_m", "Metric of the figure.",
-        choices=(*ERRORS, "cost_per_dof", "iterations", "seconds"),
-    )  # fmt: skip
+    metric: str = option("ate_m", "Metric of the figure.", choices=(*ERRORS, "cost_per_dof", "iterations", "seconds"))
     csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", writes=(), panel=OUTPUT)
     summary: Path | None = option(
         None, "Write the summary, not the runs: .csv with all digits, or .tex with the printed tables.", metavar="FILE",

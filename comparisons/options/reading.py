@@ -69,8 +69,8 @@ def prepare(
         The log; where it came from, None for a `Log`, or that of each of several; the options, whose noise models are those
         of the options, else those of the noise file, else those of the log, else those estimated from it, else the book's.
         Its ``noise`` is `AUTO` where they were estimated, with what was found as its ``calibration`` where there is one log,
-        or the noise file; its ``numbers`` are those of the filters. With a map the log is in its frame, the map without
-        the landmarks that have moved its ``landmark_map``, and the state of all its ``landmark_states``.
+        or the noise file; its ``numbers`` are those of filters and smoother. With a map the log is in its
+        frame; ``landmark_map`` is the map without the landmarks that have moved, and ``landmark_states`` the state of all.
 
     Raises:
         FormatError: a file cannot be read.

@@ -29,7 +29,7 @@ def shown_by(kind: type) -> dict[str, str]:
 
 
 class Finite(list[Any]):
-    """An array as lists of numbers that JSON can hold, null for what is not finite: nothing in it needs a second look."""
+    """An array as lists of numbers that JSON can hold, null for what is not finite; `jsonable` leaves it as it is."""
 
 
 def jsonable(value: Any) -> Any:
@@ -137,8 +137,7 @@ Position = Annotated[
     np.ndarray, _numbers("x, y [m] and, where the landmark has one, heading [rad]", minItems=2, maxItems=3)
 ]
 Covariance = Annotated[
-    np.ndarray,
-    _list_of(_numbers(), minItems=2, maxItems=3, description="n rows of n numbers, n as long as the mean"),
+    np.ndarray, _list_of(_numbers(), minItems=2, maxItems=3, description="n rows of n numbers, n as long as the mean")
 ]
 Band = Annotated[tuple[float, float], _numbers("lower and upper end", minItems=2, maxItems=2)]
 

@@ -26,6 +26,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager, get_font
 from matplotlib.text import Text
@@ -246,8 +247,6 @@ def colour_of(name: str) -> str:
 
 def ellipse_style(color: str, *, solid: bool = True) -> dict[str, Any]:
     """The look of the covariance ellipses of a map, also of their entry in the legend."""
-    from matplotlib.colors import to_rgb
-
     style: dict[str, Any] = {"facecolor": (*to_rgb(color), 0.13), "edgecolor": color, "linewidth": 0.9}
     return style | {"linestyle": "-" if solid else (0, (3, 1))}
 

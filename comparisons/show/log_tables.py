@@ -18,10 +18,12 @@ from rich.text import Text
 
 from graphslam import Log, OnlineSolver
 from graphslam.errors.checks import singular
+from graphslam.identification.declared import PARAMETERS
 from graphslam.se2 import Array
 
 from ..estimators import bounds_of, online_steps
-from ..options import RunOptions
+from ..options import NoiseOptions, RunOptions
+from ..options.declaration import options_of
 from .canvas import between_poses
 from .cells import NOTHING, LeanTable, number, written, yes_no
 
@@ -258,11 +260,6 @@ def survey_tables(survey: Survey) -> Tables:
 
 def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     """The numbers of the noise models with their standard errors or upper bounds, a row each."""
-    from graphslam.identification.declared import PARAMETERS
-
-    from ..options import NoiseOptions
-    from ..options.declaration import options_of
-
     source = "the ground truth" if calibration.source == "truth" else calibration.source
     table = LeanTable(
         f"{name}: noise models from {source}" if name else f"noise models from {source}",

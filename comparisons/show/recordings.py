@@ -83,7 +83,9 @@ def tracks(comparison: Comparison) -> Iterator[Track]:
     if log.true_poses is not None:
         known = np.asarray(np.isfinite(log.true_poses).all(axis=1))
         poses = log.true_poses[known]
-        path = poses if log.true_path is None else log.true_path[np.isfinite(log.true_path).all(axis=1)]
+        path = log.true_poses if log.true_path is None else log.true_path
+        # a position whose heading is unknown is a point of the path
+        path = np.nan_to_num(path[np.isfinite(path[:, :2]).all(axis=1)])
         yield Track("truth", seconds[known], clock[known], poses, None, path, log.true_landmarks or {})
     between = control_path(log, comparison.options.motion, most_turn=_ARC)
     for result in comparison.results:
@@ -377,7 +379,11 @@ def _write_track(rr: Any, recording: Any, track: Track) -> None:
     places = np.array([np.append(track.landmarks[id], np.nan)[:3] for id in ids])
     known = {id: C for id in ids if (C := track.landmark_covariances.get(id)) is not None and np.isfinite(C).all()}
     values = {"id": np.array(ids), "x": places[:, 0], "y": places[:, 1], "heading": places[:, 2]}
-    values |= _named(np.array([_padded(known.get(id)) for id in ids]))
+    covariances = np.full((len(ids), 3, 3), np.nan)
+    for whole, C in zip(covariances, map(known.get, ids)):
+        if C is not None:
+            whole[: len(C), : len(C)] = C
+    values |= _named(covariances)
     recording.log(
         f"{track.name}/landmarks",
         rr.Points2D(places[:, :2], colors=[color], labels=[str(id) for id in ids], radii=0.04),
@@ -392,11 +398,3 @@ def _write_track(rr: Any, recording: Any, track: Track) -> None:
 def _named(covariances: Array) -> dict[str, Array]:
     """The numbers of covariances (n, 3, 3) by their names in tables."""
     return {name: covariances[:, i, j] for name, (i, j) in zip(COVARIANCE, UPPER)}
-
-
-def _padded(covariance: Array | None) -> Array:
-    """A covariance as (3, 3), NaN where it is not known."""
-    whole = np.full((3, 3), np.nan)
-    if covariance is not None:
-        whole[: len(covariance), : len(covariance)] = covariance
-    return whole

@@ -21,7 +21,7 @@ from .canvas import WIDTH, as_text, colour_of, paper_figure, style_of
 from .cells import NOTHING, LeanTable, number, optimum, seconds, written, yes_no
 
 if TYPE_CHECKING:
-    from ..studies.backends import BackendComparison, BackendRow
+    from ..studies.backends import BackendComparison
     from ..studies.consistency import ConsistencyStudy
     from ..studies.particles import ParticleStudy
     from ..studies.solvers import SolverComparison
@@ -65,7 +65,7 @@ def backend_tables(comparison: BackendComparison) -> Tables:
         "pose graphs: chi2 by one evaluator, time from the initial values until the stop rule holds",
         ["file", "solver"], ["chi2", "chi2\n/ dof", "best", "optimum", "steps", "time", "ours /\ntheirs"],
     )  # fmt: skip
-    ours, previous, remarks = "graphslam", None, []
+    previous, remarks = None, []
     for row in comparison.rows:
         ratio = comparison.ratio(row)
         table.add_row(
@@ -77,11 +77,11 @@ def backend_tables(comparison: BackendComparison) -> Tables:
             optimum(row.certificate),
             str(row.iterations),
             seconds(row.seconds),
-            NOTHING if ratio is None or row.backend == ours else f"1/{1 / ratio:.1f}",
+            NOTHING if ratio is None or row.backend == "graphslam" else f"1/{1 / ratio:.1f}",
         )
         previous = row.file
-    for name in dict.fromkeys(row.backend for row in comparison.rows if row.backend != ours):
-        if (mean := comparison.geometric_mean(name)) is not None:
+    for name, mean in comparison.geometric_means.items():
+        if mean is not None:
             remarks.append(f"graphslam takes 1/{1 / mean:.1f} of the time of {name} (geometric mean).")
     called = dict.fromkeys(row.backend for row in comparison.rows if not row.native)
     if called:
@@ -273,7 +273,9 @@ def backends_figure(comparison: BackendComparison) -> Figure:
             for row in (row for row in comparison.rows if row.file == file and len(row.trace) > 1):
                 label = row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})"
                 look = style_of(row.backend) | ({} if row.native else {"alpha": 0.5, "markerfacecolor": "none"})
-                (handles[label],) = panel.plot(*_curve(row, best), **look)
+                # the first point, at time zero, has no place on a logarithmic axis; below 1e-10 all is rounding
+                excess = [max((cost - best) / max(best, 1e-300), 1e-10) for _, cost in row.trace[1:]]
+                (handles[label],) = panel.plot([t for t, _ in row.trace[1:]], excess, **look)
             panel.set(xscale="log", yscale="log", title=as_text(Path(file).name), xlabel="time [s]")
         for panel in panels[::3]:
             panel.set_ylabel("relative excess of chi2 over the best")
@@ -281,11 +283,6 @@ def backends_figure(comparison: BackendComparison) -> Figure:
             columns = min(len(handles), 1 + min(len(files), 3))
             figure.legend(handles.values(), handles, loc="outside lower center", ncols=columns)
     return figure
-
-
-def _curve(row: BackendRow, best: float) -> tuple[list[float], list[float]]:
-    # the first point, at time zero, has no place on a logarithmic axis; below 1e-10 all is rounding
-    return [t for t, _ in row.trace[1:]], [max((cost - best) / max(best, 1e-300), 1e-10) for _, cost in row.trace[1:]]
 
 
 def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:

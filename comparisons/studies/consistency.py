@@ -96,7 +96,7 @@ class Consistency:
     @property
     def anees(self) -> float | None:
         """ANEES / (3 T) of the whole trajectory."""
-        return None if self.joint is None else float(np.nanmean(self.joint))
+        return None if self.joint is None or np.isnan(self.joint).all() else float(np.nanmean(self.joint))
 
     @property
     def joint_band(self) -> Band:
@@ -211,15 +211,13 @@ def _one_log(seed: int, options: ConsistencyOptions) -> tuple[float, dict[str, t
 def _graph_nees(log: Log, truth: Array, keywords: dict[str, Any]) -> tuple[Array, float] | None:
     """NEES / 3 of each step, (T,), and NEES / (3 T) of the trajectory; None where the solver failed."""
     try:
-        graph = Graph.from_log(log, **keywords)
-        solution = solve(graph, initialize="auto", max_iterations=500)
+        solution = solve(Graph.from_log(log, **keywords), initialize="auto", max_iterations=500)
         covariances = solution.covariance()
     except GraphError:
         return None
     if not solution.converged:
         return None
-    error = difference(solution.poses, truth)
-    return pose_nees(error[1:], covariances[1:]), solution.joint_nees(truth)
+    return pose_nees(difference(solution.poses, truth)[1:], covariances[1:]), solution.joint_nees(truth)
 
 
 def _smoother_nees(log: Log, truth: Array, seed: int, options: GibbsOptions, noise: dict[str, Any]) -> Array:
@@ -230,8 +228,7 @@ def _smoother_nees(log: Log, truth: Array, seed: int, options: GibbsOptions, noi
     result = ParticleGibbs(log, seed=seed, threads=1, options=options, **noise).run()
     if not result.mixing.mixed:
         return np.full(log.num_poses - 1, np.nan)
-    error = difference(result.poses, truth)
-    return pose_nees(error[1:], result.covariance()[1:])
+    return pose_nees(difference(result.poses, truth)[1:], result.covariance()[1:])
 
 
 def _filter_nees(name: str, log: Log, truth: Array, seed: int, noise: dict[str, Any]) -> Array:

@@ -99,14 +99,14 @@ class StudyDatabase:
         (version,) = self._connection.execute("PRAGMA user_version").fetchone()
         if application != APPLICATION:
             raise FormatError(self.path, None, "this SQLite file is no study of slam-compare; name another one")
-        if 1 <= version < VERSION:
-            # later versions have more figures, which are not known of older rows
+        if 1 <= version <= VERSION:
+            # a program with further metrics, or of a later version, has more figures, which are not known of older rows
             present = {row[1] for row in self._connection.execute("PRAGMA table_info(runs)")}
             for name, kind in _FIGURES:
                 if name not in present:
                     self._connection.execute(f"ALTER TABLE runs ADD COLUMN {name} {kind}")
             self._connection.execute(f"PRAGMA user_version = {VERSION}")
-        elif version != VERSION:
+        else:
             raise FormatError(self.path, None, f"a study of version {version}; this program reads version {VERSION}")
 
     def plan(self, study: Study) -> None:

@@ -119,7 +119,7 @@ def _execute(run: Run) -> dict[str, Any]:
 
 
 def stopped(run: Run, reason: str, limit: float) -> Outcome:
-    """The outcome of a run that took too long, or whose process died; it costs nothing but itself."""
+    """The outcome of a run that took too long, or whose process died; the other runs go on."""
     if reason != too_long(limit):
         return Outcome(key=run.key, status=ERROR, error=reason)
     return Outcome(key=run.key, status=TIMEOUT, error=reason, total_seconds=limit)

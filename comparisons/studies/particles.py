@@ -157,7 +157,7 @@ def study_particles(
     work = partial(_run, log=data, options=of_run)
     for run in rows_of(
         work, tasks, jobs=given.jobs, estimators=given.filters, limit=given.time_limit, instead=_stopped
-    ):  # fmt: skip
+    ):
         if isinstance(run, str):
             notes.append(run)
             continue

@@ -142,9 +142,7 @@ def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Va
             # only pairs of sightings can be weighted differently
             continue
         for scale in options.motion_weights if kind.endswith("+motion") else (1.0,):
-            yield Variant(
-                edges=kind, frame=frame, weight=weight, motion_weight=scale, kernel=kernel, dimensions=d
-            )  # fmt: skip
+            yield Variant(edges=kind, frame=frame, weight=weight, motion_weight=scale, kernel=kernel, dimensions=d)
 
 
 def compare_solvers(
@@ -171,22 +169,20 @@ def compare_solvers(
     data, _, given = prepare(log, SolverCheckOptions.of(**options))
     if len(data.steps) == 0:
         raise GraphError(f"{data.name} has no sightings at all, so there is nothing to solve")
-    solved: list[VariantResult] = []
-    skipped: list[SkippedVariant] = []
+    outcomes: list[VariantResult | SkippedVariant] = []
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
     for outcome in rows_of(
         work, variants(data, given), jobs=given.jobs, limit=given.time_limit,
         instead=lambda variant, reason: SkippedVariant(variant.name, reason),
     ):  # fmt: skip
-        if isinstance(outcome, SkippedVariant):
-            skipped.append(outcome)
-        else:
-            solved.append(outcome)
+        outcomes.append(outcome)
         if progress is not None:
             progress(outcome)
+    solved = tuple(each for each in outcomes if isinstance(each, VariantResult))
+    skipped = tuple(each for each in outcomes if isinstance(each, SkippedVariant))
     if not solved:
         raise GraphError(f"no variant can be solved on {data.name}; the first: {skipped[0].name}: {skipped[0].reason}")
-    return SolverComparison(tuple(solved), tuple(skipped))
+    return SolverComparison(solved, skipped)
 
 
 def _graph(variant: Variant, log: Log, models: dict[str, Any]) -> Graph:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import csv
 import json
 from collections import Counter
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from os import PathLike
@@ -288,11 +288,7 @@ def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     Raises:
         FormatError: the place cannot be written.
     """
-    with write_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        for row in rows:
-            writer.writerow([_cell(row[name]) for name in COLUMNS])
+    _write_table(path, COLUMNS, ([row[name] for name in COLUMNS] for row in rows))
 
 
 def write_json_lines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -319,18 +315,25 @@ def write_summary_csv(summary: Summary, path: Path) -> None:
     differences = {(line.log, line.method): line for line in summary.differences}
     counts = ("log", "method", "runs", "failed", "timeouts", "converged", "proven")
     parts = ("", "_low", "_high", "_count", "_difference", "_difference_low", "_difference_high", "_lower", "_pairs")
+    head = (*counts, *(f"{metric}{part}" for metric in METRICS for part in parts))
+    rows: list[list[Any]] = []
+    for line in summary.methods:
+        cells: list[Any] = [getattr(line, name) for name in counts]
+        against = differences.get((line.log, line.method))
+        for metric in METRICS:
+            median, gap = line.figures[metric], None if against is None else against.figures[metric]
+            cells += [None] * 4 if median is None else [median.median, median.low, median.high, median.count]
+            cells += [None] * 3 if gap is None else [gap.median, gap.low, gap.high]
+            cells += [None] * 2 if gap is None or against is None else [against.lower[metric], gap.count]
+        rows.append(cells)
+    _write_table(path, head, rows)
+
+
+def _write_table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     with write_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([*counts, *(f"{metric}{part}" for metric in METRICS for part in parts)])
-        for line in summary.methods:
-            cells: list[Any] = [getattr(line, name) for name in counts]
-            against = differences.get((line.log, line.method))
-            for metric in METRICS:
-                median, gap = line.figures[metric], None if against is None else against.figures[metric]
-                cells += [None] * 4 if median is None else [median.median, median.low, median.high, median.count]
-                cells += [None] * 3 if gap is None else [gap.median, gap.low, gap.high]
-                cells += [None] * 2 if gap is None or against is None else [against.lower[metric], gap.count]
-            writer.writerow(map(_cell, cells))
+        writer.writerow(head)
+        writer.writerows(map(_cell, row) for row in rows)
 
 
 def _cell(value: Any) -> Any:

@@ -335,7 +335,7 @@ def _outcomes(
 
 @contextmanager
 def _ctrl_c() -> Iterator[Events]:
-    """A queue into which Ctrl-C puts None, so that it never strikes between a run's end and its row.
+    """A queue into which Ctrl-C puts None, so that it never interrupts between a run's end and its row.
 
     A second Ctrl-C interrupts as always.
     """

@@ -148,11 +148,11 @@ class ParticleFilter(ABC):
             poses = in_frame(poses, log, self.motion, self.sensor, self._rng, given=start is not None)
         poses = self.sensor.mount(poses)
         self._step, self._version, self._next = 0, 0, 0
-        # of all steps, for backward simulation
+        # the sightings of all steps, for backward simulation
         self._record = Record() if self.options.smoothing and self.HAS_MAPS else None
-        #: the particles and their maps
-        smooths, threads = self._record is not None, self.options.threads or available_threads()
-        self._engine = engine.ParticleFilter(poses, threads, smooths)
+        threads = self.options.threads or available_threads()
+        # the particles and their maps
+        self._engine = engine.ParticleFilter(poses, threads, self._record is not None)
         self._log_evidence = 0.0
         # whether this step has been observed, even if nothing was seen
         self._observed = False

@@ -94,7 +94,7 @@ class RelativePointEdges(_RelativeEdges):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RelationEdges(SingleEdges, RelativePoseEdges):
-    """Measured relations of two poses that may be wrong, such as loop closures: `RelativePoseEdges` in the body frame.
+    """Measured relations of two poses that may be wrong, such as loop closures: `RelativePoseEdges` with kernel and trust.
 
     ``kernel`` and ``trust`` are those of `DoubtedEdges`.
     """

@@ -163,7 +163,7 @@ def kernel_of(kernel: Kernel | str | None) -> Kernel | None:
 
 
 def code_and_width(kernel: Kernel | None) -> tuple[int, float]:
-    """The arguments of `loss` and `weight` for a kernel with a width; (0, 1) for plain squares."""
+    """The code and the width of a kernel, as the engine takes them; (0, 1) for plain squares."""
     return (SQUARES, 1.0) if kernel is None else (kernel.code, kernel._checked_width)
 
 
@@ -180,8 +180,8 @@ def _gaussian_squares(dimension: int) -> Array:
 def efficient_width(code: int, dimension: int) -> float:
     """The width with `EFFICIENCY`, by bisection.
 
-    Up to 9 dimensions the efficiency is below it for small widths and above it for large ones. From some dimension on, 10 for
-    Huber's kernel, a kernel has it at any width, however small, and so no width follows from it.
+    Up to 9 dimensions the efficiency is below `EFFICIENCY` for small widths and above it for large ones. From some dimension
+    on, 10 for Huber's kernel, it is above it at every width, so that none follows.
 
     Raises:
         OptionError: the dimension does not determine a width.

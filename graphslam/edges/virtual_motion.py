@@ -15,8 +15,8 @@ R(theta) o to y, and R(theta) (-o_y, o_x) to t; C is the same.
 * ``body`` (axes that move with a node): the residual is in axes that rotate with pose a, in which Omega follows from
   the sightings alone. The natural axes are the landmark's own, because there a sighting comes from direction psi, whatever
   the poses: C_a = L(l_a, psi_a) Q_a L', L(l, d) = [[cos d, -l sin d, 0], [sin d, l cos d, 0], [0, 1, -1]]. (Axes along the
-  first sighting, as in `factors`, differ from these by psi_a, a constant, so the cost is the same.) Seen from pose a, the
-  heading of the landmark's axes is gamma_a = theta_a + phi_a - psi_a. The engine turns e and Omega back into the axes of the
+  first sighting, as in `factors`, differ from these by psi_a, a constant, so the cost is the same.) By sighting a, these axes
+  have the heading gamma_a = theta_a + phi_a - psi_a in the world. The engine turns e and Omega back into the axes of the
   world: Omega is rotated by gamma_a, e is y_b - y_a, and the derivative of the rotation, (-e_y, e_x), is added to t_a.
   `linearize` leaves them in the rotated axes; the cost is the same.
 * ``body`` without psi: the direction between the two sightings is not measured; it is taken from the reference state:

@@ -48,7 +48,7 @@ _never.acquire()
 
 @atexit.register
 def _stop_daemon_threads() -> None:
-    """Block daemon threads in their next callback: Python stops them inside GTSAM, which ends the process."""
+    """Block daemon threads at their next callback. Python would stop them there, inside GTSAM, which ends the process."""
     global _python_ends
     _python_ends = True
     if any(thread.daemon for thread in enumerate_threads()):
@@ -67,7 +67,7 @@ class Factor(gtsam.CustomFactor):
         covariance, information: (rows, rows), one of the two.
         named_keys: the keys as the factor type takes them; default: ``keys``.
         in_own_axes: the Jacobians are by GTSAM's perturbations already, those of poses in their own axes.
-        error: a faster way to an e whose squares sum to the cost, for evaluations without Jacobians.
+        error: a faster function that returns an e with the same sum of squares, for evaluations without Jacobians.
 
     Raises:
         OptionError: a key is impossible, the scale is not positive, or there is no such kernel.

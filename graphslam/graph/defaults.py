@@ -79,7 +79,7 @@ def suitable_for_isam2(
     return edges, kernel
 
 
-def notes_on_options(log: Log, options: EdgeOptions, missing: list[str]) -> list[str]:
+def notes_on_options(log: Log, sensor: SensorModel, options: EdgeOptions, missing: list[str]) -> list[str]:
     """Sentences on options of `Graph.from_log` that have no effect with these edges, on what covariances do not contain, and
     on probable mistakes of the log that its reader found.
 
@@ -95,6 +95,8 @@ def notes_on_options(log: Log, options: EdgeOptions, missing: list[str]) -> list
     if options.landmark_nodes:
         if options.weight != "pairs":
             notes.append(f"weight={options.weight!r} has no effect: with landmark nodes each sighting counts once")
+        if options.residual == "cartesian" and (note := on_an_arc(log, sensor)):
+            notes.append(note)
     else:
         if options.residual != EdgeOptions.residual:
             notes.append(f"residual={options.residual!r} has no effect: there are no landmark nodes {without}")
@@ -103,6 +105,31 @@ def notes_on_options(log: Log, options: EdgeOptions, missing: list[str]) -> list
     if options.motion_weight != 1 and not options.with_motion:
         notes.append(f"motion_weight={options.motion_weight:g} has no effect: there are no motion edges {without}")
     return notes
+
+
+#: beyond so many standard deviations of the range the arc is said: on 12 logs each, 0.2 changed neither errors nor
+#: covariances, 0.36 made poses 6 % worse and NEES 1.14 in place of 0.92, and 0.86 made them 23 % worse and NEES 2.0
+ON_AN_ARC = 0.3
+
+
+def on_an_arc(log: Log, sensor: SensorModel) -> str | None:
+    """A sentence on bearings that are much less exact than ranges; None where they are not.
+
+    With the error d of the bearing a sighting puts its landmark at the distance l cos(d) along the true direction, whose mean
+    is l (1 - sigma_phi² / 2). The Cartesian residual takes this for a Gaussian about the landmark.
+    """
+    ranges = log.sightings[:, 0]
+    if not len(ranges):
+        return None
+    shift = ranges * sensor.bearing_std**2 / 2
+    deviation = np.maximum(np.hypot(ranges * sensor.range_rate, sensor.range_std), 1e-300)
+    if (deviations := float(np.median(shift / deviation))) <= ON_AN_ARC:
+        return None
+    return (
+        f"bearings are much less exact than ranges: the Cartesian residual puts landmarks {np.median(shift):.2g} m too near "
+        f"in the median, {deviations:.2g} standard deviations of the range, and covariances are too small; residual polar "
+        "does not"
+    )
 
 
 def pairs_overweight(log: Log) -> str | None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..edges import (
+    ANCHOR_INFORMATION,
     AnchorEdges,
     BearingEdges,
     CartesianObservationEdges,
@@ -136,6 +137,10 @@ def _family(kind: str, edges: FileEdges, data: PoseGraphFile) -> EdgeFamily:
     return (RangeEdges if kind == "range" else BearingEdges)(*ends, *measured, np.zeros(2))
 
 
+#: anchors of less information [1/m², 1/rad²] beside others are measurements, and the values of their nodes are not exact
+HARD = 0.99 * ANCHOR_INFORMATION[0, 0]
+
+
 def _file_of_graph(graph: Graph, state: Array) -> PoseGraphFile:
     """The contents of the g2o file of a graph whose nodes have the values ``state`` (n, 3); see `save_g2o`.
 
@@ -147,9 +152,13 @@ def _file_of_graph(graph: Graph, state: Array) -> PoseGraphFile:
         landmark_ids = int(pose_ids.max()) + 1 + np.arange(len(landmark_ids))
     ids, held = np.concatenate([pose_ids, landmark_ids]), [graph.fixed]
     groups: dict[str, list[Any]] = {kind: [] for kind in KINDS}
+    anchored = [f for f in graph.families if isinstance(f, AnchorEdges) and not isinstance(f, LandmarkPriors)]
+    alone = sum(family.count for family in anchored) == 1
     for family in graph.families:
-        if isinstance(family, AnchorEdges) and not isinstance(family, LandmarkPriors):
-            if np.all(np.linalg.matrix_rank(family.information) == 3):
+        if family in anchored:
+            # where one node is anchored, its information does not matter
+            least = np.linalg.eigvalsh(family.information)[:, 0]
+            if np.all(least > 0 if alone else least >= HARD):
                 held.append(family.nodes)
                 continue
             family = PositionEdges(family.nodes, family.values, family.information, np.zeros((family.count, 2)))
@@ -182,14 +191,14 @@ def _kind(family: EdgeFamily) -> str:
         raise GraphError(
             "g2o has no line for the position of a point beside the pose: positions with a lever cannot be written"
         )
-    if getattr(family, "kernel", None) is None and not family.state_dependent_information:
+    kernel = getattr(family, "kernel", None)
+    if kernel is None and not family.state_dependent_information:
         if isinstance(family, PositionEdges):
             return "prior" if family.dimension == 3 else "place"
         if isinstance(family, PartialEdges) and not family.offset.any():
             return "range" if isinstance(family, RangeEdges) else "bearing"
         if isinstance(family, (RelativePoseEdges, RelativePointEdges)):
             return "pose" if isinstance(family, RelativePoseEdges) else "point"
-    kernel = getattr(family, "kernel", None)
     what = "with state-dependent or angular residuals" if kernel is None else f"with the robust kernel {kernel.name}"
     raise GraphError(
         f"g2o has no line for {type(family).__name__} {what}; relative_graph(graph, state=solution.state) of "

@@ -194,7 +194,7 @@ class Graph:
             held = declared(log.uncertain, log, motion, sensor, options)
         known = parameters or held
         missing = [name for name in log.uncertain or () if known is None or name not in known.names]
-        notes += notes_on_options(log, options, missing)
+        notes += notes_on_options(log, sensor, options, missing)
         return graph_of_log(
             cls, log, motion=motion, sensor=sensor, options=options, kernel=kernel_of(kernel), landmark_map=known_map,
             notes=notes, parameters=parameters, held=held,
@@ -229,6 +229,11 @@ class Graph:
                 start = end
             else:
                 families.append(f)
+        if start != len(trust):
+            raise OptionError(
+                f"trust has {len(trust)} numbers for {self.measurements} measurements: it needs one for each sighting, or "
+                "one for each of `measurements`"
+            )
         return self.with_families(families)
 
     @property

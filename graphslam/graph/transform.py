@@ -226,9 +226,7 @@ def _joined(chain: RelativePoseEdges, kept: np.ndarray) -> RelativePoseEdges:
     back = turn_matrix(-start[:, 2])
     information = np.linalg.inv(back @ covariance @ np.swapaxes(back, 1, 2))
     number = np.arange(len(kept))
-    return RelativePoseEdges(
-        number[:-1], number[1:], between(start, end), (information + np.swapaxes(information, 1, 2)) / 2
-    )
+    return RelativePoseEdges(number[:-1], number[1:], between(start, end), _symmetric(information))
 
 
 _Relative = TypeVar("_Relative", RelativePoseEdges, RelativePointEdges, RelativePoseEdges | RelativePointEdges)

@@ -43,7 +43,11 @@ GAIN = 0.3
 
 
 def fit(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
-    """Solve and improve the variances in turn; and the standard errors of the standard deviations, as parts of them."""
+    """Solve and improve the variances in turn.
+
+    Returns:
+        The unknowns themselves, which are changed, and {name: standard error of a standard deviation, as a part of it}.
+    """
     errors = np.zeros(0)
     for k in range(rounds):
         # a step of the nodes in between: without it, the variances do not converge
@@ -58,9 +62,12 @@ def fit(unknowns: Unknowns, rounds: int) -> tuple[Unknowns, dict[str, float]]:
 
 
 def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
-    """Take one step of the variances: twice the predicted gain of the log likelihood, and the logarithms' standard errors.
+    """Take one step of the variances.
 
     The unknowns should be near their optimum for the present variances; they take the Gauss-Newton step of this problem, too.
+
+    Returns:
+        Twice the predicted gain of the log likelihood, and the standard errors of the logarithms of the variances.
 
     Raises:
         GraphError: the problem determines no solution, or the values became infinite.

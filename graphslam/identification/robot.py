@@ -14,7 +14,7 @@ biases, and the sightings that contradict their episode. Then:
    (`left_out`), and the best of the three counts;
 5. the noise once more from as many sightings as are nearly independent.
 
-The second-order theory is that of `identification.unknowns` and `identification.restricted_likelihood`.
+The equations are those of `identification.unknowns` and `identification.restricted_likelihood`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import GraphError, LogError
+from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import check_count, check_type
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
@@ -144,10 +144,16 @@ def estimate_robot(
     Raises:
         LogError: the log has too few sightings with ids, or no controls.
         GraphError: the sightings do not determine noise and biases.
+        OptionError: an option has an impossible value.
     """
     check_is_log(log)
     check_type(SensorModel, sensor=sensor)
     check_count(seed=seed)
+    if given is not None:
+        if not isinstance(given, tuple) or len(given) != 2:
+            raise OptionError(f"given must be a MotionModel and a SensorModel, not {quoted(given)}")
+        check_type(MotionModel, given=given[0])
+        check_type(SensorModel, given=given[1])
     _check(log)
     try:
         return _estimate(log, sensor or log.sensor or SensorModel(), given, np.random.default_rng(seed))
@@ -179,7 +185,8 @@ def _estimate(
     basis = ESTIMATE
     if compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
         basis = other[0]
-    # few sightings predict well from odometry with biases, too: only where the log shows neither these nor noise
+    # few sightings are predicted well from odometry with biases, too: dead reckoning counts only where the log shows neither
+    # biases nor noise
     exact_and_unbiased = nearly_exact and set(KINDS["odometry"]) <= set(held)
     if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING

@@ -280,8 +280,8 @@ class Unknowns:
         at[:, :2] += back[:, :1] * heading
         at[:, 2] += back[:, 1]
         eyes = sensor.mount(at)[:, :2]
-        near = np.hypot(*(m[:, :2] - eyes).T) < NEAREST
-        m[near, :2] = eyes[near] + [NEAREST, 0.0]
+        at_sensor = np.hypot(*(m[:, :2] - eyes).T) < NEAREST
+        m[at_sensor, :2] = eyes[at_sensor] + [NEAREST, 0.0]
         predicted, by_at = sensor.h(at, m), sensor.H_pose(at, m)
         residuals = predicted.copy()
         residuals[:, 0] = p["range_scale"] * residuals[:, 0] + p["range_bias"]
@@ -375,13 +375,12 @@ class Unknowns:
         """
         x, new = self.trajectory, np.empty_like(self.state)
         turn = np.swapaxes(rotation(x[:-1, 2]), 1, 2)
-        moves = np.empty((self.poses - 1, 3))
-        moves[:, :2] = np.einsum("eij,ej->ei", turn, x[1:, :2] - x[:-1, :2])
-        moves[:, 2] = x[1:, 2] - x[:-1, 2]
-        moves += (motions.by_first @ step[self.before, :, None] + motions.by_second @ step[self.after, :, None])[
-            :, :, 0
-        ]
-        new[: self.poses] = chained(x[0], moves)
+        relative = np.empty((self.poses - 1, 3))
+        relative[:, :2] = np.einsum("eij,ej->ei", turn, x[1:, :2] - x[:-1, :2])
+        relative[:, 2] = x[1:, 2] - x[:-1, 2]
+        change = motions.by_first @ step[self.before, :, None] + motions.by_second @ step[self.after, :, None]
+        relative += change[:, :, 0]
+        new[: self.poses] = chained(x[0], relative)
         rows = self._first_sightings
         at, nodes = self.seen_from[rows], self.seen[rows]
         offset = self.state[nodes] - x[at]
@@ -409,7 +408,7 @@ class Linear(Bordered):
             jacobians = each.by_first, each.by_second, each.by_parameters, each.information
             engine.add_linearized(
                 each.first, each.second, system.slots_of(each.first, each.second), each.residuals,
-                *(np.ascontiguousarray(each) for each in jacobians), *system.arrays, mixed, own, self.gradient,
+                *map(np.ascontiguousarray, jacobians), *system.arrays, mixed, own, self.gradient,
             )  # fmt: skip
         if self.flat:
             system.rest(np.arange(self.poses, system.num_nodes), 2)

@@ -108,6 +108,8 @@ def load_robots(path: str | PathLike[str], *, format: str | None = None, **optio
     chosen = _format_of(path, format)
     if chosen.read_robots is None:
         raise OptionError(f"logs of the format {quoted(chosen.name)} are of one robot ({path}); load reads them")
+    known = [field.name for field in fields(ReadOptions) if field.name != "robot"]
+    check_known("load_robots", options, known, f"; it takes {', '.join(known)}")
     return chosen.read_robots(path, ReadOptions(**options))
 
 

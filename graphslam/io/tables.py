@@ -3,16 +3,16 @@
 ``relations.csv`` and ``positions.csv`` hold what other sensors measured, loop closures and GPS for example.
 
 The endings may be .csv, .tsv, .txt, .tum, .dat or .parquet. Columns are recognised by common names (`Log.from_tables`).
-``import.toml`` in the folder states units, columns, clocks and other names of files (`io.tables`).
 
-A recipe: the options of tables and bags as a TOML file, ``import.toml`` beside the data or named by the user.
+A recipe is a TOML file, ``import.toml`` in the folder or named by the user, with the options of tables and bags: units,
+columns, clocks and other names of files::
 
-angles = "degrees"              # any field of TableOptions
-[sightings]                     # odometry, sightings, truth, map
-file = "tags.csv"               # of a folder; of a bag: topic = "/tags"
-clock = 0.12                    # seconds to add to its times
-time = "ms"                     # units of this table: time, angles, lengths
-range = "dist"                  # which column is what, by name or by number from 1
+    angles = "degrees"              # any field of TableOptions
+    [sightings]                     # odometry, sightings, truth, map
+    file = "tags.csv"               # of a folder; of a bag: topic = "/tags"
+    clock = 0.12                    # seconds to add to its times
+    time = "ms"                     # units of this table: time, angles, lengths
+    range = "dist"                  # which column is what, by name or by number from 1
 """
 
 from __future__ import annotations

@@ -229,7 +229,8 @@ class Factor:
     def joint_covariance(self, nodes: NDArray[Any]) -> NDArray[np.float64]:
         """The covariance (3 k, 3 k) of nodes (k,) together: read where the pattern of L has it, else by solves.
 
-        An ``ordering`` that ends with these nodes makes their blocks part of the pattern where the graph is connected.
+        An ``ordering`` of `analyze` that ends with these nodes makes their blocks part of the pattern where the graph is
+        connected.
         """
         nodes, k = np.asarray(nodes, dtype=np.int64), len(nodes)
         self.diagonal_covariances()
@@ -306,8 +307,8 @@ def fill_reducing(
     Args:
         indptr: (n+1,) column pointers of the upper triangle.
         indices: (nnzb,) row nodes.
-        smallest: the number of nodes from which on dissection is tried,
-        worth: and the flops of the order by minimum degree for each node and adjacency entry.
+        smallest: dissection is tried in graphs of at least so many nodes,
+        worth: whose order by minimum degree takes at least so many flops for each node and adjacency entry.
     """
     return engine.fill_reducing(*_pattern(indptr, indices), smallest, worth)
 

@@ -396,10 +396,11 @@ class Log:
         return replace(self, sightings=self.sightings[:, :2])
 
     def nearer_than(self, most: float) -> Log:
-        """The same log without sightings from farther than ``most`` [m]."""
+        """The same log without sightings from farther than ``most`` [m]; bearings alone stay."""
         check_positive(max_range=most)
-        kept = self.sightings[:, 0] <= most
-        return self.with_sightings(kept)
+        partial = self.partial_sightings
+        near = None if partial is None else partial.among(~(partial.ranges > most))
+        return self.with_sightings(self.sightings[:, 0] <= most, partial_sightings=near)
 
     def at_steps(self, steps: ArrayLike) -> Log:
         """The log with only these poses and what was measured from them; the motions between them are joined.

@@ -23,10 +23,12 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .findings import Finding
 
-#: a sensor that reports one range where it measures nothing: of how many sightings, how often, how far beyond other ranges
+#: the largest range stands for no measurement where, of at least the first number of sightings, at least the second have it,
+#: and it is longer than the next one by at least this factor
 ENOUGH, REPEATED, BEYOND = 20, 3, 1.2
-#: and its largest range for all that is farther: of which part of the sightings, how many times as often as any other range.
-#: Of those of Lost in the Woods 4 % are such; they are 4 cm too long, and the ATE is 2 % smaller without them
+#: it is the limit of the sensor, reported for all that is farther, where more than this part of the sightings have it, and so
+#: many times as many as any other range. In Lost in the Woods 4 % have it: they are 4 cm too long, and the ATE is 2 % smaller
+#: without them
 CLIPPED, OFTEN = 0.05, 5
 #: way between the two sightings of a pair, [rad] turned plus [ranges] driven: at least, at most
 _LEAST, _MOST = 0.4, 1.5
@@ -34,8 +36,8 @@ _LEAST, _MOST = 0.4, 1.5
 _TURNING = 0.1
 #: pairs that are needed, and that are used at most
 _FEWEST, _ENOUGH = 20, 4000
-#: another reading is reported where the median error of the pairs [ranges] is above the first number, another reading
-#: lowers it to less than the second part, and is better for at least the third part of the pairs
+#: another reading is reported where the median error of the pairs [ranges] is above the first number, and with this reading
+#: below the second part of that and smaller for more than the third part of the pairs
 _WRONG, _BETTER, _SHARE = 0.08, 0.5, 0.65
 #: readings whose errors differ by less than this factor fit alike
 _ALIKE = 1.3
@@ -133,7 +135,7 @@ class SightingPairs:
         return MotionModel().dead_reckoning(self.log.initial_poses[0], controls[:, order] * factors, dt)
 
     def _others(self, path: Array, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
-        """Names of checks, messages, poses (2, K, 3) and sightings (2, K, 2)."""
+        """For each other reading the name of its check, its message, and the poses (2, K, 3) and sightings (2, K, 2)."""
         starts, z = self.log.control_starts[self.steps], self.sightings
         for sign in (1, -1):
             for degrees in range(-165, 181, 15):
@@ -205,7 +207,7 @@ def pairs_of(log: Log, *, slower: float = 1.0, degrees: bool = False) -> Sightin
         return None
     middle = float(np.median(log.sightings[:, 0]))
     driven = np.abs(log.controls) @ [1 / (slower * middle), np.pi / 180 if degrees else 1.0] * log.dt
-    # with turn rates in degrees a way would seem too long: no more than usual in each control
+    # in a wrong unit a single control may seem to lead too far: the limits then grow with what is typical of one
     if (typical := float(np.median(driven[driven > 0]) if np.any(driven > 0) else 0.0)) == 0:
         return None
     way = np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts]

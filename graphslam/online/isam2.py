@@ -107,7 +107,7 @@ class Isam2Backend(Backend):
 
     @contextmanager
     def _all_or_nothing(self) -> Iterator[None]:
-        """What a call adds, which is taken back where the call is refused before ISAM2 has it."""
+        """Take back what a call has added where the call is refused before ISAM2 has it."""
         none = {"_factors": gtsam.NonlinearFactorGraph(), "_values": gtsam.Values(), "_changed": {}}
         before = vars(self) | none | {"_nodes": self._nodes.copy(), "_waiting": self._waiting.copy()}
         try:
@@ -133,13 +133,11 @@ class Isam2Backend(Backend):
             self.update()
 
     def locate(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
-        """Add an absolute position of a point of the robot; see `OnlineSolver.locate`."""
         with self._all_or_nothing():
             self.add_position(pose, measured, information, lever, self._kernel)
             self.update()
 
     def release(self, motion: Array, position: Callable[[], None]) -> None:
-        """Move everything as a whole, add a position, and hold the first pose loosely from then on; see `Backend`."""
         with self._all_or_nothing():
             values, before, moved = gtsam.Values(), self._isam.calculateEstimate(), gtsam.Pose2(*motion)
             for key in before.keys():  # noqa: SIM118
@@ -216,10 +214,10 @@ class Isam2Backend(Backend):
                 )
                 self._factors.add(factor.fastest())
             self._add_numbers(landmark, waiting)
-            keys, before = self._sightings.setdefault(landmark, ([], []))
+            keys, seen = self._sightings.setdefault(landmark, ([], []))
             self._changed.setdefault(landmark, len(keys))
             keys.append(X(pose))
-            before.append(z)
+            seen.append(z)
 
     def _add_single_number(self, pose: int, landmark: int, z: Array) -> None:
         """A range or a bearing alone; those of a landmark without a place wait until they leave one place for it."""

@@ -57,16 +57,13 @@ class Localizer:
         fix = None if leading is None else self.fixes.get(new)
         passed = list(relations)
         if fix is not None and leading is not None:
-            moved = between(last, fix.pose)
-            passed[leading] = (before, new, moved, np.diag(1 / np.array(FREE_START)))
-            # the next calls begin with what the robot did instead of what it measured
-            first, second, _, information = relations[leading]
-            relations = (*relations[:leading], (first, second, moved, information), *relations[leading + 1 :])
+            # the robot was lifted: what was measured of this motion does not count
+            passed[leading] = (before, new, between(last, fix.pose), np.diag(1 / np.array(FREE_START)))
         self._backend.relate(*passed)
         self._calls.append(partial(self.relate, *relations))
         if leading is not None:
             self._motions.append(between(last, self._backend.pose))
-            self._noise.append(np.linalg.inv(relations[leading][3]))
+            self._noise.append(relation_covariance(relations[leading], new))
             if self.tracker is not None:
                 self.tracker.move(self._motions[-1], self._noise[-1])
                 if fix is not None:
@@ -159,3 +156,18 @@ class Localizer:
         sightings = np.array([z[: min(map(len, rows))] for z in rows])
         motions, noise = np.array(self._motions).reshape(-1, 3), np.array(self._noise).reshape(-1, 3, 3)
         return Stretch("the drive", motions, noise, np.array(steps), np.array(ids), sightings, self._sensor)
+
+
+def relation_covariance(relation: Relation, new: int) -> Array:
+    """The covariance (3, 3) of a relation to the pose ``new``, in the axes of the other one.
+
+    A relation z = (t, theta) from the new pose has the inverse (-R(theta)' t, -theta), and with the derivative J of that the
+    covariance J P J'.
+    """
+    covariance = np.linalg.inv(relation[3])
+    if relation[0] != new:
+        return covariance
+    x, y, theta = relation[2]
+    c, s = np.cos(theta), np.sin(theta)
+    J = -np.array([[c, s, c * y - s * x], [-s, c, -c * x - s * y], [0.0, 0.0, 1.0]])
+    return np.asarray(J @ covariance @ J.T)

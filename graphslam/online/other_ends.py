@@ -40,7 +40,8 @@ class OtherEnds:
         waiting: the single numbers of landmarks that have no place yet.
         numbers: those of landmarks that have a place by them alone.
         positions: (pose, measured, information, lever) of each.
-        tried, turned_at: how many there were when other places were tried last, and how many positions.
+        tried: how many numbers each of these landmarks had when its other places were tried last.
+        turned_at: how many positions there were when they last moved the way in closed form.
     """
 
     sensor: SensorModel
@@ -51,12 +52,12 @@ class OtherEnds:
     turned_at: int = 0
 
     def placed(self, landmark: int, rows: Iterable[NumberRow]) -> None:
-        """A landmark has got its place by these numbers."""
+        """Note the numbers by which a landmark has got its place."""
         self.numbers[landmark] = list(rows)
         self.tried[landmark] = len(self.numbers[landmark])
 
     def seen(self, whole: Iterable[int], rows: Iterable[tuple[int, NumberRow]]) -> None:
-        """Landmarks with a place have been seen again: as a whole, and so in one place, or by single numbers."""
+        """Note landmarks that were seen again: as a whole, and so in one place, or by single numbers."""
         for landmark in whole:
             self.numbers.pop(landmark, None)
         for landmark, row in rows:
@@ -64,7 +65,7 @@ class OtherEnds:
                 self.numbers[landmark].append(row)
 
     def located(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
-        """A position of a pose has been added."""
+        """Note a position of a pose."""
         self.positions.append((pose, measured, information, lever))
 
     def doubts(
@@ -131,7 +132,7 @@ class LatestSightings:
         return LatestSightings(self.kernel, set(self.held), rows, dict(self.counts), dict(self.tried))
 
     def add(self, landmarks: Sequence[int], sightings: Sequence[Row]) -> None:
-        """Landmarks have been seen."""
+        """Note the sightings of landmarks."""
         for id, row in zip(landmarks, sightings):
             if id not in self.rows:
                 self.rows[id], self.counts[id] = deque(maxlen=LATEST), 0

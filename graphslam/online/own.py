@@ -206,7 +206,7 @@ class OwnBackend(Backend):
                 fresh.append(landmark)
                 placed[landmark] = still.take(landmark, self.num_final)
                 self._add_numbers(added, landmark, placed[landmark])
-        # before they bend the graph
+        # the state before these numbers bend the graph, from which other places are tried
         before = None
         doubtful = self._others.doubts(rows, poses_now, self._place) if rows and self.lag is None else []
         if doubtful:
@@ -220,7 +220,7 @@ class OwnBackend(Backend):
         for landmark, numbers_of_it in placed.items():
             self._others.placed(landmark, numbers_of_it)
         self._others.seen(landmarks, rows)
-        # those that are seen whole now have one place
+        # landmarks that are seen as a whole now are no landmarks of single numbers alone
         if before is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
             self._try_other_places(*before, doubtful)
         if self._latest is not None and len(landmarks):
@@ -378,7 +378,6 @@ class OwnBackend(Backend):
 
     @property
     def converged(self) -> bool:
-        # otherwise neither the passes nor those after a batch solution ended
         return bool(self.system.converged)
 
     @property

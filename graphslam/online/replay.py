@@ -157,10 +157,10 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
     relations, positions = _arriving(graph)
     held, release = _first_held(graph), None
     if held and (known or positions) and "start_covariance" not in options:
-        # until a position or a landmark of the map is seen, what a free start says is less than rounding errors of precise
-        # odometry
+        # a free start has so little information that it is lost in rounding errors of precise odometry, until a position or a
+        # landmark of the map is seen
         held, release = {}, _anchored(graph)
-    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=kernel, **(held | options))
+    solver = OnlineSolver(graph.initial[0], sensor=graph.sensor, kernel=kernel or "none", **(held | options))
     backend: Any = solver._backend
     if known is not None:
         if any(len(known[j]) < d for j in graph.landmark_ids.tolist() if j in known):
@@ -309,7 +309,7 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
     own, numbers = _first_held(graph) | own, _single_numbers(graph)
     solver = OnlineSolver(
         graph.trajectory[0], backend="isam2", motion=options.get("motion") or log.motion, sensor=graph.sensor,
-        kernel=options["kernel"], **own,
+        kernel=options["kernel"] or "none", **own,
     )  # fmt: skip
     backend: Any = solver._backend
     relations, positions = _arriving(graph)

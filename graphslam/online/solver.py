@@ -64,7 +64,8 @@ class OnlineSolver:
             "isam2": GTSAM's ISAM2, `online.isam2.Isam2Backend`, which relinearises what moves by more than a threshold.
         motion, sensor: the noise models; default: the book's.
         motion_weight: lambda, the factor on the information of the motion edges.
-        kernel: a robust kernel, or its name, on the sightings, positions, and relations between known poses.
+        kernel: a robust kernel, or its name, on the sightings, positions, and relations between known poses; "none" for
+            none. Default: cauchy in a map, where single landmarks may have moved, and none else.
         options: of the backend; see `online.own.OwnBackend` (tolerance, lag, map, start_covariance) and
             `online.isam2.Isam2Backend` (edges, weight, residual, threshold, skip, factorization, params).
 
@@ -90,10 +91,13 @@ class OnlineSolver:
         check_known(f"the backend {backend}", options, known, f"; its own options are {', '.join(known)}")
         self.backend, self.motion = backend, model_of(MotionModel, motion)
         self.sensor = model_of(SensorModel, sensor)
+        in_map = options.pop("map", None)
+        if kernel is None and in_map is not None:
+            kernel = "cauchy"
         self.motion_weight, self.kernel = motion_weight, kernel_of(kernel)
         first = None if start is None else checked_pose("start", start)
         self._backend: Backend
-        if (in_map := options.pop("map", None)) is not None:
+        if in_map is not None:
             held = options.pop("start_covariance", None)
             # without a covariance the start is exact
             held = np.linalg.inv(ANCHOR_INFORMATION) if held is None else held

@@ -121,9 +121,9 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     status, bound, reason, direction = outcome
     # at residuals of zero the kernel's cost is zero, too, and no cost is lower
     if graph.reweighted and status != NOT_APPLICABLE and not (status == GLOBAL and bound == 0):
-        status, reason = _WEIGHTS.get(status, status), f"with the weights of the kernel held, {reason}"
-    if graph.parameters is not None and status in _HELD:
-        status, reason = _HELD[status], f"with the parameters held at their values, {reason}"
+        status, reason = _WITH_WEIGHTS.get(status, status), f"with the weights of the kernel held, {reason}"
+    if graph.parameters is not None and status in _WITH_PARAMETERS:
+        status, reason = _WITH_PARAMETERS[status], f"with the parameters held at their values, {reason}"
     return _certificate((status, bound + constant, reason, direction), cost + constant, begin, graph.reweighted)
 
 
@@ -137,8 +137,8 @@ def _put_back(graph: Graph, state: Array) -> np.ndarray:
 
 
 #: the status of a proof that holds the weights of a kernel, and of one that holds the parameters
-_WEIGHTS = {GLOBAL: GLOBAL_WEIGHTS}
-_HELD = {GLOBAL: GLOBAL_HELD, GLOBAL_WEIGHTS: GLOBAL_WEIGHTS_HELD}
+_WITH_WEIGHTS = {GLOBAL: GLOBAL_WEIGHTS}
+_WITH_PARAMETERS = {GLOBAL: GLOBAL_HELD, GLOBAL_WEIGHTS: GLOBAL_WEIGHTS_HELD}
 
 
 def prove_edges(edges: Sequence[EdgeFamily], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
@@ -278,4 +278,5 @@ class _Problem:
         self.proof.begin(edges, nodes, np.asarray(fixed, np.int64))
 
     def __del__(self) -> None:
+        # the next proof uses its memory again
         self.structure.spare[:] = [self.proof]

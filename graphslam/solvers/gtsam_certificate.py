@@ -127,7 +127,8 @@ def _measured(description: FactorDescription) -> tuple[Array, Array]:
     if "z" in a:
         if a.get("residual") == "polar":
             raise GraphError(f"the residual h(x, m) - z of {description} has no such form; use residual='cartesian'")
-        measured, covariance = (each[0] for each in a["sensor"].places(a["z"][None]))
+        noisy = None if a["noise_at"] is None else a["noise_at"][None]
+        measured, covariance = (each[0] for each in a["sensor"].places(a["z"][None], noisy=noisy))
         return measured, _inverse(covariance) * a["scale"]
     return a["measured"], a["information"]
 
@@ -151,7 +152,9 @@ def _virtual(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[Edge
     trust = np.repeat(scale**0.5, 2)
     z, starts = np.stack([z_1, z_2], axis=1), np.arange(0, nodes.size + 1, 2)
     sensor = alike[0].arguments["sensor"]
-    yield VirtualMotionEdges(starts, nodes.ravel(), z.reshape(nodes.size, -1), sensor, trust=trust)
+    given = [each.arguments["noise_at"] for each in alike]
+    noisy = np.array([own if at is None else at for own, at in zip(z, given)]).reshape(nodes.size, -1)
+    yield VirtualMotionEdges(starts, nodes.ravel(), z.reshape(nodes.size, -1), sensor, trust=trust, noise_at=noisy)
 
 
 def _landmarks(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[EdgeFamily]:
@@ -160,10 +163,11 @@ def _landmarks(nodes: np.ndarray, alike: list[FactorDescription]) -> Iterator[Ed
         order = np.argsort(own, kind="stable") if a["weight"] == "marginal" else np.arange(len(own))
         trust = None if a["trust"] is None else a["trust"][order]
         parts = np.array([0, len(own)]), own[order], a["sightings"][order], a["sensor"]
+        noisy = None if a["noise_at"] is None else a["noise_at"][order]
         if a["weight"] == "marginal":
-            yield MarginalEdges(*parts, trust=trust)
+            yield MarginalEdges(*parts, trust=trust, noise_at=noisy)
         else:
-            yield VirtualMotionEdges(*parts, trust=trust, tempered=a["weight"] == "tempered")
+            yield VirtualMotionEdges(*parts, trust=trust, noise_at=noisy, tempered=a["weight"] == "tempered")
 
 
 def _inverse(covariance: Array) -> Array:

@@ -179,11 +179,7 @@ def _factors_of(
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePointFactor(i, j, z, information)
     elif isinstance(family, edges.CartesianObservationEdges):
-        for i, j, z, noisy, trust in _rows(family.first, family.second, *_seen(family)):
-            yield factor_types.InverseObservationFactor(
-                i, j, z, family.sensor,
-                frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel, noise_at=noisy,
-            )  # fmt: skip
+        yield from _inverse_observations(family, family.first, family.second, reference)
     elif isinstance(family, edges.PolarObservationEdges):
         for i, j, z, noisy, trust in _rows(family.first, family.second, *_seen(family)):
             factor = factor_types.ObservationFactor(
@@ -191,11 +187,7 @@ def _factors_of(
             )
             yield factor.fastest()
     elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
-        for i, j, z, noisy, trust in _rows(family.nodes, num_nodes + family.group, *_seen(family)):
-            yield factor_types.InverseObservationFactor(
-                i, j, z, family.sensor,
-                frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel, noise_at=noisy,
-            )  # fmt: skip
+        yield from _inverse_observations(family, family.nodes, num_nodes + family.group, reference)
     elif isinstance(family, edges.MarginalEdges):
         yield from _landmark_factors(family, reference, "marginal")
     elif isinstance(family, edges.VirtualMotionEdges) and family.kernel is None and factors == "fastest":
@@ -215,6 +207,17 @@ def _factors_of(
             )  # fmt: skip
     else:
         raise GraphError(f"no gtsam factor is known for {type(family).__name__}")
+
+
+def _inverse_observations(
+    family: edges.CartesianObservationEdges | edges.MarginalEdges, poses: np.ndarray, landmarks: np.ndarray,
+    reference: Array,
+) -> Iterator[factor_types.InverseObservationFactor]:  # fmt: skip
+    for i, j, z, noisy, trust in _rows(poses, landmarks, *_seen(family)):
+        yield factor_types.InverseObservationFactor(
+            i, j, z, family.sensor,
+            frame=family.frame, at=reference[i], scale=trust, kernel=family.kernel, noise_at=noisy,
+        )  # fmt: skip
 
 
 def _seen(family: edges.SightingEdges) -> tuple[Array, Array, Array]:

@@ -287,7 +287,7 @@ def _optimize(graph: Graph, factors: gtsam.NonlinearFactorGraph, run: Run, rough
     """Levenberg-Marquardt from ``run.state`` until it converges at a minimum.
 
     A short step alone proves nothing: damping may have shortened it. So the last step is one of Gauss-Newton, and its
-    predicted decrease of J must be negligible (`_promises_little`): at most the part ``tolerance`` of J. With ``roughly``
+    predicted decrease of J must be negligible (`_promises_little`), with the tolerance as the part of J. With ``roughly``
     above 0 that is the part, and a damped step whose predicted decrease is as small is enough.
     """
     part = roughly or run.tolerance
@@ -339,7 +339,8 @@ def _promises_little(
 ) -> bool:
     """Whether an undamped step from the optimizer's values, a state (n, 3), promises a negligible decrease of J.
 
-    Negligible is ``part`` of J, or what rounding errors of 1e-15 of the coordinates make of it, as for `solve`.
+    Negligible is `PROMISE` of J, or ``part`` of J where that is greater, or what rounding errors of 1e-15 of the coordinates
+    make of J, as for `solve`.
     """
     values = optimizer.values()
     linear = factors.linearize(values)

@@ -1,7 +1,8 @@
 """Initial values, and the option ``initialize``, which chooses among them.
 
-They are the given ones, dead reckoning, headings first and then positions, and a growing trajectory. From the end of a
-solver, `descents` and restarts with one stretch of the trajectory turned by 2 pi look for a lower minimum.
+`starting_state` makes those that are named, and for "auto" the first of `AUTO` that the edges allow; `solvers.auto` solves
+from several. From the end of a solver, `descents` and restarts with one stretch of the trajectory turned by 2 pi look for a
+lower minimum.
 
 **Headings first.** Gauss-Newton reaches the optimum only from near it, mostly because of the headings. They can be computed
 first, by linear least squares on unit vectors: with r_i = (cos theta_i, sin theta_i), every edge that measures a relative
@@ -390,10 +391,10 @@ def _solved(graph: Graph, start: Array) -> Array:
     return end_of(levenberg_marquardt, graph, start, 0.1 * rough(graph), max_iterations=40)
 
 
-def _all_places(graph: Graph, state: Array, count: int, but: set[int]) -> Iterator[tuple[int, Places]]:
-    """The places of the landmarks from their single numbers seen by the first poses, except for some landmarks."""
+def _all_places(graph: Graph, state: Array, count: int, placed: set[int]) -> Iterator[tuple[int, Places]]:
+    """The places that single numbers from the first poses leave for each landmark, except for those ``placed``."""
     families = partial_edges(graph)
-    for node in sorted(set(np.concatenate([family.second for family in families]).tolist()) - but):
+    for node in sorted(set(np.concatenate([family.second for family in families]).tolist()) - placed):
         yield node, places_of([f.among((f.second == node) & (f.first < count)) for f in families], state)
 
 
@@ -459,9 +460,9 @@ def virtual_motion_first(graph: Graph) -> Array:
 
 def _in_map(graph: Graph, poses: Array) -> Array:
     """Poses (P, 3) as a whole where the map of the graph puts them, if it has one."""
-    family = next(family for family in graph.families if isinstance(family, ObservationEdges))
     if graph.map is None:
         return poses
+    family = next(family for family in graph.families if isinstance(family, ObservationEdges))
     ids = graph.landmark_ids[family.second - len(graph.steps)]
     return registered(poses, family.first, family.sightings, ids, graph.map, family.sensor)
 

@@ -46,16 +46,17 @@ class Iteration:
 
 @dataclass
 class Run:
-    """An iteration, before and after.
+    """An iteration: where it starts and when it stops, and after it what it has done.
+
+    It has converged where one of three rules is met: those of ``tolerance`` and ``cost_tolerance``, or that steps no longer
+    become shorter and the predicted decrease of J is below 1e-15 J, or below what rounding makes of J.
 
     Attributes:
         state: (n, 3), where it starts; then where it ended.
-        tolerance: the iteration has converged where a step is shorter than this and its predicted decrease of J is small:
-            at most 1e-6 of J (or this tolerance, where that is greater), or no more than rounding makes of J.
+        tolerance: a step is shorter than this, and its predicted decrease of J is small: at most 1e-6 of J (or this
+            tolerance, or the other one, where that is greater), or no more than rounding makes of J.
         max_iterations: the most steps to take.
-        cost_tolerance: it has also converged where J changes, or is predicted to change, by less than this part; 0: never. A
-            third rule ends it where the predicted decrease is below 1e-15 J, or below what rounding makes of J, and steps no
-            longer become shorter.
+        cost_tolerance: J changes, or is predicted to change, by less than this part; 0: never.
         callback: called after each step.
         costs, step_norms: J before each step, and the norm of each step.
         descend: whether damped steps must lower J itself, with state-dependent information evaluated at both ends.

@@ -70,7 +70,7 @@ class JointGraph:
         return self.at(state, reference).cost(nodes, held)
 
     def linearize(self, state: Array, reference: Array | None = None) -> float:
-        """Evaluate the system at a state; the cost there."""
+        """Evaluate the system at a state, and return the cost there."""
         self._nodes, _ = self.parted(state)
         held = self._nodes if reference is None else self.parted(reference)[0]
         self._here = self.at(state, reference)
@@ -80,7 +80,7 @@ class JointGraph:
 
     @property
     def xi(self) -> Array:
-        """The right side (n + r, 3)."""
+        """The right-hand side (n + r, 3)."""
         return self.joined(self._here.system.xi, self._border.gradient)
 
     def diagonal(self) -> Array:
@@ -209,7 +209,7 @@ def copied(edges: SightingEdges, state: Array, poses: int) -> tuple[SightingEdge
 
 
 def times(system: BlockSystem, right: Array) -> Array:
-    """Omega times right sides (n, 3, K)."""
+    """Omega times (n, 3, K)."""
     from scipy.sparse import bsr_matrix
 
     n, _, K = right.shape

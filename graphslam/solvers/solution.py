@@ -396,14 +396,14 @@ def doubted(solution: Solution) -> Solution:
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
         return solution
-    if doubt := doubt_of_map(graph, solution.state):
-        notes.append(doubt)
-    if doubt := doubt_of_positions(graph, solution.state):
-        notes.append(doubt)
-    if doubt := doubt_of_odometry(graph, solution.state):
-        notes.append(doubt)
-    # families that do not say how many numbers they measure leave the expected cost open
-    counted = all(family.numbers[0] or isinstance(family, AnchorEdges) for family in graph.families)
+    for doubt_of in (doubt_of_map, doubt_of_positions, doubt_of_odometry):
+        if doubt := doubt_of(graph, solution.state):
+            notes.append(doubt)
+    # families with edges that do not say how many numbers they measure leave the expected cost open
+    counted = all(
+        family.numbers[0] or isinstance(family, AnchorEdges) or not len(family.cliques()[1])
+        for family in graph.families
+    )
     expected = max(graph.expected_cost, 1.0)
     ratio = solution.cost / expected if counted else 0.0
     if graph.log is None and ratio > MISFIT:

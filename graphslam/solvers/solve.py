@@ -59,8 +59,8 @@ def solve(
             random half of the sightings left out, several times, and then with all of them. In graphs of at most 1,000
             nodes it also tries a few more starts if no end is proven. It returns the converged solution with the
             lowest cost, which is never above that of the given values. Unless it is proven, a lower one may exist: of 400
-            logs with up to three times the book's noise, one ended 1.6 % too high (benchmarks/hard_logs.py --seed 20, 22,
-            60 and 61).
+            logs with up to three times the book's noise, three ended 0.2 to 0.8 % too high (benchmarks/hard_logs.py --seed
+            70 to 73).
         callback: called after each step with an `Iteration`; with "auto" only after the search, once for each step of the
             run that is returned. It counts the steps of all passes to the estimated ranges. Not for "gnc".
         cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less

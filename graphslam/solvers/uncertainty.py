@@ -7,9 +7,9 @@ the poses (3 rows each), then the landmarks (2 or 3 rows each). Doubts about est
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -300,9 +300,8 @@ def shaped(poses: Any, landmarks: Any, of_poses: list[Array], of_landmarks: list
 
 def split(matrix: Array, poses: Any, landmarks: Any) -> Any:
     """The blocks on the diagonal of a joint covariance, in the shape of the arguments that named them."""
-    count, end = len(ids_of("poses", poses)), len(ids_of("landmarks", landmarks))
-    d = (len(matrix) - 3 * count) // max(end, 1)
-    block: Callable[[int, int], Array] = lambda at, size: matrix[at : at + size, at : at + size]  # noqa: E731
-    return shaped(
-        poses, landmarks, [block(3 * k, 3) for k in range(count)], [block(3 * count + d * k, d) for k in range(end)]
-    )
+    first, others = len(ids_of("poses", poses)), len(ids_of("landmarks", landmarks))
+    d = (len(matrix) - 3 * first) // max(others, 1)
+    ends = np.cumsum([0, *[3] * first, *[d] * others]).tolist()
+    blocks = [matrix[a:b, a:b] for a, b in pairwise(ends)]
+    return shaped(poses, landmarks, blocks[:first], blocks[first:])

@@ -9,7 +9,9 @@ from graphslam import MotionModel, OptionError, certify
 from graphslam.se2 import between
 
 
-def test_gtsam_graphs_of_our_factors():
+@pytest.mark.parametrize("farther", [None, 1.3])
+def test_gtsam_graphs_of_our_factors(farther):
+    """Also where the noise is evaluated at sightings that are farther away."""
     gtsam = pytest.importorskip("gtsam")
     from graphslam import SensorModel
     from graphslam.factors import (
@@ -30,17 +32,22 @@ def test_gtsam_graphs_of_our_factors():
         poses.append(motion.f(poses[-1], (0.5, 0.3), 1.0))
     landmark = np.array([2.0, 1.0, 0.3])
     z = [sensor.h(x, landmark) + 0.02 * rng.standard_normal(3) for x in poses]
+    at = [None if farther is None else each * [farther, 1.0, 1.0] for each in z]
+
+    def noise(*which):
+        return None if farther is None else [at[k] for k in which]
+
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(AnchorFactor(0, poses[0]))
     for k in range(3):
         graph.add(MotionFactor(k, k + 1, (0.5, 0.3), 1.0, motion, scale=2.0))
-        graph.add(VirtualMotionFactor(k + 1, k, z[k + 1], z[k], sensor, scale=0.5))
-    graph.add(LandmarkFactor([0, 2, 3], [z[0], z[2], z[3]], sensor, weight="marginal"))
-    graph.add(LandmarkFactor([3, 2, 0], [z[3], z[2], z[0]], sensor, weight="tempered"))
+        graph.add(VirtualMotionFactor(k + 1, k, z[k + 1], z[k], sensor, scale=0.5, noise_at=noise(k + 1, k)))
+    graph.add(LandmarkFactor([0, 2, 3], [z[0], z[2], z[3]], sensor, weight="marginal", noise_at=noise(0, 2, 3)))
+    graph.add(LandmarkFactor([3, 2, 0], [z[3], z[2], z[0]], sensor, weight="tempered", noise_at=noise(3, 2, 0)))
     graph.add(RelativePoseFactor(0, 3, between(poses[0], poses[3]), np.diag([4.0, 9.0, 16.0])))
     graph.add(RelativePointFactor(0, 10, [2.0, 1.1], np.diag([4.0, 9.0])))
     for k in range(4):
-        graph.add(ObservationFactor(k, 10, z[k][:2], sensor))
+        graph.add(ObservationFactor(k, 10, z[k][:2], sensor, noise_at=None if farther is None else at[k][:2]))
         values.insert(k, gtsam.Pose2(*poses[k]))
     values.insert(10, gtsam.Point2(2.0, 1.0))
     end = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()

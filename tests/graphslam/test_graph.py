@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, GraphError, Log, MotionModel, OptionError, SensorModel, load, simulate, solve
+from graphslam.metrics import mean_nees
 
 
 def log_of(sightings, poses=4, psi=True, controls=True):
@@ -149,6 +150,26 @@ def test_a_weight_without_effect_is_a_note():
 def test_an_option_without_effect_is_a_note(edges, option, value, effect):
     graph = Graph.from_log(simulate(steps=10), edges=edges, kernel="none", **{option: value})
     assert any(f"{option}=" in note and "no effect" in note for note in graph.notes) == (not effect)
+
+
+@pytest.mark.parametrize(("bearing_std", "said"), [(0.1, True), (0.03, False)])
+def test_bearings_that_are_much_less_exact_than_ranges(bearing_std, said):
+    """Covariances of the Cartesian residual are then too small; those of the polar one are right."""
+    models = {
+        "motion": MotionModel(nn=0.05, no=0.001, on=0.02, oo=0.05, epsilon=1e-6),
+        "sensor": SensorModel(range_rate=0.0, range_std=0.05, bearing_std=bearing_std),
+    }
+    world = {"steps": 60, "clean": True, "orientation": False, "max_range": 12.0, "arena": 20.0, "landmarks": 30}
+    nees = {"cartesian": [], "polar": []}
+    for seed in range(6):
+        log = simulate(seed=seed, **world, **models).replace(**models)
+        for residual, found in nees.items():
+            solution = solve(Graph.from_log(log, edges="landmark+motion", residual=residual))
+            found.append(mean_nees(log.true_poses, solution.poses, solution.covariance()))
+            noted = any("residual polar does not" in note for note in solution.graph.notes)
+            assert noted == (said and residual == "cartesian")
+    assert np.mean(nees["polar"]) < 1.3
+    assert (np.mean(nees["cartesian"]) > 1.4) == said
 
 
 def test_arrays_of_graphs_and_solutions_are_read_only(book_log):

@@ -47,6 +47,22 @@ def off(poses, true):
     return (np.hypot(*(poses - true)[:, :2].T) > BOUNDS[0]) | (np.abs(wrap(poses[:, 2] - true[:, 2])) > BOUNDS[1])
 
 
+def test_poses_do_not_follow_a_landmark_that_has_moved():
+    """Without a kernel they do, and nearly all of those that count as safe are off."""
+    off_when_safe = {None: [], "none": []}
+    for seed in range(4):
+        log, known = drive(seed)
+        often = np.bincount(log.landmarks).argmax()
+        changed = LandmarkMap({j: m + (1.0 if j == often else 0.0) for j, m in known.items()})
+        for kernel, found in off_when_safe.items():
+            for step, solver in enumerate(online(log, changed, kernel=kernel)):
+                if solver.located and solver.integrity_risk(*BOUNDS) < 0.05:
+                    found.extend(off(solver.pose[None], log.true_poses[step : step + 1]))
+    assert min(map(len, off_when_safe.values())) > 10
+    assert np.mean(off_when_safe[None]) < 0.3
+    assert np.mean(off_when_safe["none"]) > 0.7
+
+
 def test_the_probability_of_a_circle_is_that_of_rayleigh():
     for std in (0.01, 0.2, 1.0, 30.0):
         P = np.diag([std**2, std**2, 1e-8])

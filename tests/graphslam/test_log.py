@@ -3,6 +3,7 @@ import pytest
 
 from graphslam import Graph, GraphError, Log, LogError, MotionModel, SensorModel, load, save
 from graphslam.log import UNIDENTIFIED
+from graphslam.log.measurements import PartialSightings
 
 
 def make(**changes):
@@ -109,6 +110,10 @@ def test_poses_left_out_join_their_motions():
     np.testing.assert_allclose(end.control_variances, log.control_variances[2:])
     assert end.steps.tolist() == [0, 0]
     assert log.nearer_than(2.0).sightings[:, 0].max() == 2.0
+    alone = PartialSightings(
+        steps=[0, 0, 1], landmarks=[1, 2, 1], ranges=[1.0, 3.0, np.nan], bearings=[np.nan, np.nan, 0.5]
+    )
+    assert log.replace(partial_sightings=alone).nearer_than(2.0).partial_sightings.landmarks.tolist() == [1, 1]
     with pytest.raises(LogError, match="must increase"):
         log.at_steps([1, 1])
 

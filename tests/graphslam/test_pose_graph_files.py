@@ -1,10 +1,12 @@
 import re
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from graphslam import FormatError, Graph, GraphError, Log, OptionError, sample_log_path, solve
+from graphslam import FormatError, Graph, GraphError, Log, OptionError, sample_log_path, simulate, solve
+from graphslam.edges import AnchorEdges
 from graphslam.graph.pose_graph import read_pose_graph
 from graphslam.io import read
 from graphslam.se2 import between, compose, turn_matrix, wrap
@@ -140,6 +142,18 @@ def test_motion_graphs_can_be_written_and_virtual_ones_cannot(tmp_path, book_log
     state = graph.initial + np.random.default_rng(0).normal(size=graph.initial.shape)
     expected = graph.families[2].cost(state, state)
     assert again.cost(state) == pytest.approx(expected, rel=1e-10)
+
+
+def test_soft_anchors_are_written_as_measurements(tmp_path):
+    graph = Graph.from_log(
+        simulate(seed=1, steps=10, clean=True, orientation=False), edges="landmark+motion", kernel="none"
+    )
+    soft = AnchorEdges(np.array([4, 9]), graph.initial[[4, 9]] + 0.2, np.tile(np.diag([4.0, 9.0, 25.0]), (2, 1, 1)))
+    tied = replace(graph, families=(*(f for f in graph.families if not isinstance(f, AnchorEdges)), soft))
+    solution = solve(tied)
+    tied.with_initial(solution.state).save_g2o(tmp_path / "soft.g2o")
+    assert solve(Graph.from_g2o(tmp_path / "soft.g2o")).cost == pytest.approx(solution.cost, rel=1e-9)
+    assert solution.cost > 0.01
 
 
 def test_the_three_dialects_say_the_same(tmp_path):

@@ -147,6 +147,15 @@ def test_the_optimum_is_reached_from_odometry(number: str) -> None:
         assert found.converged and found.cost <= near.cost * (1 + 1e-6)
 
 
+@pytest.mark.parametrize("number", ["range", "bearing"])
+def test_noise_models_that_are_too_narrow_are_said(number: str) -> None:
+    log = simulate_single_numbers(number, seed=31)
+    assert not any(note.startswith("J is") for note in solve(Graph.from_log(log)).notes)
+    quarter = {name: getattr(SENSOR, name) / 4 for name in ("range_rate", "range_std", "bearing_std")}
+    narrow = log.replace(sensor=replace(SENSOR, **quarter))
+    assert any(note.startswith("J is") for note in solve(Graph.from_log(narrow)).notes)
+
+
 def test_a_mirror_image_is_never_silent() -> None:
     log = straight()
     found = solve(Graph.from_log(log))

@@ -31,7 +31,7 @@ def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress 
 
     Args:
         log: a log, the file or folder of one, or None for the sample log of the package.
-        progress: called after each step; for ``graph`` and ``particle-gibbs`` after each frame.
+        progress: called after each step; for ``graph``, ``association`` and ``particle-gibbs`` after each frame.
         options: the fields of `options.AnimationOptions` (estimator, max_frames, fps) and of `options.RunOptions`.
 
     Returns:
@@ -46,9 +46,7 @@ def animate(log: Log | str | PathLike[str] | None = None, *, progress: Progress 
     data, source, run = prepare(log, RunOptions.of(**options))
     if len(data.steps) == 0:
         raise GraphError(f"{data.name} has no sightings at all, so there is nothing to estimate from")
-    makers = {
-        "graph": graph_film, "association": association_film, "isam2": isam2_film, "particle-gibbs": sample_film,
-    }  # fmt: skip
+    makers = {"graph": graph_film, "association": association_film, "isam2": isam2_film, "particle-gibbs": sample_film}
     film = makers.get(animation.estimator, particle_film)(data, run, animation, progress or (lambda: None))
     # iterations are few and worth a look each
     fps = animation.fps or (2.0 if animation.estimator == "graph" else 10.0)

@@ -218,8 +218,7 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
     Raises:
         SlamError: no ids are found, or the log does not determine the graph.
     """
-    without_ids = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
-    result = ESTIMATORS["graph"].run(without_ids, options)
+    result = ESTIMATORS["graph"].run(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)), options)
     assert result.association is not None and result.found is not None
     status, sensor = status_of(result), options.sensor or log.sensor or SensorModel()
     numbers = np.array([list(_LABELS).index(each) for each in status.tolist()])

@@ -171,16 +171,12 @@ def _truth(view: View) -> list[dict[str, Any]]:
 
 
 def _known(estimate: Estimate, landmark: int) -> str:
-    error = estimate.landmark_errors.get(landmark)
-    deviations = _deviations(estimate.landmark_covariances.get(landmark))
-    return deviations if error is None else f"error {error:.3f} m<br>{deviations}"
-
-
-def _deviations(S: Array | None) -> str:
-    if S is None:
-        return "covariance not known"
-    sx, sy = np.sqrt(S[0, 0]), np.sqrt(S[1, 1])
-    return f"covariance: σx {sx:.4f} m, σy {sy:.4f} m, ρxy {S[0, 1] / max(sx * sy, 1e-300):.2f}"
+    error, S = estimate.landmark_errors.get(landmark), estimate.landmark_covariances.get(landmark)
+    known = "covariance not known"
+    if S is not None:
+        sx, sy = np.sqrt(S[0, 0]), np.sqrt(S[1, 1])
+        known = f"covariance: σx {sx:.4f} m, σy {sy:.4f} m, ρxy {S[0, 1] / max(sx * sy, 1e-300):.2f}"
+    return known if error is None else f"error {error:.3f} m<br>{known}"
 
 
 def _xy(points: Array) -> dict[str, Any]:
@@ -425,8 +421,7 @@ def pictures(graph: Graph) -> list[Picture]:
         for (r, c), what in ((filled, FILL), ((rows, cols), ENTRY)):
             r, c = r * len(cells) // n, c * len(cells) // n
             cells[r, c] = cells[c, r] = what
-        blocks = analyze(indptr, indices, ordering=order).blocks
-        made.append(Picture(cells, len(indices), blocks, n))
+        made.append(Picture(cells, len(indices), analyze(indptr, indices, ordering=order).blocks, n))
     return made
 
 

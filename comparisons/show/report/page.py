@@ -175,7 +175,9 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
         "behaviour": _resource("page.js"),
         "plotly": get_plotlyjs(),
     }
-    return Template(_translated_page(_resource("page.html"), language)).substitute(part)
+    # the texts of the template, but not its style
+    page = _TEXTS.sub(lambda text: translated(text[0], language), _resource("page.html"))
+    return Template(page).substitute(part)
 
 
 #: texts between the marks of a page, and those of its labels
@@ -183,11 +185,6 @@ _TEXTS = re.compile(r'(?<=>)[^<>]*[a-z][^<>]*(?=<)|(?<=aria-label=")[^"]*(?=")')
 #: keys of a figure that hold texts
 _TITLES = ("text", "name", "hovertemplate")
 _TAG = re.compile("(<[^>]*>)")
-
-
-def _translated_page(html: str, language: str) -> str:
-    """The template with its texts, but not its style, in a language."""
-    return _TEXTS.sub(lambda text: translated(text[0], language), html)
 
 
 def _translated_figure(figure: Any, language: str) -> Any:
