@@ -132,7 +132,7 @@ class LatestSightings:
         return LatestSightings(self.kernel, set(self.held), rows, dict(self.counts), dict(self.tried))
 
     def add(self, landmarks: Sequence[int], sightings: Sequence[Row]) -> None:
-        """Landmarks have been seen."""
+        """Note the sightings of landmarks."""
         for id, row in zip(landmarks, sightings):
             if id not in self.rows:
                 self.rows[id], self.counts[id] = deque(maxlen=LATEST), 0

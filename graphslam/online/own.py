@@ -220,7 +220,7 @@ class OwnBackend(Backend):
         for landmark, numbers_of_it in placed.items():
             self._others.placed(landmark, numbers_of_it)
         self._others.seen(landmarks, rows)
-        # landmarks that are seen as a whole now have no other place
+        # landmarks that are seen as a whole now are no landmarks of single numbers alone
         if before is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
             self._try_other_places(*before, doubtful)
         if self._latest is not None and len(landmarks):
