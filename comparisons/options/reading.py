@@ -163,7 +163,7 @@ def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[i
     if len(robots_in(log, format=options.format)) < 2:
         return {}
     with warnings.catch_warnings(action="ignore", category=UserWarning):
-        return load_robots(log, **_of_load(options))
+        return load_robots(log, **{name: each for name, each in _of_load(options).items() if name != "robot"})
 
 
 def _joined_robots(robots: dict[int, Log], options: LogOptions) -> tuple[Log, dict[str, float], bool]:

@@ -121,9 +121,12 @@ def on_an_arc(log: Log, sensor: SensorModel) -> str | None:
     ranges = log.sightings[:, 0]
     if not len(ranges):
         return None
-    shift = ranges * sensor.bearing_std**2 / 2
-    deviation = np.maximum(np.hypot(ranges * sensor.range_rate, sensor.range_std), 1e-300)
-    if (deviations := float(np.median(shift / deviation))) <= ON_AN_ARC:
+    with np.errstate(over="ignore", invalid="ignore"):
+        shift = ranges * np.square(sensor.bearing_std) / 2
+        deviation = np.maximum(np.hypot(ranges * sensor.range_rate, sensor.range_std), 1e-300)
+        deviations = float(np.median(shift / deviation))
+    # noise that leaves the range of double precision is said elsewhere
+    if not ON_AN_ARC < deviations < np.inf:
         return None
     return (
         f"bearings are much less exact than ranges: the Cartesian residual puts landmarks {np.median(shift):.2g} m too near "
