@@ -1,8 +1,8 @@
 // Taking the edges of an old pose out of the graph. Eliminating the increments of its node from Omega d = rhs of its edges
 // and priors leaves a prior on its neighbours: dense, and exact for the linearisation that the edges had last.
 #include <algorithm>
-#include <stdexcept>
 
+#include "require.hpp"
 #include "vmslam/online/system.hpp"
 
 namespace vmslam::online {
@@ -72,7 +72,7 @@ void take_out(Graph& graph, Id number) {
 }  // namespace
 
 Triple OnlineSystem::marginalize(Id node, std::span<const Id> newest) {
-    if (graph_.nodes.at(node).point) throw std::invalid_argument("a landmark without heading cannot be marginalised");
+    require(!graph_.nodes[node].point, "a landmark without heading cannot be marginalised");
     const std::vector<Id> gone = graph_.edges_of(node);
     const auto mine = std::stable_partition(priors_.begin(), priors_.end(), [&](const Prior& prior) {
         return std::find(prior.members.begin(), prior.members.end(), node) == prior.members.end();
@@ -80,7 +80,7 @@ Triple OnlineSystem::marginalize(Id node, std::span<const Id> newest) {
     std::vector<Id> removed{graph_.nodes[node].home};
     for (auto prior = mine; prior != priors_.end(); ++prior) removed.push_back(prior->group);
     std::vector<Id> members = neighbours(graph_, node, gone, {mine, priors_.end()});
-    if (members.empty()) throw std::invalid_argument("a pose that is tied to no other node cannot be marginalised");
+    require(!members.empty(), "a pose that is tied to no other node cannot be marginalised");
     members.insert(members.begin(), node);
     const bool absolute = std::any_of(mine, priors_.end(), [](const Prior& prior) { return !prior.relative; }) ||
                           std::ranges::any_of(gone, [&](Id e) { return graph_.edges[e].one_ended(); });

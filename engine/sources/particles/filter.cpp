@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
-#include <stdexcept>
 
+#include "require.hpp"
 #include "step.hpp"
 
 namespace vmslam::particles {
@@ -59,7 +59,7 @@ std::shared_ptr<Rows> Filter::fresh(int rows) {
 }
 
 void Filter::use_ids(bool oriented, std::size_t jointly, std::optional<RangeNoise> range_noise) {
-    if (jointly > most_sightings) throw std::invalid_argument("at most 16 sightings are weighed together");
+    require(jointly <= most_sightings, "at most 16 sightings are weighed together");
     identified_ = std::make_unique<IdentifiedMap>(history_, particles_, oriented, jointly, range_noise);
 }
 

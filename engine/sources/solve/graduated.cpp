@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <stdexcept>
+
+#include "require.hpp"
 
 namespace vmslam::solve {
 
@@ -58,7 +59,7 @@ bool Graduation::descend() {
     std::vector<std::unique_ptr<const edges::Family>> trusting;
     for_each([&](const Doubted& each, std::span<const double> factors) {
         trusting.push_back(members[each.member].family->trusting(factors));
-        if (!trusting.back()) throw std::invalid_argument("a family whose measurements may be wrong has no trust in them");
+        require(trusting.back() != nullptr, "a family whose measurements may be wrong has no trust in them");
         members[each.member].family = trusting.back().get();
     });
     GraphObjective graph = graph_.with(std::move(members));

@@ -2,30 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <limits>
 #include <numeric>
-#include <stdexcept>
 
+#include "require.hpp"
 #include "vmslam/edges/marginal.hpp"
 #include "vmslam/solve/grow.hpp"
 #include "vmslam/sparse/ordering.hpp"
 #include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::solve {
-namespace {
-
-/// Refuse an argument. A module for web pages has no exceptions, and ends.
-void require(bool holds, const char* what) {
-    if (holds) return;
-#ifdef __wasm__
-    std::abort();
-#else
-    throw std::invalid_argument(what);
-#endif
-}
-
-}  // namespace
 
 Graph::Graph(Index nodes) : nodes_(nodes) {
     require(nodes > 0, "a graph needs at least one node");
