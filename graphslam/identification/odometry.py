@@ -15,7 +15,7 @@ and in epsilon, and that of a sighting (`SensorModel.Q`) in the squares of the s
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -39,6 +39,8 @@ LEAST_EPSILON = 1e-9
 #: the least variances of calibrated models: noise that is smaller counts as this, (0.01 mm)² or (0.01 mrad)²
 LEAST = {"epsilon": LEAST_EPSILON, "range_std": 1e-10, "bearing_std": 1e-10, "orientation_std": 1e-10}
 
+#: an epsilon that vanishes beside every other variance
+NOTHING = 1e-20
 #: the model without noise, and one whose variances, 1e-18, vanish beside 1
 STILL = MotionModel(**dict.fromkeys(OF_MOTION, 0.0), epsilon=LEAST_EPSILON)
 _TINY: dict[str, Any] = dict.fromkeys(OF_SENSOR, 1e-9)
@@ -48,18 +50,13 @@ _EXACT = SensorModel(**_TINY)
 def motion_parts(log: Log, names: Iterable[str] = (*OF_MOTION, "epsilon")) -> dict[str, Array]:
     """C_p (T, 3, 3) of fields of the motion model, for all motions of a log, in the frame each starts from."""
     assert log.controls is not None and log.dt is not None
-    _, A = STILL.accumulated_slopes(log.controls, log.dt, log.control_starts)
-    identity, parts = np.eye(3), {}
+    shape, parts = (log.num_poses - 1, 3, 3), {}
     for name in names:
-        alone = replace(STILL, **{name: 1.0})
         if name == "epsilon":
-            parts[name] = np.broadcast_to(identity, (log.num_poses - 1, 3, 3)).copy()
-        elif name == "slip":
-            covariances = alone.accumulate(log.controls, log.dt, log.control_starts)[1]
-            parts[name] = covariances - LEAST_EPSILON * identity
+            parts[name] = np.broadcast_to(np.eye(3), shape).copy()
         else:
-            noise = A @ alone.M(log.controls, log.dt, log.recorded_dt) @ np.swapaxes(A, 1, 2)
-            parts[name] = np.add.reduceat(noise, log.control_starts[:-1])
+            alone = replace(STILL, **{name: 1.0, "epsilon": NOTHING})
+            parts[name] = alone.accumulate(log.controls, log.dt, log.control_starts, recorded_dt=log.recorded_dt)[1]
     return parts
 
 
@@ -100,6 +97,8 @@ def sensor_parts(sightings: Array) -> dict[str, Array]:
 ESTIMATED = ("nn", "on", "oo", "slip", "sigma_omega")
 #: parameters that differ by less than this are near: what a derivative leaves out of a motion is some 1e-5 of it
 NEAR = {"wheel_scale": 0.006, "turn_scale": 0.006, "turn_rate_bias": 0.002, "curvature_bias": 0.002}
+#: how many evaluations are kept: an estimate compares its biases with a robot that has none
+EVALUATIONS = 2
 
 
 class Odometry:
@@ -115,10 +114,13 @@ class Odometry:
         self.log, self.times = log, log.times
         self._parts = motion_parts(log, ESTIMATED)
         # variances of single controls, such as those across a silence of the odometry
-        self._recorded, self._of_controls = replace(STILL, epsilon=1e-20).accumulate(
+        self._recorded, self._of_controls = replace(STILL, epsilon=NOTHING).accumulate(
             log.controls, log.dt, log.control_starts, honest_variances(log)
         )
-        self._evaluated: tuple[Array, Array, Array] | None = None
+        #: the last evaluations by `_single`: values of the parameters, motions and slopes
+        self._evaluated: list[tuple[Array, Array, Array]] = []
+        #: the last result of `poses` and of `speeds`, with what it was computed from
+        self._latest: dict[str, tuple[tuple[object, ...], Array]] = {}
 
     def covers(self, log: Log) -> bool:
         """Whether all poses of a log are poses of this one."""
@@ -153,20 +155,31 @@ class Odometry:
 
     def poses(self, parameters: Parameters) -> Array:
         """The poses (T+1, 3) of the corrected controls."""
-        return chained(self.log.initial_poses[0], self._single(parameters)[0])
+        start = self.log.initial_poses[0]
+        return self._kept("poses", (parameters.values.tobytes(),), lambda: chained(start, self._single(parameters)[0]))
 
     def speeds(self, parameters: Parameters) -> Array:
         """The control (T+1, 2) at each pose, `controls_at_steps`."""
-        return controls_at_steps(replace(parameters, recorded=self.log))
+        everything = replace(parameters, recorded=self.log)
+        return self._kept(
+            "speeds", (parameters.values.tobytes(), parameters.motion), lambda: controls_at_steps(everything)
+        )
+
+    def _kept(self, name: str, of: tuple[object, ...], make: Callable[[], Array]) -> Array:
+        """The result that was made last by this name, where it was made of the same."""
+        if name not in self._latest or self._latest[name][0] != of:
+            self._latest[name] = of, make()
+        return self._latest[name][1]
 
     def _single(self, parameters: Parameters) -> tuple[Array, Array]:
         """`motions` between successive poses."""
-        if self._evaluated is not None and near(parameters, self._evaluated[0]):
-            at, motions, slopes = self._evaluated
-            return motions + slopes @ (parameters.values - at), slopes
+        for at, motions, slopes in self._evaluated:
+            if near(parameters, at):
+                return motions + slopes @ (parameters.values - at), slopes
         everything = replace(parameters, recorded=self.log)
-        self._evaluated = (parameters.values, *motion_slopes(everything, corrected_controls(everything), smooth=True))
-        return self._evaluated[1:]
+        motions, slopes = motion_slopes(everything, corrected_controls(everything), smooth=True)
+        self._evaluated = [(parameters.values, motions, slopes), *self._evaluated[: EVALUATIONS - 1]]
+        return motions, slopes
 
 
 def near(parameters: Parameters, values: Array) -> bool:
