@@ -145,7 +145,8 @@ void bind(nb::module_& m) {
         .def("__setstate__", [](OnlineSystem& s, nb::bytes state) {
             new (&s) OnlineSystem(0.0, 0);
             if (!s.restore({state.c_str(), state.size()}))
-                throw std::invalid_argument("the bytes are no saved online solver of this version; save it again");
+                throw std::invalid_argument(
+                    "the bytes are damaged, or no saved online solver of this version; save it again");
         });
 }
 

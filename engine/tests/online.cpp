@@ -103,6 +103,9 @@ void steps_end_at_the_minimum(unsigned seed, vmslam::edges::Kernel kernel) {
     expect(restored.restore(drive.system.save()), "a saved system is restored", seed);
     expect(!restored.restore("nonsense") && !restored.restore(drive.system.save().substr(0, 2000)), "other bytes are not",
            seed);
+    std::string damaged = drive.system.save();
+    damaged[damaged.size() / 2] ^= 1;
+    expect(!restored.restore(damaged), "nor damaged ones", seed);
     restored.restore(drive.system.save());
     expect(restored.save() == drive.system.save(), "with all its numbers", seed);
     const double cost = drive.system.cost();

@@ -1,5 +1,6 @@
 // An online system as bytes, and back. Fields are written one by one, because what lies between them is undefined.
 #include <algorithm>
+#include <cstdint>
 #include <cstring>
 #include <tuple>
 #include <type_traits>
@@ -9,7 +10,7 @@
 namespace vmslam::online {
 namespace {
 
-constexpr char title[] = "vmslam online 7";
+constexpr char title[] = "vmslam online 8";
 
 auto fields(auto& value)
     requires std::is_same_v<std::remove_const_t<std::remove_reference_t<decltype(value)>>, Node>
@@ -132,6 +133,13 @@ class Reader {
     std::string_view rest_;
 };
 
+/// A number that changes with every byte (FNV-1a), by which damaged bytes are found.
+std::uint64_t checksum(std::string_view bytes) {
+    std::uint64_t sum = 0xcbf29ce484222325;
+    for (const char byte : bytes) sum = (sum ^ static_cast<unsigned char>(byte)) * 0x100000001b3;
+    return sum;
+}
+
 }  // namespace
 
 std::string OnlineSystem::save() const {
@@ -143,10 +151,16 @@ std::string OnlineSystem::save() const {
     write(tree_.groups), write(std::vector<Id>(tree_.released().begin(), tree_.released().end()));
     write(tree_.step), write(tree_.pivot_tolerance);
     write(priors_), write(memory_), write(ordered_), write(covariances_ready_), write(lost_);
+    write(checksum(write.bytes));
     return std::move(write.bytes);
 }
 
 bool OnlineSystem::restore(std::string_view bytes) {
+    std::uint64_t sum = 0;
+    if (bytes.size() < sizeof sum) return false;
+    std::memcpy(&sum, bytes.data() + bytes.size() - sizeof sum, sizeof sum);
+    bytes.remove_suffix(sizeof sum);
+    if (sum != checksum(bytes)) return false;
     Reader read(bytes);
     char found[sizeof title] = {};
     read.raw(found, sizeof found);

@@ -81,7 +81,7 @@ class OnlineSystem {
     bool converged = true;     ///< whether it ended at the minimum
     int batch_solutions = 0;   ///< how many steps the batch solver had to take
 
-    /// Everything as bytes, and back; false where the bytes are none of a system.
+    /// Everything as bytes, and back; false, and nothing changes, where the bytes are damaged or none of a system.
     std::string save() const;
     bool restore(std::string_view bytes);
 
