@@ -216,7 +216,10 @@ class OwnBackend(Backend):
                 del self._landmarks[landmark]
             del self._poses[poses:]
             self.columns, self._others.waiting = columns, waiting
-            raise GraphError("the call leaves a pose or landmark undetermined, so that nothing was added")
+            text = "the call leaves a pose or landmark undetermined, so that nothing was added"
+            if not system.converged:
+                text += "; the solver had not converged before: is a measurement wrong? It counts little with kernel='cauchy'"
+            raise GraphError(text)
         for landmark, numbers_of_it in placed.items():
             self._others.placed(landmark, numbers_of_it)
         self._others.seen(landmarks, rows)

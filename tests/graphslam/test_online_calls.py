@@ -16,6 +16,7 @@ from fastslam import FastSLAM1
 from graphslam import (
     Graph,
     GraphError,
+    MotionModel,
     OnlineSolver,
     OptionError,
     SensorModel,
@@ -377,3 +378,23 @@ def test_an_empty_map_is_refused() -> None:
     """As `first_fix` does: the robot would never be found."""
     with pytest.raises(GraphError, match="the map has no landmarks, so that the robot cannot be found in the map"):
         OnlineSolver(map={})
+
+
+def test_a_refused_call_names_contradictions_before_it() -> None:
+    """A position 1 km off bends exact odometry so far that squares have no solution; the kernel takes it."""
+    for kernel in ("none", "cauchy"):
+        solver = OnlineSolver(motion=MotionModel(epsilon=1e-10), kernel=kernel)
+
+        def drive(solver: OnlineSolver = solver) -> None:
+            for k in range(200):
+                if k:
+                    solver.move((1.0, 0.1 * np.sin(k / 10)), 0.1)
+                if k % 5 == 0:
+                    wrong = 1000.0 if k == 100 else 0.0
+                    solver.locate([0.1 * k + wrong, wrong], np.eye(2))
+
+        if kernel == "cauchy":
+            drive()
+        else:
+            with pytest.raises(GraphError, match=r"had not converged before: is a measurement wrong\?"):
+                drive()
