@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
     from .graph.landmark_map import LandmarkMap, estimate_map
     from .graph.localization import first_fix
-    from .identification.robot import estimate_robot
     from .io.formats import load, save
     from .log import Log
     from .log.continuous_time import control_path
@@ -33,5 +32,6 @@ if TYPE_CHECKING:
     from .solvers.gtsam_solver import solve_with_gtsam
     from .solvers.solution import Solution
     from .solvers.solve import solve, solve_many
+    from .solvers.unknown_robot import estimate_robot
 
 __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -27,11 +27,12 @@ from graphslam.graph.tracking import in_frame_of
 from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
 from graphslam.identification.result import ESTIMATE
-from graphslam.identification.robot import enough_ids, estimate_robot, unknown_noise, with_checked_ids
+from graphslam.identification.robot import enough_ids, unknown_noise, with_checked_ids
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.rows import ReadOptions
 from graphslam.sessions import ClockOffsets, clock_offsets, join_robots, with_common_noise
+from graphslam.solvers.unknown_robot import estimate_robot
 
 from ..results import noted
 from . import AUTO, BOOK, CalibrationOptions, LogOptions, MapOptions, NoiseOptions, ReadingOptions

@@ -21,13 +21,14 @@ from ..errors.checks import array_of, check_choice, check_known, check_type
 from ..identification.corrections import without_biases
 from ..identification.declared import PLACE, ParameterEstimate, parsed
 from ..identification.result import RobotEstimate, not_used, with_book
-from ..identification.robot import AUTO, BOOK, enough_ids, estimate_robot, known_robot, unknown_noise
+from ..identification.robot import AUTO, BOOK, enough_ids, known_robot, unknown_noise
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..log.measurements import MEASURED
 from ..metrics import ate
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
+from ..solvers.unknown_robot import estimate_robot
 from .adapting import Competition, Robot, Start, compete, spread, tolerance
 from .ambiguity import Ambiguity, ambiguities, readable
 from .front_end import run_front_end
@@ -439,7 +440,7 @@ def known_noise(
     if noise is not None:
         check_choice("noise", noise, (AUTO, BOOK))
     if noise == BOOK or (noise is None and not unknown_noise(log)) or enough_ids(log):
-        return known_robot(log, noise)
+        return known_robot(log, noise, estimate_robot)
     try:
         found, notes = robot_of(log, motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel())
     except (GraphError, LogError) as error:

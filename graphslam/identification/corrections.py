@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -281,7 +281,17 @@ def corrected_log(parameters: Parameters) -> Log:
             "below zero; does the bias belong to another sensor?"
         )
     every, d = np.arange(len(log.steps)), log.sightings.shape[1]
-    changes = {"sightings": corrected_sightings(parameters, every, d), "sensor": corrected_sensor(parameters)}
+    changes: dict[str, Any] = {
+        "sightings": corrected_sightings(parameters, every, d),
+        "sensor": corrected_sensor(parameters),
+    }
+    if len(log.steps) == 0 and log.partial_sightings is not None:
+        p, numbers = parameters.by_name(), log.partial_sightings
+        changes["partial_sightings"] = replace(
+            numbers,
+            ranges=(numbers.ranges - p["range_bias"]) / p["range_scale"],
+            bearings=numbers.bearings - p["bearing_bias"],
+        )
     if any(PARAMETERS[name].of_motion for name in parameters.names):
         changes["controls"] = corrected_controls(parameters)
     return log.replace(**changes)

@@ -230,12 +230,19 @@ class Edges:
     weights: Array = field(default_factory=lambda: np.empty(0))
     squares: Array = field(default_factory=lambda: np.empty(0))
 
-    def weigh(self, covariances: Array, degrees: float, hidden: Array | float) -> None:
-        """Set the information and the weights; ``hidden`` (E,) is tr(W F) without the weights."""
-        d, remedy = self.residuals.shape[1], "give the noise of the robot as a file: --noise FILE"
+    def weigh(self, covariances: Array, numbers: int, degrees: float, hidden: Array | float) -> None:
+        """Set the information and the weights.
+
+        Args:
+            covariances: (E, d, d).
+            numbers: how many numbers each edge measures.
+            degrees: of freedom of Student's t.
+            hidden: (E,) tr(W F) without the weights.
+        """
+        remedy = "give the noise of the robot as a file: --noise FILE"
         inverse = inverses(covariances, "motion or sighting", remedy, least=0.0)
         self.squares = np.einsum("ei,ei->e", self.residuals, (inverse @ self.residuals[:, :, None])[:, :, 0])
-        self.weights = (degrees + d) / (degrees + self.squares + hidden)
+        self.weights = (degrees + numbers) / (degrees + self.squares + hidden)
         self.information = self.weights[:, None, None] * inverse
 
     def pull(self, forces: Array, nodes: Array) -> Array:

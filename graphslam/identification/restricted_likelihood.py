@@ -32,12 +32,13 @@ from ..log import Log
 from ..se2 import Array
 from .declared import PLACE
 from .odometry import Edges
-from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, SPREAD, Unknowns
+from .result import KINDS
+from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, PRIORS, SPREAD, Unknowns
 
 #: the average information on a variance over that of its estimate, where errors are Gaussian. With q = e' C^-1 e of Student's
 #: t that is fitted to them, an edge has d / 2 and A² / V, A = E[(nu + d) nu q / (nu + q)²] / 2,
 #: V = var((nu + d) q / (nu + q)) / 4
-OVERSTATED_BY_SIGHTINGS, OVERSTATED_BY_MOTIONS = {2: 1.207, 3: 1.222}, 1.097
+OVERSTATED_BY_SIGHTINGS, OVERSTATED_BY_MOTIONS = {1: 1.182, 2: 1.207, 3: 1.222}, 1.097
 #: a gain of the log likelihood below which the rounds of `fit` end
 GAIN = 0.3
 
@@ -99,7 +100,7 @@ def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
     now = np.array([unknowns.logarithms[name] for name in names])
     gradient -= prior * (now - np.array([unknowns.centres[name] for name in names]))
     part = [OVERSTATED_BY_MOTIONS] * len(unknowns.motion_parts)
-    part += [OVERSTATED_BY_SIGHTINGS[unknowns.sightings.shape[1]]] * len(unknowns.sensor_parts)
+    part += [OVERSTATED_BY_SIGHTINGS[unknowns.numbers]] * len(unknowns.sensor_parts)
     information = (information + information.T) / 2
     honest = information / np.sqrt(np.outer(part, part)) + prior * np.eye(len(names))
     information += prior * np.eye(len(names))
@@ -116,6 +117,37 @@ def improve_variances(unknowns: Unknowns) -> tuple[float, Array]:
     return gain, np.sqrt(np.diag(np.linalg.inv(honest)))
 
 
+#: a calibrated robot has no biases of the one kind or of the other: they are held at their ideal values where the logarithmic
+#: evidence for that is above this number
+CONVINCING = 1.0
+#: and may then have this part of their prior's standard deviation: a thousandth of the scale of the wheels
+CALIBRATED = 1 / 30
+
+
+def hold_needless(fitted: Unknowns, rounds: int) -> dict[str, float]:
+    """Hold the biases of the kinds that the log does not show: {name: its remaining standard deviation}.
+
+    With the evidence K the ideal values have the probability P = K / (1 + K). With the probability 1 - P the mean square of a
+    bias about them is that of the estimate. Otherwise the robot is calibrated, but not perfectly: its bias has the standard
+    deviation `CALIBRATED` of the prior before the log, and a smaller one after a log that tells it better.
+    """
+    held: dict[str, float] = {}
+    p, variances = fitted.parameters, np.diagonal(fitted.linearized().covariance)
+    for names in KINDS.values():
+        evidence = fitted.evidence_against(names)
+        if evidence > CONVINCING:
+            doubt = 1.0 / (1.0 + np.exp(min(evidence, 700.0)))
+            k = [p.names.index(name) for name in names]
+            squares = variances[k] + (p.values[k] - p.means[k]) ** 2
+            of_log = np.maximum(1 / variances[k] - p.deviations[k] ** -2, 0.0)
+            calibrated = 1 / (of_log + (CALIBRATED * np.array([PRIORS[name] for name in names])) ** -2)
+            held |= dict(zip(names, np.sqrt(doubt * squares + (1 - doubt) * calibrated).tolist()))
+    if held:
+        fitted.hold(held)
+        fit(fitted, rounds)
+    return held
+
+
 def log_likelihood(unknowns: Unknowns) -> float:
     """The logarithm of the restricted likelihood at the present values, by Laplace's approximation; constants are left out.
 
@@ -124,9 +156,10 @@ def log_likelihood(unknowns: Unknowns) -> float:
     """
     linear = unknowns.linearized()
     total = -0.5 * float(linear.factor.log_determinant + np.linalg.slogdet(linear.schur)[1])
-    for edges, degrees in zip(linear.edges, (DEGREES_MOTIONS, DEGREES_SIGHTINGS)):
+    of_each = (3, DEGREES_MOTIONS), (unknowns.numbers, DEGREES_SIGHTINGS)
+    for edges, (numbers, degrees) in zip(linear.edges, of_each):
         determinants = np.linalg.slogdet(unknowns.covariances(edges))[1]
-        tails = (degrees + edges.residuals.shape[1]) * np.log1p(edges.squares / degrees)
+        tails = (degrees + numbers) * np.log1p(edges.squares / degrees)
         total -= 0.5 * float(np.sum(determinants + tails))
     away = unknowns.parameters.values - unknowns.parameters.means
     return total + 0.5 * float(np.sum(np.log(linear.prior)) - linear.prior @ away**2)

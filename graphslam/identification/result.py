@@ -15,7 +15,7 @@ that of as many independent ones.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import lgamma, log, pi
 
 import numpy as np
@@ -24,9 +24,10 @@ from ..errors import GraphError
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
+from .corrections import corrected_log, honest_variances
 from .declared import ParameterEstimate
 from .sighting_errors import LAGS, Ids, Predictions
-from .unknowns import DEGREES_SIGHTINGS, PRIORS, Unknowns
+from .unknowns import DEGREES_SIGHTINGS, HELD, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
 #: before and after what edges hide is known
@@ -283,6 +284,31 @@ class RobotEstimate:
         return tuple(lines)
 
 
+def without_found(
+    last: Unknowns, log: Log, held: Mapping[str, float], motion: MotionModel, sensor: SensorModel
+) -> tuple[Log, ParameterEstimate]:
+    """A log without the biases of a solution and with these noise models, and the biases that were found.
+
+    Args:
+        held: {name of a bias that keeps its ideal value, but may have another one: its standard deviation}.
+    """
+    parameters = replace(last.parameters, recorded=log)
+    free = np.flatnonzero(parameters.deviations > HELD)
+    names, means, deviations = (
+        np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
+    )
+    corrected = corrected_log(parameters).replace(
+        motion=motion, sensor=sensor, uncertain={**held, **(log.uncertain or {}), **dict(zip(names, deviations))}
+    )
+    corrected = corrected.replace(
+        initial_poses=corrected.dead_reckoning(), control_variances=honest_variances(corrected)
+    )
+    return corrected, ParameterEstimate(
+        tuple(names), parameters.values[free], last.parameter_covariance()[np.ix_(free, free)],
+        {name: (m, s) for name, m, s in zip(names, means, deviations)},
+    )  # fmt: skip
+
+
 def with_book(log: Log, error: Exception) -> Log:
     """The log with a note why its noise is the book's."""
     return log.replace(
@@ -292,5 +318,7 @@ def with_book(log: Log, error: Exception) -> Log:
 
 def not_used(log: Log) -> tuple[str, ...]:
     """A note of what the log has beside sightings and odometry, which say nothing about noise and biases here."""
-    kinds = ", ".join(log.measured).replace("_", " ")
+    # a log without whole sightings is estimated from its ranges and bearings alone
+    used = () if len(log.steps) else ("partial_sightings",)
+    kinds = ", ".join(name for name in log.measured if name not in used).replace("_", " ")
     return (f"noise and biases were estimated without the {kinds} of the log",) if kinds else ()

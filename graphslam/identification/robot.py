@@ -1,4 +1,4 @@
-"""`estimate_robot`: noise, biases and misread ids of a robot that nobody has calibrated, from one log without ground truth.
+"""Noise, biases and misread ids of a robot that nobody has calibrated, from the sightings of one log without ground truth.
 
 It starts locally. Over some seconds the odometry is nearly exact, so the sightings of one landmark without a longer pause
 are taken for a landmark of their own (an episode). Such a problem has no loop closures and therefore hardly a wrong minimum,
@@ -19,6 +19,7 @@ The equations are those of `identification.unknowns` and `identification.restric
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -28,10 +29,9 @@ from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import check_count, check_type
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from .corrections import corrected_log, honest_variances
 from .declared import ParameterEstimate
 from .odometry import OF_SENSOR, sighting_times
-from .restricted_likelihood import fit, gain_over, is_elsewhere, with_sensor_anywhere
+from .restricted_likelihood import fit, gain_over, hold_needless, is_elsewhere, with_sensor_anywhere
 from .result import (
     BOOK_NOISE,
     DEAD_RECKONING,
@@ -44,9 +44,10 @@ from .result import (
     left_out,
     not_used,
     with_book,
+    without_found,
 )
 from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
-from .unknowns import PRIORS, Unknowns
+from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
 PAUSES = (2.0, 10.0)
@@ -63,11 +64,6 @@ DEPENDENT, HARDLY = 0.2, 0.15
 #: where errors of a landmark are correlated in time, those of several landmarks have parts in common, which do not show in
 #: residuals, because the trajectory follows them: sightings count less by this factor (docs/decisions.md)
 COMMON = 2.0
-#: a calibrated robot has no biases of the one kind or of the other: they are held at their ideal values where the logarithmic
-#: evidence for that is above this number
-CONVINCING = 1.0
-#: and may then have this part of their prior's standard deviation: a thousandth of the scale of the wheels
-CALIBRATED = 1 / 30
 #: below this gain of the log likelihood, divided by the sightings that count as one, odometry counts as nearly exact; and the
 #: seconds for one sighting of each landmark in the second test
 NEEDED, MORE = 8.0, 1.0
@@ -85,32 +81,6 @@ MOST, MOST_CORRELATED, MOST_COMPARED = 6000, 12_000, 500
 AUTO, BOOK = "auto", "book"
 
 
-def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate | None]:
-    """The log with the noise of its robot, and the estimate where that is asked for, or where nothing else is known.
-
-    The log has ids; `association.known_noise` is for all logs.
-
-    Args:
-        noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
-            the log where it brings some, the book's for logs of `simulate`, and else "auto" where the noise is identifiable.
-
-    Raises:
-        LogError, GraphError: the log does not determine its noise, and ``noise`` is "auto".
-    """
-    if noise == BOOK:
-        place = {name: getattr(log.sensor or SensorModel(), name) for name in SensorModel.GEOMETRY}
-        return log.replace(motion=MotionModel(), sensor=SensorModel(**place)), None
-    if noise is None and not unknown_noise(log):
-        return log, None
-    try:
-        found = estimate_robot(log)
-    except (GraphError, LogError) as error:
-        if noise == AUTO:
-            raise
-        return with_book(log, error), None
-    return found.log.replace(notes=(*log.notes, *found.sentences, *not_used(log))), found
-
-
 def unknown_noise(log: Log) -> bool:
     """Whether the noise of a log with controls is unknown."""
     if log.simulated or log.motion is not None or log.controls is None:
@@ -123,29 +93,24 @@ def enough_ids(log: Log) -> bool:
     return bool(log.identified or np.count_nonzero(log.landmarks != UNIDENTIFIED) >= FEWEST["sightings"])
 
 
-def estimate_robot(
+def estimate_from_sightings(
     log: Log,
     *,
     sensor: SensorModel | None = None,
     given: tuple[MotionModel, SensorModel] | None = None,
     seed: int = 0,
 ) -> RobotEstimate:
-    """Estimate noise, biases and misread ids of a log from nothing but its odometry and its sightings.
+    """`estimate_robot` for logs with whole sightings; arguments and errors as there."""
+    check_robot_options(log, sensor, given, seed)
+    _check(log)
+    try:
+        return _estimate(log, sensor or log.sensor or SensorModel(), given, np.random.default_rng(seed))
+    except np.linalg.LinAlgError:
+        raise GraphError(f"{log.name}: the sightings do not determine noise and biases together") from None
 
-    The estimate is compared with dead reckoning and with the noise of the book: which predicts sightings best that are left
-    out (`RobotEstimate.left_out`)? The best counts.
 
-    Args:
-        log: with controls and ids. Sightings without an id are corrected like the others, but not used.
-        sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose.
-        given: noise to compare with in place of the book's.
-        seed: of the random signs with which expectations are computed.
-
-    Raises:
-        LogError: the log has too few sightings with ids, or no controls.
-        GraphError: the sightings do not determine noise and biases.
-        OptionError: an option has an impossible value.
-    """
+def check_robot_options(log: Any, sensor: Any, given: Any, seed: Any) -> None:
+    """Raise the errors of `estimate_robot` for impossible arguments."""
     check_is_log(log)
     check_type(SensorModel, sensor=sensor)
     check_count(seed=seed)
@@ -154,24 +119,48 @@ def estimate_robot(
             raise OptionError(f"given must be a MotionModel and a SensorModel, not {quoted(given)}")
         check_type(MotionModel, given=given[0])
         check_type(SensorModel, given=given[1])
-    _check(log)
+
+
+def known_robot(
+    log: Log, noise: str | None = None, estimate: Callable[[Log], RobotEstimate] = estimate_from_sightings
+) -> tuple[Log, RobotEstimate | None]:
+    """The log with the noise of its robot, and the estimate where that is asked for, or where nothing else is known.
+
+    The log has ids; `association.known_noise` is for all logs.
+
+    Args:
+        noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
+            the log where it brings some, the book's for logs of `simulate`, and else "auto" where the noise is identifiable.
+        estimate: of the robot.
+
+    Raises:
+        LogError, GraphError: the log does not determine its noise, and ``noise`` is "auto".
+    """
+    if noise == BOOK:
+        place = {name: getattr(log.sensor or SensorModel(), name) for name in SensorModel.GEOMETRY}
+        return log.replace(motion=MotionModel(), sensor=SensorModel(**place)), None
+    if noise is None and not unknown_noise(log):
+        return log, None
     try:
-        return _estimate(log, sensor or log.sensor or SensorModel(), given, np.random.default_rng(seed))
-    except np.linalg.LinAlgError:
-        raise GraphError(f"{log.name}: the sightings do not determine noise and biases together") from None
+        found = estimate(log)
+    except (GraphError, LogError) as error:
+        if noise == AUTO:
+            raise
+        return with_book(log, error), None
+    return found.log.replace(notes=(*log.notes, *found.sentences, *not_used(log))), found
 
 
 def _estimate(
     log: Log, sensor: SensorModel, given: tuple[MotionModel, SensorModel] | None, rng: np.random.Generator
 ) -> RobotEstimate:
-    """`estimate_robot` for a log that has enough."""
+    """The estimate from a log that has enough sightings."""
     drive, first, ids = _with_ids(log, sensor, rng)
     named = ids.correct(drive)
     ids = ids.within(log.landmarks)
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
     exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
-    held, held_with_exact = _hold_needless(second), _hold_needless(exact)
+    held, held_with_exact = hold_needless(second, ROUNDS[2]), hold_needless(exact, ROUNDS[2])
     place = {name: getattr(sensor, name) for name in SensorModel.GEOMETRY}
     other = (GIVEN_NOISE, given) if given else (BOOK_NOISE, (MotionModel(), SensorModel(**place)))
     part = _beginning(sparse, MOST_COMPARED)
@@ -207,21 +196,7 @@ def _estimate(
     motion, seen = last.models
     wider: dict[str, Any] = {name: getattr(seen, name) * factor**0.5 for name in OF_SENSOR}
     seen = replace(seen, **wider)
-    parameters = replace(last.parameters, recorded=ids.correct(log))
-    free = [k for k, name in enumerate(parameters.names) if name not in held]
-    names, means, deviations = (
-        np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
-    )
-    corrected = corrected_log(parameters).replace(
-        motion=motion, sensor=seen, uncertain={**held, **(log.uncertain or {}), **dict(zip(names, deviations))}
-    )
-    corrected = corrected.replace(
-        initial_poses=corrected.dead_reckoning(), control_variances=honest_variances(corrected)
-    )
-    estimate = ParameterEstimate(
-        tuple(names), parameters.values[free], last.parameter_covariance()[np.ix_(free, free)],
-        {name: (m, s) for name, m, s in zip(names, means, deviations)},
-    )  # fmt: skip
+    corrected, estimate = without_found(last, ids.correct(log), held, motion, seen)
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared,
@@ -399,30 +374,6 @@ def _everywhere(fitted: Unknowns, log: Log) -> Unknowns:
     whole.hide(whole.linearized())
     whole.iterate(1)
     return whole
-
-
-def _hold_needless(fitted: Unknowns) -> dict[str, float]:
-    """Hold the biases of the kinds that the log does not show: {name: its remaining standard deviation}.
-
-    With the evidence K the ideal values have the probability P = K / (1 + K). With the probability 1 - P the mean square of a
-    bias about them is that of the estimate. Otherwise the robot is calibrated, but not perfectly: its bias has the standard
-    deviation `CALIBRATED` of the prior before the log, and a smaller one after a log that tells it better.
-    """
-    held: dict[str, float] = {}
-    p, variances = fitted.parameters, np.diagonal(fitted.linearized().covariance)
-    for names in KINDS.values():
-        evidence = fitted.evidence_against(names)
-        if evidence > CONVINCING:
-            doubt = 1.0 / (1.0 + np.exp(min(evidence, 700.0)))
-            k = [p.names.index(name) for name in names]
-            squares = variances[k] + (p.values[k] - p.means[k]) ** 2
-            of_log = np.maximum(1 / variances[k] - p.deviations[k] ** -2, 0.0)
-            calibrated = 1 / (of_log + (CALIBRATED * np.array([PRIORS[name] for name in names])) ** -2)
-            held |= dict(zip(names, np.sqrt(doubt * squares + (1 - doubt) * calibrated).tolist()))
-    if held:
-        fitted.hold(held)
-        fit(fitted, ROUNDS[2])
-    return held
 
 
 def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng: np.random.Generator) -> np.ndarray:

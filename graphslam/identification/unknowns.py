@@ -7,11 +7,11 @@ residuals are
     motions:    e = (R(theta_t)' (t_{t+1} - t_t), theta_{t+1} - theta_t) - the motion of the corrected controls,
     sightings:  e = (range_scale r + range_bias, direction - theta + bearing_bias, direction - heading of m) - z,
 
-where r and direction lead from the sensor to the landmark. A sighting that is late by tau was made from x_t moved back by tau
-times the control. The covariances are sums of variances times known parts (`identification.odometry`), and every edge has the
-weight u = (nu + d) / (nu + e' W e + tr(W F)) of Student's t, so that slipping wheels and wrong sightings count little. F is
-the covariance of the residual due to that of the solution: the residual of an edge that nothing else determines is near zero,
-but the error that it hides is as large as C says.
+where r and direction lead from the sensor to the landmark; a single number has one of these. A sighting that is late by tau
+was made from x_t moved back by tau times the control. The covariances are sums of variances times known parts
+(`identification.odometry`). Every edge of d numbers has the weight u = (nu + d) / (nu + e' W e + tr(W F)) of Student's t, so
+that slipping wheels and wrong sightings count little. F is the covariance of the residual due to that of the solution: the
+residual of an edge that nothing else determines is near zero, but the error that it hides is as large as C says.
 
 Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + P and J = de/dp,
 
@@ -20,9 +20,11 @@ Nodes and parameters are solved together: with C = sum B' W J, D = sum J' W J + 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -31,6 +33,7 @@ from ..errors import GraphError
 from ..linear.cholesky import Bordered, Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..log import Log
+from ..log.measurements import PartialSightings
 from ..models import MotionModel, SensorModel, plausible_ranges
 from ..se2 import (
     Array,
@@ -69,9 +72,9 @@ LONGEST = 1.5
 DEGREES_SIGHTINGS, DEGREES_MOTIONS = 4.0, 8.0
 #: the squared scale of Student's t over the variance of the Gaussian errors of d numbers to which it is fitted: the s² of
 #: E[(nu + d) q / (nu s² + q)] = d, q chi-squared with d degrees of freedom; of sightings by d, and of motions
-OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {2: 0.7267, 3: 0.7559}, 0.8389
+OF_GAUSSIAN_SIGHTINGS, OF_GAUSSIAN_MOTIONS = {1: 0.6906, 2: 0.7267, 3: 0.7559}, 0.8389
 #: the information of its edges over that of the solution, see `Unknowns.parameter_covariance`
-OVERSTATED_SIGHTINGS, OVERSTATED_MOTIONS = {2: 1.552, 3: 1.495}, 1.259
+OVERSTATED_SIGHTINGS, OVERSTATED_MOTIONS = {1: 1.622, 2: 1.552, 3: 1.495}, 1.259
 #: where nothing speaks against exact odometry, its noise has this part of the estimate (docs/decisions.md)
 EXACT = 1 / 3
 #: what counts as no variance
@@ -92,10 +95,22 @@ class Unknowns:
         groups: (M,) the landmark of each sighting, in any numbers. Sightings of landmarks seen once are left out.
         sensor: where the sensor is believed to be.
         start: what is known from an earlier problem of the same log, or of a part of it: poses, parameters and variances.
+        places: {group: (2,)} of landmarks that were seen by ranges and bearings alone, to begin with; then the groups are
+            those of these (`Log.partial_sightings`, in the order of time).
     """
 
-    def __init__(self, log: Log, groups: np.ndarray, sensor: SensorModel, start: Unknowns | None = None) -> None:
+    def __init__(
+        self, log: Log, groups: np.ndarray, sensor: SensorModel, start: Unknowns | None = None,
+        places: Mapping[int, Array] | None = None,
+    ) -> None:  # fmt: skip
         assert log.controls is not None and log.dt is not None
+        steps, sightings, measured = log.steps, log.sightings, np.ones(log.sightings.shape, dtype=bool)
+        self._given = places
+        if places is not None:
+            partial = cast(PartialSightings, log.partial_sightings)
+            steps, sightings = partial.steps, np.column_stack([partial.ranges, partial.bearings])
+            measured = np.isfinite(sightings)
+            sightings[~measured] = 1.0
         self.log, self.sensor = log, sensor
         _, group, count = np.unique(groups, return_inverse=True, return_counts=True)
         self.used = count[group] > 1
@@ -104,8 +119,14 @@ class Unknowns:
         #: the numbers of the landmarks that are nodes
         self.ids, group = np.unique(groups[self.used], return_inverse=True)
         self.poses = log.num_poses
-        self.seen_from, self.seen = log.steps[self.used].astype(np.int64), group.astype(np.int64) + self.poses
-        self.sightings = log.sightings[self.used]
+        self.seen_from, self.seen = steps[self.used].astype(np.int64), group.astype(np.int64) + self.poses
+        #: with any value where nothing was measured; and (M, d, d) 1 there on the diagonal
+        self.sightings, self._unmeasured = (
+            sightings[self.used],
+            ~measured[self.used, :, None] * np.eye(sightings.shape[1]),
+        )
+        #: how many numbers a sighting has
+        self.numbers = sightings.shape[1] if places is None else 1
         # sightings are in the order of time
         self._first_sightings = np.unique(group, return_index=True)[1]
         self.before, self.after = np.arange(self.poses - 1), np.arange(1, self.poses)
@@ -113,7 +134,8 @@ class Unknowns:
         self._steps = self.odometry.steps(log)
         self.motion_parts, gaps = self.odometry.parts(self._steps)
         self._least = gaps + LEAST_EPSILON * np.eye(3)
-        self.sensor_parts = sensor_parts(self.sightings)
+        parts = {name: C * (1 - self._unmeasured) for name, C in sensor_parts(self.sightings).items()}
+        self.sensor_parts = {name: C for name, C in parts.items() if C.any()}
         self._evaluated: tuple[Array, Array, Array] | None = None
         self.centres = self._centres()
         if start is None:
@@ -134,7 +156,8 @@ class Unknowns:
         #: tr(W F) of motions and sightings, see `Edges.weigh`; `hide` sets it
         self.hidden: list[Array | float] = [0.0, 0.0]
         self.take_noise()
-        cliques = [_pairs(self.before, self.after), _pairs(self.seen_from, self.seen)]
+        ends = np.r_[self.before, self.seen_from], np.r_[self.after, self.seen]
+        cliques = [(np.arange(0, 2 * len(ends[0]) + 1, 2), np.column_stack(ends).ravel())]
         points = range(len(poses), len(self.state)) if self.sightings.shape[1] == 2 else ()
         self.system = BlockSystem.from_cliques(len(self.state), cliques, points)
 
@@ -174,7 +197,7 @@ class Unknowns:
     def hold_noise(self, motion: MotionModel, sensor: SensorModel) -> None:
         """Keep these variances, and all parameters at their ideal values."""
         self.hold(self.parameters.names)
-        known, sightings = vars(motion) | vars(sensor), OF_GAUSSIAN_SIGHTINGS[self.sightings.shape[1]]
+        known, sightings = vars(motion) | vars(sensor), OF_GAUSSIAN_SIGHTINGS[self.numbers]
         for name in self.logarithms:
             part = OF_GAUSSIAN_MOTIONS if name in self.motion_parts else sightings
             self.logarithms[name] = float(np.log(max(known[name] ** 2 * part, LEAST_VARIANCE)))
@@ -186,10 +209,8 @@ class Unknowns:
         exact = copy(self)
         exact.longest, exact.last_change = self.longest.copy(), self.last_change.copy()
         exact.hidden, exact.held_variances = [0.0, self.hidden[1]], frozenset(self.motion_parts)
-        exact.logarithms = {
-            name: value + (2 * np.log(EXACT) if name in self.motion_parts else 0.0)
-            for name, value in self.logarithms.items()
-        }
+        of_motion = {name: self.logarithms[name] + 2 * float(np.log(EXACT)) for name in self.motion_parts}
+        exact.logarithms = self.logarithms | of_motion
         return exact
 
     @property
@@ -201,8 +222,9 @@ class Unknowns:
     def models(self) -> tuple[MotionModel, SensorModel]:
         """The noise models whose Gaussian errors the variances fit, and the estimated place of the sensor."""
         variances = self.variances
-        sightings = OF_GAUSSIAN_SIGHTINGS[self.sightings.shape[1]]
-        sensor = replace(corrected_sensor(self.parameters), range_rate=0.0, range_std=1.0)
+        sightings, sensor = OF_GAUSSIAN_SIGHTINGS[self.numbers], corrected_sensor(self.parameters)
+        if "range_std" in self.sensor_parts:
+            sensor = replace(sensor, range_rate=0.0, range_std=1.0)
         return (
             with_variances(STILL, {name: variances[name] / OF_GAUSSIAN_MOTIONS for name in self.motion_parts}),
             with_variances(sensor, {name: variances[name] / sightings for name in self.sensor_parts}),
@@ -232,8 +254,11 @@ class Unknowns:
         return interpolate(compose(starts[before], there), compose(starts[after], there), number - before)
 
     def places(self, poses: Array) -> Array:
-        """The medians (L, 3) of the places at which sightings from poses (T+1, 3) put their landmarks."""
+        """The medians (L, 3) of the places at which sightings from poses (T+1, 3) put their landmarks, or those given."""
         places, group = np.zeros((len(self.ids), 3)), self.seen - self.poses
+        if self._given is not None:
+            places[:, :2] = [self._given[id] for id in self.ids.tolist()]
+            return places
         d = self.sightings.shape[1]
         each = corrected_sensor(self.parameters).h_inverse(poses[self.seen_from], self.sightings)
         order = np.argsort(group, kind="stable")
@@ -268,10 +293,11 @@ class Unknowns:
         self, steps: np.ndarray | None = None, seen: np.ndarray | None = None, sightings: Array | None = None
     ) -> Edges:
         """The edges of the sightings, or of others: their steps (M,), nodes of landmarks (M,) and values (M, d)."""
-        steps = self.seen_from if steps is None else steps
-        seen = self.seen if seen is None else seen
-        parts = self.sensor_parts if sightings is None else sensor_parts(sightings)
-        z = self.sightings if sightings is None else sightings
+        parts, z = self.sensor_parts, self.sightings
+        if steps is None or seen is None or sightings is None:
+            steps, seen = self.seen_from, self.seen
+        else:
+            parts, z = sensor_parts(sightings), sightings
         p, d, sensor = self.parameters.by_name(), z.shape[1], corrected_sensor(self.parameters)
         at, m, speed = self.state[steps].copy(), self.state[seen][:, :d], self._speeds[steps]
         # where the sighting was made from, the robot was earlier
@@ -307,6 +333,9 @@ class Unknowns:
             # noise at the measured range would give short readings more weight than long ones, so that lengths shrink
             longer = plausible_ranges(predicted[:, 0], z[:, 0]) / z[:, 0]
             parts = parts | {"range_rate": parts["range_rate"] * (longer**2)[:, None, None]}
+        if self._given is not None:
+            for each in (residuals, by_pose, by_landmark, slopes):
+                each[self._unmeasured.any(axis=1)] = 0.0
         return Edges(steps, seen, residuals, by_pose, by_landmark, slopes, parts)
 
     def covariances(self, edges: Edges) -> Array:
@@ -314,6 +343,8 @@ class Unknowns:
         total = sum(np.exp(self.logarithms[name]) * C for name, C in edges.parts.items())
         if edges.parts is self.motion_parts:
             total = total + self._least
+        elif self._given is not None:
+            total = total + self._unmeasured
         return np.asarray(total)
 
     def linearized(self) -> Linear:
@@ -323,8 +354,8 @@ class Unknowns:
             GraphError: it determines no solution.
         """
         motions, sightings = self.motions(), self.sighted()
-        motions.weigh(self.covariances(motions), DEGREES_MOTIONS, self.hidden[0])
-        sightings.weigh(self.covariances(sightings), DEGREES_SIGHTINGS, self.hidden[1])
+        motions.weigh(self.covariances(motions), 3, DEGREES_MOTIONS, self.hidden[0])
+        sightings.weigh(self.covariances(sightings), self.numbers, DEGREES_SIGHTINGS, self.hidden[1])
         return Linear(self, (motions, sightings))
 
     def parameter_covariance(self) -> Array:
@@ -336,7 +367,7 @@ class Unknowns:
         Source: Huber, *Robust estimation of a location parameter*, Annals of Mathematical Statistics 35(1), 1964.
         """
         edges = self.linearized().edges
-        for each, part in zip(edges, (OVERSTATED_MOTIONS, OVERSTATED_SIGHTINGS[self.sightings.shape[1]])):
+        for each, part in zip(edges, (OVERSTATED_MOTIONS, OVERSTATED_SIGHTINGS[self.numbers])):
             each.information /= part
         return Linear(self, edges).covariance
 
@@ -396,14 +427,13 @@ class Linear(Bordered):
     """The normal equations of `Unknowns` at one state, and their factors."""
 
     def __init__(self, unknowns: Unknowns, edges: Sequence[Edges]) -> None:
-        self.edges, system, K = tuple(edges), unknowns.system, len(unknowns.parameters)
-        parameters = unknowns.parameters
+        self.edges, system, parameters = tuple(edges), unknowns.system, unknowns.parameters
         self.poses, self.flat = unknowns.poses, unknowns.sightings.shape[1] == 2
         self.prior = parameters.weights
         self.gradient = -self.prior * (parameters.values - parameters.means)
         own = np.diag(self.prior).astype(float)
         system.clear()
-        mixed = np.zeros((system.num_nodes, 3, K))
+        mixed = np.zeros((system.num_nodes, 3, len(parameters)))
         for each in self.edges:
             jacobians = each.by_first, each.by_second, each.by_parameters, each.information
             engine.add_linearized(
@@ -465,13 +495,6 @@ class Linear(Bordered):
 
 def _factorized(system: BlockSystem, name: str) -> Factor:
     for damping in DAMPING:
-        try:
+        with suppress(FactorizationError):
             return system.factorize(damping)
-        except FactorizationError:
-            continue
     raise GraphError(f"{name}: the sightings do not determine noise and biases together with the poses")
-
-
-def _pairs(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The cliques of edges between nodes first < second."""
-    return np.arange(0, 2 * len(first) + 1, 2), np.column_stack([first, second]).ravel()

@@ -35,7 +35,7 @@ def test_repr_is_one_line_with_the_counts(book_log):
 
 
 def test_poses_without_sightings_leave_the_graph_but_keep_their_numbers():
-    graph = Graph.from_log(log_of([(0, 1), (1, 1), (3, 1)]), edges="virtual", kernel="none")
+    graph = Graph.from_log(log_of([(0, 1), (1, 1), (3, 1)]), edges="virtual", kernel="none", noise="book")
     assert graph.steps.tolist() == [0, 1, 3]
     assert tuple(note for note in graph.notes if "weight pairs" not in note) == (
         "pose 2 shared no sighting with any other and stayed out of the graph",
@@ -49,7 +49,8 @@ def test_poses_without_sightings_leave_the_graph_but_keep_their_numbers():
 
 
 def test_a_landmark_seen_once_is_named():
-    graph = Graph.from_log(log_of([(0, 1), (1, 1), (1, 5), (2, 9), (2, 9)]), edges="virtual+motion", kernel="none")
+    log = log_of([(0, 1), (1, 1), (1, 5), (2, 9), (2, 9)])
+    graph = Graph.from_log(log, edges="virtual+motion", kernel="none", noise="book")
     assert graph.notes == ("no edge comes from landmarks 5 and 9, seen in one step only",)
     assert graph.families[1].count == 1
 
