@@ -28,6 +28,8 @@ TRIED = 200.0
 DIRECTIONS, DISTANCES = 24, (0.02, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 #: steps of the search, and how far away a landmark may be for bearings, in lengths of the way
 STEPS, FAR = 60, 5.0
+#: steps with more damping than this may be short anywhere
+SETTLED = 1.0
 #: ends that are nearer to each other than this part of the distance are one place
 SAME = 1e-3
 #: a place is known where its standard deviation is below this part of the distance
@@ -192,14 +194,19 @@ def places_of(seen: Iterable[PartialEdges], state: Array) -> Places:
     starts = (where.mean(axis=0) + reach * np.multiply.outer(np.array(DISTANCES), around)).reshape(-1, 2)
     m, damping = starts, np.full(len(starts), 1e-3)
     cost, H, g = _normal(parts, sensors, m)
+    moving = np.arange(len(m))
     for _ in range(STEPS):
-        step = np.linalg.solve(H + damping[:, None, None] * _diagonal(H), -g[..., None])[..., 0]
-        tried, tried_H, tried_g = _normal(parts, sensors, m + step)
-        better = tried < cost
-        m, cost = np.where(better[:, None], m + step, m), np.where(better, tried, cost)
-        H, g = np.where(better[:, None, None], tried_H, H), np.where(better[:, None], tried_g, g)
-        damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-9, 1e9)
-        if np.abs(step).max() < SAME * reach / 10:
+        damped = H[moving] + damping[moving, None, None] * _diagonal(H[moving])
+        step = np.linalg.solve(damped, -g[moving, :, None])[..., 0]
+        tried, tried_H, tried_g = _normal(parts, sensors, m[moving] + step)
+        better = tried < cost[moving]
+        lower = moving[better]
+        m[lower] += step[better]
+        cost[lower], H[lower], g[lower] = tried[better], tried_H[better], tried_g[better]
+        damping[moving] = np.clip(np.where(better, damping[moving] / 5, damping[moving] * 5), 1e-9, 1e9)
+        # a short step may also be one that is damped much
+        moving = moving[(np.abs(step).max(axis=1) >= SAME * reach / 10) | (damping[moving] > SETTLED)]
+        if not len(moving):
             break
     far = np.hypot(*(m - where.mean(axis=0)).T)
     left = np.linalg.solve(H + 1e-12 * _diagonal(H), g[..., None])[..., 0]

@@ -92,7 +92,7 @@ def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mappi
     untold = dict[str, float]() if ranged.any() else {name: PRIORS[name] for name in UNTOLD}
     unknowns.hold(["sensor_delay", *(["bearing_bias"] if ranged.all() else []), *untold])
     _, errors = fit(unknowns, ROUNDS)
-    held = untold | hold_needless(unknowns, ROUNDS)
+    held = hold_needless(unknowns, ROUNDS) | untold
     motion, seen = unknowns.models
     corrected, estimate = without_found(unknowns, log, held, motion, seen)
     none = np.zeros(len(partial), dtype=bool)
