@@ -106,7 +106,7 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
         return None
     if not len(outcome.log.steps) and outcome.log.partial_sightings is not None:
         return (
-            "The noise of ranges or bearings alone is not estimated; give it by --range-rate and --range-std, or "
+            "The noise of so few ranges or bearings alone is not estimated; give it by --range-rate and --range-std, or "
             "--bearing-std"
         )
     if outcome.log.true_poses is not None:

@@ -282,7 +282,7 @@ def test_no_command_that_fails_is_named_for_single_numbers() -> None:
     log = simulate_single_numbers("range")
     outcome: Any = SimpleNamespace(log=log, noise_ratio=(1.0, 0.01), findings=(), noise_source={"motion": "book"})
     advice = _noise_advice(outcome, Path("beacons.npz"), RunOptions())
-    assert advice is not None and advice.startswith("The noise of ranges or bearings alone is not estimated")
+    assert advice is not None and advice.startswith("The noise of so few ranges or bearings alone is not estimated")
 
 
 def test_robots_that_disagree_are_not_one(invoke: Invoke, tmp_path: Path) -> None:
