@@ -1,14 +1,17 @@
 """Two studies over 50 seeds: FastSLAM 2.0 against 1.0 with a sharp sensor, unknown against known association.
 
-python benchmarks/fastslam_studies.py
+python benchmarks/fastslam_studies.py [--only versions | association] [--record docs/measured]
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from association import scattered
+from recording import add_option, record
 
 from fastslam import FastSLAM1, FastSLAM2
 from graphslam import Log, MotionModel, SensorModel, simulate
@@ -17,8 +20,8 @@ from graphslam.metrics import align, ate, landmark_rmse
 SEEDS = range(50)
 
 
-def compare_versions() -> None:
-    """A tenth of the book's sensor noise, N = 100: error of the map, and ESS before resampling."""
+def compare_versions() -> Iterator[dict[str, Any]]:
+    """Rows: a tenth of the book's sensor noise, N = 100: error of the map, and ESS before resampling."""
     sensor = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
     for psi in (True, False):
         rmse, ess = {FastSLAM1: [], FastSLAM2: []}, {FastSLAM1: [], FastSLAM2: []}
@@ -30,11 +33,14 @@ def compare_versions() -> None:
                     landmark_rmse(log.true_landmarks, result.landmarks, align(log.true_poses, result.poses))
                 )
                 ess[kind].append(np.mean(result.ess[1:]))
+        errors, sizes = ([np.median(values[kind]) for kind in (FastSLAM1, FastSLAM2)] for values in (rmse, ess))
+        ratio = sizes[1] / sizes[0]
         print(
-            f"sharp sensor, psi {psi!s:5}: median landmark RMSE 1.0 {np.median(rmse[FastSLAM1]):.3f} m, "
-            f"2.0 {np.median(rmse[FastSLAM2]):.3f} m; mean ESS 1.0 {np.median(ess[FastSLAM1]):.1f}, "
-            f"2.0 {np.median(ess[FastSLAM2]):.1f} ({np.median(ess[FastSLAM2]) / np.median(ess[FastSLAM1]):.1f} times)"
+            f"sharp sensor, psi {psi!s:5}: median landmark RMSE 1.0 {errors[0]:.3f} m, 2.0 {errors[1]:.3f} m; "
+            f"mean ESS 1.0 {sizes[0]:.1f}, 2.0 {sizes[1]:.1f} ({ratio:.1f} times)"
         )
+        figures = {"rmse1_m": errors[0], "rmse2_m": errors[1], "ess1": sizes[0], "ess2": sizes[1], "ess_ratio": ratio}
+        yield {"name": "with psi" if psi else "without psi"} | figures
 
 
 def compare_association() -> None:
@@ -67,6 +73,11 @@ def compare_association() -> None:
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
-    compare_versions()
-    compare_association()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=("versions", "association"))
+    add_option(parser)
+    arguments = parser.parse_args()
+    if arguments.only != "association":
+        record(arguments.record, "fastslam_studies", list(compare_versions()))
+    if arguments.only != "versions":
+        compare_association()

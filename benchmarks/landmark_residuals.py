@@ -3,6 +3,7 @@
 Simulated logs also with the Cartesian residual and the noise at the estimated ranges (``range_noise="estimated"``).
 
     python benchmarks/landmark_residuals.py [--logs 200] [--jobs 2] [--data ../shared/data] [--only simulated | real]
+                                            [--record docs/measured]
 
 Simulated logs: the book's world, 62 motions, noise as in the models that the graph is given. ``scale`` is the mean over the
 logs of the scale of the best similarity from the true map to the estimated one, minus 1, with its standard error: weights
@@ -23,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from real_logs import BY_HAND
+from recording import add_option, record
 
 from comparisons.comparison import compare
 from comparisons.datasets import data_folder
@@ -37,6 +39,8 @@ from graphslam.simulation.worlds import World
 
 #: the residual and the range at which the noise is taken
 WAYS = (*((residual, "measured") for residual in RESIDUALS), ("cartesian", "estimated"))
+#: what the table of the real logs has of each
+FIGURES = ("cost", "ate_m", "landmark_rmse_m", "nees", "seconds")
 #: factor on the book's noise, or the models themselves; and the numbers of a sighting
 CASES = (
     *product((0.1, 0.5, 1.0), (3, 2)),
@@ -116,26 +120,30 @@ def real_logs(data: Path) -> Iterator[tuple[str, str, Log, dict[str, Any]]]:
     for robot in (1, 3):
         if (data / "mrclam6").exists():
             log = load(data / "mrclam6", robot=robot)
-            yield f"MR.CLAM 6 robot {robot}", "the book's", log, {}
+            yield f"MR.CLAM 6 robot {robot}", "the book's", log, {"noise": "book"}
             yield f"MR.CLAM 6 robot {robot}", "by hand", log, BY_HAND
     for folder in ("simulated_535", "simulated_8240", "lost_in_the_woods"):
         if (data / folder).exists():
             yield folder, "published", load(data / folder), {}
 
 
-def real(data: Path) -> Iterator[str]:
-    """The table of the real logs, and of Huang's."""
+def real(data: Path, folder: Path | None) -> Iterator[str]:
+    """The table of the real logs, and of Huang's, whose rows are recorded."""
+    rows = []
     yield "| log | noise | kernel | residual | converged | J | ATE [m] | map [m] | NEES / 3 | time [s] |"
     yield "|---|---|---|---|---|---|---|---|---|---|"
     for title, noise, log, numbers in real_logs(data):
         for kernel, residual in product(("none", "cauchy"), RESIDUALS):
             options = RunOptions.of(edges="landmark+motion", kernel=kernel, residual=residual, **numbers)
             row = compare(log, options, estimators="graph").table["graph"]
-            values = (row.cost, row.ate_m, row.landmark_rmse_m, row.nees, row.seconds)
-            texts = ("-" if x is None else f"{x:.{d}f}" for x, d in zip(values, (1, 3, 3, 2, 2)))
+            figures = {key: getattr(row, key) for key in FIGURES}
+            given = {"log": title, "noise": noise, "kernel": kernel, "residual": residual, "converged": row.converged}
+            rows.append({"name": ", ".join((title, noise, kernel, residual))} | given | figures)
+            texts = ("-" if x is None else f"{x:.{d}f}" for x, d in zip(figures.values(), (1, 3, 3, 2, 2)))
             yield (
                 f"| {title} | {noise} | {kernel} | {residual} | {'yes' if row.converged else 'no'} | {' | '.join(texts)} |"
             )
+    record(folder, "landmark_residuals", rows)
 
 
 def main() -> None:
@@ -145,12 +153,13 @@ def main() -> None:
     parser.add_argument("--logs", type=int, default=200, help="simulated logs of each case")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--only", choices=("simulated", "real"))
+    add_option(parser)
     arguments = parser.parse_args()
     if arguments.only != "real":
         for line in simulated(arguments.logs, arguments.jobs):
             print(line, flush=True)
     if arguments.only != "simulated":
-        for line in real(arguments.data):
+        for line in real(arguments.data, arguments.record):
             print(line, flush=True)
 
 

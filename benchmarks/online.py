@@ -4,6 +4,8 @@
     python benchmarks/online.py --only long --sample 0     # 35,000 simulated poses
     python benchmarks/online.py --covariances 50       # standard deviations against the batch solution, and time of a call
 
+Each takes ``--record docs/measured``.
+
 Step times are processor times, so that other programs on the machine enter less; they include the passes over the tree,
 but not the batch solutions, which start where the estimate is. With --isam2, GTSAM's ISAM2 goes through the same graph with
 GTSAM's C++ factors (polar sightings), relinearising what moves by more than 0.01 at every step and at every tenth, by QR.
@@ -14,10 +16,12 @@ from __future__ import annotations
 import argparse
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from recording import add_option, record
 from whole_command import long_log
 
 from graphslam import Graph, GraphError, Log, MotionModel, OnlineSolver, SensorModel, load, simulate, solve
@@ -30,6 +34,14 @@ from graphslam.se2 import compose, wrap
 BY_HAND = {
     "motion": MotionModel.constant(0.1, 0.3, epsilon=1e-8),
     "sensor": SensorModel(range_rate=0.0, range_std=0.12, bearing_std=0.02),
+}
+#: what tables call the logs
+TITLES = {
+    "mrclam6": "MR.CLAM 6 robot 3, noise by hand, epsilon 1e-8",
+    "woods": "Lost in the Woods, sightings up to 5 m",
+    "huang": "Huang 8240",
+    "city10000": "city10000",
+    "long": "a simulated drive, 35,000 poses, 219,860 sightings",
 }
 
 
@@ -59,18 +71,23 @@ def excess(graph: Graph, estimate: OnlineSolver) -> float:
     return (piece.cost(piece.initial) - best) / max(best, 1e-9)
 
 
-def report(name: str, seconds: list[float], gaps: list[float]) -> None:
-    """One line: time per step and accuracy."""
+def report(name: str, seconds: list[float], gaps: list[float], solver: str = "online") -> dict[str, Any]:
+    """One line, and a row to record: time per step and accuracy."""
     ms = 1e3 * np.array(seconds)
     gap = f"above batch at most {max(gaps):.1e}, median {np.median(gaps):.1e} ({len(gaps)} steps)" if gaps else ""
-    median, most = np.median(ms), ms.max()
-    high = np.quantile(ms, 0.99)
-    print(f"{name:28} {len(ms):6} steps in {ms.sum() / 1e3:.2f} s, {median:7.3f} ms median,", end=" ")
+    median, most = float(np.median(ms)), float(ms.max())
+    high, title = float(np.quantile(ms, 0.99)), name if solver == "online" else f"{name}, {solver}"
+    print(f"{title:28} {len(ms):6} steps in {ms.sum() / 1e3:.2f} s, {median:7.3f} ms median,", end=" ")
     print(f"{high:7.2f} ms 99 %, {most:7.1f} ms most; {gap}")
+    return {
+        "name": title, "log": TITLES[name], "solver": solver, "steps": len(ms), "sampled": len(gaps),
+        "above_most": max(gaps, default=None), "above_median": float(np.median(gaps)) if gaps else None,
+        "median_ms": median, "p99_ms": high, "most_ms": most, "all_s": float(ms.sum()) / 1e3,
+    }  # fmt: skip
 
 
-def ours(name: str, graph: Graph, steps: int, sampled: set[int]) -> None:
-    """Go through a graph with the online solver."""
+def ours(name: str, graph: Graph, steps: int, sampled: set[int]) -> dict[str, Any]:
+    """Go through a graph with the online solver; a row to record."""
     seconds, gaps, passes, iterator = [], [], [], replay(graph)
     for _ in range(steps):
         begin = time.process_time()
@@ -85,15 +102,16 @@ def ours(name: str, graph: Graph, steps: int, sampled: set[int]) -> None:
     for _ in range(20):
         estimate.covariance(estimate.step, three, joint=True)
     covariance = (time.process_time() - begin) / 20
-    report(name, seconds[1:], gaps)
+    row = report(name, seconds[1:], gaps)
     system = estimate._backend.system
     print(f"{'':28} {np.mean(passes):.2f} passes, {system.batch_solutions} batch solutions", end=", ")
     print(f"{system.bytes / 2**20:.0f} MiB", end=", ")
     print(f"covariance of the pose and three landmarks {1e3 * covariance:.3f} ms")
+    return row
 
 
-def isam2(name: str, graph: Graph, steps: int, skip: int) -> None:
-    """The same log through ISAM2 with native factors."""
+def isam2(name: str, graph: Graph, steps: int, skip: int) -> dict[str, Any]:
+    """The same log through ISAM2 with native factors; a row to record."""
     import gtsam
 
     assert graph.log is not None and graph.sensor is not None
@@ -132,11 +150,11 @@ def isam2(name: str, graph: Graph, steps: int, skip: int) -> None:
             print(f"{name:28} ISAM2 fails at step {step}: {str(error).strip().splitlines()[0]}")
             break
         seconds.append(time.process_time() - begin)
-    report(f"{name}, ISAM2, skip {skip}", seconds[1:], [])
+    return report(name, seconds[1:], [], "ISAM2 at every step" if skip == 1 else f"ISAM2 at every {skip}th step")
 
 
-def pose_graph(path: Path, steps: int, sample: float) -> None:
-    """A pose graph edge by edge in the order of its file: a step is a new pose with all edges to earlier ones."""
+def pose_graph(path: Path, steps: int, sample: float) -> dict[str, Any]:
+    """A pose graph edge by edge in the order of its file: a step is a new pose with all edges to earlier ones. A row."""
     graph = Graph.from_g2o(path)
     edges = next(family for family in graph.families if isinstance(family, RelativePoseEdges))
     later = np.maximum(edges.first, edges.second)
@@ -164,11 +182,11 @@ def pose_graph(path: Path, steps: int, sample: float) -> None:
             piece = Graph(poses, families=families, steps=ids, trajectory=poses, pose_ids=ids)
             best = solve(piece, initialize="given").cost
             gaps.append((piece.cost(poses) - best) / max(best, 1e-9))
-    report(path.stem, seconds, gaps)
+    return report(path.stem, seconds, gaps)
 
 
-def endless(steps: int, lag: int | None) -> None:
-    """Time and memory of a robot that drives in a circle among twenty landmarks, and sees those up to 5 m away."""
+def endless(steps: int, lag: int | None) -> Iterator[dict[str, Any]]:
+    """Rows: time and memory of a robot that drives in a circle among twenty landmarks, and sees those up to 5 m away."""
     rng, sensor, pose, move = np.random.default_rng(0), SensorModel(), np.zeros(3), np.array([0.3, 0.0, 0.05])
     marks, std = rng.uniform((-10, -4), (10, 16), (20, 2)), np.array([0.03, 0.02, 0.02])
     solver, seconds = OnlineSolver(sensor=sensor, lag=lag), []
@@ -186,17 +204,18 @@ def endless(steps: int, lag: int | None) -> None:
         solver.observe(ids, z)
         seconds.append(time.process_time() - begin)
         if step in (1000, 10_000, 30_000, steps):
-            system, recent = solver._backend.system, 1e3 * np.array(seconds[-1000:])
-            size = system.bytes / 2**20
-            print(
-                f"lag {lag}: step {step:6}, {np.median(recent):.2f} ms median, {np.quantile(recent, 0.99):.1f} ms 99 %",
-                end=", ",
-            )
+            recent, size = 1e3 * np.array(seconds[-1000:]), solver._backend.system.bytes / 2**20
+            median, high = np.median(recent), np.quantile(recent, 0.99)
+            yield {"name": f"lag {lag}, step {step}", "median_ms": median, "p99_ms": high, "mib": size} | {
+                "lag": "none" if lag is None else f"{lag} steps",
+                "steps": step,
+            }
+            print(f"lag {lag}: step {step:6}, {median:.2f} ms median, {high:.1f} ms 99 %", end=", ")
             print(f"nodes, edges and tree {size:.1f} MiB, {np.hypot(*(solver.pose - pose)[:2]):.3f} m off", flush=True)
 
 
-def lags(name: str, graph: Graph, steps: int) -> None:
-    """The last pose with a lag, against the one without."""
+def lags(name: str, graph: Graph, steps: int) -> Iterator[dict[str, Any]]:
+    """Rows: the last pose with a lag, against the one without."""
     poses = {}
     for lag in (None, 200, 50):
         seconds, iterator = [], replay(graph, lag=lag)
@@ -211,11 +230,16 @@ def lags(name: str, graph: Graph, steps: int) -> None:
         print(f"{name}, lag {lag}: {np.median(ms):.2f} ms median, newest pose off by", end=" ")
         print(f"{np.median(far):.4f} m median, {far.max():.3f} m most,", end=" ")
         print(f"{np.median(turned):.4f} rad median, {turned.max():.3f} rad most", flush=True)
+        yield {
+            "name": f"{name}, lag {lag}", "log": TITLES[name], "lag": "none" if lag is None else f"{lag} steps",
+            "median_ms": np.median(ms), "off_m": np.median(far), "off_most_m": far.max(), "turn_rad": np.median(turned),
+            "turn_most_rad": turned.max(),
+        }  # fmt: skip
 
 
-def covariances(data: Path, count: int, kernel: str | None, steps: int) -> None:
-    """Standard deviations of the newest pose and the whole map against those of the batch solution: five times in each of
-    ``count`` clean simulated logs with and without psi, across a corridor, and on the real logs."""
+def covariances(data: Path, count: int, kernel: str | None, steps: int) -> Iterator[dict[str, Any]]:
+    """Rows: standard deviations of the newest pose and the whole map against those of the batch solution: five times in each
+    of ``count`` clean simulated logs with and without psi, across a corridor, and on the real logs."""
     for orientation in (False, True):
         ratios, times = [], []
         for seed in range(count):
@@ -224,11 +248,11 @@ def covariances(data: Path, count: int, kernel: str | None, steps: int) -> None:
             found, seconds = deviations(graph, log.num_poses, 5)
             ratios += found
             times += seconds
-        report_ratios(f"{count} simulated logs, psi {orientation}", ratios, times)
+        yield report_ratios(f"{count} simulated logs {'with' if orientation else 'without'} psi", ratios, times)
     for name, read in logs(data).items():
         log, models = read()
         graph = Graph.from_log(log, edges="landmark+motion", kernel=kernel, **models)
-        report_ratios(name, *deviations(graph, min(steps, log.num_poses), 5))
+        yield report_ratios(f"{name}, first {steps:,} steps", *deviations(graph, min(steps, log.num_poses), 5))
 
 
 def deviations(graph: Graph, steps: int, samples: int) -> tuple[list[np.ndarray], list[tuple[float, float, float]]]:
@@ -252,14 +276,16 @@ def deviations(graph: Graph, steps: int, samples: int) -> tuple[list[np.ndarray]
     return ratios, times
 
 
-def report_ratios(name: str, ratios: list[np.ndarray], times: list[np.ndarray]) -> None:
-    """One line: the range of the ratios of poses and of all, and the times of a call."""
+def report_ratios(name: str, ratios: list[np.ndarray], times: list[np.ndarray]) -> dict[str, Any]:
+    """One line, and a row to record: the range of the ratios of poses and of all, and the times of a call."""
     poses, every = np.array([ratio[:3] for ratio in ratios]), np.concatenate(ratios)
     first, again = 1e3 * np.median(times, axis=0)
     print(
         f"{name:32} {len(ratios)} calls, standard deviations of poses {poses.min():.3f} to {poses.max():.3f}, of all "
         f"{every.min():.3f} to {every.max():.3f} times; {first:.2f} ms, again {again:.2f} ms", flush=True,
     )  # fmt: skip
+    figures = {"poses_least": poses.min(), "poses_most": poses.max(), "all_least": every.min(), "all_most": every.max()}
+    return {"name": name} | figures | {"first_ms": first, "again_ms": again}
 
 
 def main() -> None:
@@ -277,13 +303,16 @@ def main() -> None:
     parser.add_argument(
         "--covariances", type=int, metavar="LOGS", help="only: standard deviations against the batch solution"
     )
+    add_option(parser)
     options = parser.parse_args()
     if options.covariances:
-        covariances(options.data, options.covariances, options.kernel, options.steps)
+        rows = list(covariances(options.data, options.covariances, options.kernel, options.steps))
+        record(options.record, "online_covariances", rows)
         return
     if options.endless:
-        endless(options.endless, options.lag)
+        record(options.record, "online_endless", list(endless(options.endless, options.lag)))
         return
+    rows = list[dict[str, Any]]()
     reads = {"long": lambda: (long_log(35_000), {})} if options.only == "long" else logs(options.data)
     for name, read in reads.items():
         if options.only not in (None, name):
@@ -293,18 +322,20 @@ def main() -> None:
         steps = min(options.steps, log.num_poses)
         sampled = set(np.random.default_rng(0).choice(steps, int(options.sample * steps), replace=False).tolist())
         if options.lags:
-            lags(name, graph, steps)
+            rows += lags(name, graph, steps)
             continue
         assert any(isinstance(family, CartesianObservationEdges) for family in graph.families)
         try:
-            ours(name, graph, steps, sampled)
+            rows.append(ours(name, graph, steps, sampled))
         except GraphError as error:
             print(f"{name:28} fails: {error}")
         if options.isam2:
-            isam2(name, graph, steps, 1)
-            isam2(name, graph, steps, 10)
+            for row in (isam2(name, graph, steps, skip) for skip in (1, 10)):
+                # within one run: times vary between runs
+                rows.append(row | {"to_online": row["median_ms"] / rows[-1]["median_ms"]})
     if options.only in (None, "city10000") and not options.lags:
-        pose_graph(options.data / "posegraph" / "city10000.g2o", options.steps, options.sample)
+        rows.append(pose_graph(options.data / "posegraph" / "city10000.g2o", options.steps, options.sample))
+    record(options.record, "online_lags" if options.lags else "online", rows)
 
 
 if __name__ == "__main__":

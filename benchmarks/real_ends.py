@@ -1,6 +1,6 @@
 """All robots of MR.CLAM and Lost in the Woods at hand: does `slam-compare run` end well, and at the best end known?
 
-    python benchmarks/real_ends.py [--data ../shared/data] [--only "robot 3, by hand"]
+    python benchmarks/real_ends.py [--data ../shared/data] [--only "robot 3, by hand"] [--record docs/measured]
     python benchmarks/real_ends.py --parts 2,5           # every robot's drive cut into 2 and into 5 drives, as further logs
     python benchmarks/real_ends.py --wrong 0.03 --logs 25 --seed 5    # simulated logs with wrong ids
 
@@ -26,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 from hard_logs import hard_log
+from recording import add_option, record
 
 from comparisons.comparison import compare
 from comparisons.datasets import data_folder
@@ -178,7 +179,8 @@ def main() -> int:
     parser.add_argument("--wrong", type=float, default=0.0, help="simulated logs with this part of wrong ids")
     parser.add_argument("--logs", type=int, default=25, help="the number of simulated logs")
     parser.add_argument("--seed", type=int, default=5, help="the seed of the simulated logs; they were tuned on 3")
-    arguments = parser.parse_args()
+    add_option(parser)
+    arguments, kept = parser.parse_args(), []
     if arguments.parts or arguments.wrong:
         return kernels(arguments)
     bad = 0
@@ -186,7 +188,7 @@ def main() -> int:
     print("|---|---|---|---|---|---|---|---|---|", flush=True)
     for path, robot in logs(arguments.data):
         for noise, values in (("default", {}), ("by hand", BY_HAND)):
-            title = path.name if robot is None else f"{path.name} robot {robot}"
+            title = "Lost in the Woods" if robot is None else f"{path.name} robot {robot}"
             if arguments.only not in f"{title}, {noise}":
                 continue
             status, rows = command(path, robot, values)
@@ -209,6 +211,10 @@ def main() -> int:
                     f"| {above:.0e} | {row['ate_m']:.3f} | {row['landmark_rmse_m']:.3f} |",
                     flush=True,
                 )
+                figures = {key: row[key] for key in ("converged", "cost", "ate_m", "landmark_rmse_m")}
+                given = {"log": title, "noise": noise, "kernel": kernel, "exit": status, "above": above}
+                kept.append({"name": f"{title}, {noise}, {kernel}"} | given | figures)
+    record(arguments.record, "real_ends", kept)
     print(f"{bad} rows are not good")
     return bad > 0
 

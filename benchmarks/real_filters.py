@@ -5,6 +5,8 @@
     python benchmarks/real_filters.py noise --seeds 2 --particles 200
     python benchmarks/real_filters.py hidden --seeds 4 --particles 100
 
+The first two take ``--record docs/measured``.
+
 MR.CLAM: median ATE over the seeds, as a ratio to the graph's (Huber, noise by hand). Filters have no robust kernel, so
 their sensor noise is also tried several times as large.
 
@@ -32,6 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from recording import add_option, record
 from scipy.io import loadmat
 
 from comparisons.datasets import data_folder
@@ -81,8 +84,9 @@ def correlation_time(log: Log) -> Array:
     return total
 
 
-def mrclam(data: Path, seeds: int, particles: int) -> Iterator[str]:
-    """A line per robot, filter and noise."""
+def mrclam(data: Path, seeds: int, particles: int, folder: Path | None) -> Iterator[str]:
+    """A line per robot, filter and noise; the rows of robot and noise are recorded."""
+    rows = []
     yield "| robot | filter | sensor noise | median ATE [m] | quartiles | / graph |\n|---|---|---|---|---|---|"
     for robot in (1, 3):
         log = load(data / "mrclam6", robot=robot).replace(motion=MOTION, sensor=SENSOR)
@@ -92,6 +96,7 @@ def mrclam(data: Path, seeds: int, particles: int) -> Iterator[str]:
         tau = correlation_time(log)
         yield f"| {robot} | graph | x 1 | {reference:.3f} | errors correlate over {tau[0]:.1f}, {tau[1]:.1f} sightings | 1 |"
         for factor in INFLATED:
+            rows.append({"name": f"robot {robot}, x {factor:g}", "robot": robot, "sensor_noise": f"x {factor:g}"})
             wider = replace(SENSOR, range_std=factor * SENSOR.range_std, bearing_std=factor * SENSOR.bearing_std)
             for kind in (FastSLAM1, FastSLAM2):
                 found = [
@@ -99,14 +104,18 @@ def mrclam(data: Path, seeds: int, particles: int) -> Iterator[str]:
                     for seed in range(seeds)
                 ]
                 low, median, high = np.quantile(found, [0.25, 0.5, 0.75])
+                rows[-1] |= {f"{kind.__name__}_ate_m": median, f"{kind.__name__}_to_graph": median / reference}
                 yield (
                     f"| {robot} | {kind.__name__} | x {factor:g} | {median:.3f} | {low:.3f} to {high:.3f} | "
                     f"{median / reference:.2f} |"
                 )
+    record(folder, "real_filters", rows)
 
 
-def victoria(data: Path, seeds: int, particles: int, laser: float, keywords: dict[str, Any]) -> Iterator[str]:
-    """A line per seed, and the medians."""
+def victoria(
+    data: Path, seeds: int, particles: int, laser: float, keywords: dict[str, Any], folder: Path | None
+) -> Iterator[str]:
+    """A line per seed, and the medians, which are recorded."""
     log = load(data / "victoria_park")
     assert log.true_poses is not None and log.sensor is not None
     log = log.replace(sensor=replace(log.sensor, offset=(laser, log.sensor.offset[1])))
@@ -130,12 +139,19 @@ def victoria(data: Path, seeds: int, particles: int, laser: float, keywords: dic
             f"{published:.2f} m, {len(result.landmarks)} landmarks, {seconds:.1f} s of processor time"
         )
     plain, aligned, turn, seconds, _ = np.median(outcomes, axis=0)
+    least, most = np.min(outcomes, axis=0), np.max(outcomes, axis=0)
     published = float(np.sqrt(np.mean(np.array(outcomes)[:, 4] ** 2)))
     yield (
         f"median of {seeds} seeds, {particles} particles, {keywords}: {plain:.2f} m, aligned {aligned:.2f} m "
         f"by {turn:.1f} deg, {seconds:.1f} s"
     )
     yield f"published scoring, root mean square over {len(fixes)} GPS positions and the seeds: {published:.2f} m"
+    figures = {
+        "gps_m": plain, "gps_least_m": least[0], "gps_most_m": most[0], "ate_m": aligned, "ate_least_m": least[1],
+        "ate_most_m": most[1], "turn_deg": turn, "published_m": published, "cpu_s": seconds,
+    }  # fmt: skip
+    row = {"name": "fastslam2", "seeds": seeds, "particles": particles} | keywords
+    record(folder, "real_filters_victoria", [row | figures])
 
 
 def noise(data: Path, seeds: int, particles: int) -> Iterator[str]:
@@ -221,12 +237,15 @@ def main() -> None:
     parser.add_argument("--laser", type=float, default=3.78, help="how far the laser is ahead of the rear axle [m]")
     parser.add_argument("--association", default="auto", help="on Victoria Park, which has no ids")
     parser.add_argument("--threshold", type=float, default=1e-6, help="new_landmark_threshold on Victoria Park")
+    add_option(parser)
     a = parser.parse_args()
     if a.study == "victoria":
         keywords = {"association": a.association, "new_landmark_threshold": a.threshold}
-        study = victoria(a.data, a.seeds, a.particles, a.laser, keywords)
+        study = victoria(a.data, a.seeds, a.particles, a.laser, keywords, a.record)
+    elif a.study == "mrclam":
+        study = mrclam(a.data, a.seeds, a.particles, a.record)
     else:
-        study = {"mrclam": mrclam, "noise": noise, "hidden": hidden}[a.study](a.data, a.seeds, a.particles)
+        study = {"noise": noise, "hidden": hidden}[a.study](a.data, a.seeds, a.particles)
     for line in study:
         print(line, flush=True)
 

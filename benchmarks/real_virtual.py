@@ -1,6 +1,6 @@
 """Virtual-motion edges on a real log without psi: what the weight of the pairs does, beside landmark nodes.
 
-    python benchmarks/real_virtual.py [--data ../shared/data]
+    python benchmarks/real_virtual.py [--data ../shared/data] [--record docs/measured]
 
 MR.CLAM 6, noise by hand (as in `real_logs`), with motion edges. Without psi one shared landmark ties two poses in two of
 three coordinates; the motion edges do the rest. A row per weight and kernel: errors, NEES of the poses, and time.
@@ -12,6 +12,7 @@ import argparse
 from pathlib import Path
 
 from real_logs import BY_HAND, read
+from recording import add_option, record
 
 from comparisons.comparison import compare
 from comparisons.datasets import data_folder
@@ -24,6 +25,7 @@ VARIANTS = (
     {"edges": "virtual+motion", "weight": "tempered"},
     {"edges": "virtual+motion", "weight": "pairs"},
 )
+FIGURES = ("converged", "ate_m", "landmark_rmse_m", "nees", "iterations", "seconds")
 
 
 def main() -> None:
@@ -31,7 +33,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=data_folder(), help="default: SLAM_DATA, else ../shared/data")
     parser.add_argument("--robots", type=int, nargs="+", default=[1], help="robot 3 has 700,000 pairs: minutes")
-    arguments = parser.parse_args()
+    add_option(parser)
+    arguments, rows = parser.parse_args(), []
     print("| robot | pairs | edges | kernel | converged | ATE [m] | map [m] | NEES / 3 | iterations | time [s] |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     for robot in arguments.robots:
@@ -47,6 +50,10 @@ def main() -> None:
                     f"{row.seconds:.2f} |",
                     flush=True,
                 )
+                figures = {key: getattr(row, key) for key in FIGURES}
+                given = {"robot": robot, "pairs": pair_count(log), "edges": name, "kernel": kernel}
+                rows.append({"name": f"robot {robot}, {name}, {kernel}"} | given | figures)
+    record(arguments.record, "real_virtual", rows)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How time and memory grow: landmark graphs of 10^3 to 10^5 poses, made by the simulator, solved from dead reckoning.
 
-    python benchmarks/scaling.py [--largest 100000] [--side 50] [--json FILE]
+    python benchmarks/scaling.py [--largest 100000] [--side 50] [--record docs/measured]
 
 A robot mows a strip of a given width among landmarks, about ten in view at each step, seeing the neighbouring lanes
 again on its way back; 2-D sensor, clean noise a tenth of the book's. A strip grows in one direction, so elimination
@@ -17,9 +17,9 @@ import resource
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
+from recording import add_option, record
 
 
 def strip_log(poses: int, side: float):
@@ -80,7 +80,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--largest", type=int, default=100_000)
     parser.add_argument("--side", type=float, default=50.0)
-    parser.add_argument("--json")
+    add_option(parser)
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
@@ -97,7 +97,7 @@ def main() -> None:
             text=True,
         )
         row = json.loads(out.stdout.splitlines()[-1])
-        rows.append(row)
+        rows.append({"name": f"{n:,}"} | row)
         print(
             f"{n:7d} {row['sightings']:9d} {row['build_s']:7.2f}s {row['solve_s']:7.2f}s {row['cpu_s']:7.2f}s "
             f"{row['iterations']:4d} {row['peak_mib']:6.0f}MiB {row['rms_error_m']:7.3f}m  {row['reason']}"
@@ -105,10 +105,10 @@ def main() -> None:
     large = [row for row in rows if row["poses"] >= 10_000]
     if len(large) > 1:
         logs = {k: np.log([row[k] for row in large]) for k in ("poses", "cpu_s", "peak_mib")}
-        print(f"slope of processor time from 10^4 poses on: {np.polyfit(logs['poses'], logs['cpu_s'], 1)[0]:.2f}")
-        print(f"slope of peak memory: {np.polyfit(logs['poses'], logs['peak_mib'], 1)[0]:.2f}")
-    if options.json:
-        Path(options.json).write_text(json.dumps(rows, indent=1))
+        time, memory = (float(np.polyfit(logs["poses"], logs[name], 1)[0]) for name in ("cpu_s", "peak_mib"))
+        print(f"slope of processor time from 10^4 poses on: {time:.2f}\nslope of peak memory: {memory:.2f}")
+        rows.append({"name": "slope", "poses": None, "cpu_s": time, "peak_mib": memory})
+    record(options.record, "scaling" if options.side <= 50 else "scaling_field", rows)
 
 
 if __name__ == "__main__":

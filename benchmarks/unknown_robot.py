@@ -1,8 +1,8 @@
 """Robots that nobody has calibrated: the default result of drives whose noise, biases and misread ids are unknown.
 
     python benchmarks/unknown_robot.py [--seeds tuning|reporting|1000-1009] [--drives 20] [--jobs 2] [--misread 0.05]
-                                       [--option noise=auto] [--no-ids] [--plain] [--also fastslam2] [--json FILE]
-                                       [--oracles FOLDER] [--drive odometry|sightings]
+                                       [--option noise=auto] [--no-ids] [--plain] [--also fastslam2]
+                                       [--oracles FOLDER] [--drive odometry|sightings] [--record docs/measured]
     python benchmarks/unknown_robot.py --sizes     # time of `estimate_robot` and `solve` by the length of a drive
 
 Each seed is a `Drive.random`, or with ``--drive`` two minutes with almost perfect odometry or sightings. Its log goes through
@@ -28,7 +28,7 @@ import json
 import re
 import time
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -37,6 +37,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from recording import add_option, record
 
 import comparisons
 from comparisons.estimators import warm_up
@@ -359,15 +360,18 @@ def value_of(word: str) -> tuple[str, Any]:
         return name, value
 
 
-def sizes() -> None:
-    """Processor times for drives of 5, 20, 90 and 180 minutes."""
+def sizes() -> Iterator[dict[str, Any]]:
+    """Rows: processor times for drives of 5, 20, 90 and 180 minutes."""
     for seed, minutes in enumerate((5, 20, 90, 180), 3100):
         log, _ = Drive(seed=seed, duration=60.0 * minutes).simulate()
         begin = time.process_time()
         found = estimate_robot(log)
         estimated = time.process_time()
         solve(Graph.from_log(found.log))
-        print(f"{len(log.sightings):6} sightings: {estimated - begin:.1f} s, {time.process_time() - estimated:.1f} s")
+        solved = time.process_time()
+        print(f"{len(log.sightings):6} sightings: {estimated - begin:.1f} s, {solved - estimated:.1f} s", flush=True)
+        counts = {"minutes": minutes, "sightings": len(log.sightings), "controls": len(log.controls)}
+        yield {"name": f"{minutes} minutes"} | counts | {"estimate_s": estimated - begin, "solve_s": solved - estimated}
 
 
 def main() -> None:
@@ -387,11 +391,11 @@ def main() -> None:
     parser.add_argument("--no-ids", action="store_true", help="take the ids from all sightings; the oracle keeps them")
     parser.add_argument("--plain", action="store_true", help="time the graph with the noise of the book, too")
     parser.add_argument("--oracles", type=Path, help="a folder that keeps the figures of the oracle")
-    parser.add_argument("--json", type=Path, help="write the rows there")
+    add_option(parser)
     parser.add_argument("--sizes", action="store_true", help="the time by the length of a drive, and nothing else")
     arguments = parser.parse_args()
     if arguments.sizes:
-        sizes()
+        record(arguments.record, "unknown_robot_sizes", list(sizes()))
         return
     options = dict(value_of(word) for word in arguments.option)
     options["also"] = tuple(filter(None, arguments.also.split(",")))
@@ -415,8 +419,8 @@ def main() -> None:
             rows.append(r)
             print(line(r), flush=True)
     print(summary(rows))
-    if arguments.json is not None:
-        arguments.json.write_text(json.dumps([asdict(r) for r in rows], indent=1), encoding="utf-8")
+    name = "unknown_robot" if arguments.drive == "random" else f"unknown_robot_{arguments.drive}"
+    record(arguments.record, name, [asdict(r) | {"place": r.name, "name": f"seed {r.seed}"} for r in rows])
 
 
 if __name__ == "__main__":

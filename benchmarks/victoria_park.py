@@ -1,6 +1,7 @@
 """Victoria Park without ids: FastSLAM 2.0, the association from its ids, and the graph, against GPS at the antenna.
 
     python benchmarks/victoria_park.py --runs 30:0 10:0 10:1 10:2 [--estimate turn_scale,range_bias,bearing_bias]
+    python benchmarks/victoria_park.py --ids [--record docs/measured]     # only the text file of iSAM, with known ids
 
 Nothing is tuned on GPS. Root mean square distances over all GPS positions, aligned and not; processor times.
 """
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from real_filters import matched_gps
+from recording import add_option, record
 
 from fastslam import FastSLAM2, associate
 from fastslam.options import FilterOptions
@@ -41,7 +43,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", nargs="+", default=["30:0"], metavar="PARTICLES:SEED")
     parser.add_argument("--estimate", default="")
+    parser.add_argument("--ids", action="store_true", help="only: iterations and J of the text file of iSAM")
+    add_option(parser)
     given = parser.parse_args()
+    if given.ids:
+        found = solve(Graph.from_g2o(DATA / "victoria_park" / "victoriaPark_isam.txt"))
+        print(f"J {found.cost:.3f} after {found.iterations} iterations")
+        figures = {"iterations": found.iterations, "converged": found.converged, "cost": found.cost}
+        record(given.record, "victoria_park", [{"name": "isam"} | figures])
+        return
     log = load(DATA / "victoria_park")
     for run in given.runs:
         particles, seed = map(int, run.split(":"))

@@ -1,6 +1,6 @@
 """What `slam-compare run` takes on a long log: reading, building, solving, covariances, tables, figures and files.
 
-    python benchmarks/whole_command.py [--poses 35000]
+    python benchmarks/whole_command.py [--poses 35000] [--record docs/measured]
 
 A robot drives up and down a field 170 m wide with landmarks at random places, which it sees up to 5.55 m ahead and to the
 sides: with 35,000 poses about 220,000 sightings of 4,200 landmarks. 2-D sensor, clean noise a tenth of the book's. The log
@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from recording import add_option, record
 
 from graphslam import Log, MotionModel, SensorModel, save, simulate
 
@@ -40,6 +41,7 @@ def main() -> None:
     """Simulate the log, run the command, print its times."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--poses", type=int, default=35_000)
+    add_option(parser)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         path, log = Path(folder) / "log.npz", long_log(options.poses)
@@ -63,6 +65,10 @@ def main() -> None:
             cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
             print(f"run {turn + 1}: {wall:.1f} s, {cpu:.1f} s of processor time")
         print(done.stdout)
+    # the largest memory of any child [KiB]: the simulation is in this process
+    sizes = {"poses": log.num_poses, "sightings": len(log.steps), "landmarks": len(log.landmark_ids)}
+    figures = {"cpu_s": cpu, "clock_s": wall, "peak_mib": after.ru_maxrss / 1024}
+    record(options.record, "whole_command", [{"name": f"{log.num_poses:,}"} | sizes | figures])
 
 
 if __name__ == "__main__":

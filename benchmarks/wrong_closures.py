@@ -1,7 +1,8 @@
 """Wrong loop closures in public pose graphs: graduated non-convexity against GTSAM's `GncLMOptimizer` and plain squares.
 
     python benchmarks/wrong_closures.py [--data ../shared/data/posegraph] [--graphs INTEL M3500] [--shares 0.2 0.4]
-                                        [--seeds 10] [--first 0] [--methods own gtsam plain known] [--results FILE]
+                                        [--seeds 10] [--first 0] [--methods own gtsam plain known]
+                                        [--record docs/measured]
 
 A share of the loop closures is replaced by relative poses at random: any heading, and a place within a fifth of the
 trajectory's largest extent. Both methods trust the odometry, truncate squares at the quantile 0.99 of chi-square and start
@@ -10,21 +11,21 @@ from the values of the file. GTSAM has its own BetweenFactorPose2, the odometry 
 The ATE is that to the optimum of the graph without wrong closures, whose first pose is held, too. Each row has the median and
 the largest ATE over the seeds, the median of the processor time, and the closures that were wrongly rejected and wrongly
 kept, on average; then in how many seeds the ATE is at most that of GTSAM, to a hundredth of it, and in how many J with
-truncated squares, which both minimise, is. FILE keeps the results of
-single seeds, one JSON object a line; those that it has are not computed again.
+truncated squares, which both minimise, is. Each row is recorded when it is done.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
+from recording import add_option, record
 from scipy.stats import chi2
 
 from graphslam import Graph, solve
@@ -164,13 +165,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
-    parser.add_argument("--results", type=Path)
+    add_option(parser)
     options = parser.parse_args()
-    stored = dict[tuple[str, float, str, int], Result]()
-    if options.results and options.results.exists():
-        for line in options.results.read_text().splitlines():
-            result = Result(**json.loads(line))
-            stored[result.graph, result.share, result.method, result.seed] = result
     print(f"{'graph':10} {'wrong':>5}  {'method':6} {'ATE [m]':>9} {'largest':>9} {'time [s]':>9}  rejected  kept")
     for name in options.graphs:
         graph = Graph.from_g2o(options.data / GRAPHS[name]).with_closures()
@@ -178,15 +174,15 @@ def main() -> None:
         extent = float(np.ptp(clean[:, :2], axis=0).max())
         for share in options.shares:
             rows = dict[str, list[Result]]()
+            figures: dict[str, Any] = {
+                "name": f"{name} {share:.0%}",
+                "graph": name,
+                "share": share,
+                "seeds": options.seeds,
+            }
             for method in options.methods:
-                for seed in range(options.first, options.first + options.seeds):
-                    result = stored.get((name, share, method, seed))
-                    if result is None:
-                        result = Result.of(name, share, method, seed, clean, extent, graph)
-                        if options.results:
-                            with options.results.open("a") as file:
-                                file.write(json.dumps(asdict(result)) + "\n")
-                    rows.setdefault(method, []).append(result)
+                seeds = range(options.first, options.first + options.seeds)
+                rows[method] = [Result.of(name, share, method, seed, clean, extent, graph) for seed in seeds]
                 errors, seconds = [r.ate for r in rows[method]], [r.seconds for r in rows[method]]
                 rejected, kept = [r.rejected for r in rows[method]], [r.kept for r in rows[method]]
                 print(
@@ -194,6 +190,11 @@ def main() -> None:
                     f"{np.median(seconds):9.2f}  {np.mean(rejected):8.1f}  {np.mean(kept):4.1f}",
                     flush=True,
                 )  # fmt: skip
+                figures |= {
+                    f"{method}_ate_m": np.median(errors), f"{method}_largest_m": max(errors),
+                    f"{method}_s": np.median(seconds), f"{method}_rejected": np.mean(rejected),
+                    f"{method}_kept": np.mean(kept),
+                }  # fmt: skip
             if {"own", "gtsam"} <= rows.keys():
                 pairs = list(zip(rows["own"], rows["gtsam"]))
                 good = sum(a.ate <= 1.01 * b.ate for a, b in pairs)
@@ -203,6 +204,8 @@ def main() -> None:
                     f"{name:10} {share:5.0%}  own at most gtsam in {good} of {len(pairs)}, in J in {lower}, "
                     f"{ratio:.1f} times as fast"
                 )
+                figures |= {"at_most": good, "lower": lower, "times_as_fast": ratio}
+            record(options.record, "wrong_closures", [figures])
 
 
 if __name__ == "__main__":

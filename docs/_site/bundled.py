@@ -15,6 +15,7 @@ from typing import Any
 
 import cells
 import listings
+import measured
 import notebooks
 
 EXAMPLES = cells.ROOT / "examples"
@@ -24,7 +25,8 @@ LANGUAGES = {"en": ".md", "ja": ".ja.md"}
 
 def make(source: Path, language: str, results: Mapping[str, cells.Cell], folder: Path) -> dict[str, Any]:
     """Return the notebook of a page in one language."""
-    text = cells.markers(source.with_suffix(LANGUAGES[language]).read_text())
+    page = source.with_suffix(LANGUAGES[language])
+    text = measured.filled(cells.markers(page.read_text()), str(page.relative_to(cells.DOCS)), language)
     return notebooks.notebook(
         text, results, folder, lambda arguments: listings.listing(*shlex.split(arguments), language=language), language
     )

@@ -10,6 +10,8 @@ A page may have these lines, indented as the text around them:
     {{ live KIND LOG key=value "text" }}                   a figure that the reader moves, see `live`
     {{ slides }}                                           where the site explains each formula of the lectures
 
+and the measured results of `measured`, also within a line.
+
 The cells are described in `cells`. The alternative text describes the figure for readers who do not see it.
 """
 
@@ -36,6 +38,7 @@ import labels
 import listings
 import literature
 import live
+import measured
 import notebooks
 import symbols
 from mkdocs.exceptions import PluginError
@@ -117,6 +120,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
             made = _cell(kind, source, arguments, page, language)
         return "\n".join(indent + line if line else line for line in made.splitlines())
 
+    try:
+        markdown = measured.filled(markdown, page.file.src_uri, language)
+    except measured.MeasuredError as error:
+        raise PageError(str(error)) from None
     made = _MARKER.sub(text, cells.markers(markdown))
     if read := literature.section(re.sub(r"(\.ja)?\.md$", "", page.file.src_uri), language):
         made += f"\n\n{read}\n"

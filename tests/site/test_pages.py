@@ -194,14 +194,6 @@ def test_every_page_is_in_the_navigation():
     assert pages - listed == {"_site/README.md"}
 
 
-def test_measured_values_are_the_same_on_all_pages():
-    measured = tomllib.loads((DOCS / "_site" / "measured.toml").read_text())
-    text = "".join(page.read_text() for page in DOCS.rglob("*.md") if page.parent.name != "_site")
-    found = re.findall(r"(?:1/)?([\d.,]+)<!-- ([a-z][\w ]+) -->", text)
-    assert {name for _, name in found} == set(measured)
-    assert [(value, name) for value, name in found if measured[name] != value] == []
-
-
 def test_only_pages_without_translation_are_called_english():
     called = []
     for page in [ROOT / "README.ja.md", *DOCS.rglob("*.ja.md")]:
