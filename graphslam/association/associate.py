@@ -32,11 +32,12 @@ from ..solvers.unknown_robot import estimate_robot
 from .adapting import Competition, Robot, Start, compete, spread, tolerance
 from .ambiguity import Ambiguity, ambiguities, readable
 from .front_end import run_front_end
-from .leaps import leaps
+from .leaps import Leap
 from .map_solution import Problem
 from .problem import AssociationOptions
 from .problem import names as names_of
 from .refining import TRIAL_ROUNDS
+from .repair import repaired, with_unknown_motions
 
 #: the evidence for a reliable map over that for any other one [nats]; with 30, one of 42 maps called good was bad
 MIN_LEAD = 40.0
@@ -74,11 +75,10 @@ class Verdict:
         return f"do not rely on the map without a check: {'; '.join(self.reasons)}"
 
 
-def verdict(competition: Competition, problem: Problem) -> Verdict:
-    """The verdict on the best end of a competition."""
+def verdict(competition: Competition, problem: Problem, leaps: tuple[Leap, ...]) -> Verdict:
+    """The verdict on the best end of a competition, with these leaps."""
     k = competition.best
-    refined = competition.ends[k].refined
-    best = refined.solution
+    best = competition.ends[k].refined.solution
     near = tolerance(best, problem.field)
     gaps, agreeing = [np.inf], 0
     for value, end in zip(competition.values, competition.ends, strict=True):
@@ -98,7 +98,7 @@ def verdict(competition: Competition, problem: Problem) -> Verdict:
         reasons.append(
             f"another map that was tried is less likely by a factor of {readable(lead)}, and {readable(MIN_LEAD)} is needed"
         )
-    reasons += [str(each) for each in leaps(replace(problem, densities=refined.densities), best)[:MOST_NOTES]]
+    reasons += [str(each) for each in leaps[:MOST_NOTES]]
     return Verdict(not reasons, tuple(reasons), lead, len(competition.ends), agreeing, spread(best))
 
 
@@ -124,6 +124,7 @@ class Association:
         parameters: the estimated parameters of vehicle and sensor, or None. ``poses`` are those of the corrected log.
         ambiguities: places that may have been taken for others, the most doubtful first.
         verdict: whether the map can be relied on, and why not.
+        repaired: motions that odometry missed, and that are unknown ones in the graph and in `log` (`association.repair`).
         evidence: E of `association.assignment.evidence`, the logarithm of the evidence for these ids, to compare associations
             of one log.
         options: what was used.
@@ -142,6 +143,7 @@ class Association:
     parameters: ParameterEstimate | None
     ambiguities: tuple[Ambiguity, ...]
     verdict: Verdict
+    repaired: tuple[Leap, ...]
     evidence: float
     options: AssociationOptions
     seconds: float
@@ -186,9 +188,12 @@ class Association:
 
     @cached_property
     def log(self) -> Log:
-        """The log with these ids, without clutter. It starts from ``poses``, and has the noise model ``motion``."""
+        """The log with these ids, without clutter. It starts from ``poses``, and has the noise model ``motion``.
+
+        Controls of motions that odometry missed have additional variances.
+        """
         kept = self.ids != UNIDENTIFIED
-        log = self.of
+        log = with_unknown_motions(self.of, self.repaired)
         notes = (*log.notes, *self.notes)
         return log.with_sightings(
             kept, landmarks=self.ids[kept], initial_poses=self.poses, notes=notes, motion=self.motion
@@ -259,7 +264,8 @@ def associate_from(
             f"no landmark of {log.name} was seen often enough to be one: all its "
             f"{_counted(len(log.steps), 'sighting')} may be clutter"
         )
-    return _report(recorded, robot, competition, options, time.perf_counter() - begin)
+    competition, missed, leaps = repaired(competition, robot, names, problem)
+    return _report(recorded, robot, competition, options, missed, leaps, time.perf_counter() - begin)
 
 
 def _starts(
@@ -294,8 +300,9 @@ def _starts(
 
 
 def _report(
-    log: Log, given: Robot, competition: Competition, options: AssociationOptions, seconds: float
-) -> Association:
+    log: Log, given: Robot, competition: Competition, options: AssociationOptions, missed: tuple[Leap, ...],
+    leaps: tuple[Leap, ...], seconds: float,
+) -> Association:  # fmt: skip
     """The association of the log as it was recorded, found with another robot."""
     robot, values, end = competition.robot, competition.values, competition.ends[competition.best]
     refined, graph = end.refined, end.refined.solution.graph
@@ -305,7 +312,7 @@ def _report(
         margins=np.where(refined.labels < 0, np.inf, refined.margins), poses=refined.solution.poses, rounds=refined.rounds,
         settled=refined.settled, cost_per_dof=refined.solution.cost / max(graph.degrees_of_freedom, 1), motion=robot.motion,
         parameters=robot.estimate, ambiguities=ambiguities(end.alternatives, options.factor, name),
-        verdict=verdict(competition, Problem.of(robot.log, robot.motion, robot.sensor, options)),
+        verdict=verdict(competition, Problem.of(robot.log, robot.motion, robot.sensor, options), leaps), repaired=missed,
         evidence=max(values), options=options, seconds=seconds, notes=(),
     )  # fmt: skip
     kept = int(np.count_nonzero(found.kept))
@@ -324,6 +331,7 @@ def _report(
         )
     if found.parameters is not None:
         notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
+    notes += [f"{each.missed}, which is not used there" for each in found.repaired]
     notes.append(str(found.verdict))
     if len(values) > 1:
         ends = ", ".join(str(round(value - max(values))) for value in values)
@@ -488,6 +496,8 @@ def _with_found_ids(log: Log, corrected: Log, motion: MotionModel, sensor: Senso
     found = associate_from(corrected, motion=motion, sensor=sensor)
     kept = found.ids != UNIDENTIFIED
     # landmarks that were found are not those of the true map
-    named = log.with_sightings(kept, landmarks=found.ids[kept], initial_poses=found.poses, true_landmarks=None)
+    named = with_unknown_motions(log, found.repaired).with_sightings(
+        kept, landmarks=found.ids[kept], initial_poses=found.poses, true_landmarks=None
+    )
     note = f"noise and biases were estimated with {found.landmarks} landmarks that were found in sightings without ids"
     return named, note

@@ -49,6 +49,7 @@ class Leap:
         of: how many landmarks are new from the step on, or in the moment after it.
         motion: what odometry missed, in the axes of the robot at ``step`` [m, m, rad].
         evidence: its logarithm, for the constellation over none.
+        pairs: the labels of the landmarks that coincide, (new, older) each.
     """
 
     step: int
@@ -57,13 +58,21 @@ class Leap:
     of: int
     motion: tuple[float, float, float]
     evidence: float
+    pairs: tuple[tuple[int, int], ...] = ()
 
-    def __str__(self) -> str:
+    @property
+    def missed(self) -> str:
+        """The motion in words."""
         x, y, theta = self.motion
         return (
+            f"odometry missed a motion between steps {self.last} and {self.step} ({x:.2f} m forward, {y:.2f} m to the left, "
+            f"{theta:.2f} rad)"
+        )
+
+    def __str__(self) -> str:
+        return (
             f"from step {self.step} on hardly any landmark of before is seen again, and {self.again} of the {self.of} new "
-            f"ones repeat older ones: either odometry missed a motion after step {self.last} ({x:.2f} m forward, {y:.2f} m "
-            f"to the left, {theta:.2f} rad), so that the map is there twice, or two places look alike"
+            f"ones repeat older ones: either {self.missed}, so that the map is there twice, or two places look alike"
         )
 
 
@@ -157,7 +166,8 @@ def _repeated(
     if one.sum() < FEWEST or total < np.log(SURE):
         return None
     x, y, theta = between(solution.poses[step], compose(best.pose, solution.poses[step])).tolist()
-    return Leap(step, last, int(one.sum()), len(new), (x, y, theta), total)
+    pairs = tuple(zip(solution.labels[a[one]].tolist(), solution.labels[b[one]].tolist()))
+    return Leap(step, last, len(pairs), len(new), (x, y, theta), total, pairs)
 
 
 def _given_pose(solution: MapSolution, step: int) -> Array:

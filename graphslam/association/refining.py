@@ -70,7 +70,7 @@ def _in_turn(problem: Problem, labels: np.ndarray, poses: Array) -> Refined | No
             return None
         solution = _merged(problem, MapSolution.of(backbone, labels, poses))
         world = backbone.places.seen_at(solution.poses[steps])
-        labels, margins = _assigned(problem, world, solution)
+        labels, margins = assigned(problem, world, solution)
         labels, margins = held(labels, known, steps), np.where(known < 0, margins, np.inf)
         labels = _born(problem, world, labels)
         labels, densities = _kept(problem, solution, labels)
@@ -87,7 +87,7 @@ def unrefined(problem: Problem, labels: np.ndarray, poses: Array) -> Refined:
     backbone, steps = problem.backbone, problem.log.steps
     labels = _compact(held(labels, backbone.known, steps))
     solution = MapSolution.of(backbone, labels, poses)
-    better, margins = _assigned(problem, backbone.places.seen_at(solution.poses[steps]), solution)
+    better, margins = assigned(problem, backbone.places.seen_at(solution.poses[steps]), solution)
     margins = np.where(labels < 0, np.inf, np.where(better == labels, margins, 0.0))
     margins[backbone.known >= 0] = np.inf
     return Refined(labels, solution, 1, True, margins, problem.densities)
@@ -120,7 +120,7 @@ def _merged(problem: Problem, solution: MapSolution) -> MapSolution:
     return solution
 
 
-def _assigned(problem: Problem, world: Places, solution: MapSolution) -> tuple[np.ndarray, Array]:
+def assigned(problem: Problem, world: Places, solution: MapSolution) -> tuple[np.ndarray, Array]:
     """The label and the margin (M,) of each sighting: the best assignment of every scan."""
     densities, classes = problem.densities, problem.classes
     shown = classes.sums(solution.which, solution.rows, len(solution.labels))
