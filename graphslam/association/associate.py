@@ -331,7 +331,7 @@ def _report(
         )
     if found.parameters is not None:
         notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
-    notes += [f"{each.missed}, which is not used there" for each in found.repaired]
+    notes += [f"{each.missed}: the odometry is not used there" for each in found.repaired]
     notes.append(str(found.verdict))
     if len(values) > 1:
         ends = ", ".join(str(round(value - max(values))) for value in values)

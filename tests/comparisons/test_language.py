@@ -103,6 +103,7 @@ def test_each_template_has_a_translation(function: Callable[..., Any]) -> None:
 
 #: parts of templates that are put together when they are shown
 PUT_TOGETHER = {
+    "either odometry missed a motion between steps",
     "shares only one with the rest", "share only one with the rest", "time %", "norm %", "speed x", "turn rate x",
     "range x", "start J =", "sightings are from before or after the odometry",
     "and they fit each other better with the map at",
