@@ -7,7 +7,6 @@ from collections import Counter
 from datetime import date
 from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -111,10 +110,8 @@ def test_japanese_tables_have_japanese_heads(folder):
     ],
 )
 def test_a_wrong_marker_is_an_error_of_the_page(folder, marker, message):
-    hooks = pytest.importorskip("hooks")
-    page = SimpleNamespace(file=SimpleNamespace(src_uri="results.md", url="results/"), meta={})
-    with pytest.raises(hooks.PageError, match=re.escape(message)) as caught:
-        hooks.on_page_markdown(marker, page, None, None)
+    with pytest.raises(measured.MeasuredError, match=re.escape(message)) as caught:
+        measured.filled(marker, "results.md")
     assert str(caught.value).startswith(f"results.md: {marker}: ")
 
 
