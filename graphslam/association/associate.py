@@ -188,12 +188,8 @@ class Association:
 
     @cached_property
     def log(self) -> Log:
-        """The log with these ids, without clutter. It starts from ``poses``, and has the noise model ``motion``.
-
-        Controls of motions that odometry missed have additional variances.
-        """
-        kept = self.ids != UNIDENTIFIED
-        log = with_unknown_motions(self.of, self.repaired)
+        """The log with these ids, from ``poses`` on, without clutter, with ``motion`` and the variances of `repaired`."""
+        kept, log = self.ids != UNIDENTIFIED, with_unknown_motions(self.of, self.repaired)
         notes = (*log.notes, *self.notes)
         return log.with_sightings(
             kept, landmarks=self.ids[kept], initial_poses=self.poses, notes=notes, motion=self.motion
