@@ -236,6 +236,11 @@ class RobotEstimate:
             for name, (usual, why) in UNUSUAL.items()
             if name in self.errors and self.errors[name] < 1 and values[name] > (most := usual * larger.get(name, 1.0))
         ]
+        if self.basis == DEAD_RECKONING:
+            lines.append(
+                "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor is "
+                "too poor to show is missing in the standard deviations of the poses; noise that is known goes into --noise FILE"
+            )
         if self.ids.share > MANY_MISREAD:
             lines.append(
                 f"{self.ids.share:.0%} of the ids contradict the other sightings; is the column of the ids right, and did "
