@@ -239,8 +239,8 @@ class RobotEstimate:
         if self.basis == DEAD_RECKONING:
             lines.append(
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "
-                "is too poor to show is missing in the standard deviations of the poses; noise that is known goes into --noise "
-                "FILE"
+                "is too poor to show is missing in the standard deviations of the poses; noise that is known goes into "
+                "--noise FILE"
             )
         if self.ids.share > MANY_MISREAD:
             lines.append(
