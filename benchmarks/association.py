@@ -5,19 +5,22 @@
     python benchmarks/association.py real mrclam-1 mrclam-3 --front-end best --particles 100
     python benchmarks/association.py limit 1 3
     python benchmarks/association.py verdict --first 3000 --worlds 200 [--missed 1 0.5]
+    python benchmarks/association.py repair --drives 4
 
 The simulated logs are 62 steps among thirty landmarks, at least so many standard deviations of the range (at 6 m) apart. One
 sighting in ten is missing, and one in ten is a false one, uniform over the field of view. "Number exact" counts the logs
 whose number of landmarks is that of the landmarks seen at least twice. The error is compared with that of the same graph
 with the true ids and without the false sightings. "limit" says for robots of MR.CLAM 6 how many sightings could be
 told apart if trajectory and map were known. "verdict" compares `Association.verdict` with the truth in random worlds,
-with --missed where the odometry misses a motion.
+with --missed where the odometry misses a motion. "repair" has drives among 14 landmarks with such a motion, and drives
+through two rooms that look alike, without one, both of `tests/graphslam/test_leaps.py`.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -28,9 +31,9 @@ from comparisons.estimators.filters import identified
 from comparisons.options import RunOptions
 from fastslam import associate
 from graphslam import Graph, Log, MotionModel, SensorModel, SlamError, load, sample_log_path, simulate, solve
-from graphslam.association import score
+from graphslam.association import associate_from, score
 from graphslam.log import UNIDENTIFIED
-from graphslam.metrics import ate
+from graphslam.metrics import ate, mean_nees
 from graphslam.models import additional_variances
 from graphslam.se2 import wrap
 
@@ -277,6 +280,26 @@ def verdicts(first: int, worlds: int, missed: list[float]) -> None:
     )
 
 
+def repairs(drives: int) -> None:
+    """Maps after a motion that odometry missed, and of two rooms that look alike."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "graphslam"))
+    from test_leaps import circling, two_rooms
+
+    for push in ((1.0, 0.0, 0.5), (-1.5, 1.0, -1.0), (4.0, 3.0, 2.5), (0.7, -0.3, 0.4)):
+        for seed in range(20, 20 + drives):
+            log = circling(seed, push)
+            found = associate_from(log, start=[None, None])
+            solution = solve(Graph.from_log(found.log))
+            nees = mean_nees(solution.poses, log.true_poses, solution.covariance())
+            print(f"missed {push}, seed {seed}: repaired {len(found.repaired)}, {found.landmarks} landmarks, "
+                  f"ATE {ate(log.true_poses, solution.poses):.3f} m, NEES / 3 {nees:.2f}", flush=True)  # fmt: skip
+    for apart in (11.0, 12.0, 14.0, 20.0):
+        every = [associate_from(two_rooms(seed, apart), start=[None, None]) for seed in range(20, 20 + drives)]
+        joined = sum(found.repaired != () or found.landmarks != 28 for found in every)
+        doubted = sum(not found.verdict.reliable for found in every)
+        print(f"rooms {apart:g} m apart: {joined} of {drives} joined, {doubted} doubted", flush=True)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     verbs = parser.add_subparsers(dest="verb", required=True)
@@ -294,9 +317,13 @@ if __name__ == "__main__":
     sub.add_argument("--first", type=int, default=3000)
     sub.add_argument("--worlds", type=int, default=200)
     sub.add_argument("--missed", type=float, nargs=2, default=[0.0, 0.0], metavar=("METRES", "RADIANS"))
+    sub = verbs.add_parser("repair")
+    sub.add_argument("--drives", type=int, default=4)
     given = parser.parse_args()
     if given.verb == "simulated":
         simulated(given.logs, given.apart, given.psi)
+    elif given.verb == "repair":
+        repairs(given.drives)
     elif given.verb == "verdict":
         verdicts(given.first, given.worlds, given.missed)
     elif given.verb == "limit":

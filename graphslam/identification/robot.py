@@ -93,14 +93,8 @@ def enough_ids(log: Log) -> bool:
     return bool(log.identified or np.count_nonzero(log.landmarks != UNIDENTIFIED) >= FEWEST["sightings"])
 
 
-def estimate_from_sightings(
-    log: Log,
-    *,
-    sensor: SensorModel | None = None,
-    given: tuple[MotionModel, SensorModel] | None = None,
-    seed: int = 0,
-) -> RobotEstimate:
-    """`estimate_robot` for logs with whole sightings; arguments and errors as there."""
+def estimate_from_sightings(log: Log, sensor: Any = None, given: Any = None, seed: int = 0) -> RobotEstimate:
+    """`solvers.unknown_robot.estimate_robot` for logs with whole sightings; arguments and errors as there."""
     check_robot_options(log, sensor, given, seed)
     _check(log)
     try:

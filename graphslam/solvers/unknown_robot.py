@@ -57,7 +57,7 @@ def estimate_robot(
     check_robot_options(log, sensor, given, seed)
     partial = log.partial_sightings
     if len(log.steps) or partial is None or log.controls is None:
-        return estimate_from_sightings(log, sensor=sensor, given=given, seed=seed)
+        return estimate_from_sightings(log, sensor, given, seed)
     if len(partial) < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
         raise LogError(
             f"{log.name} has {len(partial)} ranges and bearings alone from {log.num_poses} poses; noise and biases are "
