@@ -81,9 +81,11 @@ def ordinary(log: Log) -> np.ndarray:
 
 
 def sighting_times(log: Log) -> Array:
-    """The times (M,) of the sightings of a log with controls [s]."""
-    assert log.times is not None
-    return log.times[log.steps]
+    """The times (M,) of the sightings of a log with controls since its first pose [s].
+
+    Those of the clock are rounded: sightings at a regular rate would lie on one side of a limit or the other by its zero.
+    """
+    return log.control_times[log.control_starts[log.steps]]
 
 
 def sensor_parts(sightings: Array) -> dict[str, Array]:

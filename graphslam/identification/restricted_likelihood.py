@@ -165,6 +165,17 @@ def log_likelihood(unknowns: Unknowns) -> float:
     return total + 0.5 * float(np.sum(np.log(linear.prior)) - linear.prior @ away**2)
 
 
+def numbers_on_motion(unknowns: Unknowns) -> float:
+    """How many independent numbers show the noise of the motion where that is typical: tr(P C), C the covariances of it."""
+    typical = copy(unknowns)
+    typical.hidden = [0.0, unknowns.hidden[1]]
+    typical.logarithms = unknowns.logarithms | {name: unknowns.centres[name] for name in unknowns.motion_parts}
+    linear = typical.linearized()
+    motions = linear.edges[0]
+    excess = motions.information - motions.information @ linear.fitted(motions) @ motions.information
+    return float(np.sum(excess * typical.covariances(motions) / motions.weights[:, None, None]))
+
+
 def gain_over(fitted: Unknowns, other: Unknowns) -> float:
     """The log likelihood of a problem over that of the same with other priors, or with exact odometry."""
     fitted, other = copy(fitted), copy(other)

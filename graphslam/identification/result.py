@@ -136,6 +136,8 @@ MIN_INFORMATION = 0.7
 #: an estimate is doubtful with fewer sightings than this, with more than this share of the ids wrong, and with a bias this
 #: far from its ideal value [standard deviations of its prior], for which these are likely causes
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
+#: fewer numbers that show the noise of the motion are a doubt (docs/decisions.md)
+HARDLY_TOLD = 12.0
 CAUSES = {
     "wheel_scale": "are odometry and ranges in metres? A log tells only the quotient of their scales.",
     "turn_scale": "is the odometry in radians per second? Noise in recorded turns makes the scale too large.",
@@ -175,6 +177,7 @@ class RobotEstimate:
         left_out: how well this estimate, dead reckoning and the noise of the book (or noise that was given) predict
             sightings that are left out.
         basis: whose noise the result has: that of the estimate, or of one of the other two where this is clearly better.
+        told: how many independent numbers show the noise of the motion, if that is typical.
     """
 
     log: Log
@@ -188,6 +191,7 @@ class RobotEstimate:
     nearly_exact: bool
     left_out: LeftOut
     basis: str = ESTIMATE
+    told: float = np.inf
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -241,6 +245,11 @@ class RobotEstimate:
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "
                 "is too poor to show is missing in the standard deviations of the poses; noise that is known goes into "
                 "--noise FILE"
+            )
+        if self.told < HARDLY_TOLD:
+            lines.append(
+                "the drive is too short, or the sensor too poor, to tell the noise of the odometry: the standard deviations "
+                "of the poses may be half as large as they should be; noise that is known goes into --noise FILE"
             )
         if self.ids.share > MANY_MISREAD:
             lines.append(

@@ -30,8 +30,15 @@ from ..errors.checks import check_count, check_type
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .declared import ParameterEstimate
-from .odometry import OF_SENSOR, sighting_times
-from .restricted_likelihood import fit, gain_over, hold_needless, is_elsewhere, with_sensor_anywhere
+from .odometry import sighting_times
+from .restricted_likelihood import (
+    fit,
+    gain_over,
+    hold_needless,
+    is_elsewhere,
+    numbers_on_motion,
+    with_sensor_anywhere,
+)
 from .result import (
     BOOK_NOISE,
     DEAD_RECKONING,
@@ -46,7 +53,7 @@ from .result import (
     with_book,
     without_found,
 )
-from .sighting_errors import LAGS, SHORT, Ids, checked_ids, correlations, inflation, smoothed
+from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, correlations, inflation, smoothed
 from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -67,6 +74,8 @@ COMMON = 2.0
 #: below this gain of the log likelihood, divided by the sightings that count as one, odometry counts as nearly exact; and the
 #: seconds for one sighting of each landmark in the second test
 NEEDED, MORE = 8.0, 1.0
+#: where fewer numbers would show typical noise of the motion, a log cannot say that its odometry is better; see decisions.md
+TOLD = 40.0
 #: dead reckoning has this part of the standard deviations of typical noise; sums of log densities that differ by less than
 #: this are alike
 HARDLY_ANY, CLEARLY = 1 / 100, 2.0
@@ -154,14 +163,16 @@ def _estimate(
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
     exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
-    held, held_with_exact = hold_needless(second, ROUNDS[2]), hold_needless(exact, ROUNDS[2])
+    held_first, held_with_exact = hold_needless(second, ROUNDS[2]), hold_needless(exact, ROUNDS[2])
+    held = held_first
     place = {name: getattr(sensor, name) for name in SensorModel.GEOMETRY}
     other = (GIVEN_NOISE, given) if given else (BOOK_NOISE, (MotionModel(), SensorModel(**place)))
     part = _beginning(sparse, MOST_COMPARED)
     begun = second if part is sparse else Unknowns(part, part.landmarks, sensor, second)
     dead_reckoning = fit(_with_dead_reckoning(begun), ROUNDS[1])[0]
     compared = _compared(part, second, dead_reckoning, *other, rng)
-    nearly_exact = _is_exact(named, sparse, used, second, exact, rng)
+    told = numbers_on_motion(second)
+    nearly_exact = _is_exact(named, sparse, used, second, exact, told, rng)
     if nearly_exact:
         second, held = exact, held_with_exact
         compared = _compared(part, second, dead_reckoning, *other, rng)
@@ -176,7 +187,8 @@ def _estimate(
     if basis == other[0]:
         return _known(log, ids, *other, compared)
     if basis == DEAD_RECKONING:
-        second = dead_reckoning
+        # this problem holds what the first one held, too
+        second, held = dead_reckoning, held_first | held
     rho = _correlations(named, sparse, used, second, rng)
     factor = COMMON * inflation(named, rho) if rho[:SHORT].max() >= HARDLY else 1.0
     if factor > 1:
@@ -188,13 +200,13 @@ def _estimate(
     # exactly, without the rounding of the last step
     last.hold(held)
     motion, seen = last.models
-    wider: dict[str, Any] = {name: getattr(seen, name) * factor**0.5 for name in OF_SENSOR}
+    wider: dict[str, Any] = {name: getattr(seen, name) * factor**0.5 for name in last.sensor_parts}
     seen = replace(seen, **wider)
     corrected, estimate = without_found(last, ids.correct(log), held, motion, seen)
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared,
-        basis=basis,
+        basis=basis, told=told,
     )  # fmt: skip
 
 
@@ -378,7 +390,7 @@ def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng
 
 
 def _is_exact(
-    log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, exact: Unknowns, rng: np.random.Generator
+    log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, exact: Unknowns, told: float, rng: np.random.Generator
 ) -> bool:
     """Whether the log does not show that the odometry is noisy.
 
@@ -386,10 +398,13 @@ def _is_exact(
     found, and ``exact`` with a small part of it. Such noise follows errors of the sightings that are correlated, which then
     do not show. So the gain of the log likelihood is divided by the number of sightings that count as one where there is
     hardly any noise. It must be small with few sightings, and with one of each landmark in `MORE` seconds, where these are
-    more. A log with fewer than `ENOUGH` such sightings shows too little.
+    more. A log with fewer than `ENOUGH` such sightings shows too little, and so does a short drive or a poor sensor.
+
+    Args:
+        told: the `numbers_on_motion` of ``fitted``.
     """
     few = len(fitted.log.steps)
-    if few < ENOUGH:
+    if few < ENOUGH or told < TOLD:
         return False
     rho = _correlations(log, sparse, used, exact, rng)
     if gain_over(fitted, exact) >= NEEDED * inflation(sparse, rho):
@@ -405,7 +420,7 @@ def _thinned(log: Log, interval: float) -> tuple[Log, np.ndarray]:
     """The log with one sighting of each landmark in each interval [s], and which those are, (M,) bool."""
     # the numbers of the landmarks: large ids do not fit floating point
     landmarks = np.unique(log.landmarks, return_inverse=True)[1].ravel()
-    slots = np.unique(np.floor(sighting_times(log) / max(interval, 1e-9)), return_inverse=True)[1].ravel()
+    slots = np.unique(np.floor((sighting_times(log) + ROUNDING) / max(interval, 1e-9)), return_inverse=True)[1].ravel()
     _, groups, count = np.unique(landmarks * (len(slots) + 1) + slots, return_inverse=True, return_counts=True)
     order = np.argsort(groups, kind="stable")
     starts = np.concatenate([[0], np.cumsum(count)[:-1]])

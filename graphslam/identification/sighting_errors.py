@@ -35,6 +35,8 @@ RIGHT = 2.0
 WEAK = 0.33
 #: limits of the lags [s] over which correlations are averaged
 LAGS = np.array([0.0, 0.15, 0.4, 1.0, 2.5, 6.0, 15.0, 40.0])
+#: the largest rounding of times [s]: the lags of regular sightings are often one of these
+ROUNDING = 1e-6
 #: errors correlated by less than this count as independent, and correlations of fewer pairs than this are not computed
 INDEPENDENT, FEWEST = 0.1, 20
 #: errors are correlated where rho of one of this number of the shortest lags is above the second number of its standard
@@ -215,10 +217,10 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     lag = 1
     while lag < len(rows):
         lapse = t[lag:] - t[:-lag]
-        first = np.flatnonzero((landmarks[lag:] == landmarks[:-lag]) & (lapse < LAGS[-1]))
+        first = np.flatnonzero((landmarks[lag:] == landmarks[:-lag]) & (lapse < LAGS[-1] - ROUNDING))
         if len(first) == 0:
             break
-        second, at = first + lag, np.searchsorted(LAGS, lapse[first], side="right") - 1
+        second, at = first + lag, np.searchsorted(LAGS, lapse[first] + ROUNDING, side="right") - 1
         products = e[first] * e[second] - np.mean(errors[first] * errors[second], axis=2)
         np.add.at(total, (group[first], at), products @ share / float(own @ share))
         np.add.at(count, (group[first], at), 1)
@@ -250,6 +252,6 @@ def inflation(log: Log, rho: Array) -> float:
     t, neighbours = sighting_times(log), np.zeros(len(LAGS) - 1)
     for j in log.landmark_ids.tolist():
         own = t[log.landmarks == j]
-        within = np.array([np.searchsorted(own, own + lag, side="right") for lag in LAGS])
+        within = np.array([np.searchsorted(own, own + max(lag - ROUNDING, ROUNDING)) for lag in LAGS])
         neighbours += 2 * np.diff(within, axis=0).sum(axis=1)
     return 1.0 + float(rho @ neighbours) / max(len(t), 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -112,6 +113,29 @@ def test_slipping_wheels_are_not_taken_for_exact() -> None:
 @pytest.mark.parametrize("seed", [3101, 3103])
 def test_a_drive_of_seconds_does_not_show_that_odometry_is_exact(seed: int) -> None:
     assert not estimate_robot(Drive(seed=seed, duration=20.0, misread=0.0).simulate()[0]).nearly_exact
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3301, 3302])
+def test_a_poor_sensor_does_not_show_that_odometry_is_exact(seed: int) -> None:
+    """With a third of the noise, or none, NEES / 3 was 17 and 8.5."""
+    precise = MotionModel(nn=0.002, no=0.0, on=0.002, oo=0.002, epsilon=1e-10)
+    drive = Drive(seed=seed, duration=200.0, landmarks=30, misread=0.0, parameters={}, motion=precise)
+    poor = replace(drive.sensor, range_rate=0.0, range_std=0.5, bearing_std=0.2)
+    log, _ = replace(drive, sensor=poor).simulate()
+    solution = solve(Graph.from_log(log))
+    assert any("to tell the noise of the odometry" in note for note in solution.notes)
+    errors = difference(solution.poses[1:], log.true_poses[1:])
+    nees = np.einsum("ki,ki->k", errors, np.linalg.solve(solution.covariance()[1:], errors[:, :, None])[:, :, 0])
+    assert nees.mean() / 3 < 3
+
+
+def test_the_zero_of_the_clock_does_not_count() -> None:
+    """Times that were rounded by it decided which of the sightings at a regular rate were few enough."""
+    log = Drive(seed=7, duration=40.0, landmarks=20).simulate()[0]
+    zero, later = (estimate_robot(log.replace(start_time=start)) for start in (0.0, 1764398424.3))
+    assert zero.sentences == later.sentences
+    np.testing.assert_allclose(zero.log.controls, later.log.controls, atol=1e-9)
 
 
 def test_biases_that_are_held_stay_uncertain() -> None:
