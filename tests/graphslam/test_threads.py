@@ -1,4 +1,4 @@
-"""Several threads use one graph, its variants or its solution at once: all numbers are those of one thread, to the last bit."""
+"""Several threads use one graph, its variants or its solution at once: all numbers are those of one thread, bit by bit."""
 
 from __future__ import annotations
 
