@@ -285,7 +285,9 @@ class EngineEdges(EdgeFamily):
     @cached_property
     def in_engine(self) -> Any:
         """The same edges in the engine, made at the first use. From then on the arrays of the family cannot be written to."""
-        make_read_only(self, *(name for name in vars(self) if isinstance(vars(self)[name], np.ndarray)))
+        # a copy, because other threads may add cached properties meanwhile
+        own = vars(self).copy().items()
+        make_read_only(self, *(name for name, value in own if isinstance(value, np.ndarray)))
         return self._to_engine()
 
     @abstractmethod
@@ -319,7 +321,7 @@ class EngineEdges(EdgeFamily):
 
     def __getstate__(self) -> dict[str, Any]:
         # another process makes its own
-        return {name: value for name, value in vars(self).items() if name != "in_engine"}
+        return {name: value for name, value in vars(self).copy().items() if name != "in_engine"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

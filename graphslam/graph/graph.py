@@ -28,7 +28,7 @@ from ..errors.checks import array_of, check_choice, make_read_only
 from ..identification.declared import Parameters, declared
 from ..identification.result import RobotEstimate
 from ..identification.robot import AUTO, BOOK, estimate_from_sightings, known_robot
-from ..linear.information import BlockSystem
+from ..linear.information import BlockSystem, Structure, SystemOfThread
 from ..log import Log, check_is_log
 from ..log_checks import readings_of, sizes
 from ..models import EdgeOptions, MotionModel, SensorModel
@@ -111,7 +111,7 @@ class Graph:
     def __getstate__(self) -> dict[str, Any]:
         # the system is made again where it is needed: it finds edges by the addresses of their arrays, which another
         # process gives to other arrays, and its factor is many times larger than the graph
-        return {name: value for name, value in vars(self).items() if name not in ("system", "_objective")}
+        return {name: value for name, value in vars(self).copy().items() if name != "_systems"}
 
     @classmethod
     def from_log(
@@ -266,7 +266,7 @@ class Graph:
     def with_families(self, families: Iterable[EdgeFamily], **others: Any) -> Graph:
         """The same graph with other edges between the same groups of nodes, ``others`` changed; both have one `system`."""
         changed = replace(self, families=tuple(families), **others)
-        vars(changed)["system"] = self.system
+        vars(changed)["_systems"] = self._systems
         return changed
 
     @property
@@ -302,35 +302,38 @@ class Graph:
         """Whether some edges have a robust kernel, which re-weights them at every step."""
         return any(getattr(family, "kernel", None) is not None for family in self.families)
 
-    @cached_property
+    @property
     def system(self) -> BlockSystem:
-        """Omega and xi: the pattern is made at the first use, the numbers by `linearize`."""
-        return BlockSystem.from_cliques(self.num_nodes, [f.cliques() for f in self.families], self.without_heading)
+        """Omega and xi of this thread: the pattern is made at the first use and shared, the numbers by `linearize`."""
+        return self._systems.system
+
+    @cached_property
+    def _systems(self) -> SystemOfThread:
+        cliques = [family.cliques() for family in self.families]
+        made = SystemOfThread(Structure.of_cliques(self.num_nodes, cliques, self.without_heading))
+        # of two threads that make one at once, both use the first
+        return vars(self).setdefault("_systems", made)
 
     @property
     def objective(self) -> Any:
         """The edges with the `system`, as the engine iterates them (``engine/include/vmslam/solve/objective.hpp``)."""
-        factor = self.system.factor_in_engine
-        kept = vars(self).get("_objective")
-        # a factor that was given away is another one; a family in NumPy may refer to its graph, and the engine's objects are
-        # unknown to the collector of garbage, which would never free the two
-        if kept is None or kept[1] is not factor:
+        system = self.system
+        factor, objective = system.factor_in_engine, system.objectives.get(self)
+        # a family in NumPy may refer to its graph, and the engine's objects are unknown to the collector of garbage, which
+        # would never free the two
+        if objective is None:
             own = [family if _is_of_engine(family) else None for family in self.families]
-            families = tuple(
-                engine.PythonFamily(f, BlockSystem.of_arrays, self.initial.size)
-                if of_engine is None
-                else of_engine.in_engine
-                for f, of_engine in zip(self.families, own)
-            )
-            pairs = tuple(_none() if family is None else family.blocks(self.system) for family in own)
+            others = BlockSystem.of_arrays, self.initial.size
+            both = zip(self.families, own)
+            families = tuple(engine.PythonFamily(f, *others) if e is None else e.in_engine for f, e in both)
+            pairs = tuple(_none() if family is None else family.blocks(system) for family in own)
             fixed = np.ascontiguousarray(self.fixed, dtype=np.int64)
-            held = (self.system.blocks_of(fixed), fixed, self.without_heading)
-            objective = engine.GraphObjective((families, pairs, self.system.arrays, held, factor), self.prior_cost)
+            held = (system.blocks_of(fixed), fixed, self.without_heading)
+            objective = engine.GraphObjective((families, pairs, system.arrays, held, factor), self.prior_cost)
             objective.state_dependent, objective.reweighted = self.state_dependent_information, self.reweighted
-            kept = objective, factor
             if None not in own:
-                vars(self)["_objective"] = kept
-        return kept[0]
+                system.objectives[self] = objective
+        return objective
 
     def cost(self, state: Array, reference: Array | None = None) -> float:
         """J = the sum of e' Omega e at a state (n, 3), with state-dependent information taken at ``reference``.

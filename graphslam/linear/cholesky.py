@@ -8,6 +8,7 @@ The engine computes (``engine/include/vmslam/sparse``): the structure once per g
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -98,7 +99,7 @@ def symmetric(indptr: NDArray[Any], indices: NDArray[Any], values: NDArray[Any])
 
 
 class Factor:
-    """Cholesky factor of Omega. ``refactorize`` reuses all memory for new values; not to be shared by threads."""
+    """Cholesky factor of Omega. ``refactorize`` reuses all memory for new values, while no other thread uses the factor."""
 
     def __init__(self, symbolic: Symbolic) -> None:
         self.symbolic = symbolic
@@ -106,6 +107,7 @@ class Factor:
         self._factor = engine.RealFactor(symbolic.structure)
         self._inverse: Any = None
         self._valid = False
+        self._solving = Lock()
 
     def refactorize(self, values: NDArray[Any], *, damping: float = 0.0) -> Factor:
         """Cholesky factorisation Omega + damping diag(Omega) = L L' of new values on the same pattern, in place.
@@ -176,7 +178,10 @@ class Factor:
             raise ValueError(f"rhs must have shape ({n}, 3) or ({n}, 3, k), not {rhs.shape}")
         out = np.empty(rhs.shape)
         several = rhs.ndim == 3 and rhs.shape[2] != 1
-        if not (self._factor.solve_columns if several else self._factor.solve)(np.ascontiguousarray(rhs), out):
+        # the engine solves in memory of the factor, which a solution keeps for all threads
+        with self._solving:
+            finite = (self._factor.solve_columns if several else self._factor.solve)(np.ascontiguousarray(rhs), out)
+        if not finite:
             raise ValueError("rhs holds NaN or infinity")
         return out
 

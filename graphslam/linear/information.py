@@ -7,10 +7,12 @@ A slot is the number k of a block.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 class Structure:
     """The upper block-CSC pattern ``indptr`` (n + 1,) and ``indices`` of a symmetric matrix; they must not change.
 
-    ``points`` are the nodes without a heading.
+    ``points`` are the nodes without a heading. Several threads may use one structure.
     """
 
     indptr: np.ndarray
@@ -35,6 +37,19 @@ class Structure:
     points: np.ndarray
     #: a proof that nobody uses, whose memory is used again
     spare: list[Any] = field(default_factory=list, repr=False)
+    _held: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, repr=False)
+    _slots: dict[tuple[int, int], tuple[np.ndarray, ...]] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of_cliques(
+        cls, num_nodes: int, cliques: Iterable[tuple[np.ndarray, np.ndarray]], points: Iterable[int] = ()
+    ) -> Structure:
+        """That of nodes tied in groups, each given as (starts (G+1,), nodes), nodes not decreasing."""
+        parts = list(cliques)
+        nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
+        sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
+        start, rows = engine.pattern(num_nodes, np.asarray(sizes, np.int64), np.asarray(nodes, np.int64))
+        return cls(start, rows, np.asarray(points, np.int64))
 
     @cached_property
     def symbolic(self) -> Symbolic:
@@ -55,33 +70,33 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class BlockSystem:
-    """Omega and xi of a graph with n nodes; see the module for the layout.
+    """Omega and xi of a graph with n nodes; see the module for the layout. Not to be shared by threads.
 
-    ``workspace`` (n,) is scratch space for edges that look up slots column by column.
+    ``workspace`` (n,) is scratch space for edges that look up slots column by column, and ``objectives`` are those of the
+    graphs that use this memory in the engine.
     """
 
     structure: Structure
     values: Array
     xi: Array
     workspace: np.ndarray
-    _held: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, repr=False)
-    _slots: dict[tuple[int, int], tuple[np.ndarray, ...]] = field(default_factory=dict, repr=False)
+    objectives: WeakKeyDictionary[Any, Any] = field(default_factory=WeakKeyDictionary, repr=False)
+
+    @classmethod
+    def of(cls, structure: Structure) -> BlockSystem:
+        """The empty system with a structure."""
+        n = len(structure.indptr) - 1
+        return cls(structure, np.zeros((len(structure.indices), 3, 3)), np.zeros((n, 3)), np.zeros(n, np.int64))
 
     @classmethod
     def from_cliques(
         cls, num_nodes: int, cliques: Iterable[tuple[np.ndarray, np.ndarray]], points: Iterable[int] = ()
     ) -> BlockSystem:
-        """The empty system of nodes tied in groups, each given as (starts (G+1,), nodes), nodes not decreasing.
+        """The empty system of `Structure.of_cliques`.
 
         The nodes ``points`` have no heading: before it is factorised, `rest` must hold their third coordinates.
         """
-        parts = list(cliques)
-        nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
-        sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
-        start, rows = engine.pattern(num_nodes, np.asarray(sizes, np.int64), np.asarray(nodes, np.int64))
-        structure = Structure(start, rows, np.asarray(points, np.int64))
-        values = np.zeros((len(structure.indices), 3, 3))
-        return cls(structure, values, np.zeros((num_nodes, 3)), np.zeros(num_nodes, np.int64))
+        return cls.of(Structure.of_cliques(num_nodes, cliques, points))
 
     @classmethod
     def of_arrays(
@@ -145,6 +160,7 @@ class BlockSystem:
         """
         factor = self.factorize()
         del vars(self)["_factor"]
+        self.objectives.clear()
         return factor
 
     def hold(self, nodes: np.ndarray) -> None:
@@ -154,9 +170,10 @@ class BlockSystem:
     def blocks_of(self, nodes: np.ndarray) -> np.ndarray:
         """The numbers of all blocks in the rows and columns of nodes."""
         key = tuple(nodes.tolist())
-        if key not in self._held:
-            self._held[key] = engine.blocks_of_nodes(self.indptr, self.indices, np.asarray(nodes, np.int64))
-        return self._held[key]
+        held = self.structure._held
+        if key not in held:
+            held[key] = engine.blocks_of_nodes(self.indptr, self.indices, np.asarray(nodes, np.int64))
+        return held[key]
 
     def rest(self, nodes: np.ndarray, coordinate: int) -> None:
         """Hold the coordinates of nodes from ``coordinate`` on, which no edge may touch: their diagonal becomes 1."""
@@ -176,8 +193,8 @@ class BlockSystem:
 
         They are looked up once for each pair of arrays, which must not change afterwards.
         """
-        key = (id(first), id(second))
-        if key not in self._slots:
+        key, known = (id(first), id(second)), self.structure._slots
+        if key not in known:
             a, b = (np.ascontiguousarray(nodes, dtype=np.int64) for nodes in (first, second))
             slots, k = engine.pair_blocks(self.indptr, self.indices, a, b)
             if k >= 0:
@@ -185,9 +202,16 @@ class BlockSystem:
                     f"a family has an edge between the nodes {a[k]} and {b[k]}, but no group of its cliques() has both"
                 )
             # the arrays are kept with the slots, so that their ids cannot pass to other objects
-            self._slots[key] = slots, first, second
-        return self._slots[key][0]
+            known[key] = slots, first, second
+        return known[key][0]
 
     def to_sparse(self) -> sp.csc_matrix:
         """Omega whole, both triangles, as a SciPy matrix (3n, 3n)."""
         return symmetric(self.indptr, self.indices, self.values)
+
+
+class SystemOfThread(threading.local):
+    """One `BlockSystem` for each thread, ``system``: made where the thread first asks for it, and freed when it ends."""
+
+    def __init__(self, structure: Structure) -> None:
+        self.system = BlockSystem.of(structure)

@@ -52,7 +52,7 @@ class OnlineSolver:
     first pose is anchored.
 
     A call is refused as a whole, and the solver then is as it was before. Only an update that fails inside of ISAM2 cannot
-    be taken back.
+    be taken back. A solver is for one thread at a time; threads that share one need a lock around each call.
 
     In a map (``map``) the robot need not know where it is: without ``start`` its poses are those from the origin, until its
     sightings say surely where in the map it began (`located`), and are in the map then. Sightings may have no ids there. A

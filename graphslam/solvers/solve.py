@@ -139,7 +139,8 @@ AHEAD = 2
 def solve_many(graphs: Iterable[Graph], *, jobs: int | None = None, **options: Any) -> Iterator[Solution | GraphError]:
     """Solve many graphs; the results come in the order of the graphs, each as soon as those before it are done.
 
-    Every number except ``seconds`` is the same, to the last bit, as from `solve`, whatever ``jobs`` is.
+    Every number except ``seconds`` is the same, to the last bit, as from `solve`, whatever ``jobs`` is, also where one graph
+    or its variants occur several times.
 
     Args:
         graphs: a list, or an iterator of any length: at most two graphs for each thread are held at a time. An error

@@ -41,7 +41,7 @@ class Uncertainty:
 
     def __getstate__(self) -> dict[str, Any]:
         # the factors are the engine's, and are made again where they are needed
-        return {name: value for name, value in vars(self).items() if name not in ("_factor", "_joint")}
+        return {name: value for name, value in vars(self).copy().items() if name not in ("_factor", "_joint")}
 
     @cached_property
     def _factor(self) -> Factor:

@@ -134,6 +134,6 @@ def test_a_pickled_graph_leaves_its_system_behind(graph: Graph) -> None:
     solved = fresh(graph)
     solve(solved)
     copy = pickle.loads(pickle.dumps(solved))
-    assert "system" in vars(solved)
-    assert "system" not in vars(copy)
+    assert "_systems" in vars(solved)
+    assert "_systems" not in vars(copy)
     assert_same(solve(copy), solve(fresh(graph)))
