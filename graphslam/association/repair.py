@@ -11,7 +11,8 @@ its wide density, and by the odds against it. The repaired one is taken where it
 
 Two rooms that look alike, each hidden from the other by a wall, look like a map that is there twice. What tells them apart
 is where the landmarks are: between two rooms there is a straight wall, and a map that is there twice overlaps (`_overlap`).
-Where it does not, the map stays as it is, and the verdict doubts it.
+Where it does not, the map stays as it is, and the verdict doubts it; except across a motion that the log itself says is not
+known (`_free`): that may have put the copies anywhere.
 """
 
 from __future__ import annotations
