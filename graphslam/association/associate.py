@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import array_of, check_choice, check_known, check_type
-from ..identification.corrections import without_biases
+from ..identification.corrections import honest_variances, without_biases
 from ..identification.declared import PLACE, ParameterEstimate, parsed
 from ..identification.result import RobotEstimate, not_used, with_book
 from ..identification.robot import AUTO, BOOK, enough_ids, known_robot, unknown_noise
@@ -481,10 +481,10 @@ def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotE
 
 
 def _corrected(log: Log, found: RobotEstimate) -> Log:
-    """The log without the biases that were found, with the noise that was found as its own."""
+    """The log without the biases that were found, with the noise that was found as its own; repaired motions as recorded."""
     biases = {name: value for name, value in zip(found.parameters.names, found.parameters.values) if name not in PLACE}
     corrected = without_biases(log, motion=found.motion, sensor=found.sensor, **biases)
-    return corrected.replace(motion=found.motion, sensor=found.sensor, control_variances=found.log.control_variances)
+    return corrected.replace(motion=found.motion, sensor=found.sensor, control_variances=honest_variances(corrected))
 
 
 def _with_found_ids(log: Log, corrected: Log, motion: MotionModel, sensor: SensorModel) -> tuple[Log, str]:

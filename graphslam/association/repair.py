@@ -11,7 +11,8 @@ its wide density, and by the odds against it. The repaired one is taken where it
 
 Two rooms that look alike, each hidden from the other by a wall, look like a map that is there twice. What tells them apart
 is where the landmarks are: between two rooms there is a straight wall, and a map that is there twice overlaps (`_overlap`).
-Where it does not, the map stays as it is, and the verdict doubts it.
+Where it does not, the map stays as it is, and the verdict doubts it; except across a motion that the log itself says is not
+known (`_free`): that may have put the copies anywhere.
 """
 
 from __future__ import annotations
@@ -22,9 +23,11 @@ import numpy as np
 
 from ..errors import GraphError
 from ..graph.localization import SURE
+from ..graph.registration import GATE
+from ..identification.odometry import ordinary
 from ..log import Log
 from ..models import additional_variances
-from ..se2 import Array, between, chained, compose, in_frame, inverse
+from ..se2 import Array, between, chained, compose, difference, in_frame, inverse
 from .adapting import Competition, Robot, Start, compete
 from .assignment import evidence
 from .leaps import Leap, leaps
@@ -53,7 +56,7 @@ def repaired(
         own, best = competition.robot.applied(problem), competition.ends[competition.best].refined
         found = leaps(replace(own, densities=best.densities), best.solution)
         for leap in found if len(done) < MOST else ():
-            if not _overlap(best.solution, leap):
+            if not (_overlap(best.solution, leap) or _free(own, best.solution, leap)):
                 continue
             starts = [_moved(own, end.refined, leap) for end in competition.ends]
             trial = _tried(competition, robot, names, own, leap, starts)
@@ -172,9 +175,12 @@ def _moved(problem: Problem, refined: Refined, leap: Leap) -> Start:
             merged = np.arange(-1, labels.max(initial=-1) + 1)
             new, old = np.array(own.pairs).T
             merged[new + 1] = old
+            # across a free motion some may have been joined to older landmarks by chance; they are assigned again
+            later = problem.log.steps >= own.step
+            joined = later & np.isin(labels, labels[~later])
             begin = poses[own.step]
             after = compose(compose(begin, np.array(own.motion)), between(begin, poses[own.step :]))
-            return merged[labels + 1], np.concatenate([poses[: own.step], after])
+            return np.where(joined, -1, merged[labels + 1]), np.concatenate([poses[: own.step], after])
     return labels, poses
 
 
@@ -193,3 +199,14 @@ def _overlap(solution: MapSolution, leap: Leap) -> bool:
     new, old = (solution.landmarks[np.searchsorted(solution.labels, each), :2] for each in np.array(leap.pairs).T)
     a, b = ((m.mean(axis=0) + MIDDLE * (m - m.mean(axis=0))) @ n for m in (new, old))
     return bool(np.all(a.min(axis=0) < b.max(axis=0)))
+
+
+def _free(problem: Problem, solution: MapSolution, leap: Leap) -> bool:
+    """Whether the log says by itself that a motion in the gap of a leap is not known, so widely that the leap agrees."""
+    gap, x = slice(leap.last, leap.step), solution.poses
+    if ordinary(problem.log)[gap].all():
+        return False
+    motions = problem.backbone.motions
+    after = compose(x[leap.step], np.array(leap.motion))
+    off = difference(between(x[leap.last], after), chained(np.zeros(3), motions.measured[gap])[-1])
+    return bool(off @ np.linalg.solve(np.linalg.inv(motions.information[gap]).sum(axis=0), off) <= GATE)

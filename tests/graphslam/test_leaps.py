@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from graphslam import Graph, Log, MotionModel, SensorModel, solve
-from graphslam.association import associate_from
+from graphslam.association import associate_from, known_noise
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate, mean_nees
 from graphslam.se2 import compose
@@ -88,6 +88,31 @@ def test_a_motion_that_odometry_missed_is_found_and_not_used(push: tuple[float, 
     assert 0.2 < mean_nees(solution.poses, log.true_poses, solution.covariance()) < 3
     assert found.log.control_variances is not None
     assert np.flatnonzero(found.log.control_variances.any(axis=1)).tolist() == [PUSHED - 1]
+
+
+@pytest.mark.parametrize(("seed", "push"), [(1, (4.0, 3.0, 2.5)), (20, (4.0, 3.0, 2.5)), (101, (1.0, 0.0, 0.5))])
+def test_a_missed_motion_is_named_where_the_noise_is_unknown(seed: int, push: tuple[float, float, float]) -> None:
+    """The noise is found by the same repair, which does not keep the ids from being found with it."""
+    log = circling(seed, push).replace(motion=None, sensor=None)
+    assert log.true_poses is not None
+    known, robot = known_noise(log)
+    assert robot is not None and known.control_variances is None
+    # the motion that was missed is no noise
+    assert robot.motion.on < 0.04 and robot.motion.oo < 0.06
+    found = associate_from(known)
+    assert [(leap.last, leap.step) for leap in found.repaired] == [(PUSHED - 1, PUSHED)]
+    assert found.landmarks == 14 and ate(log.true_poses, found.poses) < 0.05
+    assert any("odometry missed a motion between steps 29 and 30" in note for note in found.log.notes)
+
+
+@pytest.mark.parametrize("seed", [1, 7, 20])
+def test_the_place_after_a_declared_gap_is_found(seed: int) -> None:
+    """The copies of the map need not overlap there, and chance matches across the gap are given up."""
+    log, variances = circling(seed, (4.0, 3.0, 2.5)), np.zeros((STEPS, 3))
+    variances[PUSHED - 1] = [25.0, np.pi**2, 25.0]
+    found = associate_from(log.replace(control_variances=variances))
+    assert log.true_poses is not None and ate(log.true_poses, found.poses) < 0.05
+    assert found.landmarks == 14 and len(found.repaired) == 1
 
 
 @pytest.mark.parametrize(("apart", "doubted"), [(11.0, True), (14.0, False)])
