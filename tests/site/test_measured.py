@@ -175,5 +175,5 @@ def test_what_records_is_checked_before_the_run(tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(sys, "argv", ["benchmarks/online.py", "--first", *words, "second half"])
         assert recording.command() == "python benchmarks/online.py --first 'second half'"
     # as on other systems than Linux
-    monkeypatch.setattr(recording.Path, "exists", lambda path: False)
+    monkeypatch.setattr(recording.Path, "exists", lambda _: False)
     assert "cores; Python" in recording.machine()
