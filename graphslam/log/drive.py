@@ -46,7 +46,7 @@ from .rows import (
 )
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find, ordered
 
-TURNED = "the heading is {:g} rad: is it in degrees, or does it count many turns?"
+TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
     "odometry": ("t", "nanosec", "nu", "vy", "omega", *_POSE),

@@ -50,7 +50,7 @@ def test_a_truth_that_counts_turns(drive):
     np.testing.assert_allclose(turned.true_poses, wrapped.true_poses, atol=1e-9)
     degrees = np.column_stack([arc[:, :3], np.rad2deg(wrap(theta))])
     for rows in (degrees, np.column_stack([arc[:, 0], 0 * arc[:, :2], theta])):
-        with pytest.raises(FormatError, match="is it in degrees, or does it count many turns"):
+        with pytest.raises(FormatError, match="does it count many turns, or is it in degrees"):
             load(drive(truth=text("t,x,y,theta", rows.tolist())))
 
 
