@@ -24,8 +24,18 @@ from graphslam.files import write_text
 
 
 def add_option(parser: argparse.ArgumentParser) -> None:
-    """Give a command line the option ``--record``."""
-    parser.add_argument("--record", type=Path, metavar="FOLDER", help="keep the results there; the site: docs/measured")
+    """Give a command line the option ``--record``; the parser takes whole names of options, as `command` does."""
+    parser.allow_abbrev = False
+    parser.add_argument(
+        "--record", type=_folder, metavar="FOLDER", help="keep the results there; the site: docs/measured"
+    )
+
+
+def _folder(text: str) -> Path:
+    """A folder that exists: a long run should not end without a place for its results."""
+    if not Path(text).is_dir():
+        raise argparse.ArgumentTypeError(f"there is no folder {text!r}")
+    return Path(text)
 
 
 def record(folder: Path | None, name: str, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -49,13 +59,15 @@ def record(folder: Path | None, name: str, rows: Iterable[Mapping[str, Any]]) ->
 
 def command() -> str:
     """The command line of this process, without ``--record``."""
-    words = shlex.join(sys.argv[1:])
-    return re.sub(r" ?--record[ =]\S+", "", f"python benchmarks/{Path(sys.argv[0]).name} {words}").strip()
+    words = iter(sys.argv[1:])
+    kept = [word for word in words if not word.startswith("--record=") and (word != "--record" or not [next(words)])]
+    return shlex.join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *kept])
 
 
 def machine() -> str:
     """The processor, its cores, and the versions on which times depend."""
-    known = re.search(r"^model name\s*: (.+)$", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE)
+    listed = Path("/proc/cpuinfo")  # of Linux
+    known = listed.exists() and re.search(r"^model name\s*: (.+)$", listed.read_text(encoding="utf-8"), re.MULTILINE)
     programs = [f"Python {platform.python_version()}"]
     for package in ("gtsam", "g2opy"):
         try:

@@ -78,6 +78,9 @@ def main() -> None:
             if errors:
                 every.append(errors)
                 times.append(seconds)
+        if not every:
+            print(f"{kind}: no drive is left", flush=True)
+            continue
         against = np.array([each["estimate"][0] / each["book"][0] for each in every])
         print(f"{kind}, {len(every)} drives: ATE over that with the book's noise: median {np.median(against):.2f}, "
               f"above 1.2 on {np.sum(against > 1.2)}; estimate {np.median(times):.1f} s", flush=True)  # fmt: skip

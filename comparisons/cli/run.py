@@ -97,6 +97,8 @@ def run(
 
 def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) -> str | None:
     """The command that finds better noise models, where those of the book do not fit a log in which nothing is suspicious."""
+    from graphslam.identification.robot import FEWEST
+
     from ..options import DOUBTFUL, ReadingOptions
     from ..options.declaration import options_of
 
@@ -104,12 +106,14 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
     of_book = set(outcome.noise_source.values()) == {"book"}
     if fits or options.noise is not None or outcome.findings or not of_book or outcome.log.controls is None:
         return None
-    if not len(outcome.log.steps) and outcome.log.partial_sightings is not None:
+    partial = None if len(outcome.log.steps) else outcome.log.partial_sightings
+    if partial is not None and (len(partial) < FEWEST["sightings"] or outcome.log.num_poses < FEWEST["poses"]):
         return (
             "The noise of so few ranges or bearings alone is not estimated; give it by --range-rate and --range-std, or "
             "--bearing-std"
         )
-    if outcome.log.true_poses is not None:
+    # `calibrate` takes whole sightings
+    if outcome.log.true_poses is not None and partial is None:
         # of a data set of several robots it needs to know which one
         reading = ReadingOptions.of(**{name: getattr(options, name) for name in options_of(ReadingOptions)})
         return f"Noise of this robot: {command('calibrate', log, '--out', 'noise.toml', options=reading)}"

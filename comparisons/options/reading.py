@@ -202,7 +202,8 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
             log = log.replace(sensor=replace(log.sensor or SensorModel(), **place))
         noise = None if options.noise is None else str(options.noise)
         known, estimate = known_noise(log, noise, *options.models(log.motion, log.sensor))
-        if options.check_ids is False and estimate is not None and enough_ids(log):
+        # the ids of ranges and bearings alone are never checked
+        if options.check_ids is False and estimate is not None and len(log.steps) and enough_ids(log):
             raise OptionError(
                 "the estimate of the noise always checks ids; to run without that check, name the noise: --noise FILE or "
                 "--noise book"
@@ -237,7 +238,8 @@ def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) 
     # standard deviations of the usual motion, (x, y, heading), and which of them differ
     found_by, of_file = (np.diagonal(log.motions(each)[1], axis1=1, axis2=2) for each in (found.motion, motion))
     ratios = np.sqrt(np.median(found_by / of_file, axis=0))
-    if found.left_out.best == ESTIMATE and not found.nearly_exact:
+    # where nothing was left out, nothing says that the noise of the estimate is better than that of the file
+    if found.left_out.count and found.left_out.best == ESTIMATE and not found.nearly_exact:
         differ = [
             f"{ratio:.2g} times that of the file in the {name}"
             for name, ratio in zip(("distance", "heading"), ratios[[0, 2]].tolist())

@@ -43,12 +43,12 @@ def filled(page: str, name: str, language: str = "en") -> str:
     """
 
     def text(found: re.Match[str]) -> str:
-        words = shlex.split(found[2])
         try:
+            words = shlex.split(found[2])
             if found.re is _TABLE:
                 return "\n".join(found[1] + line for line in _table(language, *words))
-            return _when(language, *words) if found[1] == "when" else _value(*words)
-        except (MeasuredError, TypeError, ValueError) as error:
+            return _when(language, *words) if found[1] == "when" else _value(language, *words)
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
             raise MeasuredError(f"{name}: {found[0].strip()}: {error}") from None
 
     return _TABLE.sub(text, _INLINE.sub(text, page))
@@ -89,11 +89,11 @@ def rows(file: str) -> dict[str, Row]:
     return {row["name"]: run | row for row in listed}
 
 
-def _value(file: str, name: str, field: str, how: str = "", other: str = "") -> str:
+def _value(language: str, file: str, name: str, field: str, how: str = "", other: str = "") -> str:
     row, *others = (_of(rows(file), each, f"{file}.json has no row") for each in (name, other) if each)
     how = how or COLUMNS.get(field, {}).get("show", "")
     if not others:
-        return _cell(row, field, how)
+        return _cell(row, field, how, language)
     value, below = (_of(each, field, f"the row {each['name']!r} has no field") for each in (row, *others))
     return shown(value / below, how)
 
@@ -111,15 +111,14 @@ def _table(language: str, file: str, *words: str) -> list[str]:
         )
     columns = {word: _of(COLUMNS, word, "columns.toml has no column") for word in words if "=" not in word}
     heads = [column.get(language) or column["en"] for column in columns.values()]
-    cells = [[_cell(row, name, column.get("show", "")) for name, column in columns.items()] for row in chosen]
-    if language == "ja":
-        cells = [[WORDS.get(cell, cell) for cell in line] for line in cells]
+    cells = [[_cell(row, name, column.get("show", ""), language) for name, column in columns.items()] for row in chosen]
     return [f"| {' | '.join(line)} |" for line in (heads, ["---"] * len(heads), *cells)]
 
 
-def _cell(row: Row, name: str, show: str) -> str:
+def _cell(row: Row, name: str, show: str, language: str) -> str:
     """A cell; ``show`` is the format of a field or, with braces, a text with several."""
-    return _Text().vformat(show if "{" in show else f"{{{name}:{show}}}", (), row)
+    text = _Text().vformat(show if "{" in show else f"{{{name}:{show}}}", (), row)
+    return WORDS.get(text, text) if language == "ja" else text
 
 
 class _Text(Formatter):
@@ -139,14 +138,14 @@ def _when(language: str, *files: str) -> str:
     dates = {row[key] for row in listed for key in ("date", "seconds_date") if key in row}
     first, last = (date.fromisoformat(day(dates)) for day in (min, max))
     if language == "ja":
-        days = f"{first.year}年{first.month}月{first.day}日" + (
-            f"から{last.month}月{last.day}日" if first != last else ""
-        )
+        days = f"{first.year}年{first.month}月{first.day}日"
+        if first != last:
+            days += f"から{f'{last.year}年' * (first.year != last.year)}{last.month}月{last.day}日"
     else:
-        begin = (
-            f"{first.day} {first:%B} to " if first.month != last.month else f"{first.day} to " if first != last else ""
-        )
-        days = f"{begin}{last.day} {last:%B %Y}"
+        days = f"{last.day} {last:%B %Y}"
+        if first != last:
+            more = " %B %Y" if first.year != last.year else " %B" if first.month != last.month else ""
+            days = f"{first.day}{first.strftime(more)} to {days}"
     return f"{days} ({'; and '.join(dict.fromkeys(row['machine'] for row in listed))})"
 
 

@@ -426,6 +426,12 @@ _POSES, _SPEEDS = 0.3, 0.1
 _OTHER = "OnlineSolver.move(motion=..., covariance=...) takes motions in any direction"
 
 
+def counts_turns(poses: Array) -> bool:
+    """Whether the motion of poses (N, 3) says that headings of many turns are radians: as degrees, they move sideways."""
+    shares = [controls_between(poses * [1, 1, unit], np.ones(len(poses) - 1))[1] for unit in (1, np.pi / 180)]
+    return shares[0] < _POSES < shares[1]
+
+
 def sideways_poses(table: Table, share: float) -> tuple[Doubt, ...]:
     """A doubt where the poses of odometry move sideways for a large share of their way."""
     message = (
@@ -442,7 +448,7 @@ def sideways_speed(table: Table, title: str, speed: Array, lateral: Array) -> tu
     share = float(np.sum(lateral)) / driven if driven > 0 else 0.0
     message = (
         f"{table.source}: the robot drives sideways ({title}) for {share:.0%} of its way, which controls (nu, omega) leave "
-        f"out, so that the trajectory is wrong; {_OTHER}"
+        f"out: dead reckoning is wrong, and estimates rest on the sightings; {_OTHER}"
     )
     return ((SIDEWAYS, message),) if share > _SPEEDS else ()
 

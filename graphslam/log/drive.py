@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import LogError, named, quoted
 from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, LONGEST, QUICKEST, WHOLE_TURN, checked_offset, first
-from ..se2 import Array
+from ..se2 import Array, wrap
 from .cells import (
     Doubt,
     Ids,
@@ -22,6 +22,7 @@ from .cells import (
     checked_heading,
     classes_of,
     controls_between,
+    counts_turns,
     id_fault,
     ids_of,
     nanoseconds,
@@ -45,6 +46,7 @@ from .rows import (
 )
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find, ordered
 
+TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
     "odometry": ("t", "nanosec", "nu", "vy", "omega", *_POSE),
@@ -445,8 +447,9 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     notes: tuple[str, ...] = ()
     if not known.all():
         notes = (f"{table.source}: {np.sum(~known)} of {len(known)} rows have no pose and are left out",)
-    if rows.shape[1] == 3 and not reader.has("qz"):
-        reader.refuse("theta", rows[:, 2], FOUR_TURNS, "the heading is {:g} rad: is it in degrees?")
+    if rows.shape[1] == 3 and not reader.has("qz") and not counts_turns(rows[known]):
+        reader.refuse("theta", rows[:, 2], FOUR_TURNS, TURNED)
+    rows[:, 2:] = wrap(rows[:, 2:])
     kept = np.flatnonzero(known)
     ns, order, more = ordered(reader.table, ns[kept], kept)
     rows = rows[kept][order]

@@ -18,7 +18,7 @@ from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, che
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
 from .cells import COVERED, Doubt, seconds
-from .drive import Reader, Timed, map_of, odometry_of, sightings_of, truth_of
+from .drive import TURNED, Reader, Timed, map_of, odometry_of, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
 from .rows import ReadOptions, TableOptions
@@ -115,7 +115,7 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
     if reader.has("theta"):
         # an empty cell: the heading is not known there
         places[:, 2:] = reader.numbers("theta", finite=False)
-        reader.refuse("theta", places[:, 2], FOUR_TURNS, "the heading is {:g} rad: is it in degrees?")
+        reader.refuse("theta", places[:, 2], FOUR_TURNS, TURNED)
     covariances = _noise(reader, np.isfinite(places[:, 2]))
     levers = np.zeros((len(ns), 2))
     for column, role in enumerate(("lever_x", "lever_y")):

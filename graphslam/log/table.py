@@ -340,9 +340,10 @@ def ordered(
     times = f"{ns[k + 1] / 1e9:.3f} s comes after {ns[k] / 1e9:.3f} s"
     reached = np.maximum.accumulate(ns)
     restarts = (reached - ns > 0.5 * (reached - ns[0])) & (reached - ns > 10_000_000_000)
-    if restarts.any():
-        k = int(np.argmax(restarts))
-        if (times_back := int(np.count_nonzero(np.diff(ns) < -1_000_000_000))) > 2:
+    jumps = np.flatnonzero(np.diff(ns) < -1_000_000_000) + 1
+    if restarts.any() or _set_back(ns, jumps):
+        k = int(np.argmax(restarts)) if restarts.any() else int(jumps[0])
+        if (times_back := len(jumps)) > 2:
             raise table.error(
                 int(rows[k]),
                 f"the time goes back {times_back} times: sort the rows by their time if they are of one drive, or import "
@@ -350,9 +351,18 @@ def ordered(
             )
         raise table.error(
             int(rows[k]),
-            f"the time goes back by {(reached[k] - ns[k]) / 1e9:.0f} s: does the table hold two drives, or a clock that "
+            f"the time goes back by {(reached[k] - ns[k]) / 1e9:.3g} s: does the table hold two drives, or a clock that "
             "was set? Import each part alone",
         )
     note = f"{table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
     order = np.argsort(ns, kind="stable")
     return ns[order], order, (note,)
+
+
+def _set_back(ns: np.ndarray, jumps: np.ndarray) -> bool:
+    """Whether times (N,) go back once or twice, at the rows ``jumps``, and then run again through times that there were.
+
+    Rows that came late fill a gap instead: sorted, they are one block, and not in turns with the rows before them.
+    """
+    part = np.searchsorted(jumps, np.argsort(ns, kind="stable"), side="right")
+    return 0 < len(jumps) <= 2 and int(np.count_nonzero(np.diff(part))) > 10

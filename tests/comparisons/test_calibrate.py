@@ -17,7 +17,7 @@ from comparisons import run
 from comparisons.cli.run import _noise_advice
 from comparisons.estimators.config import read_config
 from comparisons.options import NoiseOptions, RunOptions
-from comparisons.options.reading import prepare
+from comparisons.options.reading import _compared_with_estimate, prepare
 from comparisons.options.toml_files import read_noise, write_noise
 from fastslam import FastSLAM2
 from graphslam import (
@@ -27,6 +27,7 @@ from graphslam import (
     LogError,
     MotionModel,
     OptionError,
+    PartialSightings,
     SensorModel,
     estimate_robot,
     load,
@@ -280,9 +281,28 @@ def test_the_command_for_the_noise_names_the_robot_of_a_data_set() -> None:
 
 def test_no_command_that_fails_is_named_for_single_numbers() -> None:
     log = simulate_single_numbers("range")
-    outcome: Any = SimpleNamespace(log=log, noise_ratio=(1.0, 0.01), findings=(), noise_source={"motion": "book"})
-    advice = _noise_advice(outcome, Path("beacons.npz"), RunOptions())
-    assert advice is not None and advice.startswith("The noise of so few ranges or bearings alone is not estimated")
+    assert log.partial_sightings is not None and len(log.partial_sightings) == 150
+    few = log.replace(partial_sightings=log.partial_sightings.among(np.arange(59)))
+    for each, begin in (
+        (few, "The noise of so few ranges or bearings alone is not estimated"),
+        (log, "Noise of this robot: slam-compare run beacons.npz --noise auto"),
+    ):
+        outcome: Any = SimpleNamespace(log=each, noise_ratio=(1.0, 0.01), findings=(), noise_source={"motion": "book"})
+        advice = _noise_advice(outcome, Path("beacons.npz"), RunOptions())
+        assert advice is not None and advice.startswith(begin)
+
+
+def test_ranges_alone_do_not_doubt_a_file_and_their_ids_are_not_checked() -> None:
+    """Nothing of them is left out, so that the noise of the motion is not known to be better than that of the file."""
+    drive = replace(Drive.random(6000), duration=60.0, misread=0.0, clutter=0.0, parameters={})
+    log, truth = drive.simulate()
+    alone = PartialSightings(
+        steps=log.steps, landmarks=truth.landmarks, ranges=log.sightings[:, 0], bearings=np.full(len(log.steps), np.nan)
+    )
+    log = log.with_sightings(np.zeros(len(log.steps), dtype=bool)).replace(partial_sightings=alone)
+    assert prepare(log, RunOptions.of(check_ids=False))[2].calibration is not None
+    # the estimate has 19 times the noise of the true model in the heading
+    assert not _compared_with_estimate(log, truth.motion, truth.sensor).doubts
 
 
 def test_robots_that_disagree_are_not_one(invoke: Invoke, tmp_path: Path) -> None:

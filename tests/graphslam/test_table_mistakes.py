@@ -11,6 +11,7 @@ from own_tables import NU, ODOMETRY, OMEGA, SEEN, T, as_deg, text, write_tables
 from graphslam import FormatError, Graph, Log, LogError, MotionModel, OptionError, SensorModel, load, save, solve
 from graphslam.io.tables import read_recipe
 from graphslam.log_checks import check_log
+from graphslam.se2 import wrap
 
 
 @pytest.fixture
@@ -33,6 +34,26 @@ def test_rows_are_sorted_with_a_note(drive, expected):
     assert "odometry.csv:42: time runs backwards (3.900 s comes after 4.000 s); the rows were sorted" in note
 
 
+def test_rows_that_come_late_are_sorted(drive, expected):
+    """A block of rows that fills a gap is late; the clock was not set back."""
+    late = [*ODOMETRY[:100], *ODOMETRY[120:160], *ODOMETRY[100:120], *ODOMETRY[160:]]
+    log = load(drive(odometry=text("t,nu,omega", late)))
+    assert log.equals(expected) and "the rows were sorted" in log.notes[0]
+
+
+def test_a_truth_that_counts_turns(drive):
+    """Headings of many turns are radians where the poses move along them; degrees are refused."""
+    theta = 2.0 * T
+    arc = np.column_stack([T, np.sin(theta), -np.cos(theta), theta])
+    turned = load(drive(truth=text("t,x,y,theta", arc.tolist())))
+    wrapped = load(drive(truth=text("t,x,y,theta", np.column_stack([arc[:, :3], wrap(theta)]).tolist())))
+    np.testing.assert_allclose(turned.true_poses, wrapped.true_poses, atol=1e-9)
+    degrees = np.column_stack([arc[:, :3], np.rad2deg(wrap(theta))])
+    for rows in (degrees, np.column_stack([arc[:, 0], 0 * arc[:, :2], theta])):
+        with pytest.raises(FormatError, match="does it count many turns, or is it in degrees"):
+            load(drive(truth=text("t,x,y,theta", rows.tolist())))
+
+
 def messages(log, check):
     return [finding.message for finding in check_log(log) if finding.check == check]
 
@@ -42,6 +63,7 @@ def test_a_robot_that_drives_sideways_is_a_doubt(drive, expected):
     log = load(drive(odometry=text("t,vx,vy,omega", rows)))
     assert log.equals(expected)
     (message,) = messages(log, "sideways")
+    assert "dead reckoning is wrong, and estimates rest on the sightings" in message
     # 0.8 / sqrt(1 + 0.8²)
     assert "odometry.csv: the robot drives sideways ('vy') for 62% of its way" in message
     # it changes the solution, so that this says so, too
@@ -192,6 +214,18 @@ MISTAKES = {
     "a clock that restarts": (
         {"odometry": text("t,nu,omega", [*ODOMETRY, *ODOMETRY])},
         r"odometry.csv:203: the time goes back by 20 s: does the table hold two drives",
+    ),
+    "a clock that was set back": (
+        {"odometry": text("t,nu,omega", [(t - 2.0 * (t > 12), v, w) for t, v, w in ODOMETRY])},
+        r"odometry.csv:123: the time goes back by 1.9 s: does the table hold two drives, or a clock that was set",
+    ),
+    "a sensor whose clock was set back": (
+        {"sightings": text("t,id,range,bearing", [(t - 4.0 * (t > 8), 3, 2.0, 0.1) for t in T[1:].tolist()])},
+        r"sightings.csv:82: the time goes back by 3.9 s",
+    ),
+    "a truth whose clock was set back": (
+        {"truth": text("t,x,y,theta", [(t - 4.0 * (t > 8), t, 0.0, 0.0) for t in T.tolist()])},
+        r"truth.csv:83: the time goes back by 3.9 s",
     ),
     "rows in the order of their ids": (
         {"sightings": text("t,id,range,bearing", [(t, j, 2.0, 0.1) for j in range(4) for t in range(1, 19)])},

@@ -1,5 +1,6 @@
 """The measured results of pages: each marker finds its value, and a wrong one says what there is."""
 
+import argparse
 import json
 import re
 import sys
@@ -93,6 +94,24 @@ def test_japanese_tables_have_japanese_heads(folder):
     made = measured.filled('{{ table peers name="A ours" converged seconds }}', "page.ja.md", "ja")
     assert made.splitlines()[0] == "| 収束 | 時間 [s] |"
     assert measured.filled("{{ when peers }}", "page.ja.md", "ja").startswith("2026年9月30日から11月2日")
+    assert measured.filled('{{ measured peers "A ours" converged }}', "page.ja.md", "ja") == "はい"
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "english", "japanese"),
+    [
+        ("2026-11-29", "2026-11-29", "29 November 2026", "2026年11月29日"),
+        ("2026-11-28", "2026-11-29", "28 to 29 November 2026", "2026年11月28日から11月29日"),
+        ("2026-11-29", "2027-11-29", "29 November 2026 to 29 November 2027", "2026年11月29日から2027年11月29日"),
+        ("2026-12-30", "2027-01-02", "30 December 2026 to 2 January 2027", "2026年12月30日から2027年1月2日"),
+    ],
+)
+def test_days_of_measurements(tmp_path, monkeypatch, first, last, english, japanese):
+    monkeypatch.setattr(measured, "FOLDER", tmp_path)
+    run = {"date": first, "machine": "two cores", "rows": [{"name": "A"}, {"name": "B", "date": last}]}
+    (tmp_path / "days.json").write_text(json.dumps(run))
+    assert measured.filled("{{ when days }}", "page.md") == f"{english} (two cores)"
+    assert measured.filled("{{ when days }}", "page.ja.md", "ja") == f"{japanese} (two cores)"
 
 
 @pytest.mark.parametrize(
@@ -107,6 +126,8 @@ def test_japanese_tables_have_japanese_heads(folder):
         ("{{ table peers graph=C seconds }}", "no row has graph 'C'; there are 'A', 'B'"),
         ("{{ table peers secondes }}", "columns.toml has no column 'secondes'; there are"),
         ("{{ table peers nees }}", "the row 'A ours' has no field 'nees'; there are"),
+        ('{{ measured peers "A ours seconds }}', "No closing quotation"),
+        ('{{ measured peers "A ours" converged .1f "A theirs" }}', "division by zero"),
     ],
 )
 def test_a_wrong_marker_is_an_error_of_the_page(folder, marker, message):
@@ -133,3 +154,26 @@ def test_rows_of_another_run_stay_with_their_date(folder, monkeypatch):
     recording.record(folder, "peers", [{"name": "C ours", "seconds": 2.0}])
     assert (folder / "peers.json").read_text() == text
     recording.record(None, "peers", [])
+
+
+def test_what_records_is_checked_before_the_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    import recording
+
+    parser = argparse.ArgumentParser()
+    recording.add_option(parser)
+    for words, message in (
+        (["--record", str(tmp_path / "none")], "there is no folder"),
+        (["--rec", str(tmp_path)], "unrecognized arguments"),
+    ):
+        with pytest.raises(SystemExit):
+            parser.parse_args(words)
+        assert message in capsys.readouterr().err
+    (spaced := tmp_path / "a folder").mkdir()
+    for words in (["--record", str(spaced)], [f"--record={spaced}"]):
+        assert parser.parse_args(words).record == spaced
+        monkeypatch.setattr(sys, "argv", ["benchmarks/online.py", "--first", *words, "second half"])
+        assert recording.command() == "python benchmarks/online.py --first 'second half'"
+    # as on other systems than Linux
+    monkeypatch.setattr(recording.Path, "exists", lambda _: False)
+    assert "cores; Python" in recording.machine()
