@@ -26,8 +26,7 @@ from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import array_of, check_choice, make_read_only
 from ..identification.declared import Parameters, declared
-from ..identification.result import RobotEstimate
-from ..identification.robot import AUTO, BOOK, estimate_from_sightings, known_robot
+from ..identification.robot import AUTO, BOOK, known_robot
 from ..linear.information import BlockSystem
 from ..log import Log, check_is_log
 from ..log_checks import readings_of, sizes
@@ -85,8 +84,6 @@ class Graph:
     from_g2o: ClassVar[Callable[..., Graph]]
     save_g2o: ClassVar[Callable[..., None]]
     from_logs: ClassVar[Callable[..., Graph]]
-    #: what estimates unknown robots; `solvers.unknown_robot` adds the one for ranges and bearings alone
-    estimator: ClassVar[Callable[[Log], RobotEstimate]] = staticmethod(estimate_from_sightings)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "initial", array_of("initial", self.initial))
@@ -177,7 +174,7 @@ class Graph:
             check_choice("noise", noise, (AUTO, BOOK))
         log = with_dimensions(log, dimensions)
         recorded = log
-        log, robot = known_robot(log, noise, cls.estimator) if motion is None and sensor is None else (log, None)
+        log, robot = known_robot(log, noise) if motion is None and sensor is None else (log, None)
         motion, sensor = log.noise_models(motion, sensor)
         known_map = None if map is None else as_map(map)
         # noise and biases that were found for numbers read in the wrong way are wrong, too

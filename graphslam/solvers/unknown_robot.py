@@ -72,10 +72,6 @@ def estimate_robot(
         raise GraphError(f"{log.name}: its ranges and bearings alone do not determine noise and biases") from None
 
 
-#: public graphs estimate unknown robots from all logs
-Graph.estimator = staticmethod(estimate_robot)
-
-
 def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mapping[int, Array]) -> RobotEstimate:
     """The estimate from a solution of the log: poses (T+1, 3), and {id: (2,)} of the landmarks that have a place."""
     partial = log.partial_sightings

@@ -7,6 +7,7 @@ import pytest
 
 from graphslam import Drive, Graph, Log, LogError, OptionError, PartialSightings, estimate_robot, solve
 from graphslam.association import known_noise
+from graphslam.identification.robot import known_robot
 from graphslam.metrics import ate, mean_nees
 
 
@@ -53,6 +54,11 @@ def test_bearings_leave_lengths_to_the_odometry():
     assert found is not None and log.motion == found.motion
     assert "wheel_scale" not in found.parameters.names
     assert log.uncertain["wheel_scale"] == 0.03
+
+
+def test_noise_is_found_whatever_is_imported():
+    # graphs, online solvers and drives ask this function
+    assert known_robot(drive(True))[1] is not None
 
 
 def test_the_order_of_the_numbers_does_not_matter():
