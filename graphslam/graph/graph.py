@@ -25,7 +25,7 @@ from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import array_of, check_choice, make_read_only
-from ..identification.declared import Parameters, declared
+from ..identification.declared import OF_SIGHTINGS, Parameters, declared
 from ..identification.robot import AUTO, BOOK, known_robot
 from ..linear.information import BlockSystem
 from ..log import Log, check_is_log
@@ -193,7 +193,9 @@ class Graph:
         parameters, held = declared(estimate, log, motion, sensor, options), None
         once = options.landmark_nodes or (options.with_motion and weight == "marginal")
         if parameters is None and once and residual == EdgeOptions.residual:
-            held = declared(log.uncertain, log, motion, sensor, options)
+            # edges of single numbers have no derivatives by biases of the sensor
+            told = {k: v for k, v in (log.uncertain or {}).items() if len(log.steps) or k not in OF_SIGHTINGS}
+            held = declared(told, log, motion, sensor, options)
         known = parameters or held
         missing = [name for name in log.uncertain or () if known is None or name not in known.names]
         notes += notes_on_options(log, sensor, options, missing)

@@ -139,7 +139,7 @@ def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate 
         if noise == AUTO:
             raise
         return with_book(log, error), None
-    return found.log.replace(notes=(*log.notes, *found.sentences, *not_used(log))), found
+    return found.log.replace(notes=(*found.log.notes, *found.sentences, *not_used(log))), found
 
 
 def _estimate(

@@ -5,9 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from graphslam import Drive, Graph, Log, LogError, OptionError, PartialSightings, estimate_robot, solve
+from graphslam import (
+    Drive,
+    Graph,
+    Log,
+    LogError,
+    MotionModel,
+    OptionError,
+    PartialSightings,
+    SensorModel,
+    estimate_robot,
+    solve,
+)
 from graphslam.association import known_noise
+from graphslam.identification.corrections import without_biases
 from graphslam.identification.robot import known_robot
+from graphslam.log.rows import NO_ID, UNIDENTIFIED
 from graphslam.metrics import ate, mean_nees
 
 
@@ -57,8 +70,43 @@ def test_bearings_leave_lengths_to_the_odometry():
 
 
 def test_noise_is_found_whatever_is_imported():
-    # graphs, online solvers and drives ask this function
-    assert known_robot(drive(True))[1] is not None
+    # graphs, online solvers and drives ask this function; sightings are those of another estimator
+    log = drive(True)
+    few = log.replace(partial_sightings=log.partial_sightings.among(np.arange(40)))
+    assert "40 ranges and bearings alone" in known_robot(few)[0].notes[-1]
+
+
+def test_biases_are_taken_out_of_all_sightings_or_refused():
+    full, truth = Drive(seed=1, duration=20.0, misread=0.0).simulate()
+    half = np.arange(len(full.steps)) % 2 == 0
+    numbers = PartialSightings(
+        steps=full.steps[~half], landmarks=truth.landmarks[~half], ranges=full.sightings[~half, 0],
+        bearings=np.full(np.sum(~half), np.nan),
+    )  # fmt: skip
+    mixed = full.with_sightings(half, landmarks=truth.landmarks[half]).replace(partial_sightings=numbers)
+    corrected = without_biases(mixed, range_bias=0.2)
+    np.testing.assert_allclose(corrected.sightings[:, 0], mixed.sightings[:, 0] - 0.2)
+    np.testing.assert_allclose(corrected.partial_sightings.ranges, numbers.ranges - 0.2)
+    assert "alone keep the delay" in without_biases(mixed, sensor_delay=0.1).notes[-1]
+    alone = mixed.with_sightings(np.zeros(np.sum(half), dtype=bool))
+    with pytest.raises(LogError, match="out of which sensor_delay cannot be taken"):
+        without_biases(alone, sensor_delay=0.1)
+    with pytest.raises(LogError, match="partial sighting .* which a range bias of 50 m takes below zero"):
+        without_biases(alone, range_bias=50.0)
+
+
+@pytest.mark.parametrize("id", [UNIDENTIFIED, NO_ID])
+def test_single_numbers_need_ids(id):
+    with pytest.raises(LogError, match="partial sighting 1 has no id"):
+        PartialSightings(steps=[0, 1], landmarks=[3, id], ranges=[1.0, 1.0], bearings=[np.nan, np.nan])
+
+
+def test_covariances_say_that_they_lack_biases_of_the_sensor():
+    log = drive(True)
+    names = dict.fromkeys(("range_bias", "sensor_left", "wheel_scale"), 0.03)
+    graph = Graph.from_log(log.replace(motion=MotionModel(), sensor=SensorModel(), uncertain=names))
+    assert graph.held.names == ("wheel_scale",)
+    assert any(note.endswith("taken out of the log: range_bias, sensor_left") for note in graph.notes)
 
 
 def test_the_order_of_the_numbers_does_not_matter():
