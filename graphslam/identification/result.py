@@ -175,6 +175,7 @@ class RobotEstimate:
         left_out: how well this estimate, dead reckoning and the noise of the book (or noise that was given) predict
             sightings that are left out.
         basis: whose noise the result has: that of the estimate, or of one of the other two where this is clearly better.
+        untested: the biases that were not estimated, because measurements of this kind do not tell them.
     """
 
     log: Log
@@ -188,6 +189,7 @@ class RobotEstimate:
     nearly_exact: bool
     left_out: LeftOut
     basis: str = ESTIMATE
+    untested: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -257,11 +259,16 @@ class RobotEstimate:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What was found beside noise and biases, one sentence each."""
+        tested = {kind: [name for name in names if name not in self.untested] for kind, names in KINDS.items()}
         lines = [
             f"the log does not show a bias of the {kind} beside its noise: {', '.join(names)} keep their ideal values"
-            for kind, names in KINDS.items()
-            if not set(names) & set(self.parameters.names)
+            for kind, names in tested.items()
+            if names and not set(names) & set(self.parameters.names)
         ]
+        if self.untested:
+            lines.append(
+                f"not estimated from these ranges and bearings alone: {', '.join(self.untested)} keep their ideal values"
+            )
         if self.left_out.sentence is not None:
             lines.append(self.left_out.sentence)
         if self.basis == DEAD_RECKONING:

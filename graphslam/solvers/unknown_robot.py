@@ -8,6 +8,7 @@ errors of successive numbers as independent, and the odometry of robots with bea
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -45,7 +46,8 @@ def estimate_robot(
     Args:
         log: with controls and ids. Sightings without an id are corrected like the others, but not used. Ranges and bearings
             alone are used where there are no whole sightings.
-        sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose.
+        sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose;
+            for ranges and bearings alone first of all that of ``given``.
         given: noise to compare with in place of the book's, or to solve with first.
         seed: of the random signs with which expectations are computed.
 
@@ -63,9 +65,9 @@ def estimate_robot(
             f"{log.name} has {len(partial)} ranges and bearings alone from {log.num_poses} poses; noise and biases are "
             f"estimated from at least {FEWEST['sightings']} of them and {FEWEST['poses']} poses"
         )
-    sensor = sensor or log.sensor or SensorModel()
+    sensor = sensor or (given[1] if given else log.sensor) or SensorModel()
     motion, seen = given or (MotionModel(), sensor)
-    first = solve(Graph.from_log(log, motion=motion, sensor=seen))
+    first = solve(Graph.from_log(log, motion=motion, sensor=replace(seen, offset=sensor.offset)))
     try:
         return _from_solution(log, sensor, first.poses, first.landmarks)
     except np.linalg.LinAlgError:
@@ -79,14 +81,19 @@ def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mappi
     # in the order of time, as `Unknowns` takes them
     order = np.argsort(partial.steps, kind="stable")[:MOST]
     order = order[np.isin(partial.landmarks[order], list(landmarks))]
+    if not len(order):
+        raise GraphError(
+            f"{log.name}: its ranges and bearings alone give no landmark a place, so that nothing tells the noise"
+        )
     steps = np.unique([0, *partial.steps[order]])
     few = log.replace(partial_sightings=partial.among(order)).at_steps(steps)
     assert few.partial_sightings is not None
     unknowns = Unknowns(few, few.partial_sightings.landmarks, sensor, places=landmarks)
     unknowns.state[: len(steps)] = poses[steps]
-    ranged = partial.ranged
+    ranged = few.partial_sightings.ranged[unknowns.used]
     untold = dict[str, float]() if ranged.any() else {name: PRIORS[name] for name in UNTOLD}
-    unknowns.hold(["sensor_delay", *(["bearing_bias"] if ranged.all() else []), *untold])
+    untested = ("sensor_delay", *(["bearing_bias"] if ranged.all() else []), *untold)
+    unknowns.hold(untested)
     _, errors = fit(unknowns, ROUNDS)
     held = hold_needless(unknowns, ROUNDS) | untold
     motion, seen = unknowns.models
@@ -95,5 +102,5 @@ def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mappi
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors,
         ids=Ids(partial.landmarks, none, none, ~none), correlations=np.zeros(len(LAGS) - 1), inflation=1.0,
-        nearly_exact=False, left_out=LeftOut(0, {ESTIMATE: 0.0}),
+        nearly_exact=False, left_out=LeftOut(0, {ESTIMATE: 0.0}), untested=untested,
     )  # fmt: skip

@@ -1,6 +1,7 @@
 """Robots with ranges or bearings alone whose noise nobody knows; `benchmarks/unknown_single_numbers.py` has many."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from graphslam import (
     Drive,
     Graph,
+    GraphError,
     Log,
     LogError,
     MotionModel,
@@ -22,6 +24,7 @@ from graphslam.identification.corrections import without_biases
 from graphslam.identification.robot import known_robot
 from graphslam.log.rows import NO_ID, UNIDENTIFIED
 from graphslam.metrics import ate, mean_nees
+from graphslam.solvers import unknown_robot
 
 
 def drive(ranged: bool | None, seed: int = 1, **parameters: float) -> Log:
@@ -67,6 +70,10 @@ def test_bearings_leave_lengths_to_the_odometry():
     assert found is not None and log.motion == found.motion
     assert "wheel_scale" not in found.parameters.names
     assert log.uncertain["wheel_scale"] == 0.03
+    assert any(
+        "not show a bias of the odometry beside its noise: turn_rate_bias, curv" in each for each in found.remarks
+    )
+    assert found.remarks[-1].startswith("not estimated from these ranges and bearings alone: sensor_delay, wheel_scale")
 
 
 def test_noise_is_found_whatever_is_imported():
@@ -107,6 +114,27 @@ def test_covariances_say_that_they_lack_biases_of_the_sensor():
     graph = Graph.from_log(log.replace(motion=MotionModel(), sensor=SensorModel(), uncertain=names))
     assert graph.held.names == ("wheel_scale",)
     assert any(note.endswith("taken out of the log: range_bias, sensor_left") for note in graph.notes)
+
+
+def test_a_robot_that_stands_is_refused_in_plain_words():
+    steps, ids = np.repeat(np.arange(41), 3), np.tile(np.arange(3), 41)
+    ranges = 5.0 + ids + 0.01 * np.random.default_rng(0).normal(size=len(ids))
+    numbers = PartialSightings(steps=steps, landmarks=ids, ranges=ranges, bearings=np.full(len(ids), np.nan))
+    log = Log(
+        dt=np.ones(40), controls=np.zeros((40, 2)), steps=[], landmarks=[], sightings=np.zeros((0, 2)),
+        partial_sightings=numbers,
+    )  # fmt: skip
+    with pytest.raises(GraphError, match="give no landmark a place"):
+        estimate_robot(log)
+
+
+def test_the_estimate_begins_with_the_sensor_that_was_given(monkeypatch):
+    monkeypatch.setattr(unknown_robot, "solve", lambda graph: SimpleNamespace(poses=graph.sensor, landmarks={}))
+    monkeypatch.setattr(unknown_robot, "_from_solution", lambda log, sensor, first, _: (sensor.offset, first.offset))
+    log, given = drive(True), (MotionModel(), SensorModel(offset=(1.0, 0.0)))
+    assert estimate_robot(log, given=given) == ((1.0, 0.0), (1.0, 0.0))
+    assert estimate_robot(log, sensor=SensorModel(offset=(0.5, 0.0)), given=given) == ((0.5, 0.0), (0.5, 0.0))
+    assert estimate_robot(log) == ((0.0, 0.0), (0.0, 0.0))
 
 
 def test_the_order_of_the_numbers_does_not_matter():
