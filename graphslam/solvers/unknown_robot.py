@@ -2,7 +2,7 @@
 
 A single number does not tell where its landmark is. So the log is solved with other noise first, and from there poses,
 places, biases and variances together, as those of whole sightings (`identification.unknowns`). Ids are taken as they are,
-errors of successive numbers as independent, and the odometry of robots with bearings alone as that which tells lengths.
+errors of successive numbers as independent, and the odometry of robots with few ranges or none as that which tells lengths.
 """
 
 from __future__ import annotations
@@ -24,8 +24,11 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .solve import solve
 
-#: what bearings alone hardly tell: lengths, and turns apart from them
+#: what bearings with few ranges hardly tell: lengths, and turns apart from them
 UNTOLD = ("wheel_scale", "turn_scale", "range_bias", "sensor_ahead", "sensor_left")
+#: fewer ranges than this, or for each pose less than this, leave lengths untold: a shorter drive needs less noise of the
+#: odometry at every pose, and few ranges count as wrong beside that (one among 940 bearings: a wheel scale of 1.12 for 1)
+FEWEST_RANGES, FOR_EACH_POSE = 20, 0.1
 #: the most numbers that are used, from the beginning of the log; rounds of solving and improving the variances
 MOST, ROUNDS = 6000, 12
 
@@ -41,7 +44,7 @@ def estimate_robot(
 
     From whole sightings, the estimate is compared with dead reckoning and with the noise of the book: which predicts
     sightings best that are left out (`RobotEstimate.left_out`)? The best counts. A log of ranges or bearings alone is solved
-    with the noise of the book first. Its ids are not checked, and with bearings alone biases in lengths are not estimated.
+    with the noise of the book first. Its ids are not checked, and with few ranges biases in lengths are not estimated.
 
     Args:
         log: with controls and ids. Sightings without an id are corrected like the others, but not used. Ranges and bearings
@@ -91,7 +94,10 @@ def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mappi
     unknowns = Unknowns(few, few.partial_sightings.landmarks, sensor, places=landmarks)
     unknowns.state[: len(steps)] = poses[steps]
     ranged = few.partial_sightings.ranged[unknowns.used]
-    untold = dict[str, float]() if ranged.any() else {name: PRIORS[name] for name in UNTOLD}
+    # two numbers do no more than place their landmark
+    telling = np.count_nonzero(ranged & (np.bincount(unknowns.seen)[unknowns.seen] > 2))
+    enough = telling >= max(FEWEST_RANGES, FOR_EACH_POSE * len(steps))
+    untold = dict[str, float]() if enough else {name: PRIORS[name] for name in UNTOLD}
     untested = ("sensor_delay", *(["bearing_bias"] if ranged.all() else []), *untold)
     unknowns.hold(untested)
     _, errors = fit(unknowns, ROUNDS)

@@ -130,11 +130,28 @@ def test_a_robot_that_stands_is_refused_in_plain_words():
 
 def test_the_estimate_begins_with_the_sensor_that_was_given(monkeypatch):
     monkeypatch.setattr(unknown_robot, "solve", lambda graph: SimpleNamespace(poses=graph.sensor, landmarks={}))
-    monkeypatch.setattr(unknown_robot, "_from_solution", lambda log, sensor, first, _: (sensor.offset, first.offset))
+    monkeypatch.setattr(unknown_robot, "_from_solution", lambda _, sensor, first, __: (sensor.offset, first.offset))
     log, given = drive(True), (MotionModel(), SensorModel(offset=(1.0, 0.0)))
     assert estimate_robot(log, given=given) == ((1.0, 0.0), (1.0, 0.0))
     assert estimate_robot(log, sensor=SensorModel(offset=(0.5, 0.0)), given=given) == ((0.5, 0.0), (0.5, 0.0))
     assert estimate_robot(log) == ((0.0, 0.0), (0.0, 0.0))
+
+
+@pytest.mark.parametrize(("count", "told"), [(1, False), (15, False), (200, True)])
+def test_few_ranges_among_bearings_leave_lengths_to_the_odometry(count, told, monkeypatch):
+    bearings, ranges = drive(False), drive(True).partial_sightings
+    numbers, few = bearings.partial_sightings, np.arange(len(ranges)) % (len(ranges) // count) == 0
+    mixed = PartialSightings(
+        steps=numbers.steps, landmarks=numbers.landmarks, ranges=np.where(few, ranges.ranges, np.nan),
+        bearings=np.where(few, np.nan, numbers.bearings),
+    )  # fmt: skip
+    solution = SimpleNamespace(poses=bearings.true_poses, landmarks=bearings.true_landmarks)
+    monkeypatch.setattr(unknown_robot, "solve", lambda _: solution)
+    monkeypatch.setattr(unknown_robot, "fit", lambda unknowns, _: (unknowns, {}))
+    monkeypatch.setattr(unknown_robot, "hold_needless", lambda _, __: {})
+    found = estimate_robot(bearings.replace(partial_sightings=mixed))
+    assert ("wheel_scale" in found.parameters.names) == told
+    assert ("wheel_scale" not in found.untested) == told
 
 
 def test_the_order_of_the_numbers_does_not_matter():
