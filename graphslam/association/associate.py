@@ -444,7 +444,7 @@ def known_noise(
     if noise is not None:
         check_choice("noise", noise, (AUTO, BOOK))
     if noise == BOOK or (noise is None and not unknown_noise(log)) or enough_ids(log):
-        return known_robot(log, noise, estimate_robot)
+        return known_robot(log, noise)
     try:
         found, notes = robot_of(log, motion or log.motion or MotionModel(), sensor or log.sensor or SensorModel())
     except (GraphError, LogError) as error:

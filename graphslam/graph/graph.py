@@ -25,9 +25,8 @@ from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import array_of, check_choice, make_read_only
-from ..identification.declared import Parameters, declared
-from ..identification.result import RobotEstimate
-from ..identification.robot import AUTO, BOOK, estimate_from_sightings, known_robot
+from ..identification.declared import OF_SIGHTINGS, Parameters, declared
+from ..identification.robot import AUTO, BOOK, known_robot
 from ..linear.information import BlockSystem, Structure, SystemOfThread
 from ..log import Log, check_is_log
 from ..log_checks import readings_of, sizes
@@ -85,8 +84,6 @@ class Graph:
     from_g2o: ClassVar[Callable[..., Graph]]
     save_g2o: ClassVar[Callable[..., None]]
     from_logs: ClassVar[Callable[..., Graph]]
-    #: what estimates unknown robots; `solvers.unknown_robot` adds the one for ranges and bearings alone
-    estimator: ClassVar[Callable[[Log], RobotEstimate]] = staticmethod(estimate_from_sightings)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "initial", array_of("initial", self.initial))
@@ -177,7 +174,7 @@ class Graph:
             check_choice("noise", noise, (AUTO, BOOK))
         log = with_dimensions(log, dimensions)
         recorded = log
-        log, robot = known_robot(log, noise, cls.estimator) if motion is None and sensor is None else (log, None)
+        log, robot = known_robot(log, noise) if motion is None and sensor is None else (log, None)
         motion, sensor = log.noise_models(motion, sensor)
         known_map = None if map is None else as_map(map)
         # noise and biases that were found for numbers read in the wrong way are wrong, too
@@ -196,7 +193,9 @@ class Graph:
         parameters, held = declared(estimate, log, motion, sensor, options), None
         once = options.landmark_nodes or (options.with_motion and weight == "marginal")
         if parameters is None and once and residual == EdgeOptions.residual:
-            held = declared(log.uncertain, log, motion, sensor, options)
+            # edges of single numbers have no derivatives by biases of the sensor
+            told = {k: v for k, v in (log.uncertain or {}).items() if len(log.steps) or k not in OF_SIGHTINGS}
+            held = declared(told, log, motion, sensor, options)
         known = parameters or held
         missing = [name for name in log.uncertain or () if known is None or name not in known.names]
         notes += notes_on_options(log, sensor, options, missing)

@@ -274,24 +274,28 @@ def corrected_log(parameters: Parameters) -> Log:
     Raises:
         LogError: a corrected range would not be above zero.
     """
-    log, bias = parameters.recorded, parameters.by_name()["range_bias"]
-    if (k := first(log.sightings[:, 0] <= bias)) is not None:
-        raise LogError(
-            f"{log.name}: sighting {k} has a range of {log.sightings[k, 0]:g} m, which a range bias of {bias:g} m takes "
-            "below zero; does the bias belong to another sensor?"
-        )
+    log, bias, numbers = parameters.recorded, parameters.by_name()["range_bias"], parameters.recorded.partial_sightings
+    alone = np.zeros(0) if numbers is None else numbers.ranges
+    for noun, ranges in (("sighting", log.sightings[:, 0]), ("partial sighting", alone)):
+        if (k := first(ranges <= bias)) is not None:
+            raise LogError(
+                f"{log.name}: {noun} {k} has a range of {ranges[k]:g} m, which a range bias of {bias:g} m takes below zero; "
+                "does the bias belong to another sensor?"
+            )
     every, d = np.arange(len(log.steps)), log.sightings.shape[1]
     changes: dict[str, Any] = {
         "sightings": corrected_sightings(parameters, every, d),
         "sensor": corrected_sensor(parameters),
     }
-    if len(log.steps) == 0 and log.partial_sightings is not None:
-        p, numbers = parameters.by_name(), log.partial_sightings
+    if numbers is not None:
+        p = parameters.by_name()
         changes["partial_sightings"] = replace(
             numbers,
             ranges=(numbers.ranges - p["range_bias"]) / p["range_scale"],
             bearings=numbers.bearings - p["bearing_bias"],
         )
+        if p["sensor_delay"]:
+            changes["notes"] = (*log.notes, "ranges and bearings alone keep the delay of the sensor")
     if any(PARAMETERS[name].of_motion for name in parameters.names):
         changes["controls"] = corrected_controls(parameters)
     return log.replace(**changes)
@@ -312,7 +316,8 @@ def without_biases(
             ideal ones.
 
     Raises:
-        LogError: there are no controls to correct, or a corrected range would not be above zero.
+        LogError: there are no controls to correct, a corrected range would not be above zero, or a delay should be taken out
+            of ranges and bearings alone.
         OptionError: there is no such parameter, a scale is not positive, or a value is not finite.
     """
     check_is_log(log)
@@ -326,6 +331,11 @@ def without_biases(
         return log
     if log.controls is None and len(lost := wrong.keys() - of_sensor_alone(wrong)):
         raise LogError(f"{log.name} has no controls, and {', '.join(sorted(lost))} cannot be taken out of them")
+    if "sensor_delay" in wrong and len(log.steps) == 0 and log.partial_sightings is not None:
+        raise LogError(
+            f"{log.name} has ranges and bearings alone, out of which sensor_delay cannot be taken: a single number does not "
+            "tell where its landmark is; correct the times of the sightings before the log is made"
+        )
     motion, sensor = log.noise_models(motion, sensor)
     numbers, none = np.array(list(wrong.values())), np.full(len(wrong), np.inf)
     corrected = corrected_log(Parameters(tuple(wrong), numbers, numbers, none, log, motion, sensor))

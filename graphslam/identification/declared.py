@@ -55,6 +55,8 @@ PARAMETERS = {
     "sensor_delay": Parameter(0.0, "s", "How late the times of sightings are against those of controls", False),
 }
 
+#: those of the sensor
+OF_SIGHTINGS = tuple(name for name, parameter in PARAMETERS.items() if not parameter.of_motion)
 #: the place of the sensor, which is part of the sensor model
 PLACE = ("sensor_ahead", "sensor_left")
 #: all others, which `without_biases` takes out of a log, with their ideal values

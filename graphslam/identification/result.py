@@ -178,6 +178,7 @@ class RobotEstimate:
             sightings that are left out.
         basis: whose noise the result has: that of the estimate, or of one of the other two where this is clearly better.
         told: how many independent numbers show the noise of the motion, if that is typical.
+        untested: the biases that were not estimated, because measurements of this kind do not tell them.
     """
 
     log: Log
@@ -192,6 +193,7 @@ class RobotEstimate:
     left_out: LeftOut
     basis: str = ESTIMATE
     told: float = np.inf
+    untested: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -266,11 +268,16 @@ class RobotEstimate:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What was found beside noise and biases, one sentence each."""
+        tested = {kind: [name for name in names if name not in self.untested] for kind, names in KINDS.items()}
         lines = [
             f"the log does not show a bias of the {kind} beside its noise: {', '.join(names)} keep their ideal values"
-            for kind, names in KINDS.items()
-            if not set(names) & set(self.parameters.names)
+            for kind, names in tested.items()
+            if names and not set(names) & set(self.parameters.names)
         ]
+        if self.untested:
+            lines.append(
+                f"not estimated from these ranges and bearings alone: {', '.join(self.untested)} keep their ideal values"
+            )
         if self.left_out.sentence is not None:
             lines.append(self.left_out.sentence)
         if self.basis == DEAD_RECKONING:

@@ -19,7 +19,6 @@ The equations are those of `identification.unknowns` and `identification.restric
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -103,8 +102,7 @@ def enough_ids(log: Log) -> bool:
 
 
 def estimate_from_sightings(log: Log, sensor: Any = None, given: Any = None, seed: int = 0) -> RobotEstimate:
-    """`solvers.unknown_robot.estimate_robot` for logs with whole sightings; arguments and errors as there."""
-    check_robot_options(log, sensor, given, seed)
+    """`solvers.unknown_robot.estimate_robot` for logs with whole sightings, whose arguments it has checked."""
     _check(log)
     try:
         return _estimate(log, sensor or log.sensor or SensorModel(), given, np.random.default_rng(seed))
@@ -124,9 +122,7 @@ def check_robot_options(log: Any, sensor: Any, given: Any, seed: Any) -> None:
         check_type(SensorModel, given=given[1])
 
 
-def known_robot(
-    log: Log, noise: str | None = None, estimate: Callable[[Log], RobotEstimate] = estimate_from_sightings
-) -> tuple[Log, RobotEstimate | None]:
+def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate | None]:
     """The log with the noise of its robot, and the estimate where that is asked for, or where nothing else is known.
 
     The log has ids; `association.known_noise` is for all logs.
@@ -134,7 +130,6 @@ def known_robot(
     Args:
         noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
             the log where it brings some, the book's for logs of `simulate`, and else "auto" where the noise is identifiable.
-        estimate: of the robot.
 
     Raises:
         LogError, GraphError: the log does not determine its noise, and ``noise`` is "auto".
@@ -144,13 +139,16 @@ def known_robot(
         return log.replace(motion=MotionModel(), sensor=SensorModel(**place)), None
     if noise is None and not unknown_noise(log):
         return log, None
+    # it solves graphs, which ask for this; so it is looked up at the call, by the name that users have
+    from .. import estimate_robot
+
     try:
-        found = estimate(log)
+        found = estimate_robot(log)
     except (GraphError, LogError) as error:
         if noise == AUTO:
             raise
         return with_book(log, error), None
-    return found.log.replace(notes=(*log.notes, *found.sentences, *not_used(log))), found
+    return found.log.replace(notes=(*found.log.notes, *found.sentences, *not_used(log))), found
 
 
 def _estimate(

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from ..errors import LogError, OptionError, quoted, shortened
 from ..errors.checks import array_of, array_or_none, check_sighted, first, real_array
 from ..se2 import Array, wrap
-from .rows import UNIDENTIFIED
+from .rows import NO_ID, UNIDENTIFIED
 
 
 def length_of(value: Any) -> int | None:
@@ -314,12 +314,12 @@ class PartialSightings(_Records):
 
     Args:
         steps: (K,) the step of each.
-        landmarks: (K,) the ids.
+        landmarks: (K,) the ids; there are none without an id.
         ranges: (K,) [m], NaN where the bearing was measured.
         bearings: (K,) [rad], NaN where the range was measured; wrapped to [-pi, pi).
 
     Raises:
-        LogError: an array has another shape, a row has both numbers or none, or a range is not above zero.
+        LogError: an array has another shape, a row has both numbers or none, or no id, or a range is not above zero.
     """
 
     ENDS = ("steps",)
@@ -347,6 +347,10 @@ class PartialSightings(_Records):
             whole_numbers(f"the {name} of partial sightings", getattr(self, name), count, noun=noun)
             for name in ("steps", "landmarks")
         )
+        if (k := first(np.isin(landmarks, (UNIDENTIFIED, NO_ID)))) is not None:
+            raise LogError(
+                f"partial sighting {k} has no id; ranges and bearings alone need ids: leave out those without one"
+            )
         self._set(steps=steps, landmarks=landmarks, ranges=ranges, bearings=bearings)
 
     @property

@@ -2,12 +2,13 @@
 
 A single number does not tell where its landmark is. So the log is solved with other noise first, and from there poses,
 places, biases and variances together, as those of whole sightings (`identification.unknowns`). Ids are taken as they are,
-errors of successive numbers as independent, and the odometry of robots with bearings alone as that which tells lengths.
+errors of successive numbers as independent, and the odometry of robots with few ranges or none as that which tells lengths.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,8 +24,11 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .solve import solve
 
-#: what bearings alone hardly tell: lengths, and turns apart from them
+#: what bearings with few ranges hardly tell: lengths, and turns apart from them
 UNTOLD = ("wheel_scale", "turn_scale", "range_bias", "sensor_ahead", "sensor_left")
+#: fewer ranges than this, or for each pose less than this, leave lengths untold: a shorter drive needs less noise of the
+#: odometry at every pose, and few ranges count as wrong beside that (one among 940 bearings: a wheel scale of 1.12 for 1)
+FEWEST_RANGES, FOR_EACH_POSE = 20, 0.1
 #: the most numbers that are used, from the beginning of the log; rounds of solving and improving the variances
 MOST, ROUNDS = 6000, 12
 
@@ -40,12 +44,13 @@ def estimate_robot(
 
     From whole sightings, the estimate is compared with dead reckoning and with the noise of the book: which predicts
     sightings best that are left out (`RobotEstimate.left_out`)? The best counts. A log of ranges or bearings alone is solved
-    with the noise of the book first. Its ids are not checked, and with bearings alone biases in lengths are not estimated.
+    with the noise of the book first. Its ids are not checked, and with few ranges biases in lengths are not estimated.
 
     Args:
         log: with controls and ids. Sightings without an id are corrected like the others, but not used. Ranges and bearings
             alone are used where there are no whole sightings.
-        sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose.
+        sensor: where the sensor is believed to be, and what it can see; default: that of the log, else at the robot's pose;
+            for ranges and bearings alone first of all that of ``given``.
         given: noise to compare with in place of the book's, or to solve with first.
         seed: of the random signs with which expectations are computed.
 
@@ -63,17 +68,13 @@ def estimate_robot(
             f"{log.name} has {len(partial)} ranges and bearings alone from {log.num_poses} poses; noise and biases are "
             f"estimated from at least {FEWEST['sightings']} of them and {FEWEST['poses']} poses"
         )
-    sensor = sensor or log.sensor or SensorModel()
+    sensor = sensor or (given[1] if given else log.sensor) or SensorModel()
     motion, seen = given or (MotionModel(), sensor)
-    first = solve(Graph.from_log(log, motion=motion, sensor=seen))
+    first = solve(Graph.from_log(log, motion=motion, sensor=replace(seen, offset=sensor.offset)))
     try:
         return _from_solution(log, sensor, first.poses, first.landmarks)
     except np.linalg.LinAlgError:
         raise GraphError(f"{log.name}: its ranges and bearings alone do not determine noise and biases") from None
-
-
-#: public graphs estimate unknown robots from all logs
-Graph.estimator = staticmethod(estimate_robot)
 
 
 def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mapping[int, Array]) -> RobotEstimate:
@@ -83,14 +84,22 @@ def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mappi
     # in the order of time, as `Unknowns` takes them
     order = np.argsort(partial.steps, kind="stable")[:MOST]
     order = order[np.isin(partial.landmarks[order], list(landmarks))]
+    if not len(order):
+        raise GraphError(
+            f"{log.name}: its ranges and bearings alone give no landmark a place, so that nothing tells the noise"
+        )
     steps = np.unique([0, *partial.steps[order]])
     few = log.replace(partial_sightings=partial.among(order)).at_steps(steps)
     assert few.partial_sightings is not None
     unknowns = Unknowns(few, few.partial_sightings.landmarks, sensor, places=landmarks)
     unknowns.state[: len(steps)] = poses[steps]
-    ranged = partial.ranged
-    untold = dict[str, float]() if ranged.any() else {name: PRIORS[name] for name in UNTOLD}
-    unknowns.hold(["sensor_delay", *(["bearing_bias"] if ranged.all() else []), *untold])
+    ranged = few.partial_sightings.ranged[unknowns.used]
+    # two numbers do no more than place their landmark
+    telling = np.count_nonzero(ranged & (np.bincount(unknowns.seen)[unknowns.seen] > 2))
+    enough = telling >= max(FEWEST_RANGES, FOR_EACH_POSE * len(steps))
+    untold = dict[str, float]() if enough else {name: PRIORS[name] for name in UNTOLD}
+    untested = ("sensor_delay", *(["bearing_bias"] if ranged.all() else []), *untold)
+    unknowns.hold(untested)
     _, errors = fit(unknowns, ROUNDS)
     held = hold_needless(unknowns, ROUNDS) | untold
     motion, seen = unknowns.models
@@ -99,5 +108,5 @@ def _from_solution(log: Log, sensor: SensorModel, poses: Array, landmarks: Mappi
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors,
         ids=Ids(partial.landmarks, none, none, ~none), correlations=np.zeros(len(LAGS) - 1), inflation=1.0,
-        nearly_exact=False, left_out=LeftOut(0, {ESTIMATE: 0.0}),
+        nearly_exact=False, left_out=LeftOut(0, {ESTIMATE: 0.0}), untested=untested,
     )  # fmt: skip

@@ -1,13 +1,30 @@
 """Robots with ranges or bearings alone whose noise nobody knows; `benchmarks/unknown_single_numbers.py` has many."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from graphslam import Drive, Graph, Log, LogError, OptionError, PartialSightings, estimate_robot, solve
+from graphslam import (
+    Drive,
+    Graph,
+    GraphError,
+    Log,
+    LogError,
+    MotionModel,
+    OptionError,
+    PartialSightings,
+    SensorModel,
+    estimate_robot,
+    solve,
+)
 from graphslam.association import known_noise
+from graphslam.identification.corrections import without_biases
+from graphslam.identification.robot import known_robot
+from graphslam.log.rows import NO_ID, UNIDENTIFIED
 from graphslam.metrics import ate, mean_nees
+from graphslam.solvers import unknown_robot
 
 
 def drive(ranged: bool | None, seed: int = 1, **parameters: float) -> Log:
@@ -53,6 +70,88 @@ def test_bearings_leave_lengths_to_the_odometry():
     assert found is not None and log.motion == found.motion
     assert "wheel_scale" not in found.parameters.names
     assert log.uncertain["wheel_scale"] == 0.03
+    assert any(
+        "not show a bias of the odometry beside its noise: turn_rate_bias, curv" in each for each in found.remarks
+    )
+    assert found.remarks[-1].startswith("not estimated from these ranges and bearings alone: sensor_delay, wheel_scale")
+
+
+def test_noise_is_found_whatever_is_imported():
+    # graphs, online solvers and drives ask this function; sightings are those of another estimator
+    log = drive(True)
+    few = log.replace(partial_sightings=log.partial_sightings.among(np.arange(40)))
+    assert "40 ranges and bearings alone" in known_robot(few)[0].notes[-1]
+
+
+def test_biases_are_taken_out_of_all_sightings_or_refused():
+    full, truth = Drive(seed=1, duration=20.0, misread=0.0).simulate()
+    half = np.arange(len(full.steps)) % 2 == 0
+    numbers = PartialSightings(
+        steps=full.steps[~half], landmarks=truth.landmarks[~half], ranges=full.sightings[~half, 0],
+        bearings=np.full(np.sum(~half), np.nan),
+    )  # fmt: skip
+    mixed = full.with_sightings(half, landmarks=truth.landmarks[half]).replace(partial_sightings=numbers)
+    corrected = without_biases(mixed, range_bias=0.2)
+    np.testing.assert_allclose(corrected.sightings[:, 0], mixed.sightings[:, 0] - 0.2)
+    np.testing.assert_allclose(corrected.partial_sightings.ranges, numbers.ranges - 0.2)
+    assert "alone keep the delay" in without_biases(mixed, sensor_delay=0.1).notes[-1]
+    alone = mixed.with_sightings(np.zeros(np.sum(half), dtype=bool))
+    with pytest.raises(LogError, match="out of which sensor_delay cannot be taken"):
+        without_biases(alone, sensor_delay=0.1)
+    with pytest.raises(LogError, match="partial sighting .* which a range bias of 50 m takes below zero"):
+        without_biases(alone, range_bias=50.0)
+
+
+@pytest.mark.parametrize("id", [UNIDENTIFIED, NO_ID])
+def test_single_numbers_need_ids(id):
+    with pytest.raises(LogError, match="partial sighting 1 has no id"):
+        PartialSightings(steps=[0, 1], landmarks=[3, id], ranges=[1.0, 1.0], bearings=[np.nan, np.nan])
+
+
+def test_covariances_say_that_they_lack_biases_of_the_sensor():
+    log = drive(True)
+    names = dict.fromkeys(("range_bias", "sensor_left", "wheel_scale"), 0.03)
+    graph = Graph.from_log(log.replace(motion=MotionModel(), sensor=SensorModel(), uncertain=names))
+    assert graph.held.names == ("wheel_scale",)
+    assert any(note.endswith("taken out of the log: range_bias, sensor_left") for note in graph.notes)
+
+
+def test_a_robot_that_stands_is_refused_in_plain_words():
+    steps, ids = np.repeat(np.arange(41), 3), np.tile(np.arange(3), 41)
+    ranges = 5.0 + ids + 0.01 * np.random.default_rng(0).normal(size=len(ids))
+    numbers = PartialSightings(steps=steps, landmarks=ids, ranges=ranges, bearings=np.full(len(ids), np.nan))
+    log = Log(
+        dt=np.ones(40), controls=np.zeros((40, 2)), steps=[], landmarks=[], sightings=np.zeros((0, 2)),
+        partial_sightings=numbers,
+    )  # fmt: skip
+    with pytest.raises(GraphError, match="give no landmark a place"):
+        estimate_robot(log)
+
+
+def test_the_estimate_begins_with_the_sensor_that_was_given(monkeypatch):
+    monkeypatch.setattr(unknown_robot, "solve", lambda graph: SimpleNamespace(poses=graph.sensor, landmarks={}))
+    monkeypatch.setattr(unknown_robot, "_from_solution", lambda _, sensor, first, __: (sensor.offset, first.offset))
+    log, given = drive(True), (MotionModel(), SensorModel(offset=(1.0, 0.0)))
+    assert estimate_robot(log, given=given) == ((1.0, 0.0), (1.0, 0.0))
+    assert estimate_robot(log, sensor=SensorModel(offset=(0.5, 0.0)), given=given) == ((0.5, 0.0), (0.5, 0.0))
+    assert estimate_robot(log) == ((0.0, 0.0), (0.0, 0.0))
+
+
+@pytest.mark.parametrize(("count", "told"), [(1, False), (15, False), (200, True)])
+def test_few_ranges_among_bearings_leave_lengths_to_the_odometry(count, told, monkeypatch):
+    bearings, ranges = drive(False), drive(True).partial_sightings
+    numbers, few = bearings.partial_sightings, np.arange(len(ranges)) % (len(ranges) // count) == 0
+    mixed = PartialSightings(
+        steps=numbers.steps, landmarks=numbers.landmarks, ranges=np.where(few, ranges.ranges, np.nan),
+        bearings=np.where(few, np.nan, numbers.bearings),
+    )  # fmt: skip
+    solution = SimpleNamespace(poses=bearings.true_poses, landmarks=bearings.true_landmarks)
+    monkeypatch.setattr(unknown_robot, "solve", lambda _: solution)
+    monkeypatch.setattr(unknown_robot, "fit", lambda unknowns, _: (unknowns, {}))
+    monkeypatch.setattr(unknown_robot, "hold_needless", lambda _, __: {})
+    found = estimate_robot(bearings.replace(partial_sightings=mixed))
+    assert ("wheel_scale" in found.parameters.names) == told
+    assert ("wheel_scale" not in found.untested) == told
 
 
 def test_the_order_of_the_numbers_does_not_matter():
