@@ -48,6 +48,41 @@ def test_errors_of_a_map_are_said_unless_its_covariances_say_them():
     assert not doubts(log, LandmarkMap(wrong, {j: 0.01 * np.eye(2) for j in wrong}))
 
 
+@pytest.mark.parametrize("said", [None, 0.03])
+def test_a_solution_counts_the_errors_that_the_log_shows_in_its_map(said):
+    squares, risks, off = [], [], []
+    for seed in range(4):
+        log, known = drive(30 + seed)
+        rng = np.random.default_rng(seed)
+        wrong = {j: place + 0.15 * rng.normal(size=2) for j, place in known.items()}
+        given = wrong if said is None else LandmarkMap(wrong, {j: said**2 * np.eye(2) for j in wrong})
+        solution = solve(Graph.from_log(log, map=given, dimensions=2))
+        (note,) = (note for note in solution.notes if note.startswith(DOUBT))
+        deviation = float(re.search(r"as off by ([\d.]+) m more", note)[1])
+        assert 0.1 < deviation < 0.23
+        assert solution.graph.map.covariances[0] == pytest.approx(
+            (deviation**2 + (said or 0) ** 2) * np.eye(2), rel=0.1
+        )
+        squares.append(solution.nees(log.true_poses).mean())
+        risks.append(solution.integrity_risk(0.1).mean())
+        off.append(np.mean(np.hypot(*(solution.poses - log.true_poses)[:, :2].T) > 0.1))
+    # with the exact map as it is they are 36, 0.06 and 0.43
+    assert np.mean(squares) < 2
+    assert np.mean(off) - 0.1 < np.mean(risks) < np.mean(off) + 0.2
+
+
+def test_a_map_is_widened_with_its_correlations_and_headings():
+    places = {1: (0.0, 1.0), 2: (2.0, 0.0, 0.5), 4: (3.0, 3.0)}
+    C = np.array([[2.0, 0.5, 1.0, 0.0], [0.5, 2.0, 0.0, 1.0], [1.0, 0.0, 3.0, 0.0], [0.0, 1.0, 0.0, 3.0]])
+    wider = LandmarkMap(places, joint=C, joint_ids=(1, 4)).widened(2.0)
+    assert list(wider.covariances) == [1, 2, 4]
+    both = wider.joint_covariance([4, 1])
+    assert both == pytest.approx(np.block([[C[2:, 2:], C[2:, :2]], [C[:2, 2:], C[:2, :2]]]) + 4 * np.eye(4))
+    assert np.diag(wider.covariances[2]) == pytest.approx([4, 4, 1e-10])
+    own = LandmarkMap(places, {1: np.eye(2)}).widened(2.0)
+    assert np.diag(own.joint_covariance([1, 2])) == pytest.approx([5, 5, 4, 4])
+
+
 def test_a_map_with_joint_covariances_is_doubted_where_its_size_is_wrong():
     log, known = drive(3)
     world = np.array([known[j] for j in sorted(known)])
