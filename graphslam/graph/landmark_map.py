@@ -139,7 +139,8 @@ class LandmarkMap(dict[int, Array]):
         """The map with less said about its errors.
 
         Args:
-            use: "joint", the joint covariance; "own", that of each landmark without correlations; "fixed", all exact.
+            use: "joint", the joint covariance; "own", that of each landmark without correlations; "fixed", all exact. With
+                "own" and "fixed", covariances and `integrity_risk` of poses are too small where errors are shared.
 
         Raises:
             OptionError: there is no such use.

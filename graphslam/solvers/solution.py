@@ -263,7 +263,9 @@ class Solution:
         """The probability (T+1,) that a pose is off by more than the bounds; NaN where it is not estimated.
 
         In a map it counts that the robot may have been elsewhere; without one, errors are those against the first pose.
-        Covariances grow where residuals are larger than the noise models say. `graph.tracker` has the equations.
+        Covariances grow where residuals are larger than the noise models say. `graph.tracker` has the equations. It is as
+        right as the map's covariances, which `solve` widens where most landmarks contradict them (``notes``). A map of
+        another drive needs its joint covariance; as "own" or "fixed" (`LandmarkMap.used_as`) too little is said.
 
         Args:
             metres: the bound on the position.
