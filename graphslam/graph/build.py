@@ -99,7 +99,7 @@ def graph_of_log(
     if landmark_map is None:
         families = [*anchors(poses[0], measured)]
     else:
-        families, fixed = _priors(landmark_map, known, ids, initial, d)
+        families, fixed = priors_of_map(landmark_map, known, ids, initial, d)
     families.append(sighted)
     if with_motion:
         assert log.controls is not None and log.dt is not None
@@ -142,7 +142,7 @@ def _usable(landmark_map: LandmarkMap | None, d: int, seen: set[int]) -> dict[in
     return {j: place for j, place in landmark_map.items() if len(place) >= d or (j in uncertain and j in seen)}
 
 
-def _priors(
+def priors_of_map(
     landmark_map: LandmarkMap, known: dict[int, Array], ids: np.ndarray, initial: Array, d: int
 ) -> tuple[list[EdgeFamily], np.ndarray]:
     """The edges of a map, and its nodes that are held, in a graph with the landmarks ``ids`` in the last rows of initial."""

@@ -24,6 +24,8 @@ from .map_files import read_map, write_map
 
 #: how a map is used: as its covariances say, without their correlations between landmarks, or as exact
 USES = ("joint", "own", "fixed")
+#: the standard deviation [m, rad] of places and headings that are exact, where they need one
+HELD_STD = 1e-5
 #: the largest asymmetry and negative eigenvalue of a covariance that count as rounding, over its size
 ROUNDED = 1e-9
 
@@ -137,7 +139,8 @@ class LandmarkMap(dict[int, Array]):
         """The map with less said about its errors.
 
         Args:
-            use: "joint", the joint covariance; "own", that of each landmark without correlations; "fixed", all exact.
+            use: "joint", the joint covariance; "own", that of each landmark without correlations; "fixed", all exact. With
+                "own" and "fixed", covariances and `integrity_risk` of poses are too small where errors are shared.
 
         Raises:
             OptionError: there is no such use.
@@ -146,6 +149,22 @@ class LandmarkMap(dict[int, Array]):
         if use == "joint":
             return self
         return LandmarkMap(self, self.covariances if use == "own" else None, classes=self.classes)
+
+    def widened(self, deviation: float) -> LandmarkMap:
+        """The map with an independent error of every coordinate of its places, with this standard deviation [m], besides."""
+        sizes = [len(place) for place in self.values()]
+        known = np.repeat([j in self.covariances for j in self], sizes)
+        heading = np.concatenate([np.arange(size) == 2 for size in sizes])
+        added = np.where(heading, np.where(known, 0.0, HELD_STD**2), deviation**2)
+        if self.joint is not None:
+            joint = np.diag(added)
+            joint[np.ix_(known, known)] += self.joint
+            return LandmarkMap(self, classes=self.classes, joint=joint)
+        own = {
+            j: self.covariances.get(j, 0.0) + np.diag(variances)
+            for j, variances in zip(self, np.split(added, np.cumsum(sizes)[:-1]))
+        }
+        return LandmarkMap(self, own, classes=self.classes)
 
     def among(self, ids: Iterable[int]) -> LandmarkMap:
         """The map of those of the ids that it has."""
@@ -165,6 +184,19 @@ class LandmarkMap(dict[int, Array]):
             if j in self.covariances:
                 covariances[k, : len(self[j]), : len(self[j])] = self.covariances[j]
         return places, covariances
+
+    def joint_covariance(self, ids: Sequence[int]) -> Array:
+        """The covariance (2 L, 2 L) of the positions of landmarks together, zero where they are exact."""
+        blocks, each = np.zeros((len(ids), 2, len(ids), 2)), np.arange(len(ids))
+        blocks[each, :, each] = self.arrays(ids)[1][:, :2, :2]
+        whole: Array = blocks.reshape(2 * len(ids), -1)
+        if self.joint is not None:
+            starts = dict(zip(self.covariances, np.cumsum([0, *map(len, self.covariances.values())]).tolist()))
+            known = [k for k, j in enumerate(ids) if j in starts]
+            to = np.add.outer(2 * np.array(known, dtype=np.int64), [0, 1]).ravel()
+            rows = np.add.outer(np.array([starts[ids[k]] for k in known], dtype=np.int64), [0, 1]).ravel()
+            whole[np.ix_(to, to)] = self.joint[np.ix_(rows, rows)]
+        return whole
 
     def joint_information(self, ids: Iterable[int], coordinates: int) -> Array:
         """The information (3K, 3K) of landmarks with covariances, ``coordinates`` of each, whatever the others are.

@@ -22,6 +22,12 @@ recursion of a hidden Markov model with two states). Where the robot is there, i
 estimate, made larger where residuals are larger than the noise models say. An error is within the bounds if the position is
 within a circle and the heading within an interval.
 
+**The map.** Where it is right, its squares are those of white innovations e with the covariances V. For each landmark
+
+    z = sum w V^-1 e,     I = sum w V^-1,     w = min(1, `AGREES`^(1/2) / d),
+
+and q = z' I^-1 z has the median 2 log 2 over landmarks. Where that is clearly more, most places are off, by I^-1 z.
+
 Sources: Thrun, Burgard and Fox, *Probabilistic Robotics*, 2005, sections 7.4 and 7.1; Shiryaev, *On optimum methods in
 quickest detection problems*, Theory of Probability and its Applications 1963 (the odds of a change); Page, *Continuous
 inspection schemes*, Biometrika 1954 (the doubt); Rabiner, *A tutorial on hidden Markov models*, Proceedings of the IEEE 1989;
@@ -46,6 +52,9 @@ from .stretch import Stretch, moved
 
 #: squared Mahalanobis distance up to which a sighting agrees; 0.1 % of the right ones lie beyond it
 AGREES = 13.8
+#: the fewest sightings of a landmark and the fewest landmarks that say something of the map, and the median of q over
+#: 2 log 2 above which it is wrong, as in `solvers.contradictions`
+SEEN, FEWEST, LARGE = 3, 4, 6.0
 #: without ids, a sighting is ambiguous where the squares of the nearest two landmarks differ by less than this
 UNCLEAR = 6.0
 #: the probability that a robot is lifted between two poses
@@ -109,6 +118,9 @@ class Tracker:
         places, covariances = landmarks.arrays(landmarks)
         self._places, self._covariances = places[:, :2], covariances[:, :2, :2]
         self._number = {j: k for k, j in enumerate(self._ids.tolist())}
+        #: of each landmark the number of sightings, z and I
+        self._scores = np.zeros((len(places), 2)), np.zeros((len(places), 2, 2))
+        self._count = np.zeros(len(places), dtype=np.int64)
         self._area = area_of(self._places)
         self.place(pose, covariance)
         self._newest = int(self._ids.max())
@@ -168,6 +180,22 @@ class Tracker:
         self.doubt = max(0, self.doubt + int(seen.contradict.sum()) - int(seen.agree.sum()))
         return replace(seen, gain=gain)
 
+    def misfit(self) -> tuple[float, float]:
+        """The root of the median of q over 2 log 2, and the median displacement [m]; zeros where few landmarks were seen."""
+        seen = self._count >= SEEN
+        if seen.sum() < FEWEST:
+            return 0.0, 0.0
+        z, information = (each[seen] for each in self._scores)
+        off = np.linalg.solve(information, z[:, :, None])[:, :, 0]
+        middle = (len(z) - 1) // 2
+        q, size = np.sort(np.einsum("ki,ki->k", off, z)), np.sort(np.hypot(*off.T))
+        return float(np.sqrt(q[middle] / (2 * np.log(2)))), float(size[middle])
+
+    @property
+    def seen_of_map(self) -> list[int]:
+        """The landmarks of the map that were seen often enough to say something of it."""
+        return [int(j) for j in self._ids[self._count >= SEEN]]
+
     def forget(self, rows: np.ndarray) -> None:
         """Leave out new landmarks that were seen first in one of these rows."""
         self._unknown = [each for each in self._unknown if each.rows[0] not in rows]
@@ -184,8 +212,14 @@ class Tracker:
         y, V, J = self._place(q, C)
         V, e = V + self._covariances[k], y - self._places[k]
         inverse = np.linalg.inv(V)
-        square = float(e @ inverse @ e)
+        force = inverse @ e
+        square = float(e @ force)
         self.squares.append(square)
+        # one that is misread says little
+        weight = 1.0 if square <= AGREES else float(np.sqrt(AGREES / square))
+        self._count[k] += 1
+        self._scores[0][k] += weight * force
+        self._scores[1][k] += weight * inverse
         seen.contradict[n], seen.agree[n] = square > AGREES, square <= AGREES
         if seen.agree[n]:
             K = self.covariance @ J.T @ inverse

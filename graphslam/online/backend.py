@@ -31,10 +31,12 @@ class Backend(ABC):
         num_final: the number of poses that cannot change any more, the first ones.
         columns: the number of values of a sighting, 2 or 3; None before the first one.
         tracker: of the robot in a map, where there is one.
+        notes: what contradicts the map, one sentence each.
     """
 
     num_final = 0
     tracker: Tracker | None = None
+    notes: Sequence[str] = ()
     columns: int | None
 
     @property

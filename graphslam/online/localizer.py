@@ -9,18 +9,23 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import GraphError
 from ..graph.landmark_map import LandmarkMap
 from ..graph.localization import Fix
+from ..graph.registration import evenly
 from ..graph.stretch import Stretch, backwards, drifted
-from ..graph.tracker import Tracker
+from ..graph.tracker import LARGE, Tracker
 from ..graph.tracking import DOUBT, elsewhere, sure_fix
 from ..log import UNIDENTIFIED
 from ..models import SensorModel
 from ..se2 import Array, between
+from ..solvers.map_errors import MEDIAN_LENGTH, MOST, ROUNDS, likeliest_deviation, said_of_wider
 from .backend import FREE_START, Backend, Relation
 
-#: how much more must have been seen until another fix is tried
+#: how much more must have been seen until another fix is tried, or the map checked again
 GROWTH = 1.5
+#: the number of sightings at which the map is checked first, and the logarithm of a change of its errors that counts
+FIRST_CHECK, CHANGED = 20, 0.25
 
 
 class Localizer:
@@ -40,6 +45,9 @@ class Localizer:
         start_covariance: Array,
     ) -> None:  # fmt: skip
         self._make, self._landmarks, self._sensor = make, landmarks, sensor
+        #: the map as it was given, the deviation of errors beside those that it declares, and when these are checked next
+        self._declared, self._deviation, self._check = landmarks, 0.0, FIRST_CHECK
+        self._contradicted = 0.0
         self._start = start, start_covariance
         self.fixes: dict[int, Fix] = {}
         self._calls: list[Callable[[], None]] = []
@@ -75,10 +83,64 @@ class Localizer:
         found = self._found()
         if found is not None:
             self.fixes[found[0]] = found[1]
-            calls, self._calls = self._calls, []
-            self._begin()
-            for call in calls:
-                call()
+            self._again()
+            return
+        tracker = self.tracker
+        if tracker is None or len(self._rows) < self._check:
+            return
+        # a robot that was lifted contradicts the map, too, until it is found
+        if tracker.doubt < DOUBT or pose > 2 * tracker.since:
+            self._check = int(np.ceil(GROWTH * len(self._rows)))
+            self._check_map(tracker)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the drive says against the map."""
+        if not self._contradicted:
+            return ()
+        return (
+            f"the drive contradicts the map: its landmarks seem to be off by {self._contradicted:.1f} times what its "
+            f"covariances and the noise models allow, in the median. {said_of_wider(self._deviation)}; check its unit and "
+            "its source, and whether the robot has biases or more noise than its models",
+        )
+
+    def _again(self) -> None:
+        """Give all measurements to a new backend."""
+        calls, self._calls = self._calls, []
+        self._begin()
+        for call in calls:
+            call()
+
+    def _check_map(self, tracker: Tracker) -> None:
+        """Where most landmarks contradict the map, begin anew with the errors that they show; see `solvers.map_errors`."""
+        deviation = self._deviation
+        if not deviation:
+            ratio, size = tracker.misfit()
+            if ratio**2 <= LARGE:
+                return
+            self._widen(size / MEDIAN_LENGTH)
+            self._contradicted = ratio
+        for _ in range(ROUNDS):
+            assert self.tracker is not None
+            ids = [j for j in self.tracker.seen_of_map if j in self._backend.landmark_ids]
+            ids = [ids[k] for k in evenly(len(ids), MOST)]
+            places, last = self._backend.landmarks, self._deviation
+            off = np.array([places[j][:2] for j in ids]) - self._declared.arrays(ids)[0][:, :2]
+            try:
+                P, d = self._backend.covariance([], ids), self._backend.columns or 2
+                rows = np.flatnonzero(np.arange(len(P)) % d < 2)
+                of_map = self._declared.joint_covariance(ids)
+                deviation = likeliest_deviation(off.ravel(), P[np.ix_(rows, rows)], of_map, last)
+            except (GraphError, np.linalg.LinAlgError):
+                return
+            if abs(np.log(deviation / last)) < CHANGED:
+                break
+            self._widen(deviation)
+
+    def _widen(self, deviation: float) -> None:
+        """Begin anew in a map with errors of a deviation [m] beside those that it declares."""
+        self._deviation, self._landmarks = deviation, self._declared.widened(deviation)
+        self._again()
 
     def locate(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
         """Add a position in the frame of the map, which has no meaning before the robot has been found there."""

@@ -19,7 +19,7 @@ from ..edges.robust import Kernel, code_and_width
 from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import check_count, check_positive
-from ..graph.landmark_map import LandmarkMap, as_map
+from ..graph.landmark_map import HELD_STD, LandmarkMap, as_map
 from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..linear.precision import inverses
 from ..models import SensorModel
@@ -33,8 +33,6 @@ SWEEPS = 3
 Kind = engine.OnlineEdge
 #: the most passes of one update, after which the batch solver takes over
 PASSES = 15
-#: the standard deviation [m, rad] of landmarks that are exact in a map
-HELD_STD = 1e-5
 #: the part of J below which updates leave it
 TOLERANCE = 3e-8
 #: the fewest steps from one pose that stays a node, with a lag, to the next

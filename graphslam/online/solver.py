@@ -56,7 +56,8 @@ class OnlineSolver:
 
     In a map (``map``) the robot need not know where it is: without ``start`` its poses are those from the origin, until its
     sightings say surely where in the map it began (`located`), and are in the map then. Sightings may have no ids there. A
-    robot that is lifted is found again. `integrity_risk` is the probability that the pose is off by more than a bound.
+    robot that is lifted is found again. `integrity_risk` is the probability that the pose is off by more than a bound. Where
+    most landmarks contradict the map, it counts as off by what they show, and `notes` say so.
 
     Args:
         start: the first pose (3,); default: the origin, or unknown in a map.
@@ -273,6 +274,11 @@ class OnlineSolver:
         return self._backend.tracker is not None
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks, one sentence each: whether the drive so far contradicts the map, and by how much it counts as off."""
+        return tuple(self._backend.notes)
+
+    @property
     def num_final(self) -> int:
         """The number of poses that are final, the first ones, because they are older than the lag."""
         return self._backend.num_final
@@ -351,6 +357,8 @@ class OnlineSolver:
 
         Without a map, errors are those against the first pose, and covariances count as they are: the sizes of residuals, by
         which a map enlarges them, are known after the drive (`Solution.integrity_risk`). `graph.tracker` has the equations.
+        It is as right as the map's covariances: see `notes`, which `replay` does not have. A map of another drive needs its
+        joint covariance; as "own" or "fixed" (`LandmarkMap.used_as`) too little is said.
 
         Args:
             metres: the bound on the position.

@@ -72,6 +72,8 @@ DETERMINED = 1e-6
 FEWEST_POSITIONS, CHECKED = 10, 0.1
 #: above this factor, positions are in another frame rather than noisier than they say
 OTHER_FRAME = 100.0
+#: what a solution does with a map that is doubtful, where it is not solved again
+TAKEN_FOR_RIGHT = "Poses and their covariances take the map for right"
 #: covariances of positions are doubtful whose roots are wrong by more than this factor
 MISJUDGED = 2.0
 #: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
@@ -92,17 +94,18 @@ LITTLE = 1e-12
 UNUSUAL = 1e3
 
 
-def doubt_of_map(graph: Graph, state: Array) -> str:
+def doubt_of_map(graph: Graph, state: Array) -> tuple[str, float]:
     """A sentence where the log contradicts the size of the map, its landmarks, or some of them; empty otherwise.
 
-    Where landmarks are off by more than the models allow, the standard error of the scale counts as so much larger.
+    With it the median by which landmarks are off [m], where that is most of them, and 0 otherwise. Where landmarks are
+    off by more than the models allow, the standard error of the scale counts as so much larger.
     """
     if graph.map is None or graph.log is None or graph.parameters is not None:
-        return ""
+        return "", 0.0
     nodes = graph.mapped
     nodes = np.sort(nodes[np.isin(graph.landmark_ids[nodes - len(graph.steps)], graph.log.landmarks)])
     if len(nodes) < FEWEST:
-        return ""
+        return "", 0.0
     tested = nodes[np.unique(np.linspace(0, len(nodes) - 1, MOST).round().astype(int))]
     directions = np.zeros((*state.shape, 1 + 2 * len(tested)))
     directions[nodes, :2, 0] = state[nodes, :2] - state[nodes, :2].mean(axis=0)
@@ -111,7 +114,7 @@ def doubt_of_map(graph: Graph, state: Array) -> str:
     try:
         g, S, alone = _scores(_unbiased(graph, state), state, directions)
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
-        return ""
+        return "", 0.0
     ratio, size = _misfit(g[1:], S[1:, 1:], alone[1:, 1:])
     scale, error = 1 + g[0] / S[0, 0], max(1.0, ratio) / np.sqrt(S[0, 0])
     found = []
@@ -126,12 +129,13 @@ def doubt_of_map(graph: Graph, state: Array) -> str:
             "either the map or the ranges have a wrong scale"
         )
     if not found:
-        return _moved(graph, tested, g[1:], S[1:, 1:], alone[1:, 1:], ratio)
-    return (
-        f"the log contradicts the map: {', and '.join(found)}. Poses and their covariances take the map for right; check its "
-        "unit and its source, whether landmarks have moved (map_states), and whether the robot has biases or more noise than "
-        "its models (estimate=, noise='auto')"
+        return _moved(graph, tested, g[1:], S[1:, 1:], alone[1:, 1:], ratio), 0.0
+    text = (
+        f"the log contradicts the map: {', and '.join(found)}. {TAKEN_FOR_RIGHT}; check its unit and its source, whether "
+        "landmarks have moved (map_states), and whether the robot has biases or more noise than its models (estimate=, "
+        "noise='auto')"
     )
+    return text, size if ratio**2 > LARGE else 0.0
 
 
 def _misfit(g: Array, S: Array, alone: Array) -> tuple[float, float]:

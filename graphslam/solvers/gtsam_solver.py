@@ -229,9 +229,9 @@ def solve_with_gtsam(
     check_count(max_iterations=max_iterations)
     check_choice("range_noise", range_noise, RANGE_NOISES)
     solved = partial(_solved, max_iterations=max_iterations, factors=factors)
-    if takes_estimated_ranges(graph, range_noise):
-        return doubted(at_estimated_ranges(graph, initialize, tolerance, solved, required=range_noise == "estimated"))
-    return doubted(solved(graph, initialize, tolerance))
+    again, required = takes_estimated_ranges(graph, range_noise), range_noise == "estimated"
+    run = partial(at_estimated_ranges, solved=solved, required=required) if again else solved
+    return doubted(run(graph, initialize, tolerance), lambda wider: run(wider, "given", tolerance))
 
 
 def _solved(graph: Graph, initialize: str, tolerance: float, *, factors: str, max_iterations: int = 100) -> Solution:

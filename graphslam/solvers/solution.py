@@ -8,6 +8,7 @@ has the same solution as one of both logs together, as far as they are linear.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from numbers import Integral
@@ -29,9 +30,10 @@ from ..log import Log
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
-from .contradictions import doubt_of_map, doubt_of_odometry, doubt_of_positions
+from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_odometry, doubt_of_positions
 from .corrected import motion_edges
 from .iteration import Run
+from .map_errors import in_wider_map, said_of_wider
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -261,7 +263,9 @@ class Solution:
         """The probability (T+1,) that a pose is off by more than the bounds; NaN where it is not estimated.
 
         In a map it counts that the robot may have been elsewhere; without one, errors are those against the first pose.
-        Covariances grow where residuals are larger than the noise models say. `graph.tracker` has the equations.
+        Covariances grow where residuals are larger than the noise models say. `graph.tracker` has the equations. It is as
+        right as the map's covariances, which `solve` widens where most landmarks contradict them (``notes``). A map of
+        another drive needs its joint covariance; as "own" or "fixed" (`LandmarkMap.used_as`) too little is said.
 
         Args:
             metres: the bound on the position.
@@ -391,12 +395,23 @@ def make_solution(
     return solution
 
 
-def doubted(solution: Solution) -> Solution:
-    """A solution with notes on what contradicts it: its map, its positions, its odometry, and edges among each other."""
+def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None) -> Solution:
+    """A solution with notes on what contradicts it: its map, its positions, its odometry, and edges among each other.
+
+    Where most landmarks of its map contradict it, it is solved ``again`` with the errors that the log shows in them.
+    """
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
         return solution
-    for doubt_of in (doubt_of_map, doubt_of_positions, doubt_of_odometry):
+    found, size = doubt_of_map(graph, solution.state)
+    if found:
+        wider = in_wider_map(solution, size, again) if size and again is not None else None
+        if wider is not None:
+            solution, deviation = wider
+            found = found.replace(TAKEN_FOR_RIGHT, said_of_wider(deviation))
+            graph = solution.graph or graph
+        notes.append(found)
+    for doubt_of in (doubt_of_positions, doubt_of_odometry):
         if doubt := doubt_of(graph, solution.state):
             notes.append(doubt)
     # families with edges that do not say how many numbers they measure leave the expected cost open

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from inspect import signature
 from itertools import count
 from numbers import Real
@@ -109,9 +110,9 @@ def solve(
 
     # the sightings that gnc trusts may change from pass to pass
     again = takes_estimated_ranges(graph, range_noise) and (method != GNC or range_noise == "estimated")
-    if again:
-        return doubted(at_estimated_ranges(graph, initialize, tolerance, solved, required=range_noise == "estimated"))
-    return doubted(solved(graph, initialize, tolerance))
+    required = range_noise == "estimated"
+    run = partial(at_estimated_ranges, solved=solved, required=required) if again else solved
+    return doubted(run(graph, initialize, tolerance), lambda wider: run(wider, "given", tolerance))
 
 
 def check_options(

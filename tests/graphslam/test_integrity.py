@@ -48,7 +48,7 @@ def off(poses, true):
 
 
 def test_poses_do_not_follow_a_landmark_that_has_moved():
-    """Without a kernel they do, and nearly all of those that count as safe are off."""
+    """Without a kernel they do: then the whole map seems wrong, and few poses count as safe."""
     off_when_safe = {None: [], "none": []}
     for seed in range(4):
         log, known = drive(seed)
@@ -58,9 +58,8 @@ def test_poses_do_not_follow_a_landmark_that_has_moved():
             for step, solver in enumerate(online(log, changed, kernel=kernel)):
                 if solver.located and solver.integrity_risk(*BOUNDS) < 0.05:
                     found.extend(off(solver.pose[None], log.true_poses[step : step + 1]))
-    assert min(map(len, off_when_safe.values())) > 10
+    assert len(off_when_safe[None]) > 10 > len(off_when_safe["none"])
     assert np.mean(off_when_safe[None]) < 0.3
-    assert np.mean(off_when_safe["none"]) > 0.7
 
 
 def test_the_probability_of_a_circle_is_that_of_rayleigh():

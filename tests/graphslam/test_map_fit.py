@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from graphslam import Graph, LandmarkMap, MotionModel, SensorModel, simulate, solve, solve_with_gtsam
+from graphslam import Graph, LandmarkMap, MotionModel, OnlineSolver, SensorModel, simulate, solve, solve_with_gtsam
+from graphslam.se2 import difference
 
 ROBOT = {
     "motion": MotionModel(nn=0.02, no=1e-4, on=0.02, oo=0.02),
@@ -46,6 +47,76 @@ def test_errors_of_a_map_are_said_unless_its_covariances_say_them():
     # the median of the length of two normal numbers is 0.118 for 0.1; a landmark is placed against others that are wrong, too
     assert 0.05 < size < 0.25
     assert not doubts(log, LandmarkMap(wrong, {j: 0.01 * np.eye(2) for j in wrong}))
+
+
+@pytest.mark.parametrize("said", [None, 0.03])
+def test_a_solution_counts_the_errors_that_the_log_shows_in_its_map(said):
+    squares, risks, off = [], [], []
+    for seed in range(4):
+        log, known = drive(30 + seed)
+        rng = np.random.default_rng(seed)
+        wrong = {j: place + 0.15 * rng.normal(size=2) for j, place in known.items()}
+        given = wrong if said is None else LandmarkMap(wrong, {j: said**2 * np.eye(2) for j in wrong})
+        solution = solve(Graph.from_log(log, map=given, dimensions=2))
+        (note,) = (note for note in solution.notes if note.startswith(DOUBT))
+        deviation = float(re.search(r"as off by ([\d.]+) m more", note)[1])
+        assert 0.1 < deviation < 0.23
+        assert solution.graph.map.covariances[0] == pytest.approx(
+            (deviation**2 + (said or 0) ** 2) * np.eye(2), rel=0.1
+        )
+        squares.append(solution.nees(log.true_poses).mean())
+        risks.append(solution.integrity_risk(0.1).mean())
+        off.append(np.mean(np.hypot(*(solution.poses - log.true_poses)[:, :2].T) > 0.1))
+    # with the exact map as it is they are 36, 0.06 and 0.43
+    assert np.mean(squares) < 2
+    assert np.mean(off) - 0.1 < np.mean(risks) < np.mean(off) + 0.2
+
+
+def driven(log, known, **options):
+    """The solver at the end of a drive, and e' P^-1 e / 3 of its second half."""
+    robot, squares = OnlineSolver(map=known, **(ROBOT | options)), []
+    for step in range(log.num_poses):
+        if step:
+            robot.move(log.controls[step - 1], log.dt[step - 1])
+        now = log.steps == step
+        robot.observe(log.landmarks[now], log.sightings[now])
+        if robot.located and step > log.num_poses / 2:
+            e = difference(robot.pose[None], log.true_poses[step][None])[0]
+            squares.append(e @ np.linalg.solve(robot.covariance(), e) / 3)
+    return robot, np.mean(squares)
+
+
+@pytest.mark.parametrize("size", [0.1, 0.3])
+def test_a_robot_that_drives_counts_the_errors_of_its_map(size):
+    log, known = drive(41)
+    rng = np.random.default_rng(0)
+    robot, square = driven(log, {j: place + size * rng.normal(size=2) for j, place in known.items()})
+    (note,) = robot.notes
+    deviation = float(re.search(r"as off by ([\d.]+) m more", note)[1])
+    # with the map as it is, e' P^-1 e / 3 is 30 and more
+    assert 0.6 * size < deviation < 1.5 * size and square < 4
+
+
+@pytest.mark.parametrize("misread", [0.0, 0.1])
+def test_a_robot_that_drives_takes_a_right_map_for_right(misread):
+    for seed in range(42, 45):
+        log, known = drive(seed)
+        rng = np.random.default_rng(seed)
+        ids = np.where(rng.random(len(log.landmarks)) < misread, rng.permutation(log.landmarks), log.landmarks)
+        robot, _ = driven(log.replace(landmarks=ids), known)
+        assert robot.located and not robot.notes
+
+
+def test_a_map_is_widened_with_its_correlations_and_headings():
+    places = {1: (0.0, 1.0), 2: (2.0, 0.0, 0.5), 4: (3.0, 3.0)}
+    C = np.array([[2.0, 0.5, 1.0, 0.0], [0.5, 2.0, 0.0, 1.0], [1.0, 0.0, 3.0, 0.0], [0.0, 1.0, 0.0, 3.0]])
+    wider = LandmarkMap(places, joint=C, joint_ids=(1, 4)).widened(2.0)
+    assert list(wider.covariances) == [1, 2, 4]
+    both = wider.joint_covariance([4, 1])
+    assert both == pytest.approx(np.block([[C[2:, 2:], C[2:, :2]], [C[:2, 2:], C[:2, :2]]]) + 4 * np.eye(4))
+    assert np.diag(wider.covariances[2]) == pytest.approx([4, 4, 1e-10])
+    own = LandmarkMap(places, {1: np.eye(2)}).widened(2.0)
+    assert np.diag(own.joint_covariance([1, 2])) == pytest.approx([5, 5, 4, 4])
 
 
 def test_a_map_with_joint_covariances_is_doubted_where_its_size_is_wrong():

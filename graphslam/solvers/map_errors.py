@@ -1,0 +1,107 @@
+"""How far the places of a map are off, from a log that contradicts them; and the solution in the map that says so.
+
+Let each coordinate of a landmark have an error with the variance s² beside its covariance in the map, C for all landmarks.
+A solution with the prior Q = C + s0² I puts the landmarks x from the map, with the joint covariance P. What the log alone
+says of them has the information S = P^-1 - Q^-1 and the vector h = P^-1 x, so that
+
+    -2 log p(log | s) = log det(I + S Q_s) - h' Q_s (I + S Q_s)^-1 h + constant,    Q_s = C + s² I.
+
+Its minimum is the s of the next solution. The first one is what the displacements of the doubt have as their median.
+
+Source: MacKay, *Bayesian interpolation*, Neural Computation 1992 (the evidence of a prior's variance).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..edges import LandmarkPriors, PriorEdges
+from ..errors import GraphError
+from ..graph import Graph
+from ..graph.build import priors_of_map
+from ..graph.landmark_map import LandmarkMap
+from ..graph.registration import evenly
+from ..se2 import Array
+from .uncertainty import Uncertainty
+
+if TYPE_CHECKING:
+    from .solution import Solution
+
+#: the median of the length of two standard normal numbers
+MEDIAN_LENGTH = 1.1774
+#: the most landmarks that the deviation is found from, the most solutions, and the change of it that is small
+MOST, ROUNDS, SETTLED = 60, 5, 0.1
+#: the deviation is looked for within this factor of the last one
+WITHIN = 100.0
+
+
+def in_wider_map(solution: Solution, size: float, again: Callable[[Graph], Solution]) -> tuple[Solution, float] | None:
+    """The solution with the errors of the map that the log shows, and their deviation [m]; None where there is none.
+
+    Args:
+        solution: in the map as it is, of a log.
+        size: the median by which its landmarks are off.
+        again: solves a graph from its initial values.
+    """
+    graph, seconds, deviation = solution.graph, solution.seconds, size / MEDIAN_LENGTH
+    assert graph is not None and graph.map is not None and graph.log is not None
+    nodes = np.sort(graph.mapped)
+    nodes = nodes[np.isin(graph.landmark_ids[nodes - len(graph.steps)], graph.log.landmarks)]
+    nodes = nodes[evenly(len(nodes), MOST)]
+    ids = graph.landmark_ids[nodes - len(graph.steps)].tolist()
+    of_map, rows = graph.map.joint_covariance(ids), np.tile([True, True, False], len(nodes))
+    for _ in range(ROUNDS):
+        try:
+            last, solution = deviation, again(_in_map(graph, graph.map.widened(deviation), solution.state))
+            seconds += solution.seconds
+            if not solution.converged or solution.graph is None:
+                return None
+            P = Uncertainty(solution.graph, solution.state).joint(nodes)[np.ix_(rows, rows)]
+            off = solution.state[nodes, :2] - graph.map.arrays(ids)[0][:, :2]
+            deviation = likeliest_deviation(off.ravel(), P, of_map, last)
+        except (GraphError, np.linalg.LinAlgError):
+            return None
+        if abs(np.log(deviation / last)) < SETTLED:
+            break
+    return replace(solution, seconds=seconds), last
+
+
+def said_of_wider(deviation: float) -> str:
+    """What a note says of a solution, or of an online solver, in a map that is off by a deviation [m]."""
+    return (
+        f"Poses, covariances and risks count each of its places as off by {deviation:.2g} m more than the map says "
+        "(standard deviation of x and y), as the log shows"
+    )
+
+
+def _in_map(graph: Graph, known: LandmarkMap, state: Array) -> Graph:
+    """The graph with other covariances of its map, beginning at a state (n, 3)."""
+    d, mapped = graph.landmark_dimension, np.sort(graph.mapped)
+    places = {j: known[j] for j in graph.landmark_ids[mapped - len(graph.steps)].tolist()}
+    values = state.copy()
+    for node, place in zip(mapped.tolist(), places.values()):
+        values[node, : len(place[:d])] = place[:d]
+    priors, fixed = priors_of_map(known, places, graph.landmark_ids, values, d)
+    others = (family for family in graph.families if not isinstance(family, (LandmarkPriors, PriorEdges)))
+    return replace(graph, families=(*priors, *others), fixed=fixed, map=known, initial=state.copy())
+
+
+def likeliest_deviation(off: Array, covariance: Array, of_map: Array, last: float) -> float:
+    """s [m] from displacements x (k,), their covariance P, that of the map C, and the deviation s0 of this solution."""
+    from scipy.optimize import minimize_scalar
+
+    each = np.eye(len(off))
+    inverse = np.linalg.inv(covariance)
+    S, h = inverse - np.linalg.inv(of_map + last**2 * each), inverse @ off
+
+    def unlikely(logarithm: float) -> float:
+        Q = of_map + np.exp(2 * logarithm) * each
+        mixed = each + S @ Q
+        return float(np.linalg.slogdet(mixed)[1] - h @ Q @ np.linalg.solve(mixed, h))
+
+    bounds = np.log(last) + np.log(WITHIN) * np.array([-1, 1])
+    return float(np.exp(minimize_scalar(unlikely, bounds=bounds, method="bounded", options={"xatol": 0.01}).x))
