@@ -194,8 +194,8 @@ class Graph:
         once = options.landmark_nodes or (options.with_motion and weight == "marginal")
         if parameters is None and once and residual == EdgeOptions.residual:
             # edges of single numbers have no derivatives by biases of the sensor
-            told = {k: v for k, v in (log.uncertain or {}).items() if len(log.steps) or k not in OF_SIGHTINGS}
-            held = declared(told, log, motion, sensor, options)
+            stated = {k: v for k, v in (log.uncertain or {}).items() if len(log.steps) or k not in OF_SIGHTINGS}
+            held = declared(stated, log, motion, sensor, options)
         known = parameters or held
         missing = [name for name in log.uncertain or () if known is None or name not in known.names]
         notes += notes_on_options(log, sensor, options, missing)

@@ -137,7 +137,7 @@ MIN_INFORMATION = 0.7
 #: far from its ideal value [standard deviations of its prior], for which these are likely causes
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
 #: fewer numbers that show the noise of the motion are a doubt (docs/decisions.md)
-HARDLY_TOLD = 12.0
+HARDLY_SHOWN = 12.0
 CAUSES = {
     "wheel_scale": "are odometry and ranges in metres? A log tells only the quotient of their scales.",
     "turn_scale": "is the odometry in radians per second? Noise in recorded turns makes the scale too large.",
@@ -177,7 +177,7 @@ class RobotEstimate:
         left_out: how well this estimate, dead reckoning and the noise of the book (or noise that was given) predict
             sightings that are left out.
         basis: whose noise the result has: that of the estimate, or of one of the other two where this is clearly better.
-        told: how many independent numbers show the noise of the motion, if that is typical.
+        on_motion: how many independent numbers show the noise of the motion, if that is typical.
         untested: the biases that were not estimated, because measurements of this kind do not tell them.
     """
 
@@ -192,7 +192,7 @@ class RobotEstimate:
     nearly_exact: bool
     left_out: LeftOut
     basis: str = ESTIMATE
-    told: float = np.inf
+    on_motion: float = np.inf
     untested: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -248,7 +248,7 @@ class RobotEstimate:
                 "is too poor to show is missing in the standard deviations of the poses; noise that is known goes into "
                 "--noise FILE"
             )
-        if self.told < HARDLY_TOLD:
+        if self.on_motion < HARDLY_SHOWN:
             lines.append(
                 "the drive is too short, or the sensor too poor, to tell the noise of the odometry: the standard deviations "
                 "of the poses may be half as large as they should be; noise that is known goes into --noise FILE"

@@ -74,7 +74,7 @@ COMMON = 2.0
 #: seconds for one sighting of each landmark in the second test
 NEEDED, MORE = 8.0, 1.0
 #: where fewer numbers would show typical noise of the motion, a log cannot say that its odometry is better; see decisions.md
-TOLD = 40.0
+SHOWN = 40.0
 #: dead reckoning has this part of the standard deviations of typical noise; sums of log densities that differ by less than
 #: this are alike
 HARDLY_ANY, CLEARLY = 1 / 100, 2.0
@@ -169,8 +169,8 @@ def _estimate(
     begun = second if part is sparse else Unknowns(part, part.landmarks, sensor, second)
     dead_reckoning = fit(_with_dead_reckoning(begun), ROUNDS[1])[0]
     compared = _compared(part, second, dead_reckoning, *other, rng)
-    told = numbers_on_motion(second)
-    nearly_exact = _is_exact(named, sparse, used, second, exact, told, rng)
+    on_motion = numbers_on_motion(second)
+    nearly_exact = _is_exact(named, sparse, used, second, exact, on_motion, rng)
     if nearly_exact:
         second, held = exact, held_with_exact
         compared = _compared(part, second, dead_reckoning, *other, rng)
@@ -204,7 +204,7 @@ def _estimate(
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared,
-        basis=basis, told=told,
+        basis=basis, on_motion=on_motion,
     )  # fmt: skip
 
 
@@ -388,7 +388,13 @@ def _correlations(log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, rng
 
 
 def _is_exact(
-    log: Log, sparse: Log, used: np.ndarray, fitted: Unknowns, exact: Unknowns, told: float, rng: np.random.Generator
+    log: Log,
+    sparse: Log,
+    used: np.ndarray,
+    fitted: Unknowns,
+    exact: Unknowns,
+    on_motion: float,
+    rng: np.random.Generator,
 ) -> bool:
     """Whether the log does not show that the odometry is noisy.
 
@@ -399,10 +405,10 @@ def _is_exact(
     more. A log with fewer than `ENOUGH` such sightings shows too little, and so does a short drive or a poor sensor.
 
     Args:
-        told: the `numbers_on_motion` of ``fitted``.
+        on_motion: the `numbers_on_motion` of ``fitted``.
     """
     few = len(fitted.log.steps)
-    if few < ENOUGH or told < TOLD:
+    if few < ENOUGH or on_motion < SHOWN:
         return False
     rho = _correlations(log, sparse, used, exact, rng)
     if gain_over(fitted, exact) >= NEEDED * inflation(sparse, rho):

@@ -130,7 +130,7 @@ class Localizer:
                 P, d = self._backend.covariance([], ids), self._backend.columns or 2
                 rows = np.flatnonzero(np.arange(len(P)) % d < 2)
                 of_map = self._declared.joint_covariance(ids)
-                deviation = likeliest_deviation(off.ravel(), P[np.ix_(rows, rows)], of_map, last)
+                deviation, _ = likeliest_deviation(off.ravel(), P[np.ix_(rows, rows)], of_map, last)
             except (GraphError, np.linalg.LinAlgError):
                 return
             if abs(np.log(deviation / last)) < CHANGED:

@@ -1,4 +1,4 @@
-"""How far the places of a map are off, from a log that contradicts them; and the solution in the map that says so.
+"""The errors of the places of a map, from a log that contradicts them; and the solution in the map with these errors.
 
 Let each coordinate of a landmark have an error with the variance s² beside its covariance in the map, C for all landmarks.
 A solution with the prior Q = C + s0² I puts the landmarks x from the map, with the joint covariance P. What the log alone
@@ -6,7 +6,8 @@ says of them has the information S = P^-1 - Q^-1 and the vector h = P^-1 x, so t
 
     -2 log p(log | s) = log det(I + S Q_s) - h' Q_s (I + S Q_s)^-1 h + constant,    Q_s = C + s² I.
 
-Its minimum is the s of the next solution. The first one is what the displacements of the doubt have as their median.
+Its minimum is the s of the next solution. The first one is what the displacements of the doubt have as their median. The map
+stays as it is where the log is not much more probable with s than without.
 
 Source: MacKay, *Bayesian interpolation*, Neural Computation 1992 (the evidence of a prior's variance).
 """
@@ -24,6 +25,7 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..graph.build import priors_of_map
 from ..graph.landmark_map import LandmarkMap
+from ..graph.localization import SURE
 from ..graph.registration import evenly
 from ..se2 import Array
 from .uncertainty import Uncertainty
@@ -62,12 +64,12 @@ def in_wider_map(solution: Solution, size: float, again: Callable[[Graph], Solut
                 return None
             P = Uncertainty(solution.graph, solution.state).joint(nodes)[np.ix_(rows, rows)]
             off = solution.state[nodes, :2] - graph.map.arrays(ids)[0][:, :2]
-            deviation = likeliest_deviation(off.ravel(), P, of_map, last)
+            deviation, gain = likeliest_deviation(off.ravel(), P, of_map, last)
         except (GraphError, np.linalg.LinAlgError):
             return None
         if abs(np.log(deviation / last)) < SETTLED:
             break
-    return replace(solution, seconds=seconds), last
+    return (replace(solution, seconds=seconds), last) if gain > np.log(SURE) else None
 
 
 def said_of_wider(deviation: float) -> str:
@@ -90,8 +92,9 @@ def _in_map(graph: Graph, known: LandmarkMap, state: Array) -> Graph:
     return replace(graph, families=(*priors, *others), fixed=fixed, map=known, initial=state.copy())
 
 
-def likeliest_deviation(off: Array, covariance: Array, of_map: Array, last: float) -> float:
-    """s [m] from displacements x (k,), their covariance P, that of the map C, and the deviation s0 of this solution."""
+def likeliest_deviation(off: Array, covariance: Array, of_map: Array, last: float) -> tuple[float, float]:
+    """s [m] from displacements x (k,), their covariance P, that of the map C, and the deviation s0 of this solution; and how
+    much the logarithm of the probability of the log is above that without s."""
     from scipy.optimize import minimize_scalar
 
     each = np.eye(len(off))
@@ -99,9 +102,10 @@ def likeliest_deviation(off: Array, covariance: Array, of_map: Array, last: floa
     S, h = inverse - np.linalg.inv(of_map + last**2 * each), inverse @ off
 
     def unlikely(logarithm: float) -> float:
-        Q = of_map + np.exp(2 * logarithm) * each
+        Q = of_map + np.exp(2 * logarithm) * each if logarithm > -np.inf else of_map
         mixed = each + S @ Q
         return float(np.linalg.slogdet(mixed)[1] - h @ Q @ np.linalg.solve(mixed, h))
 
     bounds = np.log(last) + np.log(WITHIN) * np.array([-1, 1])
-    return float(np.exp(minimize_scalar(unlikely, bounds=bounds, method="bounded", options={"xatol": 0.01}).x))
+    found = minimize_scalar(unlikely, bounds=bounds, method="bounded", options={"xatol": 0.01})
+    return float(np.exp(found.x)), (unlikely(-np.inf) - float(found.fun)) / 2

@@ -187,7 +187,7 @@ def test_parameters_of_isam2(book_log):
 
 
 def test_an_ordinary_drive_needs_no_option():
-    log, _ = Drive(seed=6, duration=20).simulate()
+    log, _ = Drive(seed=22, duration=40).simulate()
     with pytest.raises(GraphError, match="Indeterminate"):
         solve_online(log, backend="isam2", factorization="cholesky")
     assert solve_online(log, backend="isam2").cost == pytest.approx(solve(Graph.from_log(log)).cost, rel=1e-2)
