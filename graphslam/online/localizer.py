@@ -19,7 +19,7 @@ from ..graph.tracking import DOUBT, elsewhere, sure_fix
 from ..log import UNIDENTIFIED
 from ..models import SensorModel
 from ..se2 import Array, between
-from ..solvers.map_errors import MEDIAN_LENGTH, MOST, ROUNDS, likeliest_deviation, said_of_wider
+from ..solvers.map_errors import MEDIAN_LENGTH, MOST, ROUNDS, likeliest_deviation, of_log, said_of_wider
 from .backend import FREE_START, Backend, Relation
 
 #: how much more must have been seen until another fix is tried, or the map checked again
@@ -130,7 +130,8 @@ class Localizer:
                 P, d = self._backend.covariance([], ids), self._backend.columns or 2
                 rows = np.flatnonzero(np.arange(len(P)) % d < 2)
                 of_map = self._declared.joint_covariance(ids)
-                deviation, _ = likeliest_deviation(off.ravel(), P[np.ix_(rows, rows)], of_map, last)
+                S, h = of_log(off.ravel(), P[np.ix_(rows, rows)], of_map, last)
+                deviation, _ = likeliest_deviation(S, h, of_map, last)
             except (GraphError, np.linalg.LinAlgError):
                 return
             if abs(np.log(deviation / last)) < CHANGED:

@@ -48,11 +48,13 @@ from ..edges import EdgeFamily, LandmarkPriors, ObservationEdges, PolarObservati
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
+from ..graph.localization import SURE
 from ..linear.cholesky import Bordered, FactorizationError
 from ..se2 import Array, between, turn_matrix, wrap
 from .corrected import motion_edges
 from .iteration import end_of, levenberg_marquardt
 from .joint import JointFactor, JointGraph, times
+from .map_errors import likeliest_deviation
 from .uncertainty import Uncertainty
 
 #: the most landmarks that are tested, and the fewest that say something of the map
@@ -60,6 +62,8 @@ MOST, FEWEST = 40, 3
 #: doubtful is a median of q above so many times 2 log 2, and a scale so many standard errors from 1, at most 2.1 and 4.6 of
 #: which were found on 90 drives in the right map; or a lever of so many standard errors
 LARGE, SIGNIFICANT = 6.0, 6.0
+#: above this root of it the errors of the places that are likeliest are looked for
+SUSPECT = 1.3
 #: a landmark has moved from this q on. On 24 drives with the kernel cauchy, in maps with joint and with own covariances, at
 #: most 7 was found where none had moved, and 40 for one that had not among some that had
 MOVED = 60.0
@@ -94,18 +98,23 @@ LITTLE = 1e-12
 UNUSUAL = 1e3
 
 
-def doubt_of_map(graph: Graph, state: Array) -> tuple[str, float]:
+def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple[str, float, bool]:
     """A sentence where the log contradicts the size of the map, its landmarks, or some of them; empty otherwise.
 
-    With it the median by which landmarks are off [m], where that is most of them, and 0 otherwise. Where landmarks are
-    off by more than the models allow, the standard error of the scale counts as so much larger.
+    With it the standard deviation by which the places are off [m], where that is most of them, and 0 otherwise; and whether
+    this is sure already without a solution in the map that says so. Where landmarks are off by more than the models allow,
+    the standard error of the scale counts as so much larger.
+
+    Args:
+        suspected: whether places that only such a solution can tell from noise are said, too.
     """
+    nothing = "", 0.0, True
     if graph.map is None or graph.log is None or graph.parameters is not None:
-        return "", 0.0
+        return nothing
     nodes = graph.mapped
     nodes = np.sort(nodes[np.isin(graph.landmark_ids[nodes - len(graph.steps)], graph.log.landmarks)])
     if len(nodes) < FEWEST:
-        return "", 0.0
+        return nothing
     tested = nodes[np.unique(np.linspace(0, len(nodes) - 1, MOST).round().astype(int))]
     directions = np.zeros((*state.shape, 1 + 2 * len(tested)))
     directions[nodes, :2, 0] = state[nodes, :2] - state[nodes, :2].mean(axis=0)
@@ -113,12 +122,15 @@ def doubt_of_map(graph: Graph, state: Array) -> tuple[str, float]:
         directions[tested, axis, 1 + axis + 2 * np.arange(len(tested))] = 1.0
     try:
         g, S, alone = _scores(_unbiased(graph, state), state, directions)
+        ratio, size = _misfit(g[1:], S[1:, 1:], alone[1:, 1:])
+        deviation, gain = likeliest_deviation(S[1:, 1:], g[1:])
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
-        return "", 0.0
-    ratio, size = _misfit(g[1:], S[1:, 1:], alone[1:, 1:])
+        return nothing
+    sure = ratio**2 > LARGE
+    off = sure or (suspected and ratio > SUSPECT and gain > np.log(SURE))
     scale, error = 1 + g[0] / S[0, 0], max(1.0, ratio) / np.sqrt(S[0, 0])
     found = []
-    if ratio**2 > LARGE:
+    if off:
         found.append(
             f"its landmarks seem to be off by {size:.2g} m in the median, {ratio:.1f} times what its covariances and the "
             "noise models allow"
@@ -129,13 +141,13 @@ def doubt_of_map(graph: Graph, state: Array) -> tuple[str, float]:
             "either the map or the ranges have a wrong scale"
         )
     if not found:
-        return _moved(graph, tested, g[1:], S[1:, 1:], alone[1:, 1:], ratio), 0.0
+        return _moved(graph, tested, g[1:], S[1:, 1:], alone[1:, 1:], ratio), 0.0, True
     text = (
         f"the log contradicts the map: {', and '.join(found)}. {TAKEN_FOR_RIGHT}; check its unit and its source, whether "
         "landmarks have moved (map_states), and whether the robot has biases or more noise than its models (estimate=, "
         "noise='auto')"
     )
-    return text, size if ratio**2 > LARGE else 0.0
+    return text, deviation if off else 0.0, sure or not off
 
 
 def _misfit(g: Array, S: Array, alone: Array) -> tuple[float, float]:

@@ -6,8 +6,9 @@ says of them has the information S = P^-1 - Q^-1 and the vector h = P^-1 x, so t
 
     -2 log p(log | s) = log det(I + S Q_s) - h' Q_s (I + S Q_s)^-1 h + constant,    Q_s = C + s² I.
 
-Its minimum is the s of the next solution. The first one is what the displacements of the doubt have as their median. The map
-stays as it is where the log is not much more probable with s than without.
+Its minimum is the s of the next solution. The first one follows from the scores of the solution in the map as it is
+(`contradictions`). The map stays as it is where the log is not much more probable with s than without, if the noise is
+as large as the residuals of the last solution show.
 
 Source: MacKay, *Bayesian interpolation*, Neural Computation 1992 (the evidence of a prior's variance).
 """
@@ -41,15 +42,17 @@ MOST, ROUNDS, SETTLED = 60, 5, 0.1
 WITHIN = 100.0
 
 
-def in_wider_map(solution: Solution, size: float, again: Callable[[Graph], Solution]) -> tuple[Solution, float] | None:
+def in_wider_map(
+    solution: Solution, deviation: float, again: Callable[[Graph], Solution]
+) -> tuple[Solution, float] | None:
     """The solution with the errors of the map that the log shows, and their deviation [m]; None where there is none.
 
     Args:
         solution: in the map as it is, of a log.
-        size: the median by which its landmarks are off.
+        deviation: the first that is tried.
         again: solves a graph from its initial values.
     """
-    graph, seconds, deviation = solution.graph, solution.seconds, size / MEDIAN_LENGTH
+    graph, seconds = solution.graph, solution.seconds
     assert graph is not None and graph.map is not None and graph.log is not None
     nodes = np.sort(graph.mapped)
     nodes = nodes[np.isin(graph.landmark_ids[nodes - len(graph.steps)], graph.log.landmarks)]
@@ -64,11 +67,15 @@ def in_wider_map(solution: Solution, size: float, again: Callable[[Graph], Solut
                 return None
             P = Uncertainty(solution.graph, solution.state).joint(nodes)[np.ix_(rows, rows)]
             off = solution.state[nodes, :2] - graph.map.arrays(ids)[0][:, :2]
-            deviation, gain = likeliest_deviation(off.ravel(), P, of_map, last)
+            S, h = of_log(off.ravel(), P, of_map, last)
+            deviation, _ = likeliest_deviation(S, h, of_map, last)
         except (GraphError, np.linalg.LinAlgError):
             return None
         if abs(np.log(deviation / last)) < SETTLED:
             break
+    # what residuals show of larger noise in the right map
+    larger = solution.residual_inflation
+    _, gain = likeliest_deviation(S / larger, h / larger, of_map, last)
     return (replace(solution, seconds=seconds), last) if gain > np.log(SURE) else None
 
 
@@ -92,20 +99,24 @@ def _in_map(graph: Graph, known: LandmarkMap, state: Array) -> Graph:
     return replace(graph, families=(*priors, *others), fixed=fixed, map=known, initial=state.copy())
 
 
-def likeliest_deviation(off: Array, covariance: Array, of_map: Array, last: float) -> tuple[float, float]:
-    """s [m] from displacements x (k,), their covariance P, that of the map C, and the deviation s0 of this solution; and how
-    much the logarithm of the probability of the log is above that without s."""
+def likeliest_deviation(S: Array, h: Array, of_map: Array | float = 0.0, last: float = 0.1) -> tuple[float, float]:
+    """s [m] from S (k, k) and h (k,), the covariance of the map C, and the deviation of the last solution; and by how much
+    the logarithm of the probability of the log is above that without s."""
     from scipy.optimize import minimize_scalar
 
-    each = np.eye(len(off))
-    inverse = np.linalg.inv(covariance)
-    S, h = inverse - np.linalg.inv(of_map + last**2 * each), inverse @ off
+    each = np.eye(len(h))
 
     def unlikely(logarithm: float) -> float:
-        Q = of_map + np.exp(2 * logarithm) * each if logarithm > -np.inf else of_map
+        Q = of_map + np.exp(2 * logarithm) * each
         mixed = each + S @ Q
         return float(np.linalg.slogdet(mixed)[1] - h @ Q @ np.linalg.solve(mixed, h))
 
     bounds = np.log(last) + np.log(WITHIN) * np.array([-1, 1])
     found = minimize_scalar(unlikely, bounds=bounds, method="bounded", options={"xatol": 0.01})
     return float(np.exp(found.x)), (unlikely(-np.inf) - float(found.fun)) / 2
+
+
+def of_log(off: Array, covariance: Array, of_map: Array, last: float) -> tuple[Array, Array]:
+    """S and h of displacements x (k,) with their covariance P, in a solution with C of the map and the deviation s0."""
+    inverse = np.linalg.inv(covariance)
+    return inverse - np.linalg.inv(of_map + last**2 * np.eye(len(off))), inverse @ off

@@ -259,6 +259,21 @@ class Solution:
         errors = difference(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])
         return self._uncertainty.joint_square(errors) / errors[1:].size
 
+    @property
+    def residual_inflation(self) -> float:
+        """By how much the variances of sightings are larger than the noise models say, at least 1; from their median.
+
+        Raises:
+            GraphError: the edges do not determine the poses.
+        """
+        sighted = next((f for f in self._solved_graph.families if isinstance(f, SightingEdges) and f.count), None)
+        if sighted is None or len((edges := sighted.linearize(self.state, self.state)).nodes) != 2:
+            return 1.0
+        # a residual follows the noise by the covariance of the estimate
+        rows, followed = edges.residuals.shape[1], self._uncertainty.of_edges(edges)
+        free = rows - np.einsum("eij,eji->e", edges.information, followed)
+        return inflation(edges.mahalanobis * rows / np.maximum(free, 0.1 * rows), rows)
+
     def integrity_risk(self, metres: float, radians: float = np.inf) -> Array:
         """The probability (T+1,) that a pose is off by more than the bounds; NaN where it is not estimated.
 
@@ -274,14 +289,8 @@ class Solution:
         Raises:
             OptionError: a bound is not positive. GraphError: the edges do not determine the poses.
         """
-        graph, covariances = self._solved_graph, self.covariance()
+        graph, covariances = self._solved_graph, self.covariance() * self.residual_inflation
         log, moved, sensor = graph.log, motion_edges(graph), graph.sensor
-        sighted = next((f for f in graph.families if isinstance(f, SightingEdges) and f.count), None)
-        if sighted is not None and len((edges := sighted.linearize(self.state, self.state)).nodes) == 2:
-            # a residual follows the noise by the covariance of the estimate
-            rows, followed = edges.residuals.shape[1], self._uncertainty.of_edges(edges)
-            free = rows - np.einsum("eij,eji->e", edges.information, followed)
-            covariances = covariances * inflation(edges.mahalanobis * rows / np.maximum(free, 0.1 * rows), rows)
         risk = np.full(len(self.poses), np.nan)
         risk[self.estimated] = beyond(covariances[self.estimated], metres, radians)
         if graph.map and log is not None and moved is not None and sensor is not None:
@@ -398,14 +407,18 @@ def make_solution(
 def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None) -> Solution:
     """A solution with notes on what contradicts it: its map, its positions, its odometry, and edges among each other.
 
-    Where most landmarks of its map contradict it, it is solved ``again`` with the errors that the log shows in them.
+    Where most landmarks of its map contradict it, it is solved ``again`` with the errors that the log shows in them;
+    not without a kernel, where wrong sightings and a biased robot look like a wrong map.
     """
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
         return solution
-    found, size = doubt_of_map(graph, solution.state)
+    again = again if graph.reweighted else None
+    found, deviation, sure = doubt_of_map(graph, solution.state, suspected=again is not None)
+    wider = in_wider_map(solution, deviation, again) if deviation and again is not None else None
+    if wider is None and not sure:
+        found, *_ = doubt_of_map(graph, solution.state, suspected=False)
     if found:
-        wider = in_wider_map(solution, size, again) if size and again is not None else None
         if wider is not None:
             solution, deviation = wider
             found = found.replace(TAKEN_FOR_RIGHT, said_of_wider(deviation))
