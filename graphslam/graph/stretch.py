@@ -212,7 +212,7 @@ def of_landmarks(landmarks: LandmarkMap, ids: np.ndarray) -> Array:
             S[number[j], : len(C), number[j], : len(C)] = C
         return S.transpose(0, 2, 1, 3)
     rows = [(number[j], c) for j, C in some.covariances.items() for c in range(len(C))]
-    n, c = np.array(rows).T
+    n, c = np.array(rows, dtype=np.int64).reshape(-1, 2).T
     S[n[:, None], c[:, None], n, c] = some.joint
     return S.transpose(0, 2, 1, 3)
 

@@ -22,7 +22,7 @@ from ..models import MotionModel
 from ..se2 import Array, interpolate, mounted
 from .log import Log
 from .measurements import AbsolutePositions, PartialSightings, PoseRelations
-from .rows import MOST_POSES, ReadOptions
+from .rows import MOST_POSES, NO_ID, UNIDENTIFIED, ReadOptions
 
 #: odometry is bridged where it is silent for longer [s], and for longer than this number of usual times between rows: its
 #: last control fades with this time constant [s]
@@ -301,6 +301,12 @@ def synchronize(
     if (alone := np.isnan(rows[:, :2]).any(axis=1)).any():
         have = "has" if np.sum(alone) == 1 else "have"
         remarks.append(f"{np.sum(alone)} of {len(alone)} sightings {have} a range or a bearing alone")
+        nameless = alone & np.isin(ids, (NO_ID, UNIDENTIFIED))
+        if nameless.any():
+            remarks.append(f"{np.sum(nameless)} of these {np.sum(alone)} have no id, which they need, and are left out")
+            kept, alone = ~nameless, (alone & ~nameless)[~nameless]
+            steps, ids, rows = steps[kept], ids[kept], rows[kept]
+            classes = None if classes is None else classes[kept]
         models["partial_sightings"] = PartialSightings(
             steps=steps[alone], landmarks=ids[alone], ranges=rows[alone, 0], bearings=rows[alone, 1]
         )

@@ -324,6 +324,10 @@ def _stated(table: Table, role: str, column: str | int) -> Chosen:
     return Chosen(table.names.index(column), plain(column)[1])
 
 
+#: times that were gone through twice have more than this many times the usual number of rows
+TWICE = 1.5
+
+
 def ordered(
     table: Table, ns: np.ndarray, rows: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray | slice, tuple[str, ...]]:
@@ -362,7 +366,18 @@ def ordered(
 def _set_back(ns: np.ndarray, jumps: np.ndarray) -> bool:
     """Whether times (N,) go back once or twice, at the rows ``jumps``, and then run again through times that there were.
 
-    Rows that came late fill a gap instead: sorted, they are one block, and not in turns with the rows before them.
+    Where a clock was set, these times have twice as many rows as others (rows of one time count once). Rows that came late,
+    all of them or those of one of several sensors, were missing there before. A block that fills a gap does not run in turns
+    with the rows before it.
     """
     part = np.searchsorted(jumps, np.argsort(ns, kind="stable"), side="right")
-    return 0 < len(jumps) <= 2 and int(np.count_nonzero(np.diff(part))) > 10
+    if not 0 < len(jumps) <= 2 or np.count_nonzero(np.diff(part)) <= 10:
+        return False
+    scans, reached = ns[np.diff(ns, prepend=ns[0] - 1) != 0], np.maximum.accumulate(ns)
+    for k in jumps.tolist():
+        lasting = reached[k] - ns[k]
+        again = np.count_nonzero((scans >= ns[k]) & (scans <= reached[k]))
+        usual = (len(scans) - again) / max(np.ptp(ns) - lasting, 1)
+        if again > TWICE * usual * lasting:
+            return True
+    return False

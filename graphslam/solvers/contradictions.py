@@ -144,8 +144,8 @@ def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple
         return _moved(graph, tested, g[1:], S[1:, 1:], alone[1:, 1:], ratio), 0.0, True
     text = (
         f"the log contradicts the map: {', and '.join(found)}. {TAKEN_FOR_RIGHT}; check its unit and its source, whether "
-        "landmarks have moved (map_states), and whether the robot has biases or more noise than its models (estimate=, "
-        "noise='auto')"
+        "landmarks have moved (map_states) or ids are misread, and whether the robot has biases or more noise than its "
+        "models (estimate=, noise='auto')"
     )
     return text, deviation if off else 0.0, sure or not off
 

@@ -145,6 +145,13 @@ def test_the_joint_map_of_a_graph_without_landmark_nodes_is_that_of_one_with_the
     assert all(np.trace(nodes.covariances[j]) > 1.5 * np.trace(given.covariances[j]) for j in nodes)
 
 
+def test_joint_covariances_may_be_those_of_landmarks_that_the_log_does_not_see():
+    known = {**LOG.true_landmarks, 900: (50.0, 50.0), 901: (52.0, 50.0)}
+    joint = LandmarkMap(known, joint=1e-4 * np.eye(4) + 1e-5, joint_ids=[900, 901])
+    poses = [solve(Graph.from_log(LOG, map=each)).poses for each in (joint, LandmarkMap(known))]
+    assert np.allclose(*poses, atol=1e-6)
+
+
 def test_the_next_map_keeps_what_the_log_did_not_see():
     known = maps_of(LOG)["of other landmarks, too"]
     after = solve(Graph.from_log(LOG, map=known)).map

@@ -72,6 +72,25 @@ def test_a_robot_that_drives_sideways_is_a_doubt(drive, expected):
     assert wheels.equals(expected) and not messages(wheels, "sideways")
 
 
+def test_ranges_alone_without_an_id_are_left_out(drive):
+    rows = [(*row[:2], row[2], "") if k % 2 else row for k, row in enumerate(SEEN)]
+    whole = load(drive(sightings=text("t,id,range,bearing", rows)))
+    rows = [(row[0], "", *row[2:]) if row[3] == "" and k == 1 else row for k, row in enumerate(rows)]
+    log = load(drive(sightings=text("t,id,range,bearing", rows)))
+    assert len(log.partial_sightings) == len(whole.partial_sightings) - 1
+    assert any("1 of these" in note and "have no id, which they need" in note for note in log.notes)
+
+
+def test_a_sensor_that_delivers_late_once_is_sorted(drive):
+    """Its rows were missing where they belong, whereas a clock that was set goes through times twice."""
+    times = np.round(np.arange(0.5, 19, 0.1), 3)
+    late = (times >= 8) & (times < 10)
+    seen = [(t, t, 1) for t in times] + [(10 + t / 1e3 if on else t, t + 0.03, 2) for t, on in zip(times, late)]
+    lines = [(f"{t:.3f}", landmark, 2.0, 0.1) for _, t, landmark in sorted(seen)]
+    log = load(drive(sightings=text("t,id,range,bearing", lines)))
+    assert any("the rows were sorted" in note for note in log.notes)
+
+
 def test_rows_that_come_twice_are_a_doubt(drive, expected, tmp_path):
     log = load(drive(odometry=text("t,nu,omega", [row for row in ODOMETRY for _ in range(2)])))
     assert log.equals(expected)
