@@ -80,6 +80,9 @@ OTHER_FRAME = 100.0
 TAKEN_FOR_RIGHT = "Poses and their covariances take the map for right"
 #: covariances of positions are doubtful whose roots are wrong by more than this factor
 MISJUDGED = 2.0
+#: errors are clipped to this many times their median; successive ones cancel each other where their correlation is below
+#: the second number and below zero by so many standard errors
+FAR, CANCEL, SURELY = 4.5, -0.25, 3.5
 #: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
 #: that is small
 ROUNDS, STEPS, SETTLED = 10, 20, 0.01
@@ -336,7 +339,8 @@ def _lever_step(graph: Graph, families: list[PositionEdges], state: Array) -> tu
 
 
 def doubt_of_odometry(graph: Graph, state: Array) -> str:
-    """A sentence on the stretch where the odometry contradicts the other measurements most clearly; empty where none does."""
+    """A sentence on the stretch where the odometry contradicts the other measurements most clearly, or on turns whose errors
+    cancel each other; empty where there is neither."""
     edges, log = motion_edges(graph), graph.log
     if edges is None or log is None or log.times is None or edges.count < FEWEST_MOTIONS:
         return ""
@@ -351,7 +355,14 @@ def doubt_of_odometry(graph: Graph, state: Array) -> str:
         (*_largest_stretch(errors[:, axis], variances[:, axis, axis]), unit) for axis, unit in ((0, "m"), (2, "rad"))
     )
     if z < SLIPPED:
-        return ""
+        correlation = _of_successive(edges.first, edges.second, errors[:, 2], variances[:, 2, 2])
+        if correlation is None:
+            return ""
+        return (
+            f"errors of successive turns cancel each other (correlation {correlation:.2f}): the sightings of each scan have "
+            "an error in common, as where the sensor shakes or times are inexact, or encoders count coarse ticks. Standard "
+            "deviations may be several times too small"
+        )
     begin, end = int(graph.steps[edges.first[first]]), int(graph.steps[edges.second[last]])
     times = log.times[[begin, end]] - log.times[0]
     return (
@@ -361,6 +372,24 @@ def doubt_of_odometry(graph: Graph, state: Array) -> str:
         "and landmarks, too, and covariances do not contain it. Controls that are wrong need more noise "
         "(Log.control_variances)"
     )
+
+
+def _of_successive(first: np.ndarray, second: np.ndarray, errors: Array, variances: Array) -> float | None:
+    """The correlation of errors (E,) of successive motions where it is surely negative.
+
+    An error of one pose makes one motion too large and the next one too small by as much, whereas the errors of odometry are
+    independent, and what a solution leaves of these is smooth.
+    """
+    z = errors / np.sqrt(variances)
+    far = FAR * float(np.median(np.abs(z)))
+    z = np.clip(z, -far, far)
+    z -= z.mean()
+    joined = second[:-1] == first[1:]
+    square, count = float(z @ z), np.count_nonzero(joined)
+    if square == 0 or count < FEWEST_MOTIONS:
+        return None
+    correlation = float((z[:-1] * z[1:])[joined].sum()) / square
+    return correlation if correlation < min(CANCEL, -SURELY / count**0.5) else None
 
 
 def _largest_stretch(errors: Array, variances: Array) -> tuple[float, int, int, float]:

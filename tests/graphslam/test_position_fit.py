@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from comparisons.show.language import translated
-from graphslam import AbsolutePositions, Graph, MotionModel, SensorModel, join_logs, simulate, solve
+from graphslam import AbsolutePositions, Drive, Graph, MotionModel, SensorModel, join_logs, simulate, solve
 from graphslam.se2 import mounted
 
 LEVER, NOISE = "the positions fit better", "the errors of the positions"
@@ -99,6 +99,16 @@ def test_a_motion_of_which_nothing_is_known_is_no_doubt(variance):
     solution = solve(Graph.from_log(log.replace(control_variances=variances), edges="landmark+motion"))
     assert solution.converged
     assert not solution.notes
+
+
+@pytest.mark.parametrize("shaking", [0.0, 0.03])
+def test_an_error_that_the_sightings_of_a_scan_have_in_common(shaking):
+    """The estimate takes it for noise of the odometry, and NEES / 3 is 40 and more."""
+    log = Drive(seed=4, duration=40.0, place="field", landmarks=60, misread=0.0, parameters={}).simulate()[0]
+    common = shaking * np.random.default_rng(0).normal(size=log.num_poses)
+    shaken = log.sightings + np.outer(common[log.steps], [0, 1])
+    notes = solve(Graph.from_log(log.replace(sightings=shaken))).notes
+    assert any("errors of successive turns cancel each other" in note for note in notes) == (shaking > 0)
 
 
 def test_a_bias_of_joined_drives_is_no_slip():
