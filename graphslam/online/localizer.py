@@ -16,12 +16,12 @@ from ..graph.landmark_map import LandmarkMap
 from ..graph.localization import SURE, Fix
 from ..graph.registration import evenly
 from ..graph.stretch import Stretch, backwards, drifted
-from ..graph.tracker import LARGE, Tracker
+from ..graph.tracker import LARGE, Tracker, inflation
 from ..graph.tracking import DOUBT, elsewhere, sure_fix
 from ..linear.precision import inverses
 from ..log import UNIDENTIFIED
 from ..models import SensorModel
-from ..se2 import Array, between
+from ..se2 import Array, between, rotation
 from ..solvers.contradictions import TAKEN_FOR_RIGHT
 from ..solvers.map_errors import MEDIAN_LENGTH, MOST, likeliest_deviation, of_log, said_of_wider
 from .backend import FREE_START, Backend, Relation
@@ -164,7 +164,23 @@ class Localizer:
         rows = np.flatnonzero(np.arange(len(P)) % d < 2)
         of_map = self._declared.joint_covariance(ids)
         S, h = of_log(off.ravel(), P[np.ix_(rows, rows)], of_map, last)
-        return likeliest_deviation(S, h, of_map, last)
+        deviation, gain = likeliest_deviation(S, h, of_map, last)
+        if gain > np.log(SURE):
+            # what residuals show of larger noise in the right map
+            larger = self._residual_inflation(places)
+            _, gain = likeliest_deviation(S / larger, h / larger, of_map, last)
+        return deviation, gain
+
+    def _residual_inflation(self, places: dict[int, Array]) -> float:
+        """By how much the variances of sightings are larger than the noise models say, at least 1; from their median."""
+        poses, seen = self._backend.poses, [(step, places[j][:2], z[:2]) for step, j, z in self._rows if j in places]
+        if not seen:
+            # no sighting has an id of its own
+            return 1.0
+        steps, marks, z = (np.array(column) for column in zip(*seen))
+        q, C = self._sensor.places(z)
+        way = np.einsum("kji,kj->ki", rotation(poses[steps, 2]), marks - poses[steps, :2])
+        return inflation(np.einsum("ki,ki->k", way - q, np.linalg.solve(C, (way - q)[:, :, None])[:, :, 0]))
 
     def _widen(self, deviation: float, contradicted: float) -> None:
         """Begin anew in a map with errors of a deviation [m] beside those that it declares."""
