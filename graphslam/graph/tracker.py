@@ -22,11 +22,12 @@ recursion of a hidden Markov model with two states). Where the robot is there, i
 estimate, made larger where residuals are larger than the noise models say. An error is within the bounds if the position is
 within a circle and the heading within an interval.
 
-**The map.** Where it is right, its squares are those of white innovations e with the covariances V. For each landmark
+**The map.** Where it is exact, the innovations e are white, with the covariances V. A landmark with the covariance C in the
+map has one error in all its sightings. With V without C, for each landmark
 
     z = sum w V^-1 e,     I = sum w V^-1,     w = min(1, `AGREES`^(1/2) / d),
 
-and q = z' I^-1 z has the median 2 log 2 over landmarks. Where that is clearly more, most places are off, by I^-1 z.
+and q = z' (I + I C I)^-1 z has the median 2 log 2 over landmarks. Where that is clearly more, most places are off, by I^-1 z.
 
 Sources: Thrun, Burgard and Fox, *Probabilistic Robotics*, 2005, sections 7.4 and 7.1; Shiryaev, *On optimum methods in
 quickest detection problems*, Theory of Probability and its Applications 1963 (the odds of a change); Page, *Continuous
@@ -38,6 +39,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -128,6 +130,14 @@ class Tracker:
         #: the farthest range and the widest bearing at which something was seen
         self._reach = self._wide = 0.0
 
+    def __copy__(self) -> Tracker:
+        """An independent tracker in the same map."""
+        other = object.__new__(Tracker)
+        vars(other).update(vars(self))
+        for name in ("squares", "_scores", "_count", "_unknown"):
+            setattr(other, name, deepcopy(getattr(self, name)))
+        return other
+
     def place(self, pose: Array, covariance: Array, log_odds: float | None = None) -> None:
         """Put the robot somewhere; the odds are those of a pose in the map that is chosen blindly, unless they are given."""
         self.pose, self.covariance = pose, covariance
@@ -186,9 +196,10 @@ class Tracker:
         if seen.sum() < FEWEST:
             return 0.0, 0.0
         z, information = (each[seen] for each in self._scores)
-        off = np.linalg.solve(information, z[:, :, None])[:, :, 0]
-        middle = (len(z) - 1) // 2
-        q, size = np.sort(np.einsum("ki,ki->k", off, z)), np.sort(np.hypot(*off.T))
+        off, middle = np.linalg.solve(information, z[:, :, None])[:, :, 0], (len(z) - 1) // 2
+        expected = information + information @ self._covariances[seen] @ information
+        q = np.sort(np.einsum("ki,ki->k", z, np.linalg.solve(expected, z[:, :, None])[:, :, 0]))
+        size = np.sort(np.hypot(*off.T))
         return float(np.sqrt(q[middle] / (2 * np.log(2)))), float(size[middle])
 
     @property
@@ -210,16 +221,15 @@ class Tracker:
     def _correct(self, n: int, k: int, q: Array, C: Array, seen: Seen) -> float:
         """Correct the pose by sighting n of landmark k where they agree; what it adds to the log odds."""
         y, V, J = self._place(q, C)
-        V, e = V + self._covariances[k], y - self._places[k]
+        without, V, e = np.linalg.inv(V), V + self._covariances[k], y - self._places[k]
         inverse = np.linalg.inv(V)
-        force = inverse @ e
-        square = float(e @ force)
+        square = float(e @ inverse @ e)
         self.squares.append(square)
         # one that is misread says little
         weight = 1.0 if square <= AGREES else float(np.sqrt(AGREES / square))
         self._count[k] += 1
-        self._scores[0][k] += weight * force
-        self._scores[1][k] += weight * inverse
+        self._scores[0][k] += weight * without @ e
+        self._scores[1][k] += weight * without
         seen.contradict[n], seen.agree[n] = square > AGREES, square <= AGREES
         if seen.agree[n]:
             K = self.covariance @ J.T @ inverse

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from copy import copy
 from functools import partial
 from operator import itemgetter
 from typing import Any
@@ -11,21 +13,25 @@ import numpy as np
 
 from ..errors import GraphError
 from ..graph.landmark_map import LandmarkMap
-from ..graph.localization import Fix
+from ..graph.localization import SURE, Fix
 from ..graph.registration import evenly
 from ..graph.stretch import Stretch, backwards, drifted
-from ..graph.tracker import LARGE, Tracker
+from ..graph.tracker import LARGE, Tracker, inflation
 from ..graph.tracking import DOUBT, elsewhere, sure_fix
+from ..linear.precision import inverses
 from ..log import UNIDENTIFIED
 from ..models import SensorModel
-from ..se2 import Array, between
-from ..solvers.map_errors import MEDIAN_LENGTH, MOST, ROUNDS, likeliest_deviation, of_log, said_of_wider
+from ..se2 import Array, between, rotation
+from ..solvers.contradictions import TAKEN_FOR_RIGHT
+from ..solvers.map_errors import MEDIAN_LENGTH, MOST, likeliest_deviation, of_log, said_of_wider
 from .backend import FREE_START, Backend, Relation
 
-#: how much more must have been seen until another fix is tried, or the map checked again
+#: how much more must have been seen until another fix is tried, or a map checked again that was just widened
 GROWTH = 1.5
-#: the number of sightings at which the map is checked first, and the logarithm of a change of its errors that counts
-FIRST_CHECK, CHANGED = 20, 0.25
+#: the number of sightings at which the map is checked first, and how many times more at the next check if nothing changed
+FIRST_CHECK, UNCHANGED = 20, 2
+#: the logarithm of a change of the errors of the map that counts, and the most sightings that are gone through again for them
+CHANGED, MOST_AGAIN = 0.25, 3000
 
 
 class Localizer:
@@ -80,74 +86,112 @@ class Localizer:
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         """Add sightings, without ids where these are `UNIDENTIFIED`, and look for the robot where that is due."""
         self._see(pose, ids, sightings)
-        found = self._found()
-        if found is not None:
-            self.fixes[found[0]] = found[1]
+        try:
+            if (found := self._found()) is not None:
+                self._again(fixes=self.fixes | dict([found]))
+                return
+        except BaseException:
+            self._calls.pop()
             self._again()
-            return
+            raise
         tracker = self.tracker
         if tracker is None or len(self._rows) < self._check:
             return
         # a robot that was lifted contradicts the map, too, until it is found
         if tracker.doubt < DOUBT or pose > 2 * tracker.since:
-            self._check = int(np.ceil(GROWTH * len(self._rows)))
-            self._check_map(tracker)
+            before = vars(self).copy()
+            try:
+                self._check_map(tracker)
+            except Exception:
+                # the map stays as it was, where a measurement has no place in a wider one
+                vars(self).update(before)
+            changed = self._backend is not before["_backend"]
+            self._check = int(np.ceil((GROWTH if changed else UNCHANGED) * len(self._rows)))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What the drive says against the map."""
         if not self._contradicted:
             return ()
+        counted = said_of_wider(self._deviation) if self._deviation else TAKEN_FOR_RIGHT.replace("covariances", "risks")
         return (
             f"the drive contradicts the map: its landmarks seem to be off by {self._contradicted:.1f} times what its "
-            f"covariances and the noise models allow, in the median. {said_of_wider(self._deviation)}; check its unit and "
-            "its source, and whether the robot has biases or more noise than its models",
+            f"covariances and the noise models allow, in the median. {counted}; check its unit and its source, whether ids "
+            "are misread, and whether the robot has biases or more noise than its models",
         )
 
-    def _again(self) -> None:
-        """Give all measurements to a new backend."""
-        calls, self._calls = self._calls, []
-        self._begin()
-        for call in calls:
-            call()
+    def _again(self, **changed: Any) -> None:
+        """Give all measurements to a new backend, with other attributes; where it refuses one, all stays as it was."""
+        before = vars(self).copy()
+        vars(self).update(changed, _calls=[])
+        try:
+            self._begin()
+            for call in before["_calls"]:
+                call()
+        except BaseException:
+            vars(self).update(before)
+            raise
 
     def _check_map(self, tracker: Tracker) -> None:
         """Where most landmarks contradict the map, begin anew with the errors that they show; see `solvers.map_errors`."""
-        deviation = self._deviation
-        if not deviation:
+        before, many = vars(self).copy(), len(self._rows) > MOST_AGAIN
+        if not self._deviation:
             ratio, size = tracker.misfit()
-            if ratio**2 <= LARGE:
+            found = ratio if ratio**2 > LARGE else 0.0
+            if many or not found:
+                self._contradicted = found
                 return
-            self._widen(size / MEDIAN_LENGTH)
-            self._contradicted = ratio
-        for _ in range(ROUNDS):
-            assert self.tracker is not None
-            ids = [j for j in self.tracker.seen_of_map if j in self._backend.landmark_ids]
-            ids = [ids[k] for k in evenly(len(ids), MOST)]
-            places, last = self._backend.landmarks, self._deviation
-            off = np.array([places[j][:2] for j in ids]) - self._declared.arrays(ids)[0][:, :2]
-            try:
-                P, d = self._backend.covariance([], ids), self._backend.columns or 2
-                rows = np.flatnonzero(np.arange(len(P)) % d < 2)
-                of_map = self._declared.joint_covariance(ids)
-                S, h = of_log(off.ravel(), P[np.ix_(rows, rows)], of_map, last)
-                deviation, _ = likeliest_deviation(S, h, of_map, last)
-            except (GraphError, np.linalg.LinAlgError):
-                return
-            if abs(np.log(deviation / last)) < CHANGED:
-                break
-            self._widen(deviation)
+            self._widen(size / MEDIAN_LENGTH, ratio)
+        elif many:
+            return
+        deviation, gain = self._shown()
+        if gain > np.log(SURE):
+            if abs(np.log(deviation / self._deviation)) > CHANGED:
+                self._widen(deviation, self._contradicted)
+        elif before["_deviation"]:
+            self._widen(0.0, 0.0)
+        else:
+            vars(self).update(before)
 
-    def _widen(self, deviation: float) -> None:
+    def _shown(self) -> tuple[float, float]:
+        """The deviation [m] of errors of the map that the drive shows, in a wider map, and the gain with it."""
+        assert self.tracker is not None
+        ids = [j for j in self.tracker.seen_of_map if j in self._backend.landmark_ids]
+        ids = [ids[k] for k in evenly(len(ids), MOST)]
+        places, last = self._backend.landmarks, self._deviation
+        off = np.array([places[j][:2] for j in ids]) - self._declared.arrays(ids)[0][:, :2]
+        P, d = self._backend.covariance([], ids), self._backend.columns or 2
+        rows = np.flatnonzero(np.arange(len(P)) % d < 2)
+        of_map = self._declared.joint_covariance(ids)
+        S, h = of_log(off.ravel(), P[np.ix_(rows, rows)], of_map, last)
+        deviation, gain = likeliest_deviation(S, h, of_map, last)
+        if gain > np.log(SURE):
+            # what residuals show of larger noise in the right map
+            larger = self._residual_inflation(places)
+            _, gain = likeliest_deviation(S / larger, h / larger, of_map, last)
+        return deviation, gain
+
+    def _residual_inflation(self, places: dict[int, Array]) -> float:
+        """By how much the variances of sightings are larger than the noise models say, at least 1; from their median."""
+        poses, seen = self._backend.poses, [(step, places[j][:2], z[:2]) for step, j, z in self._rows if j in places]
+        if not seen:
+            # no sighting has an id of its own
+            return 1.0
+        steps, marks, z = (np.array(column) for column in zip(*seen))
+        q, C = self._sensor.places(z)
+        way = np.einsum("kji,kj->ki", rotation(poses[steps, 2]), marks - poses[steps, :2])
+        return inflation(np.einsum("ki,ki->k", way - q, np.linalg.solve(C, (way - q)[:, :, None])[:, :, 0]))
+
+    def _widen(self, deviation: float, contradicted: float) -> None:
         """Begin anew in a map with errors of a deviation [m] beside those that it declares."""
-        self._deviation, self._landmarks = deviation, self._declared.widened(deviation)
-        self._again()
+        wider = self._declared.widened(deviation) if deviation else self._declared
+        self._again(_deviation=deviation, _landmarks=wider, _contradicted=contradicted)
 
     def locate(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
         """Add a position in the frame of the map, which has no meaning before the robot has been found there."""
-        self._calls.append(partial(self.locate, pose, measured, information, lever))
         if self.tracker is not None:
             self._backend.locate(pose, measured, information, lever)
+        self._calls.append(partial(self.locate, pose, measured, information, lever))
 
     def _begin(self) -> None:
         """A new backend and tracker."""
@@ -170,28 +214,31 @@ class Localizer:
         self._due, self._tried = 2, DOUBT
 
     def _see(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
-        backend, landmarks, earlier = self._backend, np.array(ids), dict[int, int]()
-        self._calls.append(partial(self._see, pose, ids, sightings))
-        self.columns = self.columns or self._as_used(sightings).shape[1]
+        """Pass sightings on, and count them where they were not refused."""
+        backend, landmarks, tracker, earlier = self._backend, np.array(ids), copy(self.tracker), dict[int, int]()
+        # those with one number have ids, and say too little to find the robot by them
         alone = np.isnan(sightings).any(axis=1)
-        if alone.any():
-            # they have ids, and say too little to find the robot by them
-            backend.observe(pose, landmarks[alone].tolist(), sightings[alone])
-            landmarks, sightings = landmarks[~alone], sightings[~alone]
-            ids = landmarks.tolist()
-        rows = len(self._rows) + np.arange(len(ids))
-        self._rows += [(pose, j, z) for j, z in zip(ids, sightings)]
-        if self.tracker is not None:
-            self.tracker.pose = backend.pose
+        whole, of_whole = sightings[~alone], landmarks[~alone]
+        # also one that has no place yet is refused if its noise is beyond double precision
+        inverses(self._sensor.places(whole)[1], "sighting", "check the noise of the sensor")
+        rows = len(self._rows) + np.arange(len(whole))
+        new = [(pose, j, z) for j, z in zip(of_whole.tolist(), whole)]
+        if tracker is not None:
+            tracker.pose = backend.pose
             (*_, x), (*_, P) = drifted(np.zeros(3), np.array(self._motions[pose:]), np.array(self._noise[pose:]))
-            seen = self.tracker.see(pose, rows, landmarks, sightings, backwards(x, P))
-            landmarks, earlier = seen.landmarks, seen.earlier
+            seen = tracker.see(pose, rows, of_whole, whole, backwards(x, P))
+            landmarks[~alone], earlier = seen.landmarks, seen.earlier
         if (known := landmarks != UNIDENTIFIED).any():
             backend.observe(pose, landmarks[known].tolist(), self._as_used(sightings[known]))
         for row, id in earlier.items():
             step, _, z = self._rows[row]
             if step >= backend.num_final:
-                backend.observe(step, [id], self._as_used(z[None]))
+                # it was of nothing so far, and stays so where it is refused
+                with suppress(GraphError):
+                    backend.observe(step, [id], self._as_used(z[None]))
+        self.tracker, self.columns = tracker, self.columns or self._as_used(sightings).shape[1]
+        self._rows += new
+        self._calls.append(partial(self._see, pose, ids, sightings))
 
     def _as_used(self, sightings: Array) -> Array:
         """Sightings without psi where the map has no headings."""

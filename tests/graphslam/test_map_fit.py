@@ -5,7 +5,18 @@ import re
 import numpy as np
 import pytest
 
-from graphslam import Graph, LandmarkMap, MotionModel, OnlineSolver, SensorModel, simulate, solve, solve_with_gtsam
+from graphslam import (
+    Graph,
+    GraphError,
+    LandmarkMap,
+    MotionModel,
+    OnlineSolver,
+    SensorModel,
+    simulate,
+    solve,
+    solve_with_gtsam,
+)
+from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import difference
 
 ROBOT = {
@@ -72,12 +83,14 @@ def test_a_solution_counts_the_errors_that_the_log_shows_in_its_map(said):
     assert np.mean(off) - 0.1 < np.mean(risks) < np.mean(off) + 0.2
 
 
-def driven(log, known, **options):
-    """The solver at the end of a drive, and e' P^-1 e / 3 of its second half."""
+def driven(log, known, at=None, **options):
+    """The solver at the end of a drive, with calls ``at`` some steps, and e' P^-1 e / 3 of its second half."""
     robot, squares = OnlineSolver(map=known, **(ROBOT | options)), []
     for step in range(log.num_poses):
         if step:
             robot.move(log.controls[step - 1], log.dt[step - 1])
+        if at and step in at:
+            at[step](robot)
         now = log.steps == step
         robot.observe(log.landmarks[now], log.sightings[now])
         if robot.located and step > log.num_poses / 2:
@@ -97,7 +110,53 @@ def test_a_robot_that_drives_counts_the_errors_of_its_map(size):
     assert 0.6 * size < deviation < 1.5 * size and square < 4
 
 
-@pytest.mark.parametrize("misread", [0.0, 0.1])
+@pytest.mark.parametrize("said", [0.05, 0.3])
+def test_a_robot_that_drives_believes_covariances_that_are_right(said):
+    for seed in (41, 43):
+        log, known = drive(seed)
+        rng = np.random.default_rng(seed)
+        places = {j: place + said * rng.normal(size=2) for j, place in known.items()}
+        robot, _ = driven(log, LandmarkMap(places, {j: said**2 * np.eye(2) for j in places}))
+        assert robot.located and not robot.notes
+
+
+@pytest.mark.parametrize("id", [0, UNIDENTIFIED])
+def test_a_refused_sighting_leaves_a_drive_in_a_wrong_map_as_it_was(id):
+    log, known = drive(41)
+    rng = np.random.default_rng(0)
+    wrong = {j: place + 0.3 * rng.normal(size=2) for j, place in known.items()}
+
+    def refuse(robot):
+        before = robot.integrity_risk(0.1)
+        with pytest.raises(GraphError, match="singular to double precision"):
+            robot.observe([id], [[1e200, 0.1]])
+        assert robot.integrity_risk(0.1) == before
+
+    ends = [driven(log, wrong, start=log.true_poses[0], at=at)[0] for at in ({}, {5: refuse})]
+    assert ends[0].notes and ends[0].notes == ends[1].notes and ends[1].step == log.num_poses - 1
+    assert ends[1].poses == pytest.approx(ends[0].poses, abs=1e-6)
+    assert ends[1].integrity_risk(0.1) == pytest.approx(ends[0].integrity_risk(0.1), rel=1e-4)
+
+
+def test_a_map_stays_as_it_is_where_the_drive_cannot_be_gone_through_again(monkeypatch):
+    log, known = drive(41)
+    wrong = {j: place + 0.3 * np.sin([j, 2 * j]) for j, place in known.items()}
+    taken, _ = driven(log, wrong, start=log.true_poses[0])
+    assert taken.notes
+
+    def refuse(self, deviation):
+        raise GraphError("no wider map")
+
+    monkeypatch.setattr(LandmarkMap, "widened", refuse)
+    robot, _ = driven(log, wrong, start=log.true_poses[0])
+    assert robot.step == log.num_poses - 1 and robot.located and not robot.notes
+    # a long drive is not gone through again
+    monkeypatch.setattr("graphslam.online.localizer.MOST_AGAIN", 0)
+    (note,) = driven(log, wrong, start=log.true_poses[0])[0].notes
+    assert "Poses and their risks take the map for right" in note and "ids are misread" in note
+
+
+@pytest.mark.parametrize("misread", [0.0, 0.1, 0.25])
 def test_a_robot_that_drives_takes_a_right_map_for_right(misread):
     for seed in range(42, 45):
         log, known = drive(seed)
