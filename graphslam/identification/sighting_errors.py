@@ -217,10 +217,10 @@ def correlations(log: Log, unknowns: Unknowns, used: np.ndarray, rng: np.random.
     lag = 1
     while lag < len(rows):
         lapse = t[lag:] - t[:-lag]
-        first = np.flatnonzero((landmarks[lag:] == landmarks[:-lag]) & (lapse < LAGS[-1] - ROUNDING))
+        first = np.flatnonzero((landmarks[lag:] == landmarks[:-lag]) & (lapse < LAGS[-1]))
         if len(first) == 0:
             break
-        second, at = first + lag, np.searchsorted(LAGS, lapse[first] + ROUNDING, side="right") - 1
+        second, at = first + lag, np.searchsorted(LAGS[1:-1], lapse[first] - ROUNDING)
         products = e[first] * e[second] - np.mean(errors[first] * errors[second], axis=2)
         np.add.at(total, (group[first], at), products @ share / float(own @ share))
         np.add.at(count, (group[first], at), 1)
@@ -252,6 +252,6 @@ def inflation(log: Log, rho: Array) -> float:
     t, neighbours = sighting_times(log), np.zeros(len(LAGS) - 1)
     for j in log.landmark_ids.tolist():
         own = t[log.landmarks == j]
-        within = np.array([np.searchsorted(own, own + max(lag - ROUNDING, ROUNDING)) for lag in LAGS])
+        within = np.array([np.searchsorted(own, own + lag + ROUNDING) for lag in LAGS])
         neighbours += 2 * np.diff(within, axis=0).sum(axis=1)
     return 1.0 + float(rho @ neighbours) / max(len(t), 1)
