@@ -172,7 +172,11 @@ def _address(place: str, page: Any, files: Any, language: str) -> str:
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
-    """Let Japanese pages search the index in ``ja/``, which `on_post_build` writes."""
+    """Let Japanese pages search the index in ``ja/``, which `on_post_build` writes; leave links to translations to the sitemap.
+
+    The theme takes each such link of a page for the start of a site, and asks in vain for a sitemap below it.
+    """
+    output = re.sub(r'\s*<link rel="alternate" href="[^"]*" hreflang="[^"]*">', "", output)
     if page.file.url.startswith("ja/"):
         output = re.sub(r'("base": ")(?:\.\./|\.(?=\."))', r"\1", output, count=1)
     return output
