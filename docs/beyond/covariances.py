@@ -56,6 +56,7 @@ left.legend()
 right.plot(*log.true_poses[:, :2].T, "k:", lw=1)
 right.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="three standard deviations")
 
+
 # %% anchor
 def without_anchor(poses, covariances):
     """The covariances (T+1, 3, 3) relative to the first pose."""
