@@ -176,7 +176,7 @@ def _address(place: str, page: Any, files: Any, language: str) -> str:
 def on_post_page(output: str, page: Any, config: Any) -> str:
     """Let Japanese pages search the index in ``ja/``, which `on_post_build` writes, and take out links to translations.
 
-    The theme takes each such link for the start of a site, and asks in vain for a sitemap below it. The sitemap has them, too.
+    The theme takes each such link for the start of a site, and asks in vain for a sitemap below it. The sitemap has them.
     """
     output = re.sub(r'\s*<link rel="alternate" href="[^"]*" hreflang="[^"]*">', "", output)
     if page.file.url.startswith("ja/"):
