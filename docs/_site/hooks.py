@@ -65,6 +65,8 @@ WORDS = {
 #: weights of pages in the search: a word in a chapter counts more than in the pages that name everything
 BOOST = {"api/": 0.02, "json": 0.1, "index": 0.3, "method/": 2, "beyond/": 2, "tutorials/": 2, "own_robot": 2}
 SEARCHED_WORDS = tomllib.loads((cells.DOCS / "_site" / "questions.toml").read_text())["words"]
+#: the longest line of an output that fits beside the navigation [letters]
+LONG = 80
 #: what the index has of each section of the reference of names [characters]
 SHOWN = 200
 #: where the search divides text into words; Japanese, which has no spaces, also where the script changes and after each
@@ -172,7 +174,11 @@ def _address(place: str, page: Any, files: Any, language: str) -> str:
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
-    """Let Japanese pages search the index in ``ja/``, which `on_post_build` writes."""
+    """Let Japanese pages search the index in ``ja/``, which `on_post_build` writes, and take out links to translations.
+
+    The theme takes each such link for the start of a site, and asks in vain for a sitemap below it. The sitemap has them.
+    """
+    output = re.sub(r'\s*<link rel="alternate" href="[^"]*" hreflang="[^"]*">', "", output)
     if page.file.url.startswith("ja/"):
         output = re.sub(r'("base": ")(?:\.\./|\.(?=\."))', r"\1", output, count=1)
     return output
@@ -258,12 +264,18 @@ def _cell(kind: str, source: Path, arguments: list[str], page: Any, language: st
     if kind == "cell":
         made += code
     if kind != "figure" and cell.output:
-        made += ["```text", *cell.output.rstrip().splitlines(), "```", ""]
+        lines = cell.output.rstrip().splitlines()
+        made += ["```{ .text .wrapped }" if _wraps(lines) else "```text", *lines, "```", ""]
     if cell.figures:
         made += [_figures(cell, source, alternative, page, language), ""]
     if kind != "cell":
         made += [f'??? note "{WORDS[language]["code"]}"', "", *(f"    {line}" for line in code)]
     return "\n".join(made)
+
+
+def _wraps(lines: list[str]) -> bool:
+    """Whether an output has lines that are too long for the page, and no columns."""
+    return max(map(len, lines), default=0) > LONG and not any(re.search(r"\S {2,}\S", line) for line in lines)
 
 
 def _figures(cell: cells.Cell, source: Path, alternative: str, page: Any, language: str) -> str:

@@ -27,9 +27,10 @@ WORDS = {
     },
     "ja": {"title": "このページの記号", "symbol": "記号", "meaning": "意味", "unit": "単位", "where": "定義"},
 }
-#: commands whose argument is no place for marks: text, names, and letters with an accent that the table does not have
+#: commands whose argument is no place for marks: text, names, letters with an accent that the table does not have, and
+#: (in \mathnormal, which looks the same) letters that have another meaning where they stand
 _CLOSED = re.compile(
-    r"\\(?:begin|end|text|textbf|operatorname|mathrm|mathcal|boldsymbol|V|hat|bar|tilde|dot|vec)(?![a-zA-Z])"
+    r"\\(?:begin|end|text|textbf|operatorname|mathrm|mathcal|mathnormal|boldsymbol|V|hat|bar|tilde|dot|vec)(?![a-zA-Z])"
     r"\s*(?:\{|\\[a-zA-Z]+|.)"
 )
 _COMMAND = re.compile(r"\\(?:[a-zA-Z]+|.)")

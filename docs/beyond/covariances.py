@@ -4,13 +4,14 @@ import numpy as np
 from matplotlib.patches import Ellipse
 
 from graphslam import Graph, MotionModel, SensorModel, simulate, solve
-from graphslam.se2 import wrap
+from graphslam.metrics import pose_nees
+from graphslam.se2 import difference, wrap
 
 motion = MotionModel(nn=0.019, no=0.0001, on=0.013, oo=0.02, epsilon=1e-6)  # a tenth of the book's noise
 sensor = SensorModel(range_rate=0.014, bearing_std=0.005, orientation_std=0.005)
 
 
-def solved(seed):
+def solved(seed, motion=motion, sensor=sensor):
     """A simulated log and its solution with landmark nodes."""
     log = simulate(seed=seed, clean=True, motion=motion, sensor=sensor)
     return log, solve(Graph.from_log(log, edges="landmark+motion", motion=motion, sensor=sensor))
@@ -54,6 +55,26 @@ left.set(xlabel="step", ylabel="standard deviation of the position [m]")
 left.legend()
 right.plot(*log.true_poses[:, :2].T, "k:", lw=1)
 right.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="three standard deviations")
+
+
+# %% anchor
+def without_anchor(poses, covariances):
+    """The covariances (T+1, 3, 3) relative to the first pose."""
+    G = np.tile(np.eye(3), (len(poses), 1, 1))
+    G[:, 0, 2], G[:, 1, 2] = poses[0, 1] - poses[:, 1], poses[:, 0] - poses[0, 0]
+    return covariances - G @ covariances[0] @ G.transpose(0, 2, 1)
+
+
+wheels = MotionModel(nn=1e-3, no=5e-6, on=6.5e-4, oo=1e-3, epsilon=2.5e-9)  # a twentieth of the noise above
+accurate = SensorModel(range_rate=7e-4, bearing_std=2.5e-4, orientation_std=2.5e-4)
+stated, relative = [], []
+for seed in range(8):
+    drive, result = solved(seed, wheels, accurate)
+    errors = difference(result.poses, drive.true_poses)[1:]
+    stated.append(np.nanmean(result.nees(drive.true_poses)[1:]))
+    relative.append(np.mean(pose_nees(errors, without_anchor(result.poses, result.covariance())[1:])))
+print(f"NEES / 3 of 8 logs: {np.mean(stated):.2f} with the anchor, {np.mean(relative):.2f} without it")
+assert np.mean(stated) < 0.5 < np.mean(relative)
 
 # %% correlation
 both = solution.covariance([30, 31], joint=True)  # of both poses together, (6, 6)
