@@ -105,7 +105,7 @@ def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple
     """A sentence where the log contradicts the size of the map, its landmarks, or some of them; empty otherwise.
 
     With it the standard deviation by which the places are off [m], where that is most of them, and 0 otherwise; and whether
-    this is sure already without a solution in the map that says so. Where landmarks are off by more than the models allow,
+    this is sure already, without a solution in a wider map. Where landmarks are off by more than the models allow,
     the standard error of the scale counts as so much larger.
 
     Args:
