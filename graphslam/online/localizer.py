@@ -23,13 +23,15 @@ from ..log import UNIDENTIFIED
 from ..models import SensorModel
 from ..se2 import Array, between, rotation
 from ..solvers.contradictions import TAKEN_FOR_RIGHT
-from ..solvers.map_errors import MEDIAN_LENGTH, MOST, likeliest_deviation, of_log, said_of_wider
+from ..solvers.map_errors import MOST, likeliest_deviation, of_log, said_of_wider
 from .backend import FREE_START, Backend, Relation
 
 #: how much more must have been seen until another fix is tried, or a map checked again that was just widened
 GROWTH = 1.5
 #: the number of sightings at which the map is checked first, and how many times more at the next check if nothing changed
 FIRST_CHECK, UNCHANGED = 20, 2
+#: the median of the length of two standard normal numbers
+MEDIAN_LENGTH = 1.1774
 #: the logarithm of a change of the errors of the map that counts, and the most sightings that are gone through again for them
 CHANGED, MOST_AGAIN = 0.25, 3000
 

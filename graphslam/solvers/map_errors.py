@@ -34,8 +34,6 @@ from .uncertainty import Uncertainty
 if TYPE_CHECKING:
     from .solution import Solution
 
-#: the median of the length of two standard normal numbers
-MEDIAN_LENGTH = 1.1774
 #: the most landmarks that the deviation is found from, the most solutions, and the change of it that is small
 MOST, ROUNDS, SETTLED = 60, 5, 0.1
 #: the deviation is looked for within this factor of the last one
