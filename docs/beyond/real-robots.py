@@ -79,16 +79,6 @@ ax.axhline(1, color="C2", label="consistent")
 ax.set(xlabel="correlation rho of neighbouring errors", ylabel="NEES")
 ax.legend()
 
-# %% independent
-for rho in (0.0, 0.5, 0.9, 0.98):
-    count = 100 * (1 - rho) / (1 + rho)
-    print(f"correlation {rho:4}: 100 sightings are worth {count:.0f} independent ones")
-    if rho == 0.9:
-        # from the variance of the mean of 2,000 errors with these correlations
-        k = np.arange(2000)
-        worth = 100 / (2000 * np.mean(rho ** np.abs(k[:, None] - k)))
-        assert round(count) == 5 and abs(count - worth) < 0.1
-
 # %% scale
 costs = []
 for scale in (0.9, 1.0, 1.1):

@@ -38,6 +38,7 @@ TRANSLATED = [
         "studies",
         "results",
         "maps",
+        "sessions",
         "other_sensors",
         "unknown_robot",
     )
