@@ -2,10 +2,11 @@
 
     python benchmarks/unknown_robot.py [--seeds tuning|reporting|1000-1009] [--drives 20] [--jobs 2] [--misread 0.05]
                                        [--option noise=auto] [--no-ids] [--plain] [--also fastslam2]
-                                       [--oracles FOLDER] [--drive odometry|sightings] [--record docs/measured]
+                                       [--oracles FOLDER] [--drive odometry|sightings|shaking|jittering] [--record docs/measured]
     python benchmarks/unknown_robot.py --sizes     # time of `estimate_robot` and `solve` by the length of a drive
 
-Each seed is a `Drive.random`, or with ``--drive`` two minutes with almost perfect odometry or sightings. Its log goes through
+Each seed is a `Drive.random`, or with ``--drive`` two minutes with almost perfect odometry or sightings, or a random drive
+with an error that the sightings of a scan have in common, or inexact times. Its log goes through
 three ways:
 
 default         what ``slam-compare run LOG --estimators graph`` does, with the options given by ``--option NAME=VALUE``
@@ -69,11 +70,23 @@ def accurate_sightings(seed: int) -> Drive:
     return Drive(seed=seed, duration=120.0, sensor=exact)
 
 
+def shaking(seed: int) -> Drive:
+    """A drive whose scans have an error of 0.03 rad in common."""
+    return replace(Drive.random(seed), scan_bearing_std=0.03)
+
+
+def jittering(seed: int) -> Drive:
+    """A drive whose scans are recorded with times that are off by 0.05 s."""
+    return replace(Drive.random(seed), stamp_std=0.05)
+
+
 #: what a seed stands for
 DRIVES: dict[str, Callable[[int], Drive]] = {
     "random": Drive.random,
     "odometry": accurate_odometry,
     "sightings": accurate_sightings,
+    "shaking": shaking,
+    "jittering": jittering,
 }
 
 

@@ -3,7 +3,8 @@
 `graphslam.simulate` is the simulator of the book: one step per control, and noise as the lectures have it. Here odometry
 and sensor have their own rates, the robot works in a warehouse, an orchard or a field, and its recording has what real ones
 have: scale errors and biases, a late sensor that is not where it should be, misread ids, clutter, errors that are correlated
-in time, missed sightings and gaps of the sensor and of the odometry. The log has no noise models.
+in time or common to a scan, inexact times, missed sightings and gaps of the sensor and of the odometry. The log has no noise
+models.
 """
 
 from __future__ import annotations
@@ -127,6 +128,10 @@ class Drive:
         0.0, "Part of the variance of sightings whose errors are correlated, per landmark", minimum=0, below=1
     )
     correlation: float = option(50.0, "Number of scans over which they are correlated", positive=True)
+    scan_bearing_std: float = option(
+        0.0, "Standard deviation of an error that all bearings of a scan have in common", "rad", minimum=0
+    )
+    stamp_std: float = option(0.0, "Standard deviation of the recorded times of scans", "s", minimum=0)
     gaps: int = option(0, "Number of times at which the sensor sees nothing", minimum=0)
     gap: float = option(15.0, "Duration of each of these", "s", minimum=0)
     silences: int = option(0, "Number of times at which no odometry is recorded", minimum=0)
@@ -185,7 +190,12 @@ class Drive:
         at, seen, sightings, clutter = self._sightings(path, place, rng)
         true = np.where(clutter, UNIDENTIFIED, seen)
         landmarks, misread = self._read(seen, clutter, rng)
-        stamps = at + self.parameters["sensor_delay"]
+        scans, of_scan = np.unique(at, return_inverse=True)
+        shaking = np.random.default_rng([self.seed, 2])
+        sightings[:, 1] += self.scan_bearing_std * shaking.standard_normal(len(scans))[of_scan]
+        # a recording has its scans in the order in which they came
+        recorded = np.sort(scans + self.stamp_std * shaking.standard_normal(len(scans)))
+        stamps = recorded[of_scan] + self.parameters["sensor_delay"]
         kept = (stamps >= odometry.times[0]) & (stamps <= odometry.times[-1]) & (sightings[:, 0] > 0)
         times = np.union1d(odometry.times, stamps[kept])
         columns = 3 if self.orientation else 2

@@ -82,7 +82,7 @@ TAKEN_FOR_RIGHT = "Poses and their covariances take the map for right"
 MISJUDGED = 2.0
 #: errors are clipped to this many times their median; successive ones cancel each other where their correlation is below
 #: the second number and below zero by so many standard errors
-FAR, CANCEL, SURELY = 4.5, -0.25, 3.5
+FAR, CANCEL, SURELY = 4.5, -0.2, 3.5
 #: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
 #: that is small
 ROUNDS, STEPS, SETTLED = 10, 20, 0.01
@@ -338,36 +338,34 @@ def _lever_step(graph: Graph, families: list[PositionEdges], state: Array) -> tu
     return np.linalg.solve(S, g) if determined else np.zeros(2), S
 
 
-def doubt_of_odometry(graph: Graph, state: Array) -> str:
-    """A sentence on the stretch where the odometry contradicts the other measurements most clearly, or on turns whose errors
-    cancel each other; empty where there is neither."""
+def _motion_errors(graph: Graph, state: Array) -> tuple[RelativePoseEdges, Array, Array] | None:
+    """The motion edges of a log with times, their errors (E, 3) and variances (E, 3, 3); None where there are too few."""
     edges, log = motion_edges(graph), graph.log
     if edges is None or log is None or log.times is None or edges.count < FEWEST_MOTIONS:
-        return ""
+        return None
     errors = between(state[edges.first], state[edges.second]) - edges.measured
     errors[:, 2] = wrap(errors[:, 2])
     try:
-        variances = np.linalg.inv(edges.information)
+        return edges, errors, np.linalg.inv(edges.information)
     except np.linalg.LinAlgError:
         # a motion of which nothing is known
+        return None
+
+
+def doubt_of_odometry(graph: Graph, state: Array) -> str:
+    """A sentence on the stretch where the odometry contradicts the other measurements most clearly; empty where none does."""
+    found = _motion_errors(graph, state)
+    if found is None:
         return ""
+    edges, errors, variances = found
     z, first, last, error, unit = max(
         (*_largest_stretch(errors[:, axis], variances[:, axis, axis]), unit) for axis, unit in ((0, "m"), (2, "rad"))
     )
     if z < SLIPPED:
-        if len(state) == len(graph.steps):
-            # pairs of sightings count these more than once, so that poses follow their errors
-            return ""
-        correlation = _of_successive(edges.first, edges.second, errors[:, 2], variances[:, 2, 2])
-        if correlation is None:
-            return ""
-        return (
-            f"errors of successive turns cancel each other (correlation {correlation:.2f}): the sightings of each scan have "
-            "an error in common, as where the sensor shakes or times are inexact, or encoders count coarse ticks. Standard "
-            "deviations may be several times too small"
-        )
+        return ""
     begin, end = int(graph.steps[edges.first[first]]), int(graph.steps[edges.second[last]])
-    times = log.times[[begin, end]] - log.times[0]
+    assert graph.log is not None and graph.log.times is not None
+    times = graph.log.times[[begin, end]] - graph.log.times[0]
     return (
         f"between steps {begin} and {end} ({times[0]:.1f} to {times[1]:.1f} s after the start) the odometry contradicts the "
         f"other measurements by {error:.2g} {unit}, {z:.1f} times the standard deviation of the noise model: wheels slipped "
@@ -377,22 +375,45 @@ def doubt_of_odometry(graph: Graph, state: Array) -> str:
     )
 
 
-def _of_successive(first: np.ndarray, second: np.ndarray, errors: Array, variances: Array) -> float | None:
-    """The correlation of errors (E,) of successive motions where it is surely negative.
+def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
+    """The covariance C (3, 3), in the robot's axes, of the error that all sightings of a scan have in common, and a sentence.
 
-    An error of one pose makes one motion too large and the next one too small by as much, whereas the errors of odometry are
-    independent, and what a solution leaves of these is smooth.
+    It is zero, and the sentence empty, where the log does not surely show such errors. An error b_t of the whole scan moves
+    the estimate of that pose: it makes one motion too large and the next one too small by as much, so that
+
+        E[e_t e_(t+1)'] = -E[b_t b_t'] = -C,
+
+    whereas the errors of odometry are independent, and what a solution leaves of these is smooth. Only axes in which errors
+    of successive motions surely cancel each other count.
     """
-    z = errors / np.sqrt(variances)
-    far = FAR * float(np.median(np.abs(z)))
+    nothing, found = np.zeros((3, 3)), _motion_errors(graph, state)
+    # pairs of sightings count these more than once, so that poses follow their errors
+    if found is None or len(state) == len(graph.steps):
+        return nothing, ""
+    edges, errors, variances = found
+    joined = edges.second[:-1] == edges.first[1:]
+    deviations = np.sqrt(np.diagonal(variances, axis1=1, axis2=2))
+    z = errors / deviations
+    far = FAR * np.median(np.abs(z), axis=0)
     z = np.clip(z, -far, far)
-    z -= z.mean()
-    joined = second[:-1] == first[1:]
-    square, count = float(z @ z), np.count_nonzero(joined)
-    if square == 0 or count < FEWEST_MOTIONS:
-        return None
-    correlation = float((z[:-1] * z[1:])[joined].sum()) / square
-    return correlation if correlation < min(CANCEL, -SURELY / count**0.5) else None
+    z -= z.mean(axis=0)
+    count, squares = np.count_nonzero(joined), np.sum(z**2, axis=0)
+    if count < FEWEST_MOTIONS or not squares.all():
+        return nothing, ""
+    correlations = np.sum((z[:-1] * z[1:])[joined], axis=0) / squares
+    cancel = correlations < min(CANCEL, -SURELY / count**0.5)
+    if not cancel.any():
+        return nothing, ""
+    e = np.where(cancel, z * deviations, 0.0)
+    C = -(e[:-1][joined].T @ e[1:][joined]) / count
+    values, axes = np.linalg.eigh((C + C.T) / 2)
+    C = (axes * np.maximum(values, 0.0)) @ axes.T
+    sizes = [f"{C[k, k] ** 0.5:.2g} {unit}" for k, unit in ((0, "m forward"), (1, "m to the left"), (2, "rad")) if cancel[k]]
+    return C, (
+        f"the sightings of each scan have an error in common of about {', '.join(sizes)}, as where the sensor shakes or times "
+        f"are inexact, or encoders count coarse ticks: errors of successive motions cancel each other (correlation "
+        f"{correlations.min():.2f}). The covariances of poses contain it, those of landmarks do not"
+    )
 
 
 def _largest_stretch(errors: Array, variances: Array) -> tuple[float, int, int, float]:

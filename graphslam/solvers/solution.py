@@ -28,13 +28,13 @@ from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
 from ..log import Log
 from ..metrics import pose_nees
-from ..se2 import Array, difference, wrap
+from ..se2 import Array, difference, turned_by, wrap
 from .certificate import Certificate, prove
-from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_odometry, doubt_of_positions
+from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_odometry, doubt_of_positions, errors_of_scans
 from .corrected import motion_edges
 from .iteration import Run
 from .map_errors import in_wider_map, said_of_wider
-from .uncertainty import Uncertainty, doubts, ids_of, shaped
+from .uncertainty import Uncertainty, anchored, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
 MAX_JOINT_NUMBERS = 50_000_000
@@ -132,6 +132,8 @@ class Solution:
         other_trust: the same for {"relations": (R,), "positions": (N,)}, as far as the graph has them. In a pose graph the
             relations are its loop closures, in their order.
         graph: the graph that was solved, with the final trust in its sightings.
+        scan_errors: (3, 3) the covariance, in the robot's axes, of the error that all sightings of a scan have in common, as
+            far as the log surely shows one (`contradictions.errors_of_scans`), else zero. The noise models do not have it.
     """
 
     poses: Array
@@ -150,9 +152,10 @@ class Solution:
     trust: Array | None = None
     other_trust: dict[str, Array] = field(default_factory=dict)
     graph: Graph | None = None
+    scan_errors: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def __post_init__(self) -> None:
-        make_read_only(self, "poses", "estimated", "costs", "step_norms", "state", "trust")
+        make_read_only(self, "poses", "estimated", "costs", "step_norms", "state", "trust", "scan_errors")
         for place in self.landmarks.values():
             place.flags.writeable = False
 
@@ -177,7 +180,8 @@ class Solution:
     def covariance(self, poses: Any = None, landmarks: Any = None, *, joint: bool = False) -> Any:
         """Covariances in world axes (x, y, theta): blocks of Omega^-1.
 
-        With a robust kernel they are those of the robust estimate; see `Graph.information`.
+        With a robust kernel they are those of the robust estimate; see `Graph.information`. Those of poses contain
+        `scan_errors`.
 
         Args:
             poses: the id of a pose, which gives (3, 3), or a list of P ids, which gives (P, 3, 3). An id is the step for
@@ -195,7 +199,7 @@ class Solution:
         """
         if poses is None and landmarks is None and not joint:
             blocks = np.full((len(self.poses), 3, 3), np.nan)
-            blocks[self.estimated] = self._uncertainty.diagonal[: int(self.estimated.sum())]
+            blocks[self.estimated] = self._pose_covariances()
             return blocks
         graph = self._solved_graph
         if poses is None and landmarks is None:
@@ -206,7 +210,7 @@ class Solution:
             raise OptionError(f"there is no landmark {unknown[0]} in the solution")
         if not joint:
             of_landmarks = [self.landmark_covariances[id] for id in ids]
-            return shaped(poses, landmarks, [self._uncertainty.diagonal[node] for node in nodes], of_landmarks)
+            return shaped(poses, landmarks, list(self._pose_covariances()[nodes]), of_landmarks)
         if ids and not len(graph.landmark_ids):
             raise OptionError(
                 f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
@@ -215,7 +219,29 @@ class Solution:
         nodes += [first + int(np.searchsorted(graph.landmark_ids, id)) for id in ids]
         different, places = np.unique(nodes, return_inverse=True)
         rows = np.concatenate([3 * place + np.arange(size) for place, size in zip(places, sizes)])
-        return self._uncertainty.joint(different)[np.ix_(rows, rows)]
+        whole = self._uncertainty.joint(different)
+        for k, node in enumerate(different[different < first].tolist()):
+            at, block = slice(3 * k, 3 * k + 3), self._pose_covariances()[node]
+            if node in anchored(graph) and self.scan_errors.any():
+                # what other nodes share with it is the error of its scan for the most part
+                whole[:, at] = whole[:, at] @ np.linalg.solve(self._uncertainty.diagonal[node], block)
+                whole[at] = whole[:, at].T
+            whole[at, at] = block
+        return whole[np.ix_(rows, rows)]
+
+    def _pose_covariances(self) -> Array:
+        """The covariances (P, 3, 3) of the poses of the graph, with `scan_errors`.
+
+        A node stands for the pose together with the error b of its scan. At an anchored one the pose itself is known.
+        """
+        graph = self._solved_graph
+        blocks = self._uncertainty.diagonal[: len(graph.steps)]
+        if self.scan_errors.any():
+            of_scans = turned_by(self.scan_errors, self.state[: len(blocks), 2])
+            known = np.isin(np.arange(len(blocks)), anchored(graph))
+            blocks = blocks + np.where(known, -1.0, 1.0)[:, None, None] * of_scans
+            blocks[graph.fixed[graph.fixed < len(blocks)]] = 0.0
+        return blocks
 
     @cached_property
     def landmark_covariances(self) -> dict[int, Array]:
@@ -308,7 +334,8 @@ class Solution:
         Raises:
             GraphError: the edges do not determine the poses.
         """
-        return self._uncertainty.expected_ate(len(self._solved_graph.steps))
+        of_models = self._uncertainty.expected_ate(len(self._solved_graph.steps))
+        return float(np.sqrt(of_models**2 + np.trace(self.scan_errors[:2, :2])))
 
     @cached_property
     def parameters(self) -> ParameterEstimate | None:
@@ -335,7 +362,7 @@ class Solution:
 
     @cached_property
     def _uncertainty(self) -> Uncertainty:
-        return Uncertainty(self._solved_graph, self.state)
+        return Uncertainty(self._solved_graph, self.state, self.scan_errors)
 
     def _node(self, id: int) -> int:
         """The node of a pose."""
@@ -424,9 +451,9 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
             found = found.replace(TAKEN_FOR_RIGHT, said_of_wider(deviation))
             graph = solution.graph or graph
         notes.append(found)
-    for doubt_of in (doubt_of_positions, doubt_of_odometry):
-        if doubt := doubt_of(graph, solution.state):
-            notes.append(doubt)
+    common, of_scans = errors_of_scans(graph, solution.state)
+    doubts_of_state = doubt_of_positions(graph, solution.state), doubt_of_odometry(graph, solution.state), of_scans
+    notes += [each for each in doubts_of_state if each]
     # families with edges that do not say how many numbers they measure leave the expected cost open
     counted = all(
         family.numbers[0] or isinstance(family, AnchorEdges) or not len(family.cliques()[1])
@@ -446,7 +473,9 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
         )
     if not notes:
         return solution
-    known, noted = vars(solution), replace(solution, notes=(*solution.notes, *notes))
+    known, noted = vars(solution), replace(solution, notes=(*solution.notes, *notes), scan_errors=common)
     # `replace` does not keep what a solution has already computed
-    vars(noted).update((name, known[name]) for name in known.keys() - {each.name for each in fields(solution)})
+    computed = known.keys() - {each.name for each in fields(solution)}
+    # covariances are other ones with errors of scans
+    vars(noted).update((name, known[name]) for name in (computed & {"certificate"} if common.any() else computed))
     return noted

@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from ..edges import AnchorEdges
 from ..edges.base import Linearization
 from ..errors import OptionError, quoted
 from ..graph import Graph
 from ..identification.corrections import control_noise_at_steps
 from ..identification.declared import Parameters
 from ..linear.cholesky import Factor, FactorizationError
-from ..se2 import Array, perpendicular
+from ..se2 import Array, perpendicular, turned_by
 from .corrected import motion_edges, undetermined
 from .joint import JointFactor, JointGraph
 
@@ -32,11 +33,16 @@ class Uncertainty:
     robust kernels it is that of their estimate (`Graph.information`). Fixed nodes have covariance zero. The
     uncertainty of parameters, solved for or held, is part of that of the nodes: Omega^-1 + (Omega^-1 C) S^-1 (Omega^-1 C)'.
 
+    Where all sightings of a scan have an error in common (`Solution.scan_errors`), a node of a pose stands for the pose with
+    this error, and an anchor, which holds the pose, is wider by it: the first scan turns and shifts everything else.
+
     Raises:
         GraphError: (all methods) the edges do not determine the nodes.
     """
 
-    def __init__(self, graph: Graph, state: Array) -> None:
+    def __init__(self, graph: Graph, state: Array, scan_errors: Array | None = None) -> None:
+        if scan_errors is not None and scan_errors.any():
+            graph = _with_wider_anchors(graph, state, scan_errors)
         self._graph, self._state = graph, state
 
     def __getstate__(self) -> dict[str, Any]:
@@ -179,6 +185,22 @@ class Uncertainty:
             across = omega[end:, 3:end] @ e
             square -= float(across @ spsolve(omega[end:, end:], across))
         return square
+
+
+def anchored(graph: Graph) -> np.ndarray:
+    """The nodes of poses that anchors hold."""
+    return np.concatenate([np.zeros(0, dtype=int), *(each.nodes for each in graph.families if type(each) is AnchorEdges)])
+
+
+def _with_wider_anchors(graph: Graph, state: Array, covariance: Array) -> Graph:
+    """The graph with the covariance (3, 3), in the axes of each pose, added to that of each anchor."""
+    families = [
+        replace(each, information=np.linalg.inv(np.linalg.inv(each.information) + turned_by(covariance, state[each.nodes, 2])))
+        if type(each) is AnchorEdges
+        else each
+        for each in graph.families
+    ]
+    return graph.with_families(tuple(families))
 
 
 #: the parameters that are identifiable from turns only: where the robot does not turn, a shift of the sensor moves all

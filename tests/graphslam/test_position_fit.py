@@ -5,6 +5,7 @@ import pytest
 
 from comparisons.show.language import translated
 from graphslam import AbsolutePositions, Drive, Graph, MotionModel, SensorModel, join_logs, simulate, solve
+from graphslam.edges import AnchorEdges
 from graphslam.se2 import mounted
 
 LEVER, NOISE = "the positions fit better", "the errors of the positions"
@@ -101,14 +102,37 @@ def test_a_motion_of_which_nothing_is_known_is_no_doubt(variance):
     assert not solution.notes
 
 
-@pytest.mark.parametrize("shaking", [0.0, 0.03])
-def test_an_error_that_the_sightings_of_a_scan_have_in_common(shaking):
-    """The estimate takes it for noise of the odometry, and NEES / 3 is 40 and more."""
-    log = Drive(seed=4, duration=40.0, place="field", landmarks=60, misread=0.0, parameters={}).simulate()[0]
-    common = shaking * np.random.default_rng(0).normal(size=log.num_poses)
-    shaken = log.sightings + np.outer(common[log.steps], [0, 1])
-    notes = solve(Graph.from_log(log.replace(sightings=shaken))).notes
-    assert any("errors of successive turns cancel each other" in note for note in notes) == (shaking > 0)
+@pytest.mark.parametrize("settings", [{}, {"scan_bearing_std": 0.03}, {"stamp_std": 0.08}], ids=str)
+def test_an_error_that_the_sightings_of_a_scan_have_in_common(settings):
+    """The estimate takes it for noise of the odometry; without it in the covariances NEES / 3 is 7 to 570."""
+    nees = []
+    for seed in (4, 5, 6):
+        drive = Drive(seed=seed, duration=40.0, place="field", landmarks=60, misread=0.0, parameters={}, **settings)
+        log = drive.simulate()[0]
+        solution = solve(Graph.from_log(log))
+        assert any("an error in common" in note for note in solution.notes) == bool(settings)
+        assert solution.scan_errors.any() == bool(settings)
+        nees.append(np.nanmean(solution.nees(log.true_poses)))
+    assert 0.3 < np.mean(nees) < 3.0
+
+
+def test_covariances_with_errors_of_scans():
+    """A pose is its node without the error of its scan; what an anchor holds is the pose."""
+    log = Drive(seed=4, duration=20.0, place="field", landmarks=60, parameters={}, scan_bearing_std=0.03).simulate()[0]
+    solution = solve(Graph.from_log(log))
+    steps = solution.graph.steps
+    joint = solution.covariance(poses=steps, joint=True)
+    np.testing.assert_allclose(joint, joint.T, atol=1e-12)
+    assert np.linalg.eigvalsh(joint)[0] > -1e-9
+    blocks = solution.covariance()[steps]
+    at = np.arange(3 * len(steps)).reshape(-1, 3)
+    np.testing.assert_allclose(joint[at[:, :, None], at[:, None, :]], blocks, rtol=1e-9, atol=1e-15)
+    anchor = next(each for each in solution.graph.families if type(each) is AnchorEdges)
+    np.testing.assert_allclose(blocks[0], np.linalg.inv(anchor.information[0]), rtol=0.02, atol=1e-12)
+    # the error of the first scan turns all others together, so that headings share its variance
+    of_scan = solution.scan_errors[2, 2]
+    assert np.all(blocks[1:, 2, 2] > 1.9 * of_scan)
+    assert np.median(joint[at[1:-1, 2], at[2:, 2]]) > 0.9 * of_scan
 
 
 def test_a_bias_of_joined_drives_is_no_slip():
