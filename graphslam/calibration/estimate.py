@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,8 @@ from .variances import VarianceFit
 
 #: at least so many motions with true poses at both ends tell their noise
 FEWEST_MOTIONS = 10
+#: the standard deviations of the sensor that are lengths
+LENGTHS = [f.name for f in fields(SensorModel) if f.name in OF_SENSOR and f.metadata["unit"] == "m"]
 #: the choices of the option ``source``
 SOURCES = ("auto", "truth", "residuals")
 
@@ -291,7 +293,8 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
     relative = [found.errors.get("wheel_scale", 0.0) / found.wheel_scale, np.nan_to_num(errors["wheel_scale"])]
     biases: dict[str, Any] = {"turn_scale": 1.0, "curvature_bias": 0.0, "range_scale": 1 / factor} | means
     known = {name: error for name, error in found.errors.items() if name not in biases}
-    known |= {"range_scale": math.hypot(*relative) / factor, "range_std": found.errors["range_std"] * factor}
+    known |= {"range_scale": math.hypot(*relative) / factor} | {name: known[name] * factor for name in LENGTHS}
+    longer: dict[str, Any] = {name: getattr(found.sensor, name) * factor for name in LENGTHS}
     note = (
         "there is no true map: the numbers of the motion, with wheel_scale and turn_rate_bias, are from the true poses, and "
         "those of the sensor from residuals"
@@ -299,7 +302,7 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
     return replace(
         found,
         motion=with_variances(motion, moved.variances),
-        sensor=replace(found.sensor, range_std=found.sensor.range_std * factor),
+        sensor=replace(found.sensor, **longer),
         **biases,
         errors=known | moved.errors_of_model() | errors,
         bounds=moved.bounds_of_model(),

@@ -15,8 +15,8 @@ from ..engine import engine
 from ..errors import GraphError, OptionError
 from ..errors.checks import QUICKEST, check_heading, check_positive, checked_pose, finite_numbers
 from ..linear.precision import check_size, model_of, small_inverse
-from ..models import MotionModel, sinc_slope_near_zero
-from ..se2 import Array, turned_by
+from ..models import MotionModel
+from ..se2 import Array, sinc_slope_near_zero, turned_by
 from .arguments import PoseLike, frozen_at, in_world_frame, positive_definite
 from .base import POINT, POSE, Coordinates, Factor, KernelLike, Linearized, listed_keys, noise_model, wrapped
 

@@ -134,10 +134,8 @@ def with_common_noise(logs: Sequence[Log]) -> list[Log]:
 
     motion = MotionModel(**squares(motions), epsilon=float(np.mean([each.epsilon for each in motions])))
     ahead, left = np.mean([each.offset for each in sensors], axis=0).tolist()
-    sensor = SensorModel(
-        **squares(sensors), offset=(ahead, left), min_range=min(each.min_range for each in sensors),
-        max_range=max(each.max_range for each in sensors), field_of_view=max(each.field_of_view for each in sensors),
-    )  # fmt: skip
+    least, most, views = zip(*(each.limits for each in sensors))
+    sensor = SensorModel(**squares(sensors), offset=(ahead, left)).within(min(least), max(most), max(views))
     uncertain = {
         name: float(np.sqrt(np.mean([each.get(name, 0.0) ** 2 for each in taken_out])))
         for name in dict.fromkeys(name for each in taken_out for name in each)

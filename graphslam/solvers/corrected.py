@@ -16,6 +16,7 @@ from ..edges import (
     SightingEdges,
 )
 from ..edges import motion_edges as make_motion_edges
+from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import first
 from ..graph import Graph
@@ -96,11 +97,11 @@ def _motions(edges: RelativePoseEdges, here: Parameters, there: Parameters) -> R
     noisy = make_motion_edges(
         nodes, corrected_controls(there), log.dt, motion, starts=log.control_starts,
         control_variances=log.control_variances, recorded_dt=log.recorded_dt, frame=edges.frame,
-        scale=here.motion_weight,
+        scale=here.options.motion_weight,
     )  # fmt: skip
     if here.values is there.values or np.array_equal(here.values, there.values):
         return noisy
-    measured, _ = motion.accumulated_slopes(corrected_controls(here), log.dt, log.control_starts)
+    measured, _ = engine.accumulated_slopes(corrected_controls(here), log.dt, log.control_starts)
     return replace(noisy, measured=measured)
 
 
