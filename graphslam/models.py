@@ -368,7 +368,7 @@ class SensorModel(NoiseModel):
         """The limits of sight: least range, greatest range, whole angle."""
         return self.min_range, self.max_range, self.field_of_view
 
-    def within(self, least: float, most: float, view: float) -> SensorModel:
+    def with_limits(self, least: float, most: float, view: float) -> SensorModel:
         """The same sensor with these `limits` of sight."""
         return replace(self, min_range=least, max_range=most, field_of_view=view)
 

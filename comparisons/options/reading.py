@@ -105,7 +105,7 @@ def prepare(
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
         least, most, view = sensor.limits
-        sensor = sensor.within(least, min(most, options.max_range), view)
+        sensor = sensor.with_limits(least, min(most, options.max_range), view)
     in_map: dict[str, Any] = {}
     if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
         landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)

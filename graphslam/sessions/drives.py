@@ -149,7 +149,7 @@ def with_common_noise(logs: Sequence[Log]) -> list[Log]:
     motion = MotionModel(**squares(motions), epsilon=float(np.mean([each.epsilon for each in motions])))
     ahead, left = np.mean([each.offset for each in sensors], axis=0).tolist()
     least, most, views = zip(*(each.limits for each in sensors))
-    sensor = SensorModel(**squares(sensors), offset=(ahead, left)).within(min(least), max(most), max(views))
+    sensor = SensorModel(**squares(sensors), offset=(ahead, left)).with_limits(min(least), max(most), max(views))
     uncertain = {
         name: float(np.sqrt(np.mean([each.get(name, 0.0) ** 2 for each in taken_out])))
         for name in dict.fromkeys(name for each in taken_out for name in each)

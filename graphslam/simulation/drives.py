@@ -309,7 +309,7 @@ def _reaching(sensor: SensorModel, place: str, rng: np.random.Generator) -> Sens
     least, most, view = sensor.limits
     reach = most * rng.uniform(0.8, 1.2) * (2.0 if place == "field" and most < 20 else 1.0)
     view = min(2 * pi, view * float(rng.uniform(0.9, 1.1)))
-    return sensor.within(least, float(reach), 2 * pi if most >= 20 else view)
+    return sensor.with_limits(least, float(reach), 2 * pi if most >= 20 else view)
 
 
 def _biases(rng: np.random.Generator, precise: bool, gyroscope: bool) -> dict[str, float]:

@@ -124,7 +124,7 @@ def simulate(
         poses, controls, biases = _drive(world, motion_faults or MotionFaults(), arena, rng)
     # the stricter limits of sight count, those of the world or those of the sensor; at no distance there is no direction
     least, most, view = sensor.limits
-    camera = sensor.within(
+    camera = sensor.with_limits(
         max(world.min_range, least, 1e-9), min(world.max_range, most), min(world.field_of_view, view)
     )
     at, seen = _visible(camera, poses, landmarks)
