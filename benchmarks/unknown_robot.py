@@ -47,7 +47,8 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.models import MotionModel
 from graphslam.se2 import Array
-from graphslam.simulation.drives import SENSORS, SPREADS, Drive, DriveTruth
+from graphslam.simulation.drives import SPREADS, Drive, DriveTruth
+from graphslam.simulation.worlds import SENSORS
 
 #: never tune on these
 REPORTING = range(200)

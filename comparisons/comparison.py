@@ -455,7 +455,8 @@ def compare(
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options, together=True)
     if len(data.steps) == 0 and data.partial_sightings is None:
-        within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
+        farthest = options.max_range
+        within = "" if farthest is None else f" within max_range ({farthest:g} m)"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
     chosen = names or default_estimators()
     announce_memory(((name, data, options) for name in chosen), announce)

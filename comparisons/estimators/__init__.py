@@ -129,9 +129,9 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The lectures' program as it stands, with the book's threshold; J is the world-frame cost that it works on."""
     _no_map("textbook", options)
     check_one_drive("textbook", log)
-    others = {each: getattr(RunOptions, each) for each in ("motion_weight", "residual", "initialize", "estimate")}
+    defaults = {each: getattr(GraphOptions, each) for each in _GRAPH if each != "edges"}
     options, notes = _fixed(
-        options, "it is the lectures' program as it stands", frame="world", weight="pairs", kernel="none", **others
+        options, "it is the lectures' program as it stands", **defaults | {"frame": "world", "kernel": "none"}
     )
     edges = options.edges
     if edges not in graphslam.textbook.THRESHOLDS:
@@ -205,9 +205,7 @@ def online(log: Log, options: RunOptions) -> EstimatorResult:
 
 def _online_options(options: RunOptions) -> tuple[RunOptions, tuple[str, ...]]:
     """The options with those that `online` has fixed, and a note on them."""
-    ways = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
-    reason = "it has landmark nodes with Cartesian residuals, and estimates no parameters"
-    return _fixed(options, reason, **ways, initialize="auto", estimate=None)
+    return _fixed(options, "it has landmark nodes with Cartesian residuals, and estimates no parameters", **_ONLINE)
 
 
 def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineSolver]:
@@ -362,6 +360,10 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
 
 
 _GRAPH = tuple(options_of(GraphOptions))
+#: those that `online` has fixed; it refuses the other frame
+_ONLINE: dict[str, Any] = {
+    "edges": "landmark+motion", "weight": "pairs", "residual": "cartesian", "initialize": "auto", "estimate": None,
+}  # fmt: skip
 #: and what finds the ids for it
 _SOLVED = (*_GRAPH, *options_of(FrontEndOptions), "class_confusion", "range_noise")
 
@@ -385,7 +387,7 @@ ESTIMATORS: dict[str, Estimator] = {
         partial(by_hand, "graph-no-kernel", kernel="none"), _solved_without("kernel"), on_request=True
     ),
     "gtsam": Estimator(gtsam_estimator, _SOLVED, _gtsam_seconds),
-    "online": Estimator(online, ("motion_weight", "kernel", "lag"), on_request=True),
+    "online": Estimator(online, (*(n for n in _GRAPH if n not in _ONLINE and n != "frame"), "lag"), on_request=True),
     "isam2": Estimator(isam2, _solved_without("initialize", "estimate", "range_noise"), _isam2_seconds),
     "mcl": Estimator(mcl, LOCALISATION),
     "fastslam1": Estimator(partial(of_several_seeds, "fastslam1"), FILTER),

@@ -81,7 +81,7 @@ class NoiseOptions(Options):
 
     Attributes:
         motion, sensor: whole models, in Python only.
-        numbers: single numbers of the models, {"range_std": 0.12}; they take precedence over all else.
+        numbers: single numbers of the models, {"oo": 0.12}; they take precedence over all else.
     """
 
     panel = NOISE

@@ -104,7 +104,8 @@ def prepare(
         data = _compared_with_estimate(data, motion, sensor)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
-        sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
+        least, most, view = sensor.limits
+        sensor = sensor.with_limits(least, min(most, options.max_range), view)
     in_map: dict[str, Any] = {}
     if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
         landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)

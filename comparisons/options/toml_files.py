@@ -6,7 +6,7 @@ reads it (`read_noise`).
     [motion]        # the numbers of `graphslam.MotionModel`; absent where the log has no controls
     nn = 0.19
     [sensor]        # those of `graphslam.SensorModel`
-    bearing_std = 0.05
+    range_rate = 0.14
     [ranges]        # measured range = scale * range + bias [m]
     scale = 1.02
     bias = 0.03

@@ -27,7 +27,7 @@ from graphslam.identification.declared import ParameterEstimate
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import Errors, Metrics, mean_nees
 from graphslam.se2 import Array
-from graphslam.solvers.corrected import motion_edges, sighted_edges
+from graphslam.solvers.joint import motion_edges, sighted_edges
 from graphslam.solvers.uncertainty import Uncertainty
 
 from .documents import Count, Covariance, Flags, Numbers, Poses, Position

@@ -141,8 +141,8 @@ def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Va
         if not kind.startswith("virtual") and weight != WEIGHTS[0]:
             # only pairs of sightings can be weighted differently
             continue
-        for scale in options.motion_weights if kind.endswith("+motion") else (1.0,):
-            yield Variant(edges=kind, frame=frame, weight=weight, motion_weight=scale, kernel=kernel, dimensions=d)
+        plain = Variant(edges=kind, frame=frame, weight=weight, kernel=kernel, dimensions=d)
+        yield from plain.weighed(options.motion_weights)
 
 
 def compare_solvers(

@@ -51,9 +51,8 @@ from ..graph import Graph
 from ..graph.localization import SURE
 from ..linear.cholesky import Bordered, FactorizationError
 from ..se2 import Array, between, turn_matrix, wrap
-from .corrected import motion_edges
 from .iteration import end_of, levenberg_marquardt
-from .joint import JointFactor, JointGraph, times
+from .joint import JointFactor, JointGraph, motion_edges, times
 from .map_errors import likeliest_deviation
 from .uncertainty import Uncertainty
 

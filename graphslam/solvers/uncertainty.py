@@ -21,8 +21,7 @@ from ..identification.corrections import control_noise_at_steps
 from ..identification.declared import Parameters
 from ..linear.cholesky import Factor, FactorizationError
 from ..se2 import Array, perpendicular
-from .corrected import motion_edges, undetermined
-from .joint import JointFactor, JointGraph
+from .joint import JointFactor, JointGraph, motion_edges, undetermined
 
 
 class Uncertainty:
