@@ -413,13 +413,9 @@ Progress = Callable[[str, EstimatorResult | Skipped | None], None]
 
 
 def run(
-    log: LogOrPath | Sequence[LogOrPath] = None,
-    *,
-    estimators: Sequence[str] | str | None = None,
-    time_limit: float | None = None,
-    progress: Progress | None = None,
-    **options: Any,
-) -> Comparison:
+    log: LogOrPath | Sequence[LogOrPath] = None, *, estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None, progress: Progress | None = None, **options: Any,
+) -> Comparison:  # fmt: skip
     """Run estimators on a log: ``run().table``, ``run("my.npz", estimators=["graph", "gtsam"], edges="virtual")``.
 
     Args:
@@ -442,14 +438,9 @@ def run(
 
 
 def compare(
-    log: LogOrPath | Sequence[LogOrPath],
-    options: RunOptions,
-    *,
-    estimators: Sequence[str] | str | None = None,
-    time_limit: float | None = None,
-    progress: Progress | None = None,
-    announce: Announce | None = None,
-) -> Comparison:
+    log: LogOrPath | Sequence[LogOrPath], options: RunOptions, *, estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None, progress: Progress | None = None, announce: Announce | None = None,
+) -> Comparison:  # fmt: skip
     """The same as `run`, with the options as one object; ``announce`` is called where filters need much memory."""
     names = None if estimators is None else check_estimators(estimators)
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit

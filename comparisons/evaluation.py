@@ -148,11 +148,8 @@ class EvaluateDocument:
 
 
 def evaluate(
-    truth: str | PathLike[str],
-    *estimates: str | PathLike[str],
-    options: EvaluationOptions | None = None,
-    **changes: Any,
-) -> Evaluation:
+    truth: str | PathLike[str], *estimates: str | PathLike[str], options: EvaluationOptions | None = None, **changes: Any,
+) -> Evaluation:  # fmt: skip
     """Compare trajectories, and maps, with the ground truth.
 
     Args:
@@ -303,12 +300,9 @@ def _table_options(options: EvaluationOptions, table: str) -> TableOptions:
 
 
 def _evaluated(
-    truth: Trajectory,
-    estimate: Trajectory,
-    true_map: Mapping[int, Array] | None,
-    places: Mapping[int, Array] | None,
+    truth: Trajectory, estimate: Trajectory, true_map: Mapping[int, Array] | None, places: Mapping[int, Array] | None,
     options: EvaluationOptions,
-) -> Evaluated:
+) -> Evaluated:  # fmt: skip
     right = poses_at(estimate.times, truth.times, truth.poses, 1e9 * options.longest_gap, same=ROUNDED)
     known = np.isfinite(right[:, 0])
     if np.count_nonzero(known) < 2:

@@ -26,16 +26,11 @@ LONG = 4_000
 
 
 def associate(
-    log: Log,
-    *,
-    motion: MotionModel | None = None,
-    sensor: SensorModel | None = None,
-    options: AssociationOptions | None = None,
-    filters: FilterOptions | None = None,
+    log: Log, *, motion: MotionModel | None = None, sensor: SensorModel | None = None,
+    options: AssociationOptions | None = None, filters: FilterOptions | None = None,
     start: Start | Begin | Sequence[Start | Begin | None] | None = None,
-    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
-    **changes: Any,
-) -> Association:
+    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None, **changes: Any,
+) -> Association:  # fmt: skip
     """Find out which sightings are of the same landmark, from the log alone.
 
     Ids that the log has are not used where all sightings have one; where some have none, the others keep theirs (option

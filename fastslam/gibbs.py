@@ -302,17 +302,10 @@ class ParticleGibbs:
     """
 
     def __init__(
-        self,
-        log: Log,
-        *,
-        seed: int | np.random.Generator = 0,
-        threads: int | None = None,
-        options: GibbsOptions | None = None,
-        motion: MotionModel | None = None,
-        sensor: SensorModel | None = None,
-        start: ArrayLike | None = None,
-        **keywords: Any,
-    ) -> None:
+        self, log: Log, *, seed: int | np.random.Generator = 0, threads: int | None = None,
+        options: GibbsOptions | None = None, motion: MotionModel | None = None, sensor: SensorModel | None = None,
+        start: ArrayLike | None = None, **keywords: Any,
+    ) -> None:  # fmt: skip
         check_is_log(log)
         log.warn_of_unused("particle Gibbs")
         check_known("ParticleGibbs", keywords, [field.name for field in fields(GibbsOptions)])
@@ -370,15 +363,11 @@ class ParticleGibbs:
             low_rank = LowRank(Target.of(problem, o), chains[-1].poses, marks)
             runs = self._sampled(pool, chains, low_rank, o.iterations, warm_up=False)
         return GibbsResult(
-            log=self.log.name,
-            options=o,
-            motion=self.motion,
-            sensor=self.sensor,
+            log=self.log.name, options=o, motion=self.motion, sensor=self.sensor,
             trajectories=np.stack([robot_poses(self.sensor, x) for x, _ in runs]),
-            maps=np.stack([m for _, m in runs])[..., : problem.columns],
-            ids=problem.ids,
+            maps=np.stack([m for _, m in runs])[..., : problem.columns], ids=problem.ids,
             accepted=float(np.mean([chain.accepted for chain in chains])),
-        )
+        )  # fmt: skip
 
     def _sampled(
         self, pool: ThreadPoolExecutor, chains: list[Any], low_rank: LowRank, sweeps: int, *, warm_up: bool

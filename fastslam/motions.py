@@ -91,16 +91,9 @@ class Sightings:
         z[:, :n] = sightings
         q[:, :n] = np.diagonal(sensor.Q(sightings), axis1=-2, axis2=-1)
         taken = cls(
-            first=np.searchsorted(steps, np.arange(poses + 1)),
-            marks=marks.astype(np.int64).ravel(),
-            z=z,
-            q=q,
-            y=z,
-            C=np.zeros((size, 6)),
-            ids=ids,
-            columns=n,
-            **more,
-        )
+            first=np.searchsorted(steps, np.arange(poses + 1)), marks=marks.astype(np.int64).ravel(), z=z, q=q, y=z,
+            C=np.zeros((size, 6)), ids=ids, columns=n, **more,
+        )  # fmt: skip
         return taken._linearised(z[:, 0], z[:, 1], wrap(z[:, 1] - z[:, 2]))
 
     @property
@@ -137,15 +130,8 @@ class Sightings:
         indices = (np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.first, self.marks))
         sightings = (np.ascontiguousarray(part) for part in (self.y, self.C, weights, self.z, self.q))
         return engine.GibbsProblem(
-            motions,
-            np.ascontiguousarray(information),
-            *indices,
-            *sightings,
-            len(self.ids),
-            self.columns,
-            exact,
-            degrees,
-        )
+            motions, np.ascontiguousarray(information), *indices, *sightings, len(self.ids), self.columns, exact, degrees,
+        )  # fmt: skip
 
     def linearised_at(self, trajectories: Array, maps: Array) -> Self:
         """Return the same problem, linearised at the mean relative places of samples (S, T + 1, 3) and (S, J, 3)."""
@@ -179,14 +165,9 @@ class Problem(Sightings):
         motions, covariances = sensor_motions(sensor, *log.motions(motion))
         rows, columns = np.tril_indices(3)
         return cls.taken(
-            log.num_poses,
-            log.steps,
-            log.landmarks,
-            log.sightings,
-            sensor,
-            motions=np.ascontiguousarray(motions),
+            log.num_poses, log.steps, log.landmarks, log.sightings, sensor, motions=np.ascontiguousarray(motions),
             information=np.linalg.inv(covariances)[:, rows, columns],
-        )
+        )  # fmt: skip
 
     def motions_of(self, trajectories: Array) -> Array:
         """Return the mean motions (T, 3) of sampled trajectories (S, T + 1, 3)."""

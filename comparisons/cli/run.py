@@ -30,14 +30,10 @@ PAGE = "Wrote the interactive report {}: open it in a browser."
 
 
 def run(
-    output: Output,
-    log: LogFile = None,
-    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same place, solved together.")] = None,
-    *,
-    chosen: EstimatorOptions,
-    options: RunOptions,
-    saving: OutputOptions,
-) -> None:
+    output: Output, log: LogFile = None,
+    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same place, solved together.")] = None, *,
+    chosen: EstimatorOptions, options: RunOptions, saving: OutputOptions,
+) -> None:  # fmt: skip
     """Run all estimators on one log, or on several logs of one place: a table, a figure and the results as JSON.
 
     Examples:
@@ -121,14 +117,10 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
 
 
 def report(
-    output: Output,
-    words: Annotated[
-        list[str], argument("[LOG] OUT.html", "The log (default: the sample log of the package), and the page.")
-    ],
-    *,
-    chosen: EstimatorOptions,
-    options: RunOptions,
-) -> None:
+    output: Output, words: Annotated[
+    list[str], argument("[LOG] OUT.html", "The log (default: the sample log of the package), and the page.") ], *,
+    chosen: EstimatorOptions, options: RunOptions,
+) -> None:  # fmt: skip
     """Run all estimators on one log and write an interactive report: one HTML file that works offline.
 
     Examples:
@@ -201,13 +193,9 @@ def _compared(
 
     with output.bar("estimators", len(chosen.estimators or default_estimators())) as advance:
         return compare(
-            log,
-            options,
-            estimators=chosen.estimators,
-            time_limit=chosen.time_limit,
-            progress=_progress(output, advance),
+            log, options, estimators=chosen.estimators, time_limit=chosen.time_limit, progress=_progress(output, advance),
             announce=output.progress,
-        )
+        )  # fmt: skip
 
 
 def _progress(output: Output, advance: Advance) -> Progress:

@@ -161,12 +161,9 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
     )
     metavar = option.metavar or None
     settings = typer.Option(
-        *flags,
-        help=text.replace("[", r"\["),
-        metavar=metavar,
-        show_default=default,
+        *flags, help=text.replace("[", r"\["), metavar=metavar, show_default=default,
         rich_help_panel=in_language(option.panel, language) or None,
-    )
+    )  # fmt: skip
     annotation = Annotated[kind | None, settings]
     return inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
 

@@ -27,12 +27,9 @@ from . import check_estimators
 
 
 def config_text(
-    source: Path | tuple[Path | None, ...] | None,
-    estimators: Sequence[str] | None,
-    options: RunOptions,
-    *,
+    source: Path | tuple[Path | None, ...] | None, estimators: Sequence[str] | None, options: RunOptions, *,
     time_limit: float | None = None,
-) -> str:
+) -> str:  # fmt: skip
     """The configuration of a run as TOML; options that were chosen by the log are left out."""
     paths = [path for path in (source if isinstance(source, tuple) else (source,)) if path is not None]
     # logs that come from no file cannot be named

@@ -144,19 +144,13 @@ def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
         reported = result.smoothed
         reason += f", and drew {options.filter.smoothing} trajectories backwards"
     return EstimatorResult(
-        name=name,
-        poses=reported.poses,
-        estimated=np.ones(log.num_poses, dtype=bool),
-        seconds=seconds,
+        name=name, poses=reported.poses, estimated=np.ones(log.num_poses, dtype=bool), seconds=seconds,
         landmarks=dict(reported.landmarks) if maps else {},
-        landmark_covariances=dict(reported.landmark_covariances) if maps else {},
-        named=named,
-        notes=tuple(notes),
+        landmark_covariances=dict(reported.landmark_covariances) if maps else {}, named=named, notes=tuple(notes),
         association=result.association,
         options={k: v for k, v in asdict(result.options).items() if k in ("seed", *(FILTER if maps else LOCALISATION))},
-        reason=reason,
-        origin=result,
-    )
+        reason=reason, origin=result,
+    )  # fmt: skip
 
 
 #: the runs of a filter, with the seeds from 0 on, unless the options name a seed

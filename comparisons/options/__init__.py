@@ -253,11 +253,9 @@ class OutputOptions(Options):
         None, "Also write the interactive report, one HTML file.", metavar="FILE", writes=(".html", ".htm")
     )
     mcap: Path | None = option(
-        None,
-        "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.",
-        metavar="FILE",
+        None, "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.", metavar="FILE",
         writes=(".mcap",),
-    )
+    )  # fmt: skip
     rerun: Path | None = option(
         None, "Also write poses and maps as a recording of Rerun (.rrd).", metavar="FILE", writes=(".rrd",)
     )
@@ -367,12 +365,8 @@ class AnimationOptions(Options):
         choices=("graph", "association", "fastslam1", "fastslam2", "mcl", "isam2", "particle-gibbs"),
     )  # fmt: skip
     fps: float | None = option(
-        None,
-        "Frames per second.",
-        default_text="2 for iterations, 10 for steps and sweeps",
-        positive=True,
-        panel=OUTPUT,
-    )
+        None, "Frames per second.", default_text="2 for iterations, 10 for steps and sweeps", positive=True, panel=OUTPUT,
+    )  # fmt: skip
     max_frames: int = option(200, "Maximum number of frames; longer runs are thinned evenly.", minimum=2, panel=OUTPUT)
 
 

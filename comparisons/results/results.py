@@ -379,15 +379,11 @@ def found_ids(log: Log, result: EstimatorResult, scores: AssociationScore | None
     given, found = result.association != UNIDENTIFIED, result.found
     classes = {each.landmark: each.of_class for each in sightings_of(log, result.association)}
     return FoundIds(
-        landmarks=len(classes),
-        clutter=int(np.sum(~given)),
-        classes=None if log.classes is None else classes,
+        landmarks=len(classes), clutter=int(np.sum(~given)), classes=None if log.classes is None else classes,
         unconfirmed=None if result.unconfirmed is None else int(np.sum(result.unconfirmed & given)),
-        evidence=None if found is None else found.evidence,
-        ambiguities=None if found is None else found.ambiguities,
-        verdict=None if found is None else found.verdict,
-        **({} if scores is None else vars(scores)),
-    )
+        evidence=None if found is None else found.evidence, ambiguities=None if found is None else found.ambiguities,
+        verdict=None if found is None else found.verdict, **({} if scores is None else vars(scores)),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

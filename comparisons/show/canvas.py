@@ -256,13 +256,9 @@ MOST_POINTS, MOST_TURN = 10_000, 1.0
 
 
 def placement_of(
-    log: Log,
-    poses: Array,
-    estimated: np.ndarray | None = None,
-    landmarks: Mapping[int, Array] | None = None,
-    *,
+    log: Log, poses: Array, estimated: np.ndarray | None = None, landmarks: Mapping[int, Array] | None = None, *,
     named: bool = True,
-) -> Array:
+) -> Array:  # fmt: skip
     """The rigid motion (3,) that aligns an estimate to the ground truth, the one after which its errors are measured.
 
     Args:

@@ -52,12 +52,8 @@ def bars(edges: Array, counts: np.ndarray, unit: str, width: int = 40) -> list[s
 
 
 def plan(
-    path: Array,
-    points: Array,
-    width: int = 76,
-    height: int = 24,
-    names: tuple[str, str] = ("dead reckoning", "sighting"),
-) -> list[str]:
+    path: Array, points: Array, width: int = 76, height: int = 24, names: tuple[str, str] = ("dead reckoning", "sighting"),
+) -> list[str]:  # fmt: skip
     """A path (n, 2) of dots and points (m, 2) of crosses from above, with its size; S is the start.
 
     ``names`` are those of the dots and crosses.
@@ -137,13 +133,9 @@ def import_tables(found: Import) -> Tables:
     table = LeanTable(title, ["", "source"], ["rows", "from\n[s]", "to\n[s]", "rate\n[Hz]"])
     for stream in found.streams:
         table.add_row(
-            stream.kind,
-            stream.source.rpartition(": ")[2] if found.topics else Path(stream.source).name,
-            str(stream.rows),
-            f"{stream.begin:.2f}",
-            f"{stream.end:.2f}",
-            number(stream.rate),
-        )
+            stream.kind, stream.source.rpartition(": ")[2] if found.topics else Path(stream.source).name, str(stream.rows),
+            f"{stream.begin:.2f}", f"{stream.end:.2f}", number(stream.rate),
+        )  # fmt: skip
     log = found.log
     sizes = f"The log has {log.num_poses} poses and {log.seen}"
     known = f"; the true map has {found.landmarks} landmarks" if found.landmarks is not None else ""

@@ -93,15 +93,9 @@ def tracks(comparison: Comparison) -> Iterator[Track]:
         covariances = result.pose_covariances
         along = between.through(np.where(used[:, None], result.poses, np.nan))
         yield Track(
-            result.name,
-            seconds[used],
-            clock[used],
-            result.poses[used],
-            None if covariances is None else covariances[used],
-            along[np.isfinite(along[:, 0])],
-            result.landmarks,
-            result.landmark_covariances,
-        )
+            result.name, seconds[used], clock[used], result.poses[used], None if covariances is None else covariances[used],
+            along[np.isfinite(along[:, 0])], result.landmarks, result.landmark_covariances,
+        )  # fmt: skip
 
 
 def _clock(log: Log) -> np.ndarray:
@@ -385,11 +379,9 @@ def _write_track(rr: Any, recording: Any, track: Track) -> None:
             whole[: len(C), : len(C)] = C
     values |= _named(covariances)
     recording.log(
-        f"{track.name}/landmarks",
-        rr.Points2D(places[:, :2], colors=[color], labels=[str(id) for id in ids], radii=0.04),
-        rr.AnyValues(**values),
-        static=True,
-    )
+        f"{track.name}/landmarks", rr.Points2D(places[:, :2], colors=[color], labels=[str(id) for id in ids], radii=0.04),
+        rr.AnyValues(**values), static=True,
+    )  # fmt: skip
     if known:
         curves = ellipses(track.landmarks, known)
         recording.log(f"{track.name}/landmarks/ellipses", rr.LineStrips2D(list(curves), colors=[color]), static=True)

@@ -70,15 +70,10 @@ def backend_tables(comparison: BackendComparison) -> Tables:
         ratio = comparison.ratio(row)
         table.add_row(
             Path(row.file).name if row.file != previous else "",
-            row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})",
-            number(row.chi2, 6),
-            number(row.chi2_per_dof, 2),
-            yes_no(comparison.reached(row)),
-            optimum(row.certificate),
-            str(row.iterations),
-            seconds(row.seconds),
-            NOTHING if ratio is None or row.backend == "graphslam" else f"1/{1 / ratio:.1f}",
-        )
+            row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})", number(row.chi2, 6),
+            number(row.chi2_per_dof, 2), yes_no(comparison.reached(row)), optimum(row.certificate), str(row.iterations),
+            seconds(row.seconds), NOTHING if ratio is None or row.backend == "graphslam" else f"1/{1 / ratio:.1f}",
+        )  # fmt: skip
         previous = row.file
     for name, mean in comparison.geometric_means.items():
         if mean is not None:

@@ -154,14 +154,9 @@ def this_process(work: Callable[[Task], Row]) -> Iterator[Place[Task, Row]]:
 
 @contextmanager
 def local_processes(
-    work: Callable[[Task], Row],
-    *,
-    jobs: int | None = None,
-    estimators: Sequence[str] = (),
-    prepare: Callable[[], object] = list,
-    limit: float | None = None,
-    instead: Callable[[Task, str], Row] | None = None,
-) -> Iterator[Place[Task, Row]]:
+    work: Callable[[Task], Row], *, jobs: int | None = None, estimators: Sequence[str] = (),
+    prepare: Callable[[], object] = list, limit: float | None = None, instead: Callable[[Task, str], Row] | None = None,
+) -> Iterator[Place[Task, Row]]:  # fmt: skip
     """Processes of this machine. Starting one and loading its modules do not count towards the limit, reading a log does.
 
     Args:

@@ -125,12 +125,9 @@ def quartiles(values: Sequence[float | None]) -> Array | None:
 
 
 def study_particles(
-    log: Log | str | PathLike[str] | None = None,
-    *,
-    progress: Callable[[ParticleRun], None] | None = None,
-    announce: Announce | None = None,
-    **options: Any,
-) -> ParticleStudy:
+    log: Log | str | PathLike[str] | None = None, *, progress: Callable[[ParticleRun], None] | None = None,
+    announce: Announce | None = None, **options: Any,
+) -> ParticleStudy:  # fmt: skip
     """Run filters with growing numbers of particles and several random seeds on one log.
 
     Args:
@@ -184,13 +181,9 @@ def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleR
     metrics = evaluate(truth, log.true_landmarks, path, estimate.landmarks, named=estimate.named)
     sighted = np.unique(log.steps)
     return ParticleRun(
-        name=name,
-        particles=particles,
-        seed=seed,
-        ate_m=metrics.ate_m,
+        name=name, particles=particles, seed=seed, ate_m=metrics.ate_m,
         mean_ate_m=None if metrics.ate_m is None or truth is None else ate(truth, log.at_truth(mean)),
         landmark_rmse_m=metrics.landmark_rmse_m,
         ess_share=float(np.mean(result.ess[sighted]) / particles) if len(sighted) else 1.0,
-        ancestors=int(result.ancestors[len(result.ancestors) // 2]),
-        seconds=estimate.seconds,
-    )
+        ancestors=int(result.ancestors[len(result.ancestors) // 2]), seconds=estimate.seconds,
+    )  # fmt: skip

@@ -281,14 +281,8 @@ def compare_solutions(name: str, ours: Solution, theirs: Solution) -> VariantRes
     # a cost of (numerically) zero, as noise-free logs have, has no relative error
     scale = max(abs(ours.cost), abs(theirs.cost), 1e-6)
     return VariantResult(
-        name=name,
-        pose_difference=float(np.max(np.abs(off), initial=0.0)) if not np.isnan(off).any() else float("nan"),
-        cost_difference=abs(ours.cost - theirs.cost) / scale,
-        cost=ours.cost,
-        iterations=ours.iterations,
-        gtsam_iterations=theirs.iterations,
-        seconds=ours.seconds,
-        gtsam_seconds=theirs.seconds,
-        converged=bool(ours.converged),
-        gtsam_converged=bool(theirs.converged),
-    )
+        name=name, pose_difference=float(np.max(np.abs(off), initial=0.0)) if not np.isnan(off).any() else float("nan"),
+        cost_difference=abs(ours.cost - theirs.cost) / scale, cost=ours.cost, iterations=ours.iterations,
+        gtsam_iterations=theirs.iterations, seconds=ours.seconds, gtsam_seconds=theirs.seconds,
+        converged=bool(ours.converged), gtsam_converged=bool(theirs.converged),
+    )  # fmt: skip

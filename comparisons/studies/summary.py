@@ -216,15 +216,11 @@ def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
     converged = [row["converged"] for row in rows if row["converged"] is not None]
     proven = [row["proven"] for row in rows if row.get("proven") is not None]
     return MethodSummary(
-        log=log,
-        method=name,
-        runs=len(rows),
-        failed=len(rows) - status[DONE] - status[TIMEOUT],
-        timeouts=status[TIMEOUT],
+        log=log, method=name, runs=len(rows), failed=len(rows) - status[DONE] - status[TIMEOUT], timeouts=status[TIMEOUT],
         converged=sum(converged) / len(converged) if converged else None,
         proven=sum(proven) / len(proven) if proven else None,
         figures={metric: _median([(row[metric], _unit(row, log)) for row in measured]) for metric in METRICS},
-    )
+    )  # fmt: skip
 
 
 def _difference(log: str, name: str, baseline: str, rows: Sequence[Row], base: Sequence[Row]) -> PairedDifference:

@@ -226,12 +226,9 @@ Progress = Callable[[int, int, Run | None, Outcome | None], None]
 
 
 def sweep(
-    study: Study | str | PathLike[str],
-    *,
-    progress: Progress | None = None,
-    announce: Announce | None = None,
+    study: Study | str | PathLike[str], *, progress: Progress | None = None, announce: Announce | None = None,
     **options: Any,
-) -> SweepOutcome:
+) -> SweepOutcome:  # fmt: skip
     """Execute the runs of a study that have no row in its database yet.
 
     Args:

@@ -107,16 +107,9 @@ class ParticleFilter(ABC):
     _HOW_WITHOUT_IDS = "and the association is known: leave it out, or take maximum-likelihood"
 
     def __init__(
-        self,
-        log: Log | None = None,
-        *,
-        options: FilterOptions | None = None,
-        motion: MotionModel | None = None,
-        sensor: SensorModel | None = None,
-        start: ArrayLike | Fix | None = None,
-        map: Any = None,
-        **keywords: Any,
-    ) -> None:
+        self, log: Log | None = None, *, options: FilterOptions | None = None, motion: MotionModel | None = None,
+        sensor: SensorModel | None = None, start: ArrayLike | Fix | None = None, map: Any = None, **keywords: Any,
+    ) -> None:  # fmt: skip
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
             check_type(kind, **{name: value})
         if given := {"landmarks", "landmark_map"}.intersection(keywords):
@@ -168,13 +161,9 @@ class ParticleFilter(ABC):
         return f"<{type(self).__name__}{on}: {self.particles} particles, step {self._step}{steps}>"
 
     def move(
-        self,
-        control: ArrayLike | None = None,
-        dt: float | None = None,
-        *,
-        motion: ArrayLike | None = None,
+        self, control: ArrayLike | None = None, dt: float | None = None, *, motion: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Go to the next step: every particle draws its own motion.
 
         Args:
@@ -332,23 +321,14 @@ class ParticleFilter(ABC):
         best_map = self._map(self._engine.best, provisional=False)
         poses = self.trajectory()
         result = FilterResult(
-            estimator=type(self).__name__,
-            log="" if self.log is None else self.log.name,
-            options=self.options,
-            motion=self.motion,
-            sensor=self.sensor,
-            poses=poses,
-            mean_poses=robot_poses(self.sensor, mean_poses),
+            estimator=type(self).__name__, log="" if self.log is None else self.log.name, options=self.options,
+            motion=self.motion, sensor=self.sensor, poses=poses, mean_poses=robot_poses(self.sensor, mean_poses),
             landmarks={j: estimate.mean for j, estimate in best_map.items()},
             landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
-            log_weights=self._engine.log_weights,
-            log_evidence=self._log_evidence,
-            ess=np.array(self._ess_history),
-            resampled=np.array(self._resampled_history),
-            ancestors=ancestors,
-            smoothed=self._smoothed(mean_poses),
+            log_weights=self._engine.log_weights, log_evidence=self._log_evidence, ess=np.array(self._ess_history),
+            resampled=np.array(self._resampled_history), ancestors=ancestors, smoothed=self._smoothed(mean_poses),
             **self._association(poses),
-        )
+        )  # fmt: skip
         # measurements that are handed in between those of the log are not in it
         return noted(result, self.log if self._next == self._step + 1 else None, self.HAS_MAPS)
 
@@ -484,10 +464,8 @@ class ParticleFilter(ABC):
         if not possible:
             warnings.warn(
                 f"step {self._step}: its {what} are impossible for all {self.particles} particles; "
-                "the weights from before the step are kept",
-                VanishedWeightsWarning,
-                stacklevel=4,
-            )
+                "the weights from before the step are kept", VanishedWeightsWarning, stacklevel=4,
+            )  # fmt: skip
             return False
         self._log_evidence += log_evidence
         self._ess_history[-1] = ess

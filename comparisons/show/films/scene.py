@@ -314,12 +314,8 @@ class Scene:
         return lines
 
     def add_coloured(
-        self,
-        norm: Normalize,
-        colours: Colormap,
-        drawn: Callable[[Any], tuple[Array, Array]] | None = None,
-        **style: Any,
-    ) -> None:
+        self, norm: Normalize, colours: Colormap, drawn: Callable[[Any], tuple[Array, Array]] | None = None, **style: Any,
+    ) -> None:  # fmt: skip
         """Lines (E, 2, 2) in the picture in the colours of values (E,): those that a frame has, or ``drawn`` of a frame."""
         lines = self.add_lines(cmap=colours, norm=norm, **style)
 

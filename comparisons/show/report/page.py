@@ -86,12 +86,9 @@ def check_plotly() -> None:
 
 
 def write_report(
-    comparison: Comparison | Log | str | PathLike[str] | None,
-    path: str | PathLike[str],
-    *,
-    language: str = "en",
+    comparison: Comparison | Log | str | PathLike[str] | None, path: str | PathLike[str], *, language: str = "en",
     **options: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Write the interactive report of a comparison, one HTML file that works offline, whole or not at all.
 
     Args:

@@ -107,16 +107,12 @@ def view_of(comparison: Comparison) -> View:
     if line is not None and log.true_path is not None:
         line = line[:: max(1, len(line) // MOST_POINTS)]
     return View(
-        log=log,
-        aligned_to=canvas.aligned_to(log),
-        steps=steps,
+        log=log, aligned_to=canvas.aligned_to(log), steps=steps,
         times=None if log.times is None else elapsed_of(log)[steps],
-        truth=None if log.true_poses is None else log.true_poses[steps],
-        true_line=line,
+        truth=None if log.true_poses is None else log.true_poses[steps], true_line=line,
         estimates=tuple(_estimate(comparison, result, steps, path, between) for result in comparison.results),
-        measured_from=measured_from,
-        sightings=tuple(seen[begin:end] for begin, end in bounds),
-    )
+        measured_from=measured_from, sightings=tuple(seen[begin:end] for begin, end in bounds),
+    )  # fmt: skip
 
 
 def _estimate(
