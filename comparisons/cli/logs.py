@@ -111,11 +111,15 @@ def calibrate(
 
 
 def evaluate(
-    output: Output, truth: Annotated[
-    Path, argument("TRUTH", "The true poses: a table (.csv, .tum, ...), BAG:TOPIC, or a log with ground truth.") ],
-    estimates: Annotated[list[Path], argument("ESTIMATE ...", "Estimated poses: tables, bags or BAG:TOPIC, or .npz.")], *,
-    options: EvaluationOptions, drawing: FigureOptions,
-) -> None:  # fmt: skip
+    output: Output,
+    truth: Annotated[
+        Path, argument("TRUTH", "The true poses: a table (.csv, .tum, ...), BAG:TOPIC, or a log with ground truth.")
+    ],
+    estimates: Annotated[list[Path], argument("ESTIMATE ...", "Estimated poses: tables, bags or BAG:TOPIC, or .npz.")],
+    *,
+    options: EvaluationOptions,
+    drawing: FigureOptions,
+) -> None:
     """Compare trajectories and maps of any program with the ground truth.
 
     A trajectory is a table with columns t, x, y and theta, or a quaternion; TUM files are read as they are. Covariances of
@@ -264,9 +268,12 @@ def solvers(output: Output, log: LogFile = None, *, options: SolverCheckOptions)
 
 
 def backends(
-    output: Output, files: Annotated[list[Path], argument("FILE...", "Pose graphs: g2o, TORO or iSAM text.")], *,
-    options: BackendOptions, drawing: FigureOptions,
-) -> None:  # fmt: skip
+    output: Output,
+    files: Annotated[list[Path], argument("FILE...", "Pose graphs: g2o, TORO or iSAM text.")],
+    *,
+    options: BackendOptions,
+    drawing: FigureOptions,
+) -> None:
     """Time this solver, GTSAM and g2o on pose graphs; the same function computes the chi2 of every solver's result.
 
     Examples:

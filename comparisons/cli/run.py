@@ -117,10 +117,14 @@ def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) ->
 
 
 def report(
-    output: Output, words: Annotated[
-    list[str], argument("[LOG] OUT.html", "The log (default: the sample log of the package), and the page.") ], *,
-    chosen: EstimatorOptions, options: RunOptions,
-) -> None:  # fmt: skip
+    output: Output,
+    words: Annotated[
+        list[str], argument("[LOG] OUT.html", "The log (default: the sample log of the package), and the page.")
+    ],
+    *,
+    chosen: EstimatorOptions,
+    options: RunOptions,
+) -> None:
     """Run all estimators on one log and write an interactive report: one HTML file that works offline.
 
     Examples:
