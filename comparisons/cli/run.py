@@ -49,12 +49,12 @@ def run(
 
     check_can_make(RESULTS if saving.out is None else saving.out)
     writers = {kind: (path, _writer(kind)) for kind in FURTHER if (path := getattr(saving, kind)) is not None}
+    logs = [log, *others] if others else log
     if saving.live:
-        _draw_live(output, [log, *others] if others else log, options)
-    outcome = _compared(output, [log, *others] if others else log, chosen, options)
-    files = outcome.save(
-        saving.out, figures=saving.figures, language=output.language_of_figures() if saving.figures else "en"
-    )
+        _draw_live(output, logs, options)
+    outcome = _compared(output, logs, chosen, options)
+    language = output.language_of_figures() if saving.figures else "en"
+    files = outcome.save(saving.out, figures=saving.figures, language=language)
     output.show(outcome, brief=True)
     for kind, (path, write) in writers.items():
         with noted(files.notes, "there is no interactive report" if kind == "html" else f"there is no {path}"):
@@ -65,11 +65,8 @@ def run(
     if output.wants_json:
         output.json(outcome.to_json(files))
     folder = files["json"].parent
-    named = [
-        p.name
-        for kind, p in files.items()
-        if not kind.endswith((".tum", ".csv", ".g2o", "-map.npz")) and kind not in FURTHER
-    ]
+    in_groups = (".tum", ".csv", ".g2o", "-map.npz")
+    named = [p.name for kind, p in files.items() if not kind.endswith(in_groups) and kind not in FURTHER]
     named += ["trajectories (*.tum)", "maps (*-map.csv, *-map.npz)"]
     named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
     named += ["graph.g2o"] * ("graph.g2o" in files)

@@ -53,11 +53,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
     # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
     hints = get_type_hints(function, localns=vars(declared), include_extras=True)
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "output"]
-    groups = {
-        p.name: hints[p.name]
-        for p in parameters
-        if isinstance(hints[p.name], type) and issubclass(hints[p.name], Options)
-    }
+    groups = {p.name: kind for p in parameters if isinstance(kind := hints[p.name], type) and issubclass(kind, Options)}
     options: dict[str, Option] = {}
     for group in (*groups.values(), declared.JsonOptions):
         options |= {name: each for name, each in options_of(group).items() if each.only != "python"}
@@ -143,10 +139,8 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
     """The option as a parameter that typer understands; its default None stands for the option's own."""
     # several values are one word with commas
     kind: Any = option.each if option.kind in (str, int, float, bool) else str
-    flag = (
-        f"{option.flag}/--no-{option.flag[2:]}" if option.kind is bool and option.default is not False else option.flag
-    )
-    flags = [flag, *([f"--{option.alias}"] if option.alias else [])]
+    off = f"/--no-{option.flag[2:]}" if option.kind is bool and option.default is not False else ""
+    flags = [option.flag + off, *([f"--{option.alias}"] if option.alias else [])]
     # the unit is in the first sentence
     stop, between = (".", ". ") if language == "en" else ("。", "。")
     first, dot, more = in_language(option.help, language).removesuffix(stop).partition(between)
@@ -154,14 +148,12 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
     if not all(choice in option.help for choice in option.choices):
         several = "One or several of, with commas between: {}." if option.kind is tuple else "One of: {}."
         text += f" {in_language(several, language).format(', '.join(option.choices))}"
-    text_of_default = in_language(option.default_text, language) if option.default_text else ""
-    # spaces, at which the help breaks lines
-    default = text_of_default or (
-        option.default not in (None, False) and option.text(option.default).replace(",", ", ")
-    )
-    metavar = option.metavar or None
+    default: str | bool = option.default not in (None, False)
+    if default or option.default_text:
+        # spaces, at which the help breaks lines
+        default = in_language(option.default_text, language) or option.text(option.default).replace(",", ", ")
     settings = typer.Option(
-        *flags, help=text.replace("[", r"\["), metavar=metavar, show_default=default,
+        *flags, help=text.replace("[", r"\["), metavar=option.metavar or None, show_default=default,
         rich_help_panel=in_language(option.panel, language) or None,
     )  # fmt: skip
     annotation = Annotated[kind | None, settings]

@@ -223,7 +223,7 @@ def tum_text(times: Array, poses: Array, note: str = "") -> str:
         heading = np.nan_to_num(heading, nan=0.0)
     zero = np.zeros(len(poses))
     quaternion = [zero, zero, zero, np.sin(heading / 2), np.cos(heading / 2)]
-    rows = np.column_stack([times, poses[:, 0], poses[:, 1], *quaternion])
+    rows = np.column_stack([times, poses[:, :2], *quaternion])
     lines += [" ".join(map(repr, row)) for row in rows.tolist()]
     return "\n".join(lines) + "\n"
 

@@ -96,12 +96,9 @@ def pictures(log: Log, options: RunOptions, *, width: int = 76, height: int = 24
             marks = np.array([mark[:2] for mark in solver.landmarks.values()]).reshape(-1, 2)
             lines = plan(solver.poses[:, :2], marks, width, height, ("estimated path", "landmark"))
             # the first steps of a process load compiled code
-            pace = 1e3 * float(np.median(spent))
-            yield [
-                *lines,
-                *_where(solver, options),
-                f"step {solver.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace:.2f} ms per step (median)",
-            ]
+            pace = f"{1e3 * float(np.median(spent)):.2f} ms per step (median)"
+            last = f"step {solver.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace}"
+            yield [*lines, *_where(solver, options), last]
             drawn = now
         begin = time.perf_counter()
 
@@ -168,10 +165,9 @@ def overview_tables(overview: Overview) -> Tables:
     if (more := len(overview.landmarks) - _LISTED) > 0:
         remarks.append(f"... and {more} more landmarks")
     remarks.append(f"{title}{', with ' if known else ''}{known}.")
-    if log.relations is not None:
-        remarks.append(singular(f"The log has {len(log.relations)} relations between two poses."))
-    if log.positions is not None:
-        remarks.append(singular(f"The log has {len(log.positions)} absolute positions."))
+    for measured, what in ((log.relations, "relations between two poses"), (log.positions, "absolute positions")):
+        if measured is not None:
+            remarks.append(singular(f"The log has {len(measured)} {what}."))
     if overview.seconds is not None:
         driven, turned = number(overview.distance, 1), number(overview.turned, 1)
         remarks.append(f"The odometry drives {driven} m and turns by {turned} rad in all, in {overview.seconds:.1f} s.")
@@ -180,14 +176,20 @@ def overview_tables(overview: Overview) -> Tables:
     remarks += ["", *plan(between_poses(log, None).through(overview.path)[:, :2], overview.seen_at), ""]
     remarks += [f"{note}." for note in log.notes]
     remarks += [f"WARNING: {finding.message}." for finding in overview.findings]
-    if not overview.findings:
-        remarks.append(
-            "Nothing is suspicious: units, signs, axes, clocks and ids were checked."
-            if overview.compared
-            else "Nothing is suspicious, but too few landmarks are seen twice over a short way to check units, signs and "
-            "axes against the odometry."
+    checked = "Nothing is suspicious: units, signs, axes, clocks and ids were checked."
+    if not overview.compared:
+        checked = (
+            "Nothing is suspicious, but too few landmarks are seen twice over a short way to check units, signs and axes "
+            "against the odometry."
         )
+    remarks += [checked] * (not overview.findings)
     return [rates, seen], remarks
+
+
+#: errors of the poses of an estimate, by their headings
+_ERRORS = {
+    "ATE\n[m]": "ate_m", "most\n[m]": "most_m", "RPE\n[m]": "rpe_m", "RPE\n[rad]": "rpe_rad", "heading\n[rad]": "heading_rad",
+}  # fmt: skip
 
 
 def evaluation_tables(evaluation: Evaluation) -> Tables:
@@ -195,17 +197,11 @@ def evaluation_tables(evaluation: Evaluation) -> Tables:
     estimates = evaluation.estimates
     columns = {
         "poses\ncompared": [f"{e.compared} of {e.poses}" for e in estimates],
-        "ATE\n[m]": [number(e.ate_m) for e in estimates],
-        "most\n[m]": [number(e.most_m) for e in estimates],
-        "RPE\n[m]": [number(e.rpe_m) for e in estimates],
-        "RPE\n[rad]": [number(e.rpe_rad) for e in estimates],
-        "heading\n[rad]": [number(e.heading_rad) for e in estimates],
-        "NEES": [number(e.nees, 2) for e in estimates],
-        "map\n[m]": [number(e.landmark_rmse_m) for e in estimates],
-        "missed": [written(e.missed) for e in estimates],
-        "false": [written(e.false) for e in estimates],
+        **{title: [number(getattr(e, name)) for e in estimates] for title, name in _ERRORS.items()},
+        "NEES": [number(e.nees, 2) for e in estimates], "map\n[m]": [number(e.landmark_rmse_m) for e in estimates],
+        "missed": [written(e.missed) for e in estimates], "false": [written(e.false) for e in estimates],
         "GOSPA\n[m]": [number(e.gospa_m) for e in estimates],
-    }
+    }  # fmt: skip
     shown = {title: cells for title, cells in columns.items() if set(cells) != {NOTHING}}
     truth = evaluation.truth
     table = LeanTable(f"against {truth.name}: {len(truth.times)} true poses", ["estimate"], list(shown))
@@ -231,21 +227,16 @@ def survey_tables(survey: Survey) -> Tables:
             counts = [entry.robot, entry.poses, entry.sightings, entry.landmarks, entry.controls]
             if entry.error is not None:
                 counts[1:] = [None] * 4
-            covered = entry.poses_covered
+            covered, place = entry.poses_covered, Text(os.path.relpath(entry.path, survey.folder))
             share = NOTHING if covered is None else f"{100 * covered / entry.poses:.0f} %"
-            place = Text(os.path.relpath(entry.path, survey.folder))
-            table.add_row(
-                name, place, *map(written, counts), number(entry.seconds, 1), share, yes_no(entry.error is None)
-            )
+            last = number(entry.seconds, 1), share, yes_no(entry.error is None)
+            table.add_row(name, place, *map(written, counts), *last)
     remarks = []
     for known in survey.sets:
         remarks += [
-            f"{known.name}: {known.title}",
-            f"  published: {known.source}",
-            f"  terms:     {known.terms}",
-            f"  layout:    {known.layout}",
-            f"  at hand:   {len(known.found) or 'no'}",
-        ]
+            f"{known.name}: {known.title}", f"  published: {known.source}", f"  terms:     {known.terms}",
+            f"  layout:    {known.layout}", f"  at hand:   {len(known.found) or 'no'}",
+        ]  # fmt: skip
     missing = "" if survey.exists else " There is no such folder: name another with SLAM_DATA or --folder."
     return [table], [*remarks, f"Searched below {survey.folder}.{missing}", ""]
 
@@ -253,11 +244,8 @@ def survey_tables(survey: Survey) -> Tables:
 def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     """The numbers of the noise models with their standard errors or upper bounds, a row each."""
     source = "the ground truth" if calibration.source == "truth" else calibration.source
-    table = LeanTable(
-        f"{name}: noise models from {source}" if name else f"noise models from {source}",
-        ["number", "unit"],
-        ["value", "± error, or bound"],
-    )
+    title = f"{name}: noise models from {source}" if name else f"noise models from {source}"
+    table = LeanTable(title, ["number", "unit"], ["value", "± error, or bound"])
     for number_of, value in calibration.numbers.items():
         error, bound = calibration.errors.get(number_of, np.nan), calibration.bounds.get(number_of, np.nan)
         known = f"{error:.2g}" if np.isfinite(error) else f"< {bound:.2g}" if np.isfinite(bound) else NOTHING

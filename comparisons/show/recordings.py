@@ -27,6 +27,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -133,13 +134,17 @@ geometry_msgs/Vector3 size
 """
 
 
+def _check_installed(advice: str, *modules: str) -> None:
+    try:
+        for module in modules:
+            import_module(module)
+    except ImportError:
+        raise OptionError(advice) from None
+
+
 def check_mcap() -> None:
     """Raise `OptionError` with what to install where the optional packages are missing."""
-    try:
-        import mcap.writer  # noqa: F401
-        import rosbags.typesys  # noqa: F401
-    except ImportError:
-        raise OptionError(INSTALL_MCAP) from None
+    _check_installed(INSTALL_MCAP, "mcap.writer", "rosbags.typesys")
 
 
 def write_mcap(comparison: Comparison, path: Path) -> None:
@@ -288,18 +293,17 @@ def _markers(ros: _Ros, track: Track, ns: int) -> Any:
     markers = []
     for number, (id, place) in enumerate(sorted(track.landmarks.items())):
         axes, turn = _ellipse(track.landmark_covariances, id)
-        size = ros.make("geometry_msgs/Vector3", x=axes[0], y=axes[1], z=0.02)
-        for kind, text in ((3, ""), (9, str(id))):
-            pose = ros.pose(np.array([*place[:2], turn if kind == 3 else 0.0]))
-            pose.position.z = 0.0 if kind == 3 else 0.2
-            markers.append(
-                ros.make(
-                    "visualization_msgs/Marker", header=ros.header(ns), ns=track.name if kind == 3 else f"{track.name} ids",
-                    id=number, type=kind, pose=pose, text=text,
-                    scale=size if kind == 3 else ros.make("geometry_msgs/Vector3", z=0.2),
-                    color=ros.make("std_msgs/ColorRGBA", r=red, g=green, b=blue, a=0.5 if kind == 3 else 1.0),
-                )
-            )  # fmt: skip
+        # a flat cylinder, and above it the id as a text that faces the viewer
+        cylinder = (3, track.name, "", turn, 0.0, {"x": axes[0], "y": axes[1], "z": 0.02}, 0.5)
+        for kind, group, text, heading, height, size, opacity in (
+            cylinder, (9, f"{track.name} ids", str(id), 0.0, 0.2, {"z": 0.2}, 1.0),
+        ):  # fmt: skip
+            pose, scale = ros.pose(np.array([*place[:2], heading])), ros.make("geometry_msgs/Vector3", **size)
+            pose.position.z = height
+            markers.append(ros.make(
+                "visualization_msgs/Marker", header=ros.header(ns), ns=group, id=number, type=kind, pose=pose, text=text,
+                scale=scale, color=ros.make("std_msgs/ColorRGBA", r=red, g=green, b=blue, a=opacity),
+            ))  # fmt: skip
     return ros.make("visualization_msgs/MarkerArray", markers=markers)
 
 
@@ -319,10 +323,7 @@ TIMELINE = "time"
 
 def check_rerun() -> None:
     """Raise `OptionError` with what to install where the optional package is missing."""
-    try:
-        import rerun  # noqa: F401
-    except ImportError:
-        raise OptionError(INSTALL_RERUN) from None
+    _check_installed(INSTALL_RERUN, "rerun")
 
 
 def write_rerun(comparison: Comparison, path: Path) -> None:
@@ -357,27 +358,20 @@ def _write_track(rr: Any, recording: Any, track: Track) -> None:
     if track.covariances is not None:
         numbers |= _named(track.covariances)
     arrows = np.column_stack([np.cos(heading), np.sin(heading)]) * 0.3
-    rr.send_columns(
-        f"{track.name}/pose",
-        [times],
-        [
-            *rr.Arrows2D.columns(origins=track.poses[:, :2], vectors=arrows, colors=[color] * len(x)),
-            *rr.AnyValues.columns(**numbers),
-        ],
-        recording=recording,
-    )
+    robot = rr.Arrows2D.columns(origins=track.poses[:, :2], vectors=arrows, colors=[color] * len(x))
+    columns = [*robot, *rr.AnyValues.columns(**numbers)]
+    rr.send_columns(f"{track.name}/pose", [times], columns, recording=recording)
     recording.log(f"{track.name}/path", rr.LineStrips2D([track.path[:, :2]], colors=[color]), static=True)
     if not track.landmarks:
         return
     ids = sorted(track.landmarks)
     places = np.array([np.append(track.landmarks[id], np.nan)[:3] for id in ids])
     known = {id: C for id in ids if (C := track.landmark_covariances.get(id)) is not None and np.isfinite(C).all()}
-    values = {"id": np.array(ids), "x": places[:, 0], "y": places[:, 1], "heading": places[:, 2]}
     covariances = np.full((len(ids), 3, 3), np.nan)
-    for whole, C in zip(covariances, map(known.get, ids)):
-        if C is not None:
-            whole[: len(C), : len(C)] = C
-    values |= _named(covariances)
+    for row, id in enumerate(ids):
+        if (C := known.get(id)) is not None:
+            covariances[row, : len(C), : len(C)] = C
+    values = {"id": np.array(ids), **dict(zip(("x", "y", "heading"), places.T)), **_named(covariances)}
     recording.log(
         f"{track.name}/landmarks", rr.Points2D(places[:, :2], colors=[color], labels=[str(id) for id in ids], radii=0.04),
         rr.AnyValues(**values), static=True,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
@@ -80,8 +81,7 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
+class _Run(NamedTuple):
     """The iterations from one start: the state after each, the norms of the corrections, and the solution."""
 
     start: str
@@ -232,18 +232,13 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
         now, before = log.steps == step, log.steps <= step
         known = set(result.association[before].tolist())
         counts = np.bincount(numbers[before], minlength=len(_LABELS)).tolist()
-        frames.append(
-            Frame(
-                number=step,
-                caption=f"step {step}    " + ", ".join(f"{count} {each}" for each, count in zip(_LABELS, counts)),
-                poses=result.poses[: step + 1],
-                estimated=result.estimated[: step + 1],
-                landmarks={j: m for j, m in result.landmarks.items() if j in known},
-                landmark_covariances={j: S for j, S in result.landmark_covariances.items() if j in known},
-                lines=lines[now],
-                values=numbers[now],
-            )
-        )
+        frames.append(Frame(
+            number=step, caption=f"step {step}    " + ", ".join(f"{n} {each}" for each, n in zip(_LABELS, counts)),
+            poses=result.poses[: step + 1], estimated=result.estimated[: step + 1],
+            landmarks={j: m for j, m in result.landmarks.items() if j in known},
+            landmark_covariances={j: S for j, S in result.landmark_covariances.items() if j in known},
+            lines=lines[now], values=numbers[now],
+        ))  # fmt: skip
         progress()
     uncertain = np.bincount(log.steps[status != CONFIRMED], minlength=log.num_poses)
 

@@ -299,10 +299,8 @@ class Scene:
         line.set_animated(True)
 
         def move(frame: Frame) -> list[Artist]:
-            poses = frame.poses
-            line.set_data(
-                *self.along(poses if frame.estimated is None else np.where(frame.estimated[:, None], poses, np.nan)).T
-            )
+            drawn = np.ones(len(frame.poses), dtype=bool) if frame.estimated is None else frame.estimated
+            line.set_data(*self.along(np.where(drawn[:, None], frame.poses, np.nan)).T)
             return [line]
 
         self.add(move)
@@ -336,9 +334,8 @@ class Scene:
 
         def move(frame: Frame) -> list[Artist]:
             ends = self.moved(frame.sightings)
-            lines.set_segments(
-                list(np.stack([np.broadcast_to(self.placed(frame.poses[-1:]), ends.shape), ends], axis=1))
-            )
+            begins = np.broadcast_to(self.placed(frame.poses[-1:]), ends.shape)
+            lines.set_segments(list(np.stack([begins, ends], axis=1)))
             return [lines]
 
         self.add(move)

@@ -31,20 +31,7 @@ from ..canvas import MATRIX, colour_of, reference_of
 from ..cells import NOTHING, LeanTable, number, word
 from ..language import catalogue, language_of, translated, translated_table
 from ..tables import landmark_table, table_as_html, tables_of
-from .charts import (
-    COLUMNS,
-    ENTRY,
-    FILL,
-    convergence_figure,
-    costs_figure,
-    description,
-    errors_figure,
-    iterations,
-    matrix_figure,
-    paths_figure,
-    pictures,
-    remarks,
-)
+from . import charts
 from .view import Figure, View, line_of, view_of
 
 if TYPE_CHECKING:
@@ -127,12 +114,9 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
     convergence, convergence_note, endings = _convergence(comparison)
     error_heading, errors_note = _error_texts(view)
     figures = {
-        "map": paths_figure(view),
-        "errors": errors_figure(view),
-        "costs": costs_figure(comparison),
-        "convergence": convergence,
-        "matrix": matrix,
-    }
+        "map": charts.paths_figure(view), "errors": charts.errors_figure(view), "costs": charts.costs_figure(comparison),
+        "convergence": convergence, "matrix": matrix,
+    }  # fmt: skip
     tables, sentences = tables_of(comparison)
     tables[0].title = None
     part = {
@@ -160,13 +144,11 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
         "convergence_note": say(convergence_note),
         "convergence_remarks": items(endings),
         "matrix_note": say(matrix_note),
-        "entry": MATRIX[ENTRY],
-        "fill": MATRIX[FILL],
+        "entry": MATRIX[charts.ENTRY],
+        "fill": MATRIX[charts.FILL],
         "configuration": escape(comparison.config),
         "versions": items([*versions(), f"plotly.js {get_plotlyjs_version()}", platform.platform()]),
-        "figures": embedded(
-            {name: _translated_figure(figure, language) for name, figure in figures.items() if figure is not None}
-        ),
+        "figures": embedded({n: _translated_figure(figure, language) for n, figure in figures.items() if figure}),
         "facts": embedded(_facts(view) | {"matches": matches_of(comparison), "words": _words(language)}),
         "style": _resource("page.css"),
         "behaviour": _resource("page.js"),
@@ -213,14 +195,10 @@ def embedded(value: Any) -> str:
 def _facts(view: View) -> dict[str, Any]:
     """The data of the slider: the steps, their times, and what is seen from them in the axes of the robot."""
     return {
-        "columns": COLUMNS,
-        "steps": view.steps,
-        "times": view.times,
-        "last": view.log.num_poses - 1,
-        "measured_from": view.measured_from,
-        "estimators": [estimate.name for estimate in view.estimates],
+        "columns": charts.COLUMNS, "steps": view.steps, "times": view.times, "last": view.log.num_poses - 1,
+        "measured_from": view.measured_from, "estimators": [estimate.name for estimate in view.estimates],
         "sightings": [[[round(x, 4), round(y, 4), int(j)] for x, y, j in seen.tolist()] for seen in view.sightings],
-    }
+    }  # fmt: skip
 
 
 def _summary(view: View) -> str:
@@ -233,10 +211,8 @@ def _summary(view: View) -> str:
 def _map_note(view: View) -> str:
     note = "The ellipses are those of three standard deviations. A click on a path moves the slider to that step, "
     note += "one on a landmark shows its sightings."
-    if view.aligned_to:
-        note += (
-            f" Each estimate is aligned to {view.aligned_to} by the rigid motion that its errors are measured after."
-        )
+    if reference := view.aligned_to:
+        note += f" Each estimate is aligned to {reference} by the rigid motion that its errors are measured after."
     if view.truth is not None and (where := view.log.truth_place):
         note += f" Paths are those of the point that the ground truth is of, {where} of the robot's pose."
     if view.log.composite:
@@ -252,10 +228,8 @@ def _landmarks(comparison: Comparison, language: str) -> str:
     for table in (landmark_table(comparison), *(association_table(comparison, each) for each in comparison.results)):
         if table is not None:
             table = translated_table(table, language)
-            title, table.title = str(table.title), None
-            parts.append(
-                f'<details><summary>{escape(title)}</summary><div class="wide">{table_as_html(table)}</div></details>'
-            )
+            title, table.title = escape(str(table.title)), None
+            parts.append(f'<details><summary>{title}</summary><div class="wide">{table_as_html(table)}</div></details>')
     return "\n".join(parts)
 
 
@@ -269,20 +243,15 @@ def matches_of(comparison: Comparison) -> dict[str, Any]:
     Of a landmark are known the ``steps`` of its sightings, those of them that are ``doubtful``, the ``true`` landmark and
     the ``share`` of its sightings that are of it, and its ``class``. Estimators with the same ids share an association.
     """
-    log = comparison.log
-    known: dict[tuple[bytes, bytes], int] = {}
-    of: dict[str, int] = {}
-    associations: list[dict[str, Any]] = []
-    if len(log.steps) > MOST_SIGHTINGS:
-        return {"of": {}, "associations": []}
-    for result in comparison.results:
+    log, of = comparison.log, dict[str, int]()
+    found: dict[tuple[bytes, bytes], dict[str, Any]] = {}
+    for result in comparison.results if len(log.steps) <= MOST_SIGHTINGS else ():
         ids = log.landmarks if result.association is None else result.association
         key = ids.tobytes(), b"" if result.unconfirmed is None else result.unconfirmed.tobytes()
-        if key not in known:
-            known[key] = len(associations)
-            associations.append(_matches(comparison, result, ids))
-        of[result.name] = known[key]
-    return {"of": of, "associations": associations}
+        if key not in found:
+            found[key] = _matches(comparison, result, ids)
+        of[result.name] = list(found).index(key)
+    return {"of": of, "associations": list(found.values())}
 
 
 def _matches(comparison: Comparison, result: EstimatorResult, ids: np.ndarray) -> dict[str, Any]:
@@ -337,10 +306,10 @@ def _error_texts(view: View) -> tuple[str, str]:
 def _convergence(comparison: Comparison) -> tuple[Figure | None, str, list[str]]:
     """The figure, what it shows, and how each variant ended."""
     try:
-        variants = iterations(comparison.log, comparison.options)
+        variants = charts.iterations(comparison.log, comparison.options)
     except Exception as error:
         return None, f"Left out: {sentence(error)}.", []
-    return convergence_figure(variants), _CONVERGENCE, remarks(variants)
+    return charts.convergence_figure(variants), _CONVERGENCE, charts.remarks(variants)
 
 
 def _matrix(comparison: Comparison) -> tuple[Figure | None, str]:
@@ -348,10 +317,10 @@ def _matrix(comparison: Comparison) -> tuple[Figure | None, str]:
     if reference is None or reference.graph is None:
         return None, "Left out: no estimator of this comparison solved a graph."
     try:
-        before, after = pictures(reference.graph)
+        before, after = charts.pictures(reference.graph)
     except Exception as error:
         return None, f"Left out: {sentence(error)}."
-    return matrix_figure(before, after), description(reference.name, before, after)
+    return charts.matrix_figure(before, after), charts.description(reference.name, before, after)
 
 
 def _sample(name: str) -> str:

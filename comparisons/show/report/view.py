@@ -95,10 +95,8 @@ def view_of(comparison: Comparison) -> View:
     path, measured_from = log.true_poses, "truth" if log.true_poses is not None else None
     reference = canvas.reference_of(comparison)
     if path is None and reference is not None and len(comparison.results) >= 2:
-        path, measured_from = (
-            np.where(reference.estimated[:, None], log.at_truth(reference.poses), np.nan),
-            reference.name,
-        )
+        path = np.where(reference.estimated[:, None], log.at_truth(reference.poses), np.nan)
+        measured_from = reference.name
     at_origin = np.zeros((len(log.steps), 3))
     places = canvas.sensor_of(comparison).h_inverse(at_origin, log.sightings)[:, :2] - log.truth_offset
     seen = np.column_stack([places, log.landmarks])
@@ -168,16 +166,11 @@ def dash_of(style: dict[str, Any], width: float) -> str:
 def layout(**more: Any) -> dict[str, Any]:
     """The layout that all figures share, and what one of them needs besides."""
     common: dict[str, Any] = {
-        "template": "none",
-        "autosize": True,
+        "template": "none", "autosize": True, "paper_bgcolor": "#fff", "plot_bgcolor": "#fff", "showlegend": False,
         "font": {"family": "DejaVu Sans, Verdana, sans-serif", "size": 13, "color": canvas.INK},
-        "paper_bgcolor": "#fff",
-        "plot_bgcolor": "#fff",
-        "margin": {"l": 62, "r": 14, "t": 34, "b": 48},
-        "showlegend": False,
-        "hovermode": "closest",
+        "margin": {"l": 62, "r": 14, "t": 34, "b": 48}, "hovermode": "closest",
         "hoverlabel": {"align": "left", "bgcolor": "#fff", "font": {"color": canvas.INK, "size": 13}},
-    }
+    }  # fmt: skip
     return common | more
 
 
