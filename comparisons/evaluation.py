@@ -118,12 +118,9 @@ class Evaluation(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The errors as plain data, see docs/schema.json."""
-        landmarks = None if self.true_map is None else len(self.true_map)
-        return jsonable(
-            EvaluateDocument(
-                self.truth.name, len(self.truth.times), landmarks, self.options.cutoff, self.estimates, self.notes
-            )
-        )
+        landmarks, counted = None if self.true_map is None else len(self.true_map), len(self.truth.times)
+        document = (self.truth.name, counted, landmarks, self.options.cutoff, self.estimates, self.notes)
+        return jsonable(EvaluateDocument(*document))
 
 
 @dataclass(frozen=True)
@@ -308,13 +305,10 @@ def _evaluated(
     if np.count_nonzero(known) < 2:
         spans = [f"{each.times[0] / 1e9:.3f} to {each.times[-1] / 1e9:.3f} s" for each in (truth, estimate)]
         apart = np.median(np.diff(truth.times)) / 1e9 if len(truth.times) > 1 else 0.0
-        if apart > options.longest_gap:
-            remedy = f"True poses are {apart:.3g} s apart: --longest-gap {apart:.3g} interpolates between them"
-        else:
-            remedy = (
-                "If their clocks begin at different moments, write the times of one by that of the other "
-                "(--clocks estimates=SECONDS)"
-            )
+        remedy = f"True poses are {apart:.3g} s apart: --longest-gap {apart:.3g} interpolates between them"
+        if not apart > options.longest_gap:
+            remedy = "If their clocks begin at different moments, write the times of one by that of the other "
+            remedy += "(--clocks estimates=SECONDS)"
         raise LogError(
             f"{estimate.name}: {np.count_nonzero(known)} of {len(known)} poses are at a time at which the truth is known; "
             f"the truth goes from {spans[0]}, the estimate from {spans[1]}. {remedy}"

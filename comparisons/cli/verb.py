@@ -53,7 +53,8 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
     # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
     hints = get_type_hints(function, localns=vars(declared), include_extras=True)
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "output"]
-    groups = {p.name: kind for p in parameters if isinstance(kind := hints[p.name], type) and issubclass(kind, Options)}
+    groups = {p.name: hints[p.name] for p in parameters if isinstance(hints[p.name], type)}
+    groups = {name: kind for name, kind in groups.items() if issubclass(kind, Options)}
     options: dict[str, Option] = {}
     for group in (*groups.values(), declared.JsonOptions):
         options |= {name: each for name, each in options_of(group).items() if each.only != "python"}

@@ -180,9 +180,8 @@ def by_hand(name: str, log: Log, options: RunOptions, **changes: Any) -> Estimat
 def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """GTSAM's Levenberg-Marquardt on the very same graph, made of our factor types, from the same start."""
     _no_gnc(options)
-    return _of_solution(
-        "gtsam", log, options, graphslam.solve_with_gtsam(make_graph(log, options), **_solving(options))
-    )
+    solution = graphslam.solve_with_gtsam(make_graph(log, options), **_solving(options))
+    return _of_solution("gtsam", log, options, solution)
 
 
 def _solving(options: RunOptions) -> dict[str, Any]:
@@ -291,22 +290,15 @@ def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
     sampler = gibbs_sampler(log, options)
     begin = time.perf_counter()
     result = sampler.run()
-    seconds = time.perf_counter() - begin
+    seconds, mixing = time.perf_counter() - begin, result.mixing
+    # where they have not mixed, the reason says it
+    notes = (mixing.statement,) if mixing.mixed else ()
+    used = {"seed": options.filter.seed} | {f"gibbs_{k}": v for k, v in asdict(options.gibbs).items()}
     return EstimatorResult(
-        name="particle-gibbs",
-        poses=result.poses,
-        estimated=np.ones(log.num_poses, dtype=bool),
-        seconds=seconds,
-        landmarks=result.landmarks,
-        landmark_covariances=result.landmark_covariances,
-        converged=result.mixing.mixed,
-        iterations=options.gibbs.iterations,
-        # where they have not mixed, the reason says it
-        notes=(result.mixing.statement,) if result.mixing.mixed else (),
-        options={"seed": options.filter.seed} | {f"gibbs_{k}": v for k, v in asdict(options.gibbs).items()},
-        reason=result.mixing.statement,
-        origin=result,
-    )
+        name="particle-gibbs", poses=result.poses, estimated=np.ones(log.num_poses, dtype=bool), seconds=seconds,
+        landmarks=result.landmarks, landmark_covariances=result.landmark_covariances, converged=mixing.mixed,
+        iterations=options.gibbs.iterations, notes=notes, options=used, reason=mixing.statement, origin=result,
+    )  # fmt: skip
 
 
 def pair_count(log: Log) -> int:
@@ -327,24 +319,22 @@ def _textbook_seconds(log: Log, options: RunOptions) -> float:
     return 5e-5 * (pair_count(log) + log.num_poses) + 2 / 3 * (3.0 * log.num_poses) ** 3 / 1e10
 
 
-def _gtsam_seconds(log: Log, options: RunOptions) -> float:
-    return _factor_seconds(log, options, lambda: identified(log, options)[0])
-
-
-def _factor_seconds(log: Log, options: RunOptions, known: Callable[[], Log]) -> float:
-    """The time [s] of one pass over all factors in GTSAM; ``known`` gives the log with the ids that they use."""
+def _factor_seconds(log: Log, options: RunOptions, *, of_log: bool = False) -> float:
+    """The time [s] of one pass over all factors in GTSAM; ``of_log``: they use the ids of the log in any case."""
     # 30 us a pose; GTSAM copies all values for every call of a Python factor, of which there is one for 16 poses
     seconds = 3e-5 * log.num_poses + 4e-8 * log.num_poses**2
-    options = chosen(log, options)
+    given, options = options, chosen(log, options)
+    on_landmarks = str(options.edges).startswith("landmark")
+    if not on_landmarks and not of_log and not (options.estimate and options.weight == "marginal"):
+        # how often each landmark is seen decides, so sightings without ids need them now; they are found once for all
+        log, _ = identified(log, given)
     if options.estimate:
         # a factor for each edge, which every step makes again
-        paired = options.weight != "marginal" and not str(options.edges).startswith("landmark")
-        count = log.num_poses + (pair_count(known()) if paired else len(log.steps))
+        paired = options.weight != "marginal" and not on_landmarks
+        count = log.num_poses + (pair_count(log) if paired else len(log.steps))
         return count * (5e-4 + 8e-8 * log.num_poses)
-    if str(options.edges).startswith("landmark"):
+    if on_landmarks:
         return seconds
-    # how often each landmark is seen decides, so sightings without ids need them now; they are found once for all
-    log = known()
     if options.kernel not in ("none", "gnc") and options.weight != "marginal":
         # a factor for each pair, because each has its own robust weight
         return seconds + 1e-4 * pair_count(log)
@@ -358,7 +348,7 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
     # some ten milliseconds a step, and the landmarks' factors are made again as they grow; "per iteration" is per step here.
     # It estimates no parameters, and uses the ids of the log
     options = replace(isam2_options(log, options), estimate=None)
-    return 1e-3 * log.num_poses + _factor_seconds(log, options, lambda: log)
+    return 1e-3 * log.num_poses + _factor_seconds(log, options, of_log=True)
 
 
 _GRAPH = tuple(options_of(GraphOptions))
@@ -384,7 +374,7 @@ ESTIMATORS: dict[str, Estimator] = {
     "graph-no-kernel": Estimator(
         partial(by_hand, "graph-no-kernel", kernel="none"), _solved_without("kernel"), on_request=True
     ),
-    "gtsam": Estimator(gtsam_estimator, _SOLVED, _gtsam_seconds),
+    "gtsam": Estimator(gtsam_estimator, _SOLVED, _factor_seconds),
     "online": Estimator(online, ("motion_weight", "kernel", "lag"), on_request=True),
     "isam2": Estimator(isam2, _solved_without("initialize", "estimate", "range_noise"), _isam2_seconds),
     "mcl": Estimator(mcl, LOCALISATION),
@@ -410,14 +400,13 @@ def check_estimators(names: Any) -> tuple[str, ...]:
         OptionError: a name is unknown, or there is none.
     """
     names = (names,) if isinstance(names, str) else tuple(dict.fromkeys(names))
+    known = ", ".join(ESTIMATORS)
     for name in names:
         if name not in ESTIMATORS:
-            raise OptionError(
-                f"estimators: there is no estimator {quoted(name)}{suggestion(name, ESTIMATORS)}; the estimators are "
-                f"{', '.join(ESTIMATORS)}"
-            )
+            unknown = f"estimators: there is no estimator {quoted(name)}{suggestion(name, ESTIMATORS)}"
+            raise OptionError(f"{unknown}; the estimators are {known}")
     if not names:
-        raise OptionError(f"estimators: name at least one of {', '.join(ESTIMATORS)}")
+        raise OptionError(f"estimators: name at least one of {known}")
     return names
 
 

@@ -45,13 +45,10 @@ def config_text(
         # the numbers of a noise file are below
         "noise": options.noise if options.noise == AUTO else None,
         "map": None if options.map is None else _path_text(options.map.absolute()),
-        # what was estimated from the log is estimated again
-        **{
-            name: asdict(model)
-            for name in MODELS
-            if (model := getattr(options, name)) is not None and options.noise != AUTO
-        },
     }
+    for name in MODELS if options.noise != AUTO else ():
+        # what was estimated from the log is estimated again
+        table[name] = None if (model := getattr(options, name)) is None else asdict(model)
     return to_toml(table, f"Repeat this run: slam-compare run --config config.toml\nmade with {', '.join(versions())}")
 
 

@@ -48,23 +48,18 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
     known = _FOUND.setdefault(log, {})
     if key not in known:
         try:
-            known[key] = _associated(log, options)
+            known[key] = associate(
+                log, motion=options.motion, sensor=options.sensor, filters=options.filter, estimate=options.estimate,
+                front_end=options.front_end, front_particles=options.front_particles, keep_ids=options.filter.uses_ids,
+                # a slip that the options name stays
+                confusion=options.filter.class_confusion, slip="slip" not in options.numbers,
+            )  # fmt: skip
         except SlamError as error:
             known[key] = error
     found = known[key]
     if isinstance(found, SlamError):
         raise found
     return found.log, found
-
-
-def _associated(log: Log, options: RunOptions) -> Association:
-    return associate(
-        log, motion=options.motion, sensor=options.sensor, filters=options.filter, estimate=options.estimate,
-        front_end=options.front_end, front_particles=options.front_particles, keep_ids=options.filter.uses_ids,
-        confusion=options.filter.class_confusion,
-        # a slip that the options name stays
-        slip="slip" not in options.numbers,
-    )  # fmt: skip
 
 
 def unused_ids(log: Log) -> str | None:

@@ -165,9 +165,10 @@ def overview_tables(overview: Overview) -> Tables:
     if (more := len(overview.landmarks) - _LISTED) > 0:
         remarks.append(f"... and {more} more landmarks")
     remarks.append(f"{title}{', with ' if known else ''}{known}.")
-    for measured, what in ((log.relations, "relations between two poses"), (log.positions, "absolute positions")):
-        if measured is not None:
-            remarks.append(singular(f"The log has {len(measured)} {what}."))
+    if log.relations is not None:
+        remarks.append(singular(f"The log has {len(log.relations)} relations between two poses."))
+    if log.positions is not None:
+        remarks.append(singular(f"The log has {len(log.positions)} absolute positions."))
     if overview.seconds is not None:
         driven, turned = number(overview.distance, 1), number(overview.turned, 1)
         remarks.append(f"The odometry drives {driven} m and turns by {turned} rad in all, in {overview.seconds:.1f} s.")

@@ -161,7 +161,7 @@ def _latex(cell: object) -> str:
         "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--", "µ": r"\textmu{}",
         **{letter: f"\\{letter}" for letter in "&%$#_{}"},
     }  # fmt: skip
-    return _text(cell).translate(str.maketrans(special))
+    return "".join(special.get(letter, letter) for letter in _text(cell))
 
 
 def _plain(cell: object) -> str:

@@ -107,7 +107,7 @@ def gtsam_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], 
         state, iterations = from_values(graph, end), int(optimizer.iterations())
         if iterations >= max_iterations:
             return PeerRun(state, iterations, seconds, False, f"max_iterations = {max_iterations} reached", costs)
-        if float(np.abs(state - graph.initial).max()) < 1e-12:
+        if np.abs(state - graph.initial).max() < 1e-12:
             return PeerRun(state, iterations, seconds, False, "returned the initial values")
         reason = f"the cost changed by less than {COST_TOLERANCE:g} of it"
         return PeerRun(state, iterations, seconds, True, reason, costs)
@@ -308,20 +308,15 @@ def compare_backends(
         FormatError, GraphError: a file is not a graph that can be solved.
     """
     given = BackendOptions.of(**options)
-    rows: list[BackendRow] = []
     names = given.backends or BACKENDS
     paths = [files] if isinstance(files, (str, PathLike)) else files
     graphs = ((str(path), *_graph(path, given)) for path in paths)
-    for row in rows_of(
+    rows = rows_of(
         partial(_measured, options=given), ((name, *of_file) for of_file in graphs for name in names),
         jobs=0 if given.time_limit is None else 1, prepare=partial(_warm_up_all, tuple(names)), limit=given.time_limit,
-        instead=_stopped,
-    ):  # fmt: skip
-        if row is not None:
-            rows.append(row)
-            if progress is not None:
-                progress(row)
-    return BackendComparison(tuple(rows))
+        progress=None if progress is None else lambda row: None if row is None else progress(row), instead=_stopped,
+    )  # fmt: skip
+    return BackendComparison(tuple(row for row in rows if row is not None))
 
 
 def _graph(path: str | PathLike[str], options: BackendOptions) -> tuple[Graph, str]:

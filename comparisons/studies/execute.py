@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, Generic
 
@@ -181,12 +182,16 @@ def local_processes(
         )
 
 
-def rows_of(work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | None, **keywords: Any) -> Iterator[Row]:
+def rows_of(
+    work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | None,
+    progress: Callable[[Row], object] | None = None, **keywords: Any,
+) -> Iterator[Row]:  # fmt: skip
     """``map(work, tasks)`` in a place, rows in the order of the tasks.
 
     Args:
         work, tasks: see `local_processes`.
         jobs: how many processes; 0 for this process, None for one on each core.
+        progress: called with each row.
         keywords: the other arguments of `local_processes`.
 
     Raises:
@@ -200,9 +205,13 @@ def rows_of(work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | N
             warm_up(name)
     with this_process(work) if jobs == 0 else local_processes(work, jobs=jobs, **keywords) as place:
         waiting: deque[tuple[Future[Row], Task]] = deque()
-        for task in tasks:
-            waiting.append((place.submit(task), task))
-            if len(waiting) >= place.room:
-                yield place.row(*waiting.popleft())
-        for each in waiting:
-            yield place.row(*each)
+        left = iter(tasks)
+        while True:
+            for task in islice(left, place.room - len(waiting)):
+                waiting.append((place.submit(task), task))
+            if not waiting:
+                return
+            row = place.row(*waiting.popleft())
+            if progress is not None:
+                progress(row)
+            yield row

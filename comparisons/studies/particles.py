@@ -149,21 +149,15 @@ def study_particles(
     jobs = default_jobs() if given.jobs is None else max(given.jobs, 1)
     of_tasks = ((name, data, of_run.with_numbers(particles=particles)) for name, particles, _ in tasks)
     announce_memory(of_tasks, announce, jobs=jobs)
-    runs: list[ParticleRun] = []
-    notes: list[str] = []
-    work = partial(_run, log=data, options=of_run)
-    for run in rows_of(
-        work, tasks, jobs=given.jobs, estimators=given.filters, limit=given.time_limit, instead=_stopped
-    ):
-        if isinstance(run, str):
-            notes.append(run)
-            continue
-        runs.append(run)
-        if progress is not None:
-            progress(run)
+    rows = list(rows_of(
+        partial(_run, log=data, options=of_run), tasks, jobs=given.jobs, estimators=given.filters, limit=given.time_limit,
+        progress=None if progress is None else lambda run: None if isinstance(run, str) else progress(run), instead=_stopped,
+    ))  # fmt: skip
+    runs = tuple(row for row in rows if isinstance(row, ParticleRun))
+    notes = tuple(row for row in rows if isinstance(row, str))
     if not runs:
         raise SlamError(f"no run has a result: {notes[0]}")
-    return ParticleStudy(data.name, tuple(runs), tuple(notes))
+    return ParticleStudy(data.name, runs, notes)
 
 
 def _stopped(task: tuple[str, int, int], reason: str) -> str:

@@ -169,15 +169,11 @@ def compare_solvers(
     data, _, given = prepare(log, SolverCheckOptions.of(**options))
     if len(data.steps) == 0:
         raise GraphError(f"{data.name} has no sightings at all, so there is nothing to solve")
-    outcomes: list[VariantResult | SkippedVariant] = []
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
-    for outcome in rows_of(
-        work, variants(data, given), jobs=given.jobs, limit=given.time_limit,
+    outcomes = list(rows_of(
+        work, variants(data, given), jobs=given.jobs, progress=progress, limit=given.time_limit,
         instead=lambda variant, reason: SkippedVariant(variant.name, reason),
-    ):  # fmt: skip
-        outcomes.append(outcome)
-        if progress is not None:
-            progress(outcome)
+    ))  # fmt: skip
     solved = tuple(each for each in outcomes if isinstance(each, VariantResult))
     skipped = tuple(each for each in outcomes if isinstance(each, SkippedVariant))
     if not solved:

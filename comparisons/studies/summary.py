@@ -228,18 +228,14 @@ def _difference(log: str, name: str, baseline: str, rows: Sequence[Row], base: S
     for row in _measured(base):
         partners.setdefault(row["log"], []).append(row)
     pairs = [
-        (row, other)
+        (row, other, _unit(other if row["seed"] is None else row, log))
         for row in _measured(rows)
         for other in partners.get(row["log"], [])
         if row["seed"] == other["seed"] or None in (row["seed"], other["seed"])
     ]
     figures, lower = {}, {}
     for metric in METRICS:
-        gaps = [
-            (row[metric] - other[metric], _unit(other if row["seed"] is None else row, log))
-            for row, other in pairs
-            if None not in (row[metric], other[metric])
-        ]
+        gaps = [(a[metric] - b[metric], unit) for a, b, unit in pairs if None not in (a[metric], b[metric])]
         figures[metric] = _median(gaps)
         lower[metric] = sum(gap < 0 for gap, _ in gaps)
     return PairedDifference(log, name, baseline, figures, lower)
@@ -319,8 +315,10 @@ def write_summary_csv(summary: Summary, path: Path) -> None:
         for metric in METRICS:
             median, gap = line.figures[metric], None if against is None else against.figures[metric]
             cells += [None] * 4 if median is None else [median.median, median.low, median.high, median.count]
-            cells += [None] * 3 if gap is None else [gap.median, gap.low, gap.high]
-            cells += [None] * 2 if gap is None or against is None else [against.lower[metric], gap.count]
+            if against is None or gap is None:
+                cells += [None] * 5
+            else:
+                cells += [gap.median, gap.low, gap.high, against.lower[metric], gap.count]
         rows.append(cells)
     _write_table(path, head, rows)
 
@@ -333,11 +331,9 @@ def _write_table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]])
 
 
 def _cell(value: Any) -> Any:
-    if isinstance(value, float):
-        # repr keeps every digit
-        return repr(value)
     if isinstance(value, str):
         text = printable(value)
         # spreadsheets take such texts for formulas, and execute them
         return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+    # csv writes all digits of numbers
     return json.dumps(value) if isinstance(value, dict) else value

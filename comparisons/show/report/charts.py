@@ -344,7 +344,8 @@ def _pair(
 ) -> list[dict[str, Any]]:
     """The two curves of one iteration. J is known before the first step, so it begins at 0, unless only its end is known."""
     begins = len(norms) if len(costs) == 1 else 0
-    curves = (costs, begins, {}, "J"), (norms, 1, {"xaxis": "x2", "yaxis": "y2"}, "norm")
+    right = {"xaxis": "x2", "yaxis": "y2"}
+    curves: list[tuple[Any, ...]] = [(costs, begins, {}, "J"), (norms, 1, right, "norm")]
     return [
         {
             "type": "scatter", "meta": meta, "x": list(range(first, first + len(values))),
@@ -445,12 +446,12 @@ def matrix_figure(before: Picture, after: Picture) -> Figure:
         })  # fmt: skip
     side = {"constrain": "domain", "showgrid": False, "mirror": True}
     down = side | {"autorange": "reversed"}
-    axes = {
+    panels = {
         "xaxis": axis("node, numbered as in the log", domain=[0, 0.46], **side),
         "xaxis2": axis("node, in the order of elimination", domain=[0.54, 1], anchor="y2", **side),
         "yaxis": axis("", scaleanchor="x", **down), "yaxis2": axis("", scaleanchor="x2", anchor="x2", **down),
     }  # fmt: skip
-    return {"data": traces, "layout": layout(**axes)}
+    return {"data": traces, "layout": layout(**panels)}
 
 
 def description(name: str, before: Picture, after: Picture) -> str:
