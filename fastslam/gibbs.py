@@ -349,9 +349,8 @@ class ParticleGibbs:
                 engine.GibbsChain(rng.bit_generator, x, problem.motions_of(x[None]))
                 for rng, x in zip(generators, poses, strict=True)
             ]
-            for sweeps in (o.warm_up // 4, o.warm_up // 4, o.warm_up - 2 * (o.warm_up // 4)):
-                if sweeps == 0:
-                    continue
+            quarter = o.warm_up // 4
+            for sweeps in filter(None, (quarter, quarter, o.warm_up - 2 * quarter)):
                 low_rank = LowRank(Target.of(problem, o), chains[0].poses, marks)
                 runs = self._sampled(pool, chains, low_rank, sweeps, warm_up=True)
                 later = [(x[sweeps // 2 :], m[sweeps // 2 :]) for x, m in runs]
@@ -406,8 +405,7 @@ def _seeds(seed: Any, count: int) -> list[int]:
 
 def _check_memory(log: Log, options: GibbsOptions) -> None:
     """Raise `OptionError` where particles or samples need more memory than there is."""
-    there = available_memory()
-    if there is None:
+    if (there := available_memory()) is None:
         return
     # of each particle: poses and ancestors of a block, and two copies of the landmarks that it sees
     need = options.particles * (32.0 * min(options.block, log.num_poses) + 144 * len(log.landmark_ids))

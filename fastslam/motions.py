@@ -143,9 +143,8 @@ class Sightings:
             heading += wrap(mark[:, 2] - self.y[:, 2])
         place = total / len(trajectories)
         bearing = np.arctan2(place[:, 1], place[:, 0])
-        return self._linearised(
-            np.maximum(np.hypot(*place.T), 1e-3), bearing, wrap(self.y[:, 2] + heading / len(trajectories))
-        )
+        heading = wrap(self.y[:, 2] + heading / len(trajectories))
+        return self._linearised(np.maximum(np.hypot(*place.T), 1e-3), bearing, heading)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -314,8 +314,7 @@ def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
     from ..options.declaration import options_of
 
     names = [f"--{name.replace('_', '-')}" for name in options_of(TableOptions) if name not in known]
-    named = [name for name in names if re.search(rf"{name}\b", text)]
-    if not named:
+    if not (named := [name for name in names if re.search(rf"{name}\b", text)]):
         return None
     return (
         f"slam-compare import has {', '.join(named)}; other verbs read such options from import.toml in the folder of the "

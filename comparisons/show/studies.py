@@ -84,10 +84,8 @@ def backend_tables(comparison: BackendComparison) -> Tables:
             f"{' and '.join(called)} ({PYTHON_FACTORS}): GTSAM has no factor of its own for the points of a pose graph. "
             "Python evaluates them, which takes most of the time, so these rows are in no mean."
         )
-    if any(row.chi2_per_dof is not None for row in comparison.rows):
-        remarks.append(
-            "chi2 / dof: per degree of freedom; about 1 means that the information in the file fits the errors."
-        )
+    fits = "chi2 / dof: per degree of freedom; about 1 means that the information in the file fits the errors."
+    remarks += [fits] * any(row.chi2_per_dof is not None for row in comparison.rows)
     for row in comparison.rows:
         if not comparison.reached(row):
             remarks.append(f"{Path(row.file).name}: {row.backend} did not reach the best chi2: {row.reason}.")
@@ -311,26 +309,22 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
             # columns share their axis
             panels[-1, 0].set_xscale("log")
         panels[-1, 0].set_xlabel(METRICS[metric])
-        panels[-1, 1].set_xlabel(
-            f"difference from {as_text(str(summary.baseline))},\nsame random seeds: {METRICS[metric]}"
-        )
+        baseline = as_text(str(summary.baseline))
+        panels[-1, 1].set_xlabel(f"difference from {baseline},\nsame random seeds: {METRICS[metric]}")
     return figure
 
 
 def _decades(medians: Collection[Median | None]) -> float:
     """The number of decades between the smallest and the largest median; 0 where a logarithmic axis cannot show one."""
-    values = [median.median for median in medians if median is not None]
+    values = [m.median for m in medians if m is not None]
     ends = [end for m in medians if m is not None for end in (m.low, m.high) if end is not None]
-    if not values or min([*values, *ends]) <= 0:
-        return 0.0
-    return float(np.log10(max(values) / min(values)))
+    return float(np.log10(max(values) / min(values))) if values and min([*values, *ends]) > 0 else 0.0
 
 
 def _draw_medians(axes: Axes, names: list[str], medians: Mapping[str, Median | None]) -> None:
     for height, name in enumerate(names):
-        if (median := medians.get(name)) is None:
-            continue
-        color = colour_of(name.split()[0])
-        if median.low is not None and median.high is not None:
-            axes.plot([median.low, median.high], [height, height], color=color, linewidth=2.0, solid_capstyle="butt")
-        axes.plot([median.median], [height], color=color, marker="o", markeredgecolor="black", linestyle="none")
+        if (m := medians.get(name)) is not None:
+            color = colour_of(name.split()[0])
+            if m.low is not None and m.high is not None:
+                axes.plot([m.low, m.high], [height, height], color=color, linewidth=2.0, solid_capstyle="butt")
+            axes.plot([m.median], [height], color=color, marker="o", markeredgecolor="black", linestyle="none")

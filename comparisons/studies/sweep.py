@@ -103,10 +103,8 @@ def dask_cluster(address: str, limit: float) -> Iterator[Place[Run, Outcome]]:
         except KilledWorker as error:
             return Outcome(key=run.key, status=ERROR, error=f"given up by the cluster: {sentence(error)}")
         except (CancelledError, CommClosedError) as error:
-            raise SlamError(
-                f"the cluster at {address} is gone ({type(error).__name__}); finished runs are kept, and the same command "
-                "continues"
-            ) from None
+            gone = f"the cluster at {address} is gone ({type(error).__name__})"
+            raise SlamError(f"{gone}; finished runs are kept, and the same command continues") from None
 
     with Client(address, timeout=PATIENCE, set_as_default=False) as client:
         threads = sum(client.nthreads().values())
@@ -174,14 +172,11 @@ def _check_versions(client: Any, address: str) -> None:
     try:
         versions = set(client.run(our_version).values())
     except Exception as error:
-        raise OptionError(
-            f"the workers at {address} cannot import this project; install the same version there ({error})"
-        ) from None
+        imports = f"the workers at {address} cannot import this project"
+        raise OptionError(f"{imports}; install the same version there ({error})") from None
     if versions - {our_version()}:
-        raise OptionError(
-            f"the workers at {address} have version {', '.join(sorted(versions))} of this project, but this is "
-            f"{our_version()}; install the same version there"
-        )
+        theirs = f"the workers at {address} have version {', '.join(sorted(versions))} of this project"
+        raise OptionError(f"{theirs}, but this is {our_version()}; install the same version there")
 
 
 #: fewer particles never need much memory
@@ -272,10 +267,8 @@ def sweep(
                 ran, failed = ran + 1, failed + (outcome.status != DONE)
                 if progress is not None:
                     progress(before + ran, len(plan.runs), run, outcome)
-    return SweepOutcome(
-        study=plan.path, database=plan.database, planned=len(plan.runs), before=before, ran=ran, failed=failed,
-        interrupted=interrupted,
-    )  # fmt: skip
+    counts = {"planned": len(plan.runs), "before": before, "ran": ran, "failed": failed}
+    return SweepOutcome(study=plan.path, database=plan.database, interrupted=interrupted, **counts)
 
 
 def _large(runs: Sequence[Run]) -> Iterator[tuple[str, Log, RunOptions]]:
@@ -296,9 +289,8 @@ def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place[
     if options.jobs == 0:
         return this_process(execute)
     estimators, limit = tuple(dict.fromkeys(run.estimator for run in study.runs)), study.time_limit
-    return local_processes(
-        execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=partial(stopped, limit=limit)
-    )
+    late = partial(stopped, limit=limit)
+    return local_processes(execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=late)
 
 
 #: futures that are done, and None for Ctrl-C

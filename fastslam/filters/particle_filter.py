@@ -112,11 +112,12 @@ class ParticleFilter(ABC):
     ) -> None:  # fmt: skip
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
             check_type(kind, **{name: value})
+        kind_of_filter = type(self).__name__
         if given := {"landmarks", "landmark_map"}.intersection(keywords):
             raise OptionError(
-                f"{type(self).__name__} has no option {quoted(min(given))}; a map of landmarks is given as map"
+                f"{kind_of_filter} has no option {quoted(min(given))}; a map of landmarks is given as map"
             )
-        check_known(type(self).__name__, keywords, [field.name for field in fields(FilterOptions)])
+        check_known(kind_of_filter, keywords, [field.name for field in fields(FilterOptions)])
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
         self._check_options()
         self.particles = self.options.particles
@@ -235,11 +236,9 @@ class ParticleFilter(ABC):
     @property
     def state(self) -> ParticleState:
         """The present particles."""
-        particles, ess, resampled = self._engine, self._ess_history[-1], self._resampled_history[-1]
-        poses = robot_poses(self.sensor, particles.poses)
-        return ParticleState(
-            self._step, poses, particles.log_weights, ess, resampled, particles.best, self, self._version
-        )
+        particles, last = self._engine, (self._ess_history[-1], self._resampled_history[-1])
+        poses, weights = robot_poses(self.sensor, particles.poses), particles.log_weights
+        return ParticleState(self._step, poses, weights, *last, particles.best, self, self._version)
 
     @property
     def pose(self) -> Array:
@@ -336,15 +335,12 @@ class ParticleFilter(ABC):
         """Trajectories drawn by backward simulation, linearised at the mean history of the sensor, if there are any."""
         if self._record is None:
             return None
-        mixture = self._mixture(np.exp(self._engine.log_weights), provisional=False)
-        if not mixture:
+        if not (mixture := self._mixture(np.exp(self._engine.log_weights), provisional=False)):
             return None
-        marks = np.array([mixture[j].mean for j in sorted(mixture)])
+        marks, o = np.array([mixture[j].mean for j in sorted(mixture)]), self.options
         # a copy: what the filter draws later does not depend on whether it was asked for a result
-        rng, options = deepcopy(self._rng), self.options
-        return self._record.smooth(
-            self._engine, options.smoothing, rng, self.sensor, mean_poses, marks, options.threads
-        )
+        rng = deepcopy(self._rng)
+        return self._record.smooth(self._engine, o.smoothing, rng, self.sensor, mean_poses, marks, o.threads)
 
     def _association(self, poses: Array) -> dict[str, Any]:  # noqa: ARG002
         """The fields ``association`` and ``unconfirmed`` of the result, where they are defined."""
