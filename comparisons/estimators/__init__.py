@@ -5,7 +5,6 @@ Add one by writing its function and naming it in `ESTIMATORS`; tables, figures a
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -33,7 +32,7 @@ from graphslam.solvers.solution import BEYOND_NOISE, make_solution
 from ..options import FrontEndOptions, GraphOptions, RunOptions
 from ..options.declaration import options_of
 from ..results import EstimatorResult, noted
-from .filters import FILTER, identified, mcl, of_several_seeds
+from .filters import FILTER, identified, mcl, of_several_seeds, timed
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
@@ -110,9 +109,7 @@ def chosen(log: Log, options: RunOptions) -> RunOptions:
 
 def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
     """x_t = f(x_{t-1}, u_t) without noise; the log's own initial poses where it has no controls."""
-    begin = time.perf_counter()
-    poses = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
-    seconds = time.perf_counter() - begin
+    poses, seconds = timed(lambda: log.initial_poses if log.controls is None else log.dead_reckoning(options.motion))
     notes = ["the log has no controls: these are its own initial poses"] if log.controls is None else []
     poses = np.column_stack([poses[:, :2], wrap(poses[:, 2])])
     maps: dict[str, Any] = {}
@@ -137,9 +134,7 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     if edges not in graphslam.textbook.THRESHOLDS:
         edges = "virtual" if log.controls is None else "virtual+motion"
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
-    begin = time.perf_counter()
-    result = graphslam.textbook.solve(log, edges=edges, **models)
-    seconds = time.perf_counter() - begin
+    result, seconds = timed(lambda: graphslam.textbook.solve(log, edges=edges, **models))
     # J and the map by the graph's own code, which gets what the book's cost has
     plain = log.replace(**dict.fromkeys(MEASURED))
     graph = Graph.from_log(plain, edges=edges, frame="world", kernel="none", **models)
@@ -287,10 +282,8 @@ def gibbs_sampler(log: Log, options: RunOptions) -> fastslam.ParticleGibbs:
 
 def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
     """Particle Gibbs: the means of sampled trajectories and maps, with the covariances of the samples."""
-    sampler = gibbs_sampler(log, options)
-    begin = time.perf_counter()
-    result = sampler.run()
-    seconds, mixing = time.perf_counter() - begin, result.mixing
+    result, seconds = timed(gibbs_sampler(log, options).run)
+    mixing = result.mixing
     # where they have not mixed, the reason says it
     notes = (mixing.statement,) if mixing.mixed else ()
     used = {"seed": options.filter.seed} | {f"gibbs_{k}": v for k, v in asdict(options.gibbs).items()}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -28,6 +28,8 @@ from graphslam.metrics import evaluate
 from ..options import RunOptions
 from ..options.declaration import options_of
 from ..results import EstimatorResult
+
+Result = TypeVar("Result")
 
 #: what was found for a log, or why nothing was, by what it was found with
 _FOUND: WeakKeyDictionary[Log, dict[tuple[object, ...], Association | SlamError]] = WeakKeyDictionary()
@@ -118,11 +120,14 @@ def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.Partic
     return filter_class(log, options=options.filter, map=known, start=first_fix(log, known, **models), **models)
 
 
-def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
-    particles = particle_filter(name, log, options)
+def timed(work: Callable[[], Result]) -> tuple[Result, float]:
+    """The result of a function, and how long it takes [s]."""
     begin = time.perf_counter()
-    result = particles.run()
-    seconds = time.perf_counter() - begin
+    return work(), time.perf_counter() - begin
+
+
+def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
+    result, seconds = timed(particle_filter(name, log, options).run)
     # a filter that ignores the ids numbers its landmarks itself
     named = name == "mcl" or result.options.uses_ids
     notes = [] if named else ["landmarks are numbered by discovery, and matched to the true ones by position"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -119,7 +119,12 @@ def _draw_map(axes: Axes, comparison: Comparison) -> None:
         begun = np.where(log.covered[starts, None], truth[starts], begun)
     axes.plot(*begun[:, :2].T, label="start" if len(starts) == 1 else "start of each log", **canvas.START)
     box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
-    beside = {"xytext": (4, 3), "textcoords": "offset points", "zorder": canvas.START["zorder"], "bbox": box}
+    beside: dict[str, Any] = {
+        "xytext": (4, 3),
+        "textcoords": "offset points",
+        "zorder": canvas.START["zorder"],
+        "bbox": box,
+    }
     for number, place in enumerate(begun if len(starts) > 1 else (), start=1):
         axes.annotate(str(number), place[:2], **beside)
     canvas.set_limits(axes, np.concatenate(core), rest)
@@ -210,7 +215,7 @@ def overview_figure(overview: Overview) -> Figure:
     sightings of a landmark end close together. Right: when each landmark was seen, ranges, and bearings.
     """
     with canvas.paper_figure((canvas.WIDTH, 0.6 * canvas.WIDTH)) as figure:
-        rows = [["plan", "times", "times"], ["plan", "ranges", "bearings"]]
+        rows: Any = [["plan", "times", "times"], ["plan", "ranges", "bearings"]]
         panels: dict[str, Axes] = figure.subplot_mosaic(rows, width_ratios=(2, 1, 1))
         _draw_plan(panels["plan"], overview)
         _draw_times(panels["times"], overview)

@@ -275,12 +275,10 @@ def session_table(comparison: Comparison) -> Table | None:
         return None
     of_all = ["ATE in the\ncommon\nframe [m]", "ATE of\nthis log\nalone [m]"][: 1 + bool(comparison.alone)]
     table = LeanTable("Errors in each log", ["log", "estimator"], [*metrics.values(), *of_all])
-    last = None
-    for each in errors:
+    for before, each in zip([None, *errors], errors):
         numbers = [*(getattr(each, metric) for metric in metrics), each.together_m, each.alone_m]
-        name = "" if each.session is last else each.session.name
+        name = "" if before is not None and each.session is before.session else each.session.name
         table.add_row(name, each.estimator, *map(number, numbers[: len(metrics) + len(of_all)]))
-        last = each.session
     return table
 
 

@@ -30,6 +30,7 @@ from graphslam.se2 import Array, difference
 from ...comparison import Comparison
 from ...estimators import pair_count
 from ...options import RunOptions
+from ...results.files import time_axis
 from ..canvas import INK, ITERATIONS, MATCHED, MATRIX, colour_of, true_landmarks
 from ..figures import ellipses
 from .view import Estimate, Figure, View, axis, layout, line_of, logarithmic, place, short
@@ -289,7 +290,7 @@ def errors_figure(view: View) -> Figure | None:
     """
     if view.measured_from is None:
         return None
-    where, name = view.abscissa
+    where, name = (view.steps.astype(float) if view.times is None else view.times), time_axis(view.log)
     drawn = [e for e in view.estimates if np.isfinite(e.errors).any() and e.name != view.measured_from]
     traces = [
         {

@@ -39,13 +39,9 @@ if TYPE_CHECKING:
 
 #: layers of the map: name, label, whether it is shown at first
 LAYERS = (
-    ("path", "paths", True),
-    ("landmarks", "landmarks", True),
-    ("landmark-ellipses", "landmark ellipses", True),
-    ("pose-ellipses", "pose ellipses", False),
-    ("truth", "ground truth", True),
-    ("now", "robot at the step", True),
-)
+    ("path", "paths", True), ("landmarks", "landmarks", True), ("landmark-ellipses", "landmark ellipses", True),
+    ("pose-ellipses", "pose ellipses", False), ("truth", "ground truth", True), ("now", "robot at the step", True),
+)  # fmt: skip
 _CONVERGENCE = (
     "All four start at the initial poses of the log, with every pair of sightings as an edge. The lectures reset the "
     "anchor x̂₀ at every step: the cost settles, but the whole graph keeps drifting, and the norm of the correction stays "
@@ -119,44 +115,33 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
     }  # fmt: skip
     tables, sentences = tables_of(comparison)
     tables[0].title = None
+    poses_known = any(estimate.covariances is not None for estimate in view.estimates)
     part = {
-        "title": escape(comparison.log.name),
-        "language": language,
-        "summary": say(_summary(view)),
+        "title": escape(comparison.log.name), "language": language, "summary": say(_summary(view)),
         "table": "\n".join(table_as_html(translated_table(table, language)) for table in tables),
-        "remarks": items(sentences),
-        "landmarks": _landmarks(comparison, language),
-        "estimators": "\n".join(
-            f'<label><input type="checkbox" checked data-estimator="{escape(e.name)}">{_sample(e.name)}{escape(e.name)}'
-            "</label>"
-            for e in view.estimates
-        ),
+        "remarks": items(sentences), "landmarks": _landmarks(comparison, language),
+        "estimators": "\n".join(_box("estimator", e.name, _sample(e.name) + escape(e.name), True) for e in view.estimates),
         "layers": "\n".join(
-            f'<label><input type="checkbox"{" checked" * on} data-layer="{name}">{say(label)}</label>'
-            for name, label, on in LAYERS
-            if name != "pose-ellipses" or any(e.covariances is not None for e in view.estimates)
+            _box("layer", name, say(label), on) for name, label, on in LAYERS if name != "pose-ellipses" or poses_known
         ),
         "last": str(len(view.steps) - 1),
-        "error_heading": say(error_heading),
-        "map_note": say(_map_note(view)),
-        "errors_note": say(errors_note),
         **{f"{name}_hidden": "hidden" if figure is None else "" for name, figure in figures.items()},
-        "convergence_note": say(convergence_note),
-        "convergence_remarks": items(endings),
-        "matrix_note": say(matrix_note),
-        "entry": MATRIX[charts.ENTRY],
-        "fill": MATRIX[charts.FILL],
-        "configuration": escape(comparison.config),
+        "map_note": say(_map_note(view)), "error_heading": say(error_heading), "errors_note": say(errors_note),
+        "convergence_note": say(convergence_note), "convergence_remarks": items(endings), "matrix_note": say(matrix_note),
+        "entry": MATRIX[charts.ENTRY], "fill": MATRIX[charts.FILL], "configuration": escape(comparison.config),
         "versions": items([*versions(), f"plotly.js {get_plotlyjs_version()}", platform.platform()]),
         "figures": embedded({n: _translated_figure(figure, language) for n, figure in figures.items() if figure}),
         "facts": embedded(_facts(view) | {"matches": matches_of(comparison), "words": _words(language)}),
-        "style": _resource("page.css"),
-        "behaviour": _resource("page.js"),
-        "plotly": get_plotlyjs(),
-    }
+        "style": _resource("page.css"), "behaviour": _resource("page.js"), "plotly": get_plotlyjs(),
+    }  # fmt: skip
     # the texts of the template, but not its style
     page = _TEXTS.sub(lambda text: translated(text[0], language), _resource("page.html"))
     return Template(page).substitute(part)
+
+
+def _box(kind: str, name: str, label: str, on: bool) -> str:
+    """A box that shows or hides an estimator or a layer."""
+    return f'<label><input type="checkbox"{" checked" * on} data-{kind}="{escape(name)}">{label}</label>'
 
 
 #: texts between the marks of a page, and those of its labels

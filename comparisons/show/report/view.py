@@ -20,7 +20,7 @@ from graphslam.se2 import Array, perpendicular, turn_matrix
 
 from ...comparison import Comparison
 from ...results import EstimatorResult
-from ...results.files import elapsed_of, time_axis
+from ...results.files import elapsed_of
 from .. import canvas
 
 #: of longer logs every N-th step is shown: a screen has no more points, and the file must stay small
@@ -80,11 +80,6 @@ class View:
     estimates: tuple[Estimate, ...]
     measured_from: str | None
     sightings: tuple[Array, ...]
-
-    @property
-    def abscissa(self) -> tuple[Array, str]:
-        """The horizontal axis of curves over the drive (S,), and its name with the unit."""
-        return (self.steps.astype(float) if self.times is None else self.times), time_axis(self.log)
 
 
 def view_of(comparison: Comparison) -> View:
