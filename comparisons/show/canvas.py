@@ -288,9 +288,7 @@ def placed(log: Log, placement: Array, poses: Array) -> Array:
 
 def between_poses(log: Log, motion: MotionModel | None, points: int = MOST_POINTS) -> ControlPath:
     """The path between poses along the recorded controls, for lines of about so many points at most."""
-    interval = 0.0
-    if log.dt is not None and len(log.dt) > points:
-        interval = float(np.sum(log.dt)) / points
+    interval = 0.0 if log.dt is None or len(log.dt) <= points else float(np.sum(log.dt)) / points
     return control_path(log, motion, interval=interval, most_turn=MOST_TURN)
 
 
@@ -317,10 +315,9 @@ def place_map(
 
 def reference_of(comparison: Comparison) -> EstimatorResult | None:
     """The result whose sightings and map are drawn: the graph, or the best of the others."""
-    for name in ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1", "fastslam2"):
-        if name in comparison:
-            return comparison[name]
-    return comparison.results[0] if comparison.results else None
+    best = ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1", "fastslam2")
+    known = [comparison[name] for name in best if name in comparison]
+    return next(iter([*known, *comparison.results]), None)
 
 
 def sensor_of(comparison: Comparison) -> SensorModel:

@@ -18,8 +18,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from graphslam import FormatError
-from graphslam.errors import printable
+from graphslam.errors import FormatError, printable
 from graphslam.files import check_file
 
 from ..estimators.config import versions
@@ -131,11 +130,8 @@ class StudyDatabase:
         Raises:
             sqlite3.IntegrityError: the run has a row already.
         """
-        description = {
-            "log": run.log, "source": json.dumps(dict(run.source)), "seed": run.seed, "estimator": run.estimator,
-            "method": run.method, "options": json.dumps(dict(run.options)),
-        }  # fmt: skip
-        row = description | asdict(outcome)
+        texts = {name: json.dumps(dict(getattr(run, name))) for name in ("source", "options")}
+        row = {**vars(run), **texts, **asdict(outcome)}
         marks = ", ".join(f":{name}" for name in COLUMNS)
         with self._transaction():
             self._connection.execute(f"INSERT INTO runs ({', '.join(COLUMNS)}) VALUES ({marks})", row)

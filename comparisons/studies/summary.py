@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import OptionError
-from graphslam.errors import printable, quoted
+from graphslam.errors import OptionError, printable, quoted
 from graphslam.errors.checks import suggestion
 from graphslam.files import write_whole
 from graphslam.metrics import METRICS as ERRORS

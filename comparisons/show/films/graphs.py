@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
@@ -93,10 +93,8 @@ class _Run(NamedTuple):
 def _run(graph: Graph, start: str, method: str = "gauss-newton", max_iterations: int = 100) -> _Run:
     state = starting_state(graph, start)
     steps: list[Iteration] = []
-    solution = solve(
-        graph.with_initial(state), initialize="given", method=method, max_iterations=max_iterations,
-        callback=steps.append,
-    )  # fmt: skip
+    rules: dict[str, Any] = {"method": method, "max_iterations": max_iterations, "callback": steps.append}
+    solution = solve(graph.with_initial(state), initialize="given", **rules)
     # a run that diverged ends at its last finite state
     finite = [step for step in steps if np.isfinite(step.state).all()]
     return _Run(start, (state, *(step.state for step in finite)), tuple(step.step_norm for step in finite), solution)
@@ -149,8 +147,7 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
     Raises:
         GraphError, OptionError: ISAM2 cannot do what is asked for on this log.
     """
-    options = isam2_options(log, options)
-    keywords = online_keywords(options)
+    keywords = online_keywords(isam2_options(log, options))
     wanted = set(kept(log.num_poses, animation.max_frames).tolist())
     frames: list[Frame] = []
 
