@@ -424,17 +424,13 @@ def compare(
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
     chosen = names or default_estimators()
     announce_memory(((name, data, options) for name in chosen), announce)
-    outcomes: list[EstimatorResult | Skipped] = []
+    outcomes, report = list[EstimatorResult | Skipped](), progress or (lambda _name, _outcome: None)
     with attempts(chosen, time_limit) as attempt:
         for name in chosen:
-            if progress is not None:
-                progress(name, None)
-            if names is None and (reason := ESTIMATORS[name].reason_to_omit(data, options)) is not None:
-                outcomes.append(Skipped(name, reason))
-            else:
-                outcomes.append(attempt(name, data, options))
-            if progress is not None:
-                progress(name, outcomes[-1])
+            report(name, None)
+            reason = ESTIMATORS[name].reason_to_omit(data, options) if names is None else None
+            outcomes.append(attempt(name, data, options) if reason is None else Skipped(name, reason))
+            report(name, outcomes[-1])
         results = tuple(each for each in outcomes if isinstance(each, EstimatorResult))
         skipped = tuple(each for each in outcomes if isinstance(each, Skipped))
         alone = dict[str, tuple[EstimatorResult | None, ...]]()

@@ -28,10 +28,7 @@ from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS, World
 from graphslam.solvers import INITIALIZE
 
-from .declaration import OUTPUT as OUTPUT
-from .declaration import EvaluationOptions as EvaluationOptions
-from .declaration import ImportOptions as ImportOptions
-from .declaration import Options
+from .declaration import OUTPUT, EvaluationOptions, ImportOptions, Options  # noqa: F401
 
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
@@ -415,9 +412,8 @@ class SimulationOptions(Options):
         """
         world = replace(WORLDS[self.world], **self.of_component("settings"))
         noise = {name: model().changed(**self.of_component(name)) for name, model in MODELS.items()}
-        faults = {
-            n: self.components[n][0](**f) for n in ("motion_faults", "sensor_faults") if (f := self.of_component(n))
-        }
+        kinds = ("motion_faults", "sensor_faults")
+        faults = {name: self.components[name][0](**given) for name in kinds if (given := self.of_component(name))}
         noise_given = {name for model in MODELS for name in self.of_component(model)} - {*SensorModel.GEOMETRY}
         if not world.clean and noise_given:
             raise OptionError(

@@ -355,12 +355,11 @@ def sightings_of(log: Log, ids: np.ndarray) -> list[SeenLandmark]:
     found = []
     for j in np.setdiff1d(ids, [UNIDENTIFIED]).tolist():
         rows = np.flatnonzero(ids == j)
-        if log.classes is None or not np.any(known := log.classified[rows]):
-            found.append(SeenLandmark(j, rows, None, None))
-            continue
-        names, counts = np.unique(log.classes[rows[known]], return_counts=True)
-        best = int(np.argmax(counts))
-        found.append(SeenLandmark(j, rows, names[best].item(), float(counts[best] / len(rows))))
+        of_class, share = None, None
+        if log.classes is not None and np.any(known := log.classified[rows]):
+            names, counts = np.unique(log.classes[rows[known]], return_counts=True)
+            of_class, share = names[np.argmax(counts)].item(), float(counts.max() / len(rows))
+        found.append(SeenLandmark(j, rows, of_class, share))
     return found
 
 

@@ -167,7 +167,8 @@ def write_mcap(comparison: Comparison, path: Path) -> None:
         for time, topic, message in messages:
             # MCAP knows no times before 1970
             log_time = max(0, time)
-            writer.add_message(channel(topic, message.__msgtype__), log_time, ros.bytes_of(message), log_time)
+            content = bytes(ros.store.serialize_cdr(message, kind := message.__msgtype__))
+            writer.add_message(channel(topic, kind), log_time, content, log_time)
         writer.finish()
 
 
@@ -177,21 +178,18 @@ class _Ros:
     def __init__(self) -> None:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-        self._store = get_typestore(Stores.ROS2_HUMBLE)
-        self._store.register(get_types_from_msg(_DETECTIONS, "vision_msgs/msg/Detection3DArray"))
+        self.store = get_typestore(Stores.ROS2_HUMBLE)
+        self.store.register(get_types_from_msg(_DETECTIONS, "vision_msgs/msg/Detection3DArray"))
 
     def definition(self, type: str) -> bytes:
-        return str(self._store.generate_msgdef(type, ros_version=2)[0]).encode()
-
-    def bytes_of(self, message: Any) -> bytes:
-        return bytes(self._store.serialize_cdr(message, message.__msgtype__))
+        return str(self.store.generate_msgdef(type, ros_version=2)[0]).encode()
 
     def make(self, type: str, /, **fields: Any) -> Any:
         """A message; numbers that are not given are 0, texts and lists empty."""
         package, _, name = type.partition("/")
         full = f"{package}/msg/{name}"
         values = {}
-        for key, (node, kind) in self._store.fielddefs[full][1]:
+        for key, (node, kind) in self.store.fielddefs[full][1]:
             if key in fields:
                 values[key] = fields.pop(key)
             elif node == 2:
@@ -202,7 +200,7 @@ class _Ros:
                 values[key] = []
             else:
                 values[key] = np.zeros(kind[1] if node == 3 else 0, dtype=kind[0][1][0].replace("octet", "uint8"))
-        return self._store.types[full](**values)
+        return self.store.types[full](**values)
 
     def header(self, ns: int, frame: str = FRAME) -> Any:
         stamp = self.make("builtin_interfaces/Time", sec=int(ns // 10**9), nanosec=int(ns % 10**9))
@@ -268,10 +266,9 @@ def _measured(log: Log, ros: _Ros) -> Iterator[tuple[int, str, Any]]:
 def _transform(ros: _Ros, pose: Array, ns: int) -> Any:
     at = ros.pose(pose)
     place = ros.make("geometry_msgs/Vector3", x=at.position.x, y=at.position.y)
+    frames = {"header": ros.header(ns), "child_frame_id": "base_link"}
     transform = ros.make("geometry_msgs/Transform", translation=place, rotation=at.orientation)
-    stamped = ros.make(
-        "geometry_msgs/TransformStamped", header=ros.header(ns), child_frame_id="base_link", transform=transform
-    )
+    stamped = ros.make("geometry_msgs/TransformStamped", transform=transform, **frames)
     return ros.make("tf2_msgs/TFMessage", transforms=[stamped])
 
 
@@ -281,10 +278,8 @@ def _detections(ros: _Ros, track: Track, ns: int) -> Any:
         pose = ros.pose_with_covariance(place, track.landmark_covariances.get(id))
         hypothesis = ros.make("vision_msgs/ObjectHypothesis", class_id=str(id), score=1.0)
         result = ros.make("vision_msgs/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=pose)
-        box = ros.make("vision_msgs/BoundingBox3D", center=ros.pose(place))
-        detections.append(
-            ros.make("vision_msgs/Detection3D", header=ros.header(ns), results=[result], bbox=box, id=str(id))
-        )
+        parts = {"results": [result], "bbox": ros.make("vision_msgs/BoundingBox3D", center=ros.pose(place))}
+        detections.append(ros.make("vision_msgs/Detection3D", header=ros.header(ns), id=str(id), **parts))
     return ros.make("vision_msgs/Detection3DArray", header=ros.header(ns), detections=detections)
 
 

@@ -27,8 +27,7 @@ from graphslam.metrics import headings as metric_headings
 from ..options import DOUBTFUL
 from ..results.results import sightings_of
 from ..results.sessions import errors_of_sessions
-from .canvas import placement_of_result, png_as_html
-from .canvas import save_figure as save_figure
+from .canvas import placement_of_result, png_as_html, save_figure  # noqa: F401
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, written, yes_no
 
 if TYPE_CHECKING:

@@ -250,14 +250,13 @@ def sweep(
         database.plan(plan)
         if given.retry:
             database.forget_failures()
-        present = database.keys()
+        present, report = database.keys(), progress or (lambda *_: None)
         missing = [run for run in plan.runs if run.key not in present]
         before = len(plan.runs) - len(missing)
         # a cluster has memory of its own
         jobs = 1 if given.dask is not None else default_jobs() if given.jobs is None else max(given.jobs, 1)
         announce_memory(_large(missing), announce, jobs=jobs)
-        if progress is not None:
-            progress(before, len(plan.runs), None, None)
+        report(before, len(plan.runs), None, None)
         with _ctrl_c() as events:
             for run, outcome in _outcomes(place, missing, events):
                 if run is None or outcome is None:
@@ -265,8 +264,7 @@ def sweep(
                     break
                 database.add(run, outcome)
                 ran, failed = ran + 1, failed + (outcome.status != DONE)
-                if progress is not None:
-                    progress(before + ran, len(plan.runs), run, outcome)
+                report(before + ran, len(plan.runs), run, outcome)
     counts = {"planned": len(plan.runs), "before": before, "ran": ran, "failed": failed}
     return SweepOutcome(study=plan.path, database=plan.database, interrupted=interrupted, **counts)
 
