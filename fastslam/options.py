@@ -143,8 +143,7 @@ class FrontEndOptions:
         "auto", "What finds ids for the graph where sightings have none: fastslam2; batch, which solves graphs along "
         "the drive; auto: both and, where they end differently, a second run of fastslam2 (on long logs up to three runs, "
         "without batch), of which the end with the highest evidence is taken; or best: batch and three runs in any case. All "
-        "are then refined in the graph.",
-        choices=("auto", "fastslam2", "batch", "best"),
+        "are then refined in the graph.", choices=("auto", "fastslam2", "batch", "best"),
     )  # fmt: skip
     front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
 

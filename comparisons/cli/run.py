@@ -143,17 +143,14 @@ def report(
 
 def animate(
     output: Output,
-    words: Annotated[
-        list[str],
-        argument(
-            "[LOG] OUT",
-            "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
-        ),
-    ],
+    words: Annotated[list[str], argument(
+        "[LOG] OUT",
+        "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
+    )],
     *,
     animation: AnimationOptions,
     options: RunOptions,
-) -> None:
+) -> None:  # fmt: skip
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths.
 
     Examples:

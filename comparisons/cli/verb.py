@@ -157,27 +157,26 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
         *flags, help=text.replace("[", r"\["), metavar=option.metavar or None, show_default=default,
         rich_help_panel=in_language(option.panel, language) or None,
     )  # fmt: skip
-    annotation = Annotated[kind | None, settings]
-    return inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+    return _keyword(option.name, None, Annotated[kind | None, settings])
+
+
+def _keyword(name: str, default: Any, annotation: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 def _flag(name: str, short: str, text: str) -> inspect.Parameter:
-    annotation = Annotated[bool, typer.Option(f"--{name}", short, help=text)]
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation)
+    return _keyword(name, False, Annotated[bool, typer.Option(f"--{name}", short, help=text)])
 
 
 #: the language, before the verb or among its options
-Lang = Annotated[
-    str | None,
-    typer.Option(
-        "--lang", metavar="en|ja", show_default="that of LC_ALL or LANG, else en",
-        help="Language of tables, figures, messages, reports and this help. What has no translation appears in English.",
-    ),
-]  # fmt: skip
+Lang = Annotated[str | None, typer.Option(
+    "--lang", metavar="en|ja", show_default="that of LC_ALL or LANG, else en",
+    help="Language of tables, figures, messages, reports and this help. What has no translation appears in English.",
+)]  # fmt: skip
 _VERBOSITY = [
     _flag("quiet", "-q", "Results only: no progress, no hints."),
     _flag("verbose", "-v", "Also report each step of the work, and the traceback of an error."),
-    inspect.Parameter("lang", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Lang),
+    _keyword("lang", None, Lang),
 ]
 
 
@@ -197,17 +196,10 @@ def _read_config(ctx: typer.Context, path: Path | None) -> Path | None:
     return path
 
 
-_CONFIG = inspect.Parameter(
-    "config", inspect.Parameter.KEYWORD_ONLY, default=None,
-    annotation=Annotated[
-        Path | None,
-        typer.Option(
-            "--config", metavar="FILE", show_default=False, callback=_read_config, is_eager=True,
-            help="A TOML file of options, such as the config.toml of an earlier run. Options of the command line take "
-            "precedence.",
-        ),
-    ],
-)  # fmt: skip
+_CONFIG = _keyword("config", None, Annotated[Path | None, typer.Option(
+    "--config", metavar="FILE", show_default=False, callback=_read_config, is_eager=True,
+    help="A TOML file of options, such as the config.toml of an earlier run. Options of the command line take precedence.",
+)])  # fmt: skip
 
 
 def _check_logs(ctx: typer.Context, logs: list[Path | None]) -> None:

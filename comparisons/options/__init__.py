@@ -130,8 +130,7 @@ class GraphOptions(Options, EdgeOptions):
     panel = "Graph"
     kernel: str | None = option(
         None, "Robust kernel against wrong sightings; gnc is graduated non-convexity.",
-        choices=(*KERNELS, "gnc"), alias="robust",
-        default_text="cauchy on real data, none on logs of simulate",
+        choices=(*KERNELS, "gnc"), alias="robust", default_text="cauchy on real data, none on logs of simulate",
     )  # fmt: skip
     initialize: str = option("auto", "Where the iteration starts; auto tries several starts.", choices=INITIALIZE)
     estimate: tuple[str, ...] | None = option(
@@ -232,8 +231,7 @@ class EstimatorOptions(LimitOptions):
 
     estimators: tuple[str, ...] | None = option(
         None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, graph-no-kernel, gtsam, online, "
-        "isam2, mcl, fastslam1, fastslam2, particle-gibbs.",
-        metavar="NAME,...",
+        "isam2, mcl, fastslam1, fastslam2, particle-gibbs.", metavar="NAME,...",
         default_text="all that can run on the log, without graph-no-kernel, online and particle-gibbs",
     )  # fmt: skip
 

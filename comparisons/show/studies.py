@@ -121,8 +121,7 @@ def consistency_tables(study: ConsistencyStudy) -> Tables:
     """A row per estimator: the joint ANEES with its band, and that of its steps."""
     table = LeanTable(
         f"{study.logs} simulated logs of {study.steps} motions, {study.dimensions}-D sensor, {study.noise:g} times the "
-        "book's noise: ANEES / degrees of freedom, 1 means consistent",
-        ["estimator"],
+        "book's noise: ANEES / degrees of freedom, 1 means consistent", ["estimator"],
         ["logs", "joint", "95 % band", "inside", "median\nof steps", "worst\nstep", "95 % band\nof a step", "steps\ninside"],
     )  # fmt: skip
     for r in study.results:
@@ -158,8 +157,7 @@ def summary_tables(summary: Summary) -> Tables:
         time, ratio = line.figures["seconds"], line.figures["cost_per_dof"]
         _add(
             table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
-            written(line.converged, ".0%"),
-            seconds(None if time is None else time.median), *_intervals(line.figures),
+            written(line.converged, ".0%"), seconds(None if time is None else time.median), *_intervals(line.figures),
             number(None if ratio is None else ratio.median, 2), *[written(line.proven, ".0%")] * proofs,
         )  # fmt: skip
     tables: list[Table] = [table]

@@ -133,7 +133,10 @@ def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], Pe
 
     It has no stop rule here: it executes the smallest number of iterations that reaches its final cost.
     """
-    g2o = _import_g2o()
+    try:
+        g2o = import_module("g2opy")
+    except ImportError:
+        raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
     _check_pose_graph(graph)
     costs, reaches = _smallest_number(g2o, graph, damped, max_iterations)
 
@@ -143,21 +146,12 @@ def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], Pe
         optimizer.initialize_optimization()
         optimizer.optimize(reaches)
         seconds = time.perf_counter() - begin
-        converged, reason = True, f"{reaches} iterations reach its final cost"
-        if not np.isfinite(costs[-1]):
-            converged, reason = False, "diverged"
-        elif reaches >= max_iterations:
-            converged, reason = False, f"still moving after {max_iterations} iterations"
+        reason = "diverged" if not np.isfinite(costs[-1]) else f"still moving after {max_iterations} iterations"
+        if converged := bool(np.isfinite(costs[-1])) and reaches < max_iterations:
+            reason = f"{reaches} iterations reach its final cost"
         return PeerRun(_g2o_state(optimizer, graph), reaches, seconds, converged, reason, costs)
 
     return run
-
-
-def _import_g2o() -> Any:
-    try:
-        return import_module("g2opy")
-    except ImportError:
-        raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
 
 
 def _smallest_number(g2o: Any, graph: Graph, damped: bool, max_iterations: int) -> tuple[tuple[float, ...], int]:

@@ -221,12 +221,10 @@ def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantRe
     if ours is not None and theirs is not None:
         compare = compare_solutions if variant.plain else partial(_compare_robust, graph=graph)
         outcome = compare(variant.name, ours=ours, theirs=theirs)
-        if isinstance(outcome, VariantResult):
-            outcome = replace(
-                outcome, cost_per_dof=of_expected(ours.cost, graph), certificate=ours.certificate,
-                gtsam_certificate=theirs.certificate,
-            )  # fmt: skip
-        return outcome
+        if isinstance(outcome, SkippedVariant):
+            return outcome
+        proofs = {"certificate": ours.certificate, "gtsam_certificate": theirs.certificate}
+        return replace(outcome, cost_per_dof=of_expected(ours.cost, graph), **proofs)
     if ours is None and theirs is None:
         return SkippedVariant(variant.name, str(our_error))
     # that one solver finds the graph underdetermined and the other does not is a difference, not a reason to skip

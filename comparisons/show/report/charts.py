@@ -100,8 +100,7 @@ def _map(view: View, estimate: Estimate) -> list[dict[str, Any]]:
     if estimate.landmarks:
         traces.append({
             "type": "scatter", "mode": "markers", "meta": {"estimator": estimate.name, "layer": "landmarks"},
-            **_xy(np.array(list(estimate.landmarks.values()))),
-            "marker": {"color": colour_of(estimate.name), "size": 6},
+            **_xy(np.array(list(estimate.landmarks.values()))), "marker": {"color": colour_of(estimate.name), "size": 6},
             "customdata": [[j, _known(estimate, j)] for j in estimate.landmarks],
             "hovertemplate": f"<b>{estimate.name}</b>, landmark %{{customdata[0]}}<br>x %{{x:.3f}} m, y %{{y:.3f}} m"
             "<br>%{customdata[1]}<extra></extra>",
@@ -147,8 +146,7 @@ def _truth(view: View) -> list[dict[str, Any]]:
             traces.append(common | look | _xy(view.true_line) | {"hoverinfo": "skip"})
             look = {"mode": "markers", "marker": {"size": 6, "opacity": 0}}
         traces.append(common | look | {
-            **_xy(view.truth),
-            "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
+            **_xy(view.truth), "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
             "hovertemplate": f"<b>ground truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
         })  # fmt: skip
     if view.aligned_to and (landmarks := true_landmarks(view.log)):
@@ -298,8 +296,7 @@ def errors_figure(view: View) -> Figure | None:
             "x": [place(v) for v in where], "y": [short(v) for v in estimate.errors],
             "customdata": [int(t) for t in view.steps],
             "hovertemplate": f"<b>{estimate.name}</b>, step %{{customdata}}<br>{name.split()[0]} %{{x}}<br>"
-            "%{y:.4f} m<extra></extra>",
-            **line_of(estimate.name),
+            "%{y:.4f} m<extra></extra>", **line_of(estimate.name),
         }
         for estimate in drawn
     ]  # fmt: skip

@@ -262,11 +262,8 @@ def association_table(comparison: Comparison, result: EstimatorResult) -> Table 
     if result.association is None:
         return None
     log, scores = comparison.log, comparison.associations[result.name]
-    headings = ["sightings", "unconfirmed", "steps"]
-    if log.classes is not None:
-        headings += ["class", "share of\nthe class"]
-    if scores is not None:
-        headings += ["true\nlandmark", "correct\nshare"]
+    headings = ["sightings", "unconfirmed", "steps", *["class", "share of\nthe class"] * (log.classes is not None)]
+    headings += ["true\nlandmark", "correct\nshare"] * (scores is not None)
     table = LeanTable(f"Landmarks of {result.name}, and what was matched to them", ["landmark"], headings)
     known = _matches(comparison, result, result.association)
     for each in sightings_of(log, result.association):
