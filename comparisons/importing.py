@@ -310,13 +310,12 @@ class Overview(Displayed):
     def rates(self) -> tuple[Rate, ...]:
         """The numbers of poses, controls and sightings."""
         log = self.log
-        poses, sightings = log.num_poses, len(log.steps)
         if log.dt is None:
             # steps have no rate
-            return Rate("poses", poses, None, None, None), Rate("sightings", sightings, None, None, None)
+            return _rate("poses", np.empty(0), log.num_poses), _rate("sightings", np.empty(0), len(log.steps))
         controls = _rate("controls", log.control_times[:-1], len(log.dt))
-        seen = _rate("sightings", np.unique(self.times[log.steps]), sightings)
-        return _rate("poses", self.times, poses), controls, seen
+        seen = _rate("sightings", np.unique(self.times[log.steps]), len(log.steps))
+        return _rate("poses", self.times, log.num_poses), controls, seen
 
     @cached_property
     def landmarks(self) -> tuple[Seen, ...]:

@@ -79,9 +79,8 @@ def associate(
     if front.front_end == "best":
         options = replace(options, agreeing=0)
     found = associate_from(log, start=starts, options=options, **given)
-    which = ", ".join(
-        "the drive with the local filter" if each is None else "FastSLAM 2.0" for each in starts[: found.verdict.starts]
-    )
+    used = starts[: found.verdict.starts]
+    which = ", ".join("the drive with the local filter" if each is None else "FastSLAM 2.0" for each in used)
     note = f"the ids began with those of {which}, with {filters.particles} particles each, and were found anew in the graph"
     return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
 

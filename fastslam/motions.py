@@ -301,9 +301,8 @@ def in_frame(
     if not len(log.positions.steps):
         return poses
     used = log if log.identified else log.with_sightings(np.zeros(len(log.steps), dtype=bool))
-    graph = Graph.from_log(
-        used.replace(partial_sightings=None, relations=None), motion=motion, sensor=sensor, kernel="cauchy"
-    )
+    used = used.replace(partial_sightings=None, relations=None)
+    graph = Graph.from_log(used, motion=motion, sensor=sensor, kernel="cauchy")
     solution = solve(graph)
     x, P = solution.poses[0], solution.covariance(poses=[0])[0]
     mean = np.array([*poses[:, :2].mean(axis=0), np.angle(np.exp(1j * poses[:, 2]).mean())])
@@ -313,9 +312,8 @@ def in_frame(
     if distance <= OTHER_FRAME:
         return poses
     if not given:
-        poses = rng.multivariate_normal(x, SPREAD**2 * P, len(poses))
-        poses[:, 2] = wrap(poses[:, 2])
-        return poses
+        drawn = rng.multivariate_normal(x, SPREAD**2 * P, len(poses))
+        return np.column_stack([drawn[:, :2], wrap(drawn[:, 2])])
     # the positions may leave the direction open; then the anchor holds that of the odometry, which a start may differ from
     if any(isinstance(family, AnchorEdges) for family in graph.families):
         return poses

@@ -229,10 +229,8 @@ MATRIX = ("#ffffff", "#E69F00", "#0072B2")
 
 def style_of(name: str, points: int = 0) -> dict[str, Any]:
     """The line properties of an estimator, a graph of a consistency study or a backend, for a line of ``points``."""
-    style = STYLES.get(name) or CONSISTENCY.get(name) or BACKENDS.get(name)
-    if style is None:
-        color = _OTHER[sum(map(ord, name)) % len(_OTHER)]
-        style = {"color": color, "linestyle": (0, (3, 1, 1, 1, 1, 1)), "zorder": 2.7}
+    other = {"color": _OTHER[sum(map(ord, name)) % len(_OTHER)], "linestyle": (0, (3, 1, 1, 1, 1, 1)), "zorder": 2.7}
+    style = STYLES.get(name) or CONSISTENCY.get(name) or BACKENDS.get(name) or other
     if "marker" in style and name in STYLES and points:
         # the markers of two estimators on one line take turns
         every = max(2, points // 15)

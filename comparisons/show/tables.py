@@ -109,8 +109,7 @@ def figure_of(result: object, **options: Any) -> Any:
     Raises:
         NotImplementedError: there is no figure of this class of results.
     """
-    draw = RESULTS[type(result).__name__][1]
-    if not draw:
+    if not (draw := RESULTS[type(result).__name__][1]):
         raise NotImplementedError(f"there is no figure of {type(result).__name__}")
     return function(draw)(result, **options)
 

@@ -76,15 +76,13 @@ def execute(run: Run) -> Outcome:
 @lru_cache(maxsize=4)
 def _log(source: str, reading: str, name: str, seed: int | None) -> Log:
     """A log, read or simulated; the last few are kept, because neighbouring runs use the same one."""
-    description = json.loads(source)
-    log: Log | Path
+    description, options = json.loads(source), ReadingOptions.of(**json.loads(reading))
     if seed is not None:
-        log = simulated_log(description["simulate"], seed, name)
-    else:
-        log = Path(description["file"])
-        if description["sha256"] is not None and description["sha256"] != sha256_of(log):
-            raise LogError(f"{log} has changed since the study was begun; start the sweep again to take it as it is")
-    return read_log(log, ReadingOptions.of(**json.loads(reading)))[0]
+        return read_log(simulated_log(description["simulate"], seed, name), options)[0]
+    file = Path(description["file"])
+    if description["sha256"] is not None and description["sha256"] != sha256_of(file):
+        raise LogError(f"{file} has changed since the study was begun; start the sweep again to take it as it is")
+    return read_log(file, options)[0]
 
 
 def log_of(run: Run) -> Log:
@@ -94,9 +92,8 @@ def log_of(run: Run) -> Log:
         SlamError: it cannot be read or made.
     """
     reading = {name: run.options[name] for name in options_of(ReadingOptions) if name in run.options}
-    return _log(
-        json.dumps(dict(run.source)), json.dumps(reading), run.log, run.seed if "simulate" in run.source else None
-    )
+    seed = run.seed if "simulate" in run.source else None
+    return _log(json.dumps(dict(run.source)), json.dumps(reading), run.log, seed)
 
 
 def _execute(run: Run) -> dict[str, Any]:
@@ -176,10 +173,9 @@ def local_processes(
     with processes(jobs, loading(estimators, prepare)) as pool:
         # a task that waits in the pool keeps its process from waiting for the next one
         yield Place(
-            jobs + 1,
-            lambda task: pool.schedule(work, (task,), timeout=limit),
+            jobs + 1, lambda task: pool.schedule(work, (task,), timeout=limit),
             lambda future, task: ended(future, task, limit, instead),
-        )
+        )  # fmt: skip
 
 
 def rows_of(

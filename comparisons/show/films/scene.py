@@ -196,11 +196,9 @@ class Film:
     def _repr_html_(self) -> str:
         """The player, in an iframe so that several films in one notebook do not interfere."""
         height, width = self.pictures[0].shape[:2]
-        document = escape(player(self, lambda: None), quote=True)
-        return (
-            f'<iframe srcdoc="{document}" title="{escape(self.title, quote=True)}" width="{width + 40}" '
-            f'height="{height + 90}" style="border:0;max-width:100%"></iframe>'
-        )
+        document, title = escape(player(self, lambda: None)), escape(self.title)
+        size = f'width="{width + 40}" height="{height + 90}" style="border:0;max-width:100%"'
+        return f'<iframe srcdoc="{document}" title="{title}" {size}></iframe>'
 
 
 class Scene:
@@ -269,9 +267,8 @@ class Scene:
 
     def finish(self) -> Show:
         """Add caption and legend, and return what draws a frame."""
-        caption = self.plane.annotate(
-            "", (0, 1), (0, 4), xycoords="axes fraction", textcoords="offset points", va="bottom", animated=True
-        )
+        above: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
+        caption = self.plane.annotate("", (0, 1), (0, 4), animated=True, **above)
         flash = self.plane.text(
             0.985, 0.975, "", ha="right", va="top", color="white", weight="bold", size=10, animated=True,
             transform=self.plane.transAxes,
