@@ -223,7 +223,7 @@ def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantRe
         outcome = compare(variant.name, ours=ours, theirs=theirs)
         if isinstance(outcome, SkippedVariant):
             return outcome
-        proofs = {"certificate": ours.certificate, "gtsam_certificate": theirs.certificate}
+        proofs: dict[str, Any] = {"certificate": ours.certificate, "gtsam_certificate": theirs.certificate}
         return replace(outcome, cost_per_dof=of_expected(ours.cost, graph), **proofs)
     if ours is None and theirs is None:
         return SkippedVariant(variant.name, str(our_error))
