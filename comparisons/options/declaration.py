@@ -16,8 +16,7 @@ from typing import Any, ClassVar, Self
 
 from fastslam.options import GibbsOptions
 from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import Option as Option
-from graphslam.errors.checks import check_options, declared_in, option, suggestion
+from graphslam.errors.checks import Option, check_options, declared_in, option, suggestion
 from graphslam.log.rows import ReadOptions, TableOptions
 from graphslam.models import SensorModel
 
