@@ -369,7 +369,7 @@ ESTIMATORS: dict[str, Estimator] = {
     "graph-no-kernel": Estimator(
         partial(by_hand, "graph-no-kernel", kernel="none"), _solved_without("kernel"), on_request=True
     ),
-"gtsam": Estimator(gtsam_estimator, _SOLVED, _factor_seconds),
+    "gtsam": Estimator(gtsam_estimator, _SOLVED, _factor_seconds),
     "online": Estimator(online, (*(n for n in _GRAPH if n not in _ONLINE and n != "frame"), "lag"), on_request=True),
     "isam2": Estimator(isam2, _solved_without("initialize", "estimate", "range_noise"), _isam2_seconds),
     "mcl": Estimator(mcl, LOCALISATION),
