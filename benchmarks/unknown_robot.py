@@ -2,12 +2,12 @@
 
     python benchmarks/unknown_robot.py [--seeds tuning|reporting|1000-1009] [--drives 20] [--jobs 2] [--misread 0.05]
                                        [--option noise=auto] [--no-ids] [--plain] [--also fastslam2]
-                                       [--oracles FOLDER] [--drive odometry|sightings|shaking|jittering] [--record docs/measured]
+                                       [--oracles FOLDER] [--record docs/measured]
+                                       [--drive odometry|sightings|shaking|jittering]
     python benchmarks/unknown_robot.py --sizes     # time of `estimate_robot` and `solve` by the length of a drive
 
 Each seed is a `Drive.random`, or with ``--drive`` two minutes with almost perfect odometry or sightings, or a random drive
-with an error that the sightings of a scan have in common, or inexact times. Its log goes through
-three ways:
+with an error that the sightings of a scan have in common, or inexact times. Its log goes through three ways:
 
 default         what ``slam-compare run LOG --estimators graph`` does, with the options given by ``--option NAME=VALUE``
 oracle          the same log with the right ids and without clutter, the true noise, and all biases estimated with priors
@@ -48,7 +48,8 @@ from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate
 from graphslam.models import MotionModel
 from graphslam.se2 import Array
-from graphslam.simulation.drives import SENSORS, SPREADS, Drive, DriveTruth
+from graphslam.simulation.drives import SPREADS, Drive, DriveTruth
+from graphslam.simulation.worlds import SENSORS
 
 #: never tune on these
 REPORTING = range(200)

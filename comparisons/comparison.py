@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, overload
@@ -103,14 +103,9 @@ class Comparison(Displayed):
             return {name: "estimated" if as_found else "given" for name, as_found in same.items()}
         if self.options.noise is not None:
             return dict.fromkeys(self.models, "file")
-        return {
-            name: "book"
-            if _noise(used) == _noise(MODELS[name]())
-            else "log"
-            if used == getattr(self.log, name)
-            else "given"
-            for name, used in self.models.items()
-        }
+        of_book = {name for name, used in self.models.items() if _noise(used) == _noise(MODELS[name]())}
+        of_log = {name for name, used in self.models.items() if used == getattr(self.log, name)}
+        return {name: "book" if name in of_book else "log" if name in of_log else "given" for name in self.models}
 
     @property
     def noise_ratio(self) -> tuple[str, float] | None:
@@ -176,8 +171,8 @@ class Comparison(Displayed):
         """The metrics as a table, results and skipped estimators in the order of the registry."""
         rows = [self._row(result) for result in self.results]
         rows += [Row(name=entry.name, skipped=entry.reason, reason=entry.reason) for entry in self.skipped]
-        order = list(ESTIMATORS)
-        rows.sort(key=lambda row: order.index(row.name) if row.name in order else len(order))
+        order = {name: k for k, name in enumerate(ESTIMATORS)}
+        rows.sort(key=lambda row: order.get(row.name, len(order)))
         return ResultTable(f"{self.log.name}: {self.log.sizes}", tuple(rows))
 
     def _row(self, result: EstimatorResult) -> Row:
@@ -212,19 +207,13 @@ class Comparison(Displayed):
             files: what was saved, {"figure": path, ...}; the notes of `SavedFiles` become those of the document.
         """
         source = None if isinstance(self.source, tuple) else self.source
-        return jsonable(
-            RunDocument(
-                log=describe(self.log, source),
-                noise={name: Noise(self.noise_source[name], model) for name, model in self.models.items()},
-                sessions=solved_sessions(self),
-                robot=self.options.calibration,
-                map_states=self.options.landmark_states,
-                estimators=self.table.rows,
-                files=dict(files or {}),
-                notes=getattr(files, "notes", []),
-                warnings=[finding.message for finding in self.findings],
-            )
-        )
+        noise = {name: Noise(self.noise_source[name], model) for name, model in self.models.items()}
+        document = RunDocument(
+            log=describe(self.log, source), noise=noise, sessions=solved_sessions(self), robot=self.options.calibration,
+            map_states=self.options.landmark_states, estimators=self.table.rows, files=dict(files or {}),
+            notes=getattr(files, "notes", []), warnings=[finding.message for finding in self.findings],
+        )  # fmt: skip
+        return jsonable(document)
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
@@ -232,9 +221,8 @@ class Comparison(Displayed):
         estimated = self.options.calibration
         doubts = () if estimated is None else tuple(Finding("doubtful noise", each) for each in estimated.doubts)
         # the same ids serve several estimators
-        unreliable = {
-            str(each.found.verdict) for each in self.results if each.found and not each.found.verdict.reliable
-        }
+        verdicts = [each.found.verdict for each in self.results if each.found]
+        unreliable = {str(verdict) for verdict in verdicts if not verdict.reliable}
         maps = tuple(Finding("unreliable ids", f"{self.log.name}: {verdict}") for verdict in sorted(unreliable))
         return (*check_log(self.log), *doubts, *self._noise_findings(), *maps, *self._unused_options())
 
@@ -247,10 +235,8 @@ class Comparison(Displayed):
             # a filter may find the ids of graphs
             by_front_end = option.name == "association" or (option.model == "filter" and found)
             if users[option.name] and tried.isdisjoint(users[option.name]) and not (solved and by_front_end):
-                yield Finding(
-                    "unused option",
-                    f"no estimator of this run uses {option.flag}; {', '.join(users[option.name])} would",
-                )
+                others = ", ".join(users[option.name])
+                yield Finding("unused option", f"no estimator of this run uses {option.flag}; {others} would")
 
     def _noise_findings(self) -> Iterator[Finding]:
         """Noise that was given, such as that of another robot, or estimated, and is less than this log shows.
@@ -279,30 +265,18 @@ class Comparison(Displayed):
             shown = " and ".join(f"{value:.1f} for {each}" for each, value in medians.items())
             fit += f"; in the median it is {shown}"
         if max(medians.values(), default=ratio) > DOUBTFUL:
-            whose = (
-                "the noise of odometry and that of sightings cannot both be right"
-                if len(medians) > 1
-                else "they are too small"
-            )
-            yield Finding(
-                "too little noise",
-                f"the noise models say less noise than this log shows, so that {whose}: {fit}. "
-                + (
-                    "Does the robot slip, or are the sightings of several landmarks wrong together?"
-                    if sources == {"estimated"}
-                    else "Do they belong to another robot, or are sightings wrong? Compare with --noise auto"
-                ),
-            )
+            both = "the noise of odometry and that of sightings cannot both be right"
+            whose = both if len(medians) > 1 else "they are too small"
+            question = "Do they belong to another robot, or are sightings wrong? Compare with --noise auto"
+            if sources == {"estimated"}:
+                question = "Does the robot slip, or are the sightings of several landmarks wrong together?"
+            text = f"the noise models say less noise than this log shows, so that {whose}: {fit}. {question}"
+            yield Finding("too little noise", text)
         elif ratio > DOUBTFUL and not misfits:
-            yield Finding(
-                "wrong sightings",
-                f"{fit}: the noise models fit most sightings, and some sightings are wrong"
-                + (
-                    ""
-                    if self.options.check_ids or sources == {"estimated"}
-                    else ", such as by misread ids, which --check-ids corrects"
-                ),
-            )
+            checked = self.options.check_ids or sources == {"estimated"}
+            by_ids = "" if checked else ", such as by misread ids, which --check-ids corrects"
+            text = f"{fit}: the noise models fit most sightings, and some sightings are wrong{by_ids}"
+            yield Finding("wrong sightings", text)
 
     @property
     def config(self) -> str:
@@ -346,24 +320,24 @@ class Comparison(Displayed):
                 if pictures:
                     self.save_figure([folder / name for name in pictures.values()], language=language)
                 files |= {kind: directory / name for kind, name in pictures.items()}
-            for name, text in (("config.toml", lambda: self.config), *texts(self)):
+            for name, write in self._writers():
                 with noted(files.notes, f"there is no {name}"):
-                    (folder / name).write_text(text(), encoding="utf-8")
-                    files["config" if name == "config.toml" else name] = directory / name
-            for result in self.results:
-                if isinstance(result.origin, Solution) and result.landmarks and result.named:
-                    with noted(files.notes, f"there is no {(name := f'{result.name}-map.npz')}"):
-                        result.origin.map.save(folder / name)
-                        files[name] = directory / name
-            if self.options.calibration is not None:
-                with noted(files.notes, "there is no noise.toml"):
-                    write_noise(self.options.calibration, folder / "noise.toml", self.log.name)
-                    files["noise.toml"] = directory / "noise.toml"
-            with noted(files.notes, "there is no graph.g2o"):
-                if write_pose_graph(self, folder / "graph.g2o") is None:
-                    files["graph.g2o"] = directory / "graph.g2o"
+                    write(folder / name)
+                    if (folder / name).exists():
+                        files["config" if name == "config.toml" else name] = directory / name
             write_json(self.to_json(files), folder / files["json"].name)
         return files
+
+    def _writers(self) -> Iterator[tuple[str, Callable[[Path], object]]]:
+        """The files beside JSON and figure by name, with what writes each; that of graph.g2o may write none."""
+        for name, text in (("config.toml", lambda: self.config), *texts(self)):
+            yield name, lambda path, text=text: path.write_text(text(), encoding="utf-8")  # type: ignore[misc]
+        for result in self.results:
+            if isinstance(result.origin, Solution) and result.landmarks and result.named:
+                yield f"{result.name}-map.npz", lambda path, solution=result.origin: solution.map.save(path)  # type: ignore[misc]
+        if (found := self.options.calibration) is not None:
+            yield "noise.toml", lambda path: write_noise(found, path, self.log.name)
+        yield "graph.g2o", partial(write_pose_graph, self)
 
 
 @dataclass(frozen=True)
@@ -413,13 +387,9 @@ Progress = Callable[[str, EstimatorResult | Skipped | None], None]
 
 
 def run(
-    log: LogOrPath | Sequence[LogOrPath] = None,
-    *,
-    estimators: Sequence[str] | str | None = None,
-    time_limit: float | None = None,
-    progress: Progress | None = None,
-    **options: Any,
-) -> Comparison:
+    log: LogOrPath | Sequence[LogOrPath] = None, *, estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None, progress: Progress | None = None, **options: Any,
+) -> Comparison:  # fmt: skip
     """Run estimators on a log: ``run().table``, ``run("my.npz", estimators=["graph", "gtsam"], edges="virtual")``.
 
     Args:
@@ -442,34 +412,26 @@ def run(
 
 
 def compare(
-    log: LogOrPath | Sequence[LogOrPath],
-    options: RunOptions,
-    *,
-    estimators: Sequence[str] | str | None = None,
-    time_limit: float | None = None,
-    progress: Progress | None = None,
-    announce: Announce | None = None,
-) -> Comparison:
+    log: LogOrPath | Sequence[LogOrPath], options: RunOptions, *, estimators: Sequence[str] | str | None = None,
+    time_limit: float | None = None, progress: Progress | None = None, announce: Announce | None = None,
+) -> Comparison:  # fmt: skip
     """The same as `run`, with the options as one object; ``announce`` is called where filters need much memory."""
     names = None if estimators is None else check_estimators(estimators)
     time_limit = LimitOptions.of(time_limit=time_limit).time_limit
     data, source, options = prepare(log, options, together=True)
     if len(data.steps) == 0 and data.partial_sightings is None:
-        within = "" if options.max_range is None else f" within max_range = {options.max_range:g} m"
+        farthest = options.max_range
+        within = "" if farthest is None else f" within max_range ({farthest:g} m)"
         raise GraphError(f"{data.name} has no sightings at all{within}, so there is nothing to estimate from")
     chosen = names or default_estimators()
     announce_memory(((name, data, options) for name in chosen), announce)
-    outcomes: list[EstimatorResult | Skipped] = []
+    outcomes, report = list[EstimatorResult | Skipped](), progress or (lambda _name, _outcome: None)
     with attempts(chosen, time_limit) as attempt:
         for name in chosen:
-            if progress is not None:
-                progress(name, None)
-            if names is None and (reason := ESTIMATORS[name].reason_to_omit(data, options)) is not None:
-                outcomes.append(Skipped(name, reason))
-            else:
-                outcomes.append(attempt(name, data, options))
-            if progress is not None:
-                progress(name, outcomes[-1])
+            report(name, None)
+            reason = ESTIMATORS[name].reason_to_omit(data, options) if names is None else None
+            outcomes.append(attempt(name, data, options) if reason is None else Skipped(name, reason))
+            report(name, outcomes[-1])
         results = tuple(each for each in outcomes if isinstance(each, EstimatorResult))
         skipped = tuple(each for each in outcomes if isinstance(each, Skipped))
         alone = dict[str, tuple[EstimatorResult | None, ...]]()

@@ -135,8 +135,7 @@ def _below(folder: Path, depth: int = DEPTH) -> Iterator[tuple[Path, str]]:
     """The logs and pose graphs below a folder, with the names of their data sets."""
     if not folder.is_dir():
         return
-    of_folder = _kind(folder)
-    if of_folder is not None:
+    if (of_folder := _kind(folder)) is not None:
         yield folder, of_folder
     for path in sorted(folder.iterdir()):
         if path.is_dir():
@@ -172,9 +171,9 @@ def _read(name: str, path: Path, robot: int | None) -> Found:
 
 def _log(path: Path, robot: int | None) -> Found:
     log = load(path, robot=robot)
-    times, described = log.times, describe(log)
+    described = describe(log)
     same = {name: getattr(described, name) for name in ("poses", "sightings", "landmarks", "controls", "notes")}
-    seconds = None if times is None else float(times[-1] - times[0])
+    seconds = None if log.times is None else float(log.times[-1] - log.times[0])
     covered = None if log.true_poses is None else described.poses_covered
     return Found(path=path, robot=robot, seconds=seconds, poses_covered=covered, **same)
 

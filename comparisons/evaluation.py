@@ -118,12 +118,9 @@ class Evaluation(Displayed):
 
     def to_json(self) -> dict[str, Any]:
         """The errors as plain data, see docs/schema.json."""
-        landmarks = None if self.true_map is None else len(self.true_map)
-        return jsonable(
-            EvaluateDocument(
-                self.truth.name, len(self.truth.times), landmarks, self.options.cutoff, self.estimates, self.notes
-            )
-        )
+        landmarks, counted = None if self.true_map is None else len(self.true_map), len(self.truth.times)
+        document = (self.truth.name, counted, landmarks, self.options.cutoff, self.estimates, self.notes)
+        return jsonable(EvaluateDocument(*document))
 
 
 @dataclass(frozen=True)
@@ -148,11 +145,8 @@ class EvaluateDocument:
 
 
 def evaluate(
-    truth: str | PathLike[str],
-    *estimates: str | PathLike[str],
-    options: EvaluationOptions | None = None,
-    **changes: Any,
-) -> Evaluation:
+    truth: str | PathLike[str], *estimates: str | PathLike[str], options: EvaluationOptions | None = None, **changes: Any,
+) -> Evaluation:  # fmt: skip
     """Compare trajectories, and maps, with the ground truth.
 
     Args:
@@ -303,24 +297,18 @@ def _table_options(options: EvaluationOptions, table: str) -> TableOptions:
 
 
 def _evaluated(
-    truth: Trajectory,
-    estimate: Trajectory,
-    true_map: Mapping[int, Array] | None,
-    places: Mapping[int, Array] | None,
+    truth: Trajectory, estimate: Trajectory, true_map: Mapping[int, Array] | None, places: Mapping[int, Array] | None,
     options: EvaluationOptions,
-) -> Evaluated:
+) -> Evaluated:  # fmt: skip
     right = poses_at(estimate.times, truth.times, truth.poses, 1e9 * options.longest_gap, same=ROUNDED)
     known = np.isfinite(right[:, 0])
     if np.count_nonzero(known) < 2:
         spans = [f"{each.times[0] / 1e9:.3f} to {each.times[-1] / 1e9:.3f} s" for each in (truth, estimate)]
         apart = np.median(np.diff(truth.times)) / 1e9 if len(truth.times) > 1 else 0.0
-        if apart > options.longest_gap:
-            remedy = f"True poses are {apart:.3g} s apart: --longest-gap {apart:.3g} interpolates between them"
-        else:
-            remedy = (
-                "If their clocks begin at different moments, write the times of one by that of the other "
-                "(--clocks estimates=SECONDS)"
-            )
+        remedy = f"True poses are {apart:.3g} s apart: --longest-gap {apart:.3g} interpolates between them"
+        if not apart > options.longest_gap:
+            remedy = "If their clocks begin at different moments, write the times of one by that of the other "
+            remedy += "(--clocks estimates=SECONDS)"
         raise LogError(
             f"{estimate.name}: {np.count_nonzero(known)} of {len(known)} poses are at a time at which the truth is known; "
             f"the truth goes from {spans[0]}, the estimate from {spans[1]}. {remedy}"

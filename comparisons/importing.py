@@ -152,11 +152,8 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
         check_file(source)
     if is_bag(source, first_bytes(source)):
         recipe = _with_places(merged(recipe or recipe_beside(source), changes), named)
-        topics = tuple(
-            FoundTopic(each.topic.name, each.topic.type, each.topic.count, each.could_be, each.chosen)
-            for each in topics_of(source, recipe)
-        )
-        found = Import(source, topics)
+        offered = ((each.topic, each.could_be, each.chosen) for each in topics_of(source, recipe))
+        found = Import(source, tuple(FoundTopic(t.name, t.type, t.count, *uses) for t, *uses in offered))
         try:
             return _made(found, drive_of_bag(source, recipe), reading, source.resolve().stem)
         except LogError as error:
@@ -313,30 +310,27 @@ class Overview(Displayed):
     def rates(self) -> tuple[Rate, ...]:
         """The numbers of poses, controls and sightings."""
         log = self.log
-        poses, sightings = log.num_poses, len(log.steps)
         if log.dt is None:
             # steps have no rate
-            return Rate("poses", poses, None, None, None), Rate("sightings", sightings, None, None, None)
+            return _rate("poses", np.empty(0), log.num_poses), _rate("sightings", np.empty(0), len(log.steps))
         controls = _rate("controls", log.control_times[:-1], len(log.dt))
-        seen = _rate("sightings", np.unique(self.times[log.steps]), sightings)
-        return _rate("poses", self.times, poses), controls, seen
+        seen = _rate("sightings", np.unique(self.times[log.steps]), len(log.steps))
+        return _rate("poses", self.times, log.num_poses), controls, seen
 
     @cached_property
     def landmarks(self) -> tuple[Seen, ...]:
         """The landmarks by number of sightings."""
         found = []
-        times = self.times[self.log.steps]
         for id in self.log.landmark_ids.tolist():
             rows = self.log.landmarks == id
-            ranges = self.log.sightings[rows, 0]
-            found.append(Seen(id, len(ranges), float(times[rows][0]), float(times[rows][-1]), float(np.median(ranges))))
+            times, ranges = self.times[self.log.steps[rows]], self.log.sightings[rows, 0]
+            found.append(Seen(id, len(ranges), float(times[0]), float(times[-1]), float(np.median(ranges))))
         return tuple(sorted(found, key=lambda each: (-each.count, each.id)))
 
     @cached_property
     def ranges(self) -> Histogram:
         """The histogram of the ranges [m]."""
-        ranges = self.log.sightings[:, 0]
-        return _histogram(ranges, 0.0, float(np.max(ranges, initial=1.0)))
+        return _histogram(self.log.sightings[:, 0], 0.0, float(np.max(self.log.sightings[:, 0], initial=1.0)))
 
     @cached_property
     def bearings(self) -> Histogram:

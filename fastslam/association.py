@@ -26,16 +26,11 @@ LONG = 4_000
 
 
 def associate(
-    log: Log,
-    *,
-    motion: MotionModel | None = None,
-    sensor: SensorModel | None = None,
-    options: AssociationOptions | None = None,
-    filters: FilterOptions | None = None,
+    log: Log, *, motion: MotionModel | None = None, sensor: SensorModel | None = None,
+    options: AssociationOptions | None = None, filters: FilterOptions | None = None,
     start: Start | Begin | Sequence[Start | Begin | None] | None = None,
-    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None,
-    **changes: Any,
-) -> Association:
+    estimate: str | Mapping[str, float | None] | tuple[str, ...] | list[str] | None = None, **changes: Any,
+) -> Association:  # fmt: skip
     """Find out which sightings are of the same landmark, from the log alone.
 
     Ids that the log has are not used where all sightings have one; where some have none, the others keep theirs (option
@@ -84,9 +79,8 @@ def associate(
     if front.front_end == "best":
         options = replace(options, agreeing=0)
     found = associate_from(log, start=starts, options=options, **given)
-    which = ", ".join(
-        "the drive with the local filter" if each is None else "FastSLAM 2.0" for each in starts[: found.verdict.starts]
-    )
+    used = starts[: found.verdict.starts]
+    which = ", ".join("the drive with the local filter" if each is None else "FastSLAM 2.0" for each in used)
     note = f"the ids began with those of {which}, with {filters.particles} particles each, and were found anew in the graph"
     return replace(found, seconds=time.perf_counter() - begin, notes=(*found.notes, note))
 

@@ -302,17 +302,10 @@ class ParticleGibbs:
     """
 
     def __init__(
-        self,
-        log: Log,
-        *,
-        seed: int | np.random.Generator = 0,
-        threads: int | None = None,
-        options: GibbsOptions | None = None,
-        motion: MotionModel | None = None,
-        sensor: SensorModel | None = None,
-        start: ArrayLike | None = None,
-        **keywords: Any,
-    ) -> None:
+        self, log: Log, *, seed: int | np.random.Generator = 0, threads: int | None = None,
+        options: GibbsOptions | None = None, motion: MotionModel | None = None, sensor: SensorModel | None = None,
+        start: ArrayLike | None = None, **keywords: Any,
+    ) -> None:  # fmt: skip
         check_is_log(log)
         log.warn_of_unused("particle Gibbs")
         check_known("ParticleGibbs", keywords, [field.name for field in fields(GibbsOptions)])
@@ -356,9 +349,8 @@ class ParticleGibbs:
                 engine.GibbsChain(rng.bit_generator, x, problem.motions_of(x[None]))
                 for rng, x in zip(generators, poses, strict=True)
             ]
-            for sweeps in (o.warm_up // 4, o.warm_up // 4, o.warm_up - 2 * (o.warm_up // 4)):
-                if sweeps == 0:
-                    continue
+            quarter = o.warm_up // 4
+            for sweeps in filter(None, (quarter, quarter, o.warm_up - 2 * quarter)):
                 low_rank = LowRank(Target.of(problem, o), chains[0].poses, marks)
                 runs = self._sampled(pool, chains, low_rank, sweeps, warm_up=True)
                 later = [(x[sweeps // 2 :], m[sweeps // 2 :]) for x, m in runs]
@@ -370,15 +362,11 @@ class ParticleGibbs:
             low_rank = LowRank(Target.of(problem, o), chains[-1].poses, marks)
             runs = self._sampled(pool, chains, low_rank, o.iterations, warm_up=False)
         return GibbsResult(
-            log=self.log.name,
-            options=o,
-            motion=self.motion,
-            sensor=self.sensor,
+            log=self.log.name, options=o, motion=self.motion, sensor=self.sensor,
             trajectories=np.stack([robot_poses(self.sensor, x) for x, _ in runs]),
-            maps=np.stack([m for _, m in runs])[..., : problem.columns],
-            ids=problem.ids,
+            maps=np.stack([m for _, m in runs])[..., : problem.columns], ids=problem.ids,
             accepted=float(np.mean([chain.accepted for chain in chains])),
-        )
+        )  # fmt: skip
 
     def _sampled(
         self, pool: ThreadPoolExecutor, chains: list[Any], low_rank: LowRank, sweeps: int, *, warm_up: bool
@@ -417,8 +405,7 @@ def _seeds(seed: Any, count: int) -> list[int]:
 
 def _check_memory(log: Log, options: GibbsOptions) -> None:
     """Raise `OptionError` where particles or samples need more memory than there is."""
-    there = available_memory()
-    if there is None:
+    if (there := available_memory()) is None:
         return
     # of each particle: poses and ancestors of a block, and two copies of the landmarks that it sees
     need = options.particles * (32.0 * min(options.block, log.num_poses) + 144 * len(log.landmark_ids))

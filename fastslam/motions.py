@@ -91,16 +91,9 @@ class Sightings:
         z[:, :n] = sightings
         q[:, :n] = np.diagonal(sensor.Q(sightings), axis1=-2, axis2=-1)
         taken = cls(
-            first=np.searchsorted(steps, np.arange(poses + 1)),
-            marks=marks.astype(np.int64).ravel(),
-            z=z,
-            q=q,
-            y=z,
-            C=np.zeros((size, 6)),
-            ids=ids,
-            columns=n,
-            **more,
-        )
+            first=np.searchsorted(steps, np.arange(poses + 1)), marks=marks.astype(np.int64).ravel(), z=z, q=q, y=z,
+            C=np.zeros((size, 6)), ids=ids, columns=n, **more,
+        )  # fmt: skip
         return taken._linearised(z[:, 0], z[:, 1], wrap(z[:, 1] - z[:, 2]))
 
     @property
@@ -137,15 +130,8 @@ class Sightings:
         indices = (np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.first, self.marks))
         sightings = (np.ascontiguousarray(part) for part in (self.y, self.C, weights, self.z, self.q))
         return engine.GibbsProblem(
-            motions,
-            np.ascontiguousarray(information),
-            *indices,
-            *sightings,
-            len(self.ids),
-            self.columns,
-            exact,
-            degrees,
-        )
+            motions, np.ascontiguousarray(information), *indices, *sightings, len(self.ids), self.columns, exact, degrees,
+        )  # fmt: skip
 
     def linearised_at(self, trajectories: Array, maps: Array) -> Self:
         """Return the same problem, linearised at the mean relative places of samples (S, T + 1, 3) and (S, J, 3)."""
@@ -157,9 +143,8 @@ class Sightings:
             heading += wrap(mark[:, 2] - self.y[:, 2])
         place = total / len(trajectories)
         bearing = np.arctan2(place[:, 1], place[:, 0])
-        return self._linearised(
-            np.maximum(np.hypot(*place.T), 1e-3), bearing, wrap(self.y[:, 2] + heading / len(trajectories))
-        )
+        heading = wrap(self.y[:, 2] + heading / len(trajectories))
+        return self._linearised(np.maximum(np.hypot(*place.T), 1e-3), bearing, heading)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -179,14 +164,9 @@ class Problem(Sightings):
         motions, covariances = sensor_motions(sensor, *log.motions(motion))
         rows, columns = np.tril_indices(3)
         return cls.taken(
-            log.num_poses,
-            log.steps,
-            log.landmarks,
-            log.sightings,
-            sensor,
-            motions=np.ascontiguousarray(motions),
+            log.num_poses, log.steps, log.landmarks, log.sightings, sensor, motions=np.ascontiguousarray(motions),
             information=np.linalg.inv(covariances)[:, rows, columns],
-        )
+        )  # fmt: skip
 
     def motions_of(self, trajectories: Array) -> Array:
         """Return the mean motions (T, 3) of sampled trajectories (S, T + 1, 3)."""
@@ -321,9 +301,8 @@ def in_frame(
     if not len(log.positions.steps):
         return poses
     used = log if log.identified else log.with_sightings(np.zeros(len(log.steps), dtype=bool))
-    graph = Graph.from_log(
-        used.replace(partial_sightings=None, relations=None), motion=motion, sensor=sensor, kernel="cauchy"
-    )
+    used = used.replace(partial_sightings=None, relations=None)
+    graph = Graph.from_log(used, motion=motion, sensor=sensor, kernel="cauchy")
     solution = solve(graph)
     x, P = solution.poses[0], solution.covariance(poses=[0])[0]
     mean = np.array([*poses[:, :2].mean(axis=0), np.angle(np.exp(1j * poses[:, 2]).mean())])
@@ -333,9 +312,8 @@ def in_frame(
     if distance <= OTHER_FRAME:
         return poses
     if not given:
-        poses = rng.multivariate_normal(x, SPREAD**2 * P, len(poses))
-        poses[:, 2] = wrap(poses[:, 2])
-        return poses
+        drawn = rng.multivariate_normal(x, SPREAD**2 * P, len(poses))
+        return np.column_stack([drawn[:, :2], wrap(drawn[:, 2])])
     # the positions may leave the direction open; then the anchor holds that of the odometry, which a start may differ from
     if any(isinstance(family, AnchorEdges) for family in graph.families):
         return poses

@@ -104,10 +104,8 @@ class FilterOptions:
         choices=RANGE_NOISES,
     )  # fmt: skip
     stage: str = option(
-        "resampling",
-        "Steps of a filter: motion neither weighs nor resamples, weights does not resample.",
-        choices=STAGES,
-    )
+        "resampling", "Steps of a filter: motion neither weighs nor resamples, weights does not resample.", choices=STAGES,
+    )  # fmt: skip
     smoothing: int = option(
         0, "FastSLAM: trajectories drawn by backward simulation after the run, whose mean is reported; 0 for none, "
         "else at least 10; known ids only.",
@@ -116,9 +114,8 @@ class FilterOptions:
     def __post_init__(self) -> None:
         check_options(self)
         if self.smoothing != 0 and self.smoothing < FEWEST_SMOOTHED:
-            raise OptionError(
-                f"smoothing must be 0 (off) or at least {FEWEST_SMOOTHED} trajectories, not {self.smoothing}"
-            )
+            least = f"at least {FEWEST_SMOOTHED} trajectories"
+            raise OptionError(f"smoothing must be 0 (off) or {least}, not {self.smoothing}")
         if self.smoothing and self.stage == "motion":
             raise OptionError("smoothing needs weighted particles: the stage weights or resampling, not motion")
 
@@ -146,8 +143,7 @@ class FrontEndOptions:
         "auto", "What finds ids for the graph where sightings have none: fastslam2; batch, which solves graphs along "
         "the drive; auto: both and, where they end differently, a second run of fastslam2 (on long logs up to three runs, "
         "without batch), of which the end with the highest evidence is taken; or best: batch and three runs in any case. All "
-        "are then refined in the graph.",
-        choices=("auto", "fastslam2", "batch", "best"),
+        "are then refined in the graph.", choices=("auto", "fastslam2", "batch", "best"),
     )  # fmt: skip
     front_particles: int = option(30, "Particles of the front end fastslam2.", minimum=1)
 
@@ -246,12 +242,11 @@ def check_one_drive(name: str, log: Log, *, is_class: bool = False) -> None:
     """
     if not log.sessions:
         return
-    these = f"{name} follows one robot from its start, and these are {len(log.sessions)} logs"
+    others = "graph, gtsam and isam2 solve them together"
     if is_class:
-        raise OptionError(
-            f"{these}; FastSLAM2 finds the robot where the next one begins, and solve takes them together"
-        )
-    raise OptionError(f"{these}; graph, gtsam and isam2 solve them together")
+        others = "FastSLAM2 finds the robot where the next one begins, and solve takes them together"
+    these = f"these are {len(log.sessions)} logs"
+    raise OptionError(f"{name} follows one robot from its start, and {these}; {others}")
 
 
 def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:
@@ -267,11 +262,8 @@ def check_memory(log: Log, options: FilterOptions, *, maps: bool) -> None:
 
 def available_memory() -> float | None:
     """The memory [bytes] that a process may take without swapping; None where the system does not report it."""
-    limits = []
-    for line in _lines("/proc/meminfo"):
-        name, _, size = line.partition(":")
-        if name == "MemAvailable":
-            limits.append(1024.0 * int(size.split()[0]))
+    free = [line.split()[1] for line in _lines("/proc/meminfo") if line.startswith("MemAvailable:")]
+    limits = [1024.0 * int(kilobytes) for kilobytes in free]
     # a container's limit
     most, used = (_lines(f"/sys/fs/cgroup/memory.{name}")[:1] for name in ("max", "current"))
     if most and used and most[0].isdigit():

@@ -81,28 +81,22 @@ class Samples:
         Raises:
             OptionError: there is no such pose or landmark.
         """
-        steps, ids = ids_of("poses", poses), ids_of("landmarks", landmarks)
-        rows = {j: k for k, j in enumerate(self.ids.tolist())}
-        for what, unknown in (
-            ("pose", [t for t in steps if not 0 <= t < len(self.poses)]),
-            ("landmark", [j for j in ids if j not in rows]),
-        ):
-            if unknown:
-                raise OptionError(f"there is no {what} {unknown[0]} among the samples")
         if poses is None and landmarks is None:
             if not joint:
                 return _covariances(self.trajectories, self.poses)
-            steps = list(range(len(self.poses)))
+            poses = range(len(self.poses))
+        steps, ids = ids_of("poses", poses), ids_of("landmarks", landmarks)
+        rows = {j: k for k, j in enumerate(self.ids.tolist())}
+        unknown = [f"pose {t}" for t in steps if not 0 <= t < len(self.poses)]
+        unknown += [f"landmark {j}" for j in ids if j not in rows]
+        if unknown:
+            raise OptionError(f"there is no {unknown[0]} among the samples")
         marks = np.array(list(self.landmarks.values()))
-        away = [
+        parts = (self.trajectories, self.poses, steps), (self.maps, marks, [rows[j] for j in ids])
+        together = np.hstack([
             difference(samples[:, :, chosen], means[chosen]).reshape(-1, len(chosen) * means.shape[1])
-            for samples, means, chosen in (
-                (self.trajectories, self.poses, steps),
-                (self.maps, marks, [rows[j] for j in ids]),
-            )
-            if chosen
-        ]
-        together = np.hstack(away)
+            for samples, means, chosen in parts if chosen
+        ])  # fmt: skip
         matrix = together.T @ together / len(together)
         return matrix if joint else split(matrix, poses, landmarks)
 
@@ -356,10 +350,7 @@ def residual(weights: Array, rng: np.random.Generator) -> np.ndarray:
 
 #: the schemes by the names of `options.RESAMPLING`: weights (N,) that sum to about 1, generator -> ancestors (N,)
 RESAMPLING_SCHEMES: dict[str, Scheme] = {
-    "systematic": systematic,
-    "stratified": stratified,
-    "residual": residual,
-    "multinomial": multinomial,
+    scheme.__name__: scheme for scheme in (systematic, stratified, residual, multinomial)
 }
 
 

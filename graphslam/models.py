@@ -8,6 +8,7 @@ Sources: Thrun, Burgard and Fox, Probabilistic Robotics, 5.3 and 6.6; Ueda, *LNP
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from math import inf, pi
 from typing import Any, ClassVar, Self
@@ -18,34 +19,13 @@ from numpy.typing import ArrayLike
 from .engine import engine
 from .errors import OptionError, quoted
 from .errors.checks import check_options, check_positive, check_real, checked_offset, option
-from .se2 import Array, mounted, wrap
+from .se2 import Array, mounted, sinc, sinc_derivative, wrap
 
 #: the variances of speed, turn rate and sideways speed of a control of one second that stands for an unknown motion, such as
 #: that between two drives: a kilometre, and several turns, in any direction
 ANYWHERE = (1e6, 1e3, 1e6)
 #: a predicted range counts as at least and at most so many times the measured one: wrong sightings predict anything
 PLAUSIBLE = (0.5, 2.0)
-
-
-def sinc(a: ArrayLike) -> Array:
-    """sin(a) / a, equal to 1 at a = 0."""
-    return np.sinc(np.asarray(a, dtype=float) / np.pi)
-
-
-def sinc_derivative(a: ArrayLike) -> Array:
-    """d/da (sin(a) / a) = (cos(a) - sin(a)/a) / a, by its Taylor series where that difference would cancel."""
-    a = np.asarray(a, dtype=float)
-    near = np.abs(a) < 0.3
-    if near.all():
-        return np.asarray(sinc_slope_near_zero(a))
-    away = np.where(near, 1.0, a)
-    return np.where(near, sinc_slope_near_zero(a), (np.cos(away) - np.sin(away) / away) / away)
-
-
-def sinc_slope_near_zero(a: Any) -> Any:
-    """The sum over k of (-1)^k 2k / (2k+1)! a^(2k-1), an array or a number: six terms are exact to rounding for |a| < 0.3."""
-    q = a * a
-    return a * (-1 / 3 + q * (1 / 30 + q * (-1 / 840 + q * (1 / 45360 + q * (-1 / 3991680 + q / 518918400)))))
 
 
 class NoiseModel:
@@ -139,11 +119,9 @@ class MotionModel(NoiseModel):
     def F(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
         """The derivative df/dx of the motion by the pose it starts from; (..., 3, 3)."""
         pose, control, dt = _broadcast(pose, control, dt)
-        a = control[..., 1] * dt / 2
-        chord, heading = control[..., 0] * dt * sinc(a), pose[..., 2] + a
-        jacobian = np.broadcast_to(np.eye(3), (*heading.shape, 3, 3)).copy()
-        jacobian[..., 0, 2] = -chord * np.sin(heading)
-        jacobian[..., 1, 2] = chord * np.cos(heading)
+        x, y, _ = _arc(pose[..., 2], control, dt)
+        jacobian = np.broadcast_to(np.eye(3), (*x.shape, 3, 3)).copy()
+        jacobian[..., 0, 2], jacobian[..., 1, 2] = -y, x
         return jacobian
 
     def A(self, pose: ArrayLike, control: ArrayLike, dt: ArrayLike) -> Array:
@@ -199,17 +177,12 @@ class MotionModel(NoiseModel):
 
     def moved(self, control: Array, dt: float) -> tuple[Array, Array]:
         """`accumulate` for one control (2,), in the engine: where it leads (3,), and the covariance of that (3, 3)."""
-        noise = (self.nn, self.no, self.on, self.oo, self.epsilon, self.sigma_v, self.sigma_omega, self.slip)
-        return engine.moved(noise, control[0], control[1], dt)
+        return engine.moved(tuple(vars(self).values()), control[0], control[1], dt)
 
     def accumulate(
-        self,
-        controls: ArrayLike,
-        dt: ArrayLike,
-        starts: np.ndarray,
-        control_variances: ArrayLike | None = None,
+        self, controls: ArrayLike, dt: ArrayLike, starts: np.ndarray, control_variances: ArrayLike | None = None,
         recorded_dt: ArrayLike | None = None,
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Motions that consist of several controls each: relative poses and their covariances.
 
         The controls ``starts[t]`` to ``starts[t+1]`` - 1 follow one another in motion t. The motion from (0, 0, 0) ends
@@ -233,10 +206,6 @@ class MotionModel(NoiseModel):
         variances[:, :2] += np.einsum("sii->si", M)
         motions, covariances = engine.accumulate(controls, dt, starts, variances)
         return motions, covariances + self.epsilon * np.eye(3)
-
-    def accumulated_slopes(self, controls: Array, dt: Array, starts: np.ndarray) -> tuple[Array, Array]:
-        """The motions (T, 3) of `accumulate`, and the derivative (S, 3, 2) of each by each of its controls."""
-        return engine.accumulated_slopes(controls, dt, starts)
 
     def dead_reckoning(self, start: ArrayLike, controls: ArrayLike, dt: ArrayLike) -> Array:
         """The poses x_t = f(x_{t-1}, u_t) from a start (3,), noise-free; controls (T, 2), dt (T,) -> (T+1, 3)."""
@@ -312,6 +281,26 @@ class EdgeOptions:
         """Whether there are motion edges."""
         return self.edges is not None and self.edges.endswith("+motion")
 
+    @property
+    def without_effect(self) -> list[str]:
+        """One sentence for each option that is not the default and has no effect on these edges."""
+        lacking, reasons = f"with edges={self.edges!r}", {}
+        if self.landmark_nodes:
+            reasons["weight"] = "with landmark nodes each sighting counts once"
+        else:
+            reasons["residual"] = f"there are no landmark nodes {lacking}"
+        if not self.with_motion:
+            reasons["motion_weight"] = f"there are no motion edges {lacking}"
+        return [
+            f"{name}={getattr(self, name)!r} has no effect: {reason}"
+            for name, reason in reasons.items()
+            if getattr(self, name) != getattr(EdgeOptions, name)
+        ]
+
+    def weighed(self, factors: Iterable[float]) -> list[Self]:
+        """These options with each of the factors lambda on the motion edges; themselves alone where there are none."""
+        return [replace(self, motion_weight=each) for each in factors] if self.with_motion else [self]
+
 
 @dataclass(frozen=True, kw_only=True)
 class SensorModel(NoiseModel):
@@ -329,6 +318,8 @@ class SensorModel(NoiseModel):
             or the limits are impossible.
     """
 
+    #: the standard deviations: of the range, by its length and constant, of the bearing and of the orientation
+    NOISE: ClassVar[tuple[str, ...]] = ("range_rate", "range_std", "bearing_std", "orientation_std")
     #: the fields that are no noise
     GEOMETRY: ClassVar[tuple[str, ...]] = ("offset", "min_range", "max_range", "field_of_view")
 
@@ -338,9 +329,7 @@ class SensorModel(NoiseModel):
     bearing_std: float = option(0.05, "Noise of the bearing", "rad")
     orientation_std: float = option(0.05, "Noise of the orientation psi", "rad")
     range_std: float = option(
-        0.0,
-        "Standard deviation of the range, the same at every range. If range_rate is not given, it becomes 0",
-        "m",
+        0.0, "Standard deviation of the range, the same at every range. If range_rate is not given, it becomes 0", "m"
     )
     offset: tuple[float, float] = option((0.0, 0.0), "Position of the sensor on the robot: forward, left", "m")
     min_range: float = option(0.0, "Least range at which the sensor sees landmarks", "m")
@@ -368,6 +357,21 @@ class SensorModel(NoiseModel):
         """The range-bearing sensor whose noise does not depend on the range [m, rad]: range_rate = 0."""
         return cls(range_rate=0.0, range_std=range_std, bearing_std=bearing_std, offset=offset)
 
+    @classmethod
+    def of_variances(cls, *variances: float | None) -> SensorModel:
+        """The sensor with the variances of `for_engine`, in their order; the book's where one is None or left out."""
+        deviations: dict[str, Any] = {name: float(v**0.5) for name, v in zip(cls.NOISE, variances) if v is not None}
+        return cls(**deviations)
+
+    @property
+    def limits(self) -> tuple[float, float, float]:
+        """The limits of sight: least range, greatest range, whole angle."""
+        return self.min_range, self.max_range, self.field_of_view
+
+    def with_limits(self, least: float, most: float, view: float) -> SensorModel:
+        """The same sensor with these `limits` of sight."""
+        return replace(self, min_range=least, max_range=most, field_of_view=view)
+
     @property
     def of_book(self) -> bool:
         """Whether the noise is that of the lectures, whatever the place and the limits of the sensor are."""
@@ -385,9 +389,7 @@ class SensorModel(NoiseModel):
 
     def sees(self, pose: ArrayLike, landmark: ArrayLike) -> np.ndarray:
         """Whether landmarks (..., 2 or 3) are within the sensor's limits on a robot at a pose (..., 3); (...) bool."""
-        pose, landmark = self.mount(pose), np.asarray(landmark, dtype=float)
-        d = landmark[..., :2] - pose[..., :2]
-        r, bearing = np.hypot(d[..., 0], d[..., 1]), wrap(np.arctan2(d[..., 1], d[..., 0]) - pose[..., 2])
+        r, bearing = np.moveaxis(self.h(pose, np.asarray(landmark, dtype=float)[..., :2]), -1, 0)
         return (r >= self.min_range) & (r <= self.max_range) & (np.abs(bearing) <= self.field_of_view / 2)
 
     def h(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
@@ -407,11 +409,8 @@ class SensorModel(NoiseModel):
         wrapped.
         """
         pose, sighting = self.mount(pose), np.asarray(sighting, dtype=float)
-        direction = pose[..., 2] + sighting[..., 1]
-        landmark = [
-            pose[..., 0] + sighting[..., 0] * np.cos(direction),
-            pose[..., 1] + sighting[..., 0] * np.sin(direction),
-        ]
+        length, direction = sighting[..., 0], pose[..., 2] + sighting[..., 1]
+        landmark = [pose[..., 0] + length * np.cos(direction), pose[..., 1] + length * np.sin(direction)]
         if sighting.shape[-1] == 3:
             landmark.append(wrap(direction - sighting[..., 2]))
         return np.stack(landmark, axis=-1)

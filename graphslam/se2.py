@@ -27,6 +27,27 @@ def wrap(angle: ArrayLike) -> Array:
     return np.where(within, angle, wrapped)
 
 
+def sinc(a: ArrayLike) -> Array:
+    """sin(a) / a, equal to 1 at a = 0."""
+    return np.sinc(np.asarray(a, dtype=float) / np.pi)
+
+
+def sinc_derivative(a: ArrayLike) -> Array:
+    """d/da (sin(a) / a) = (cos(a) - sin(a)/a) / a, by its Taylor series where that difference would cancel."""
+    a = np.asarray(a, dtype=float)
+    near = np.abs(a) < 0.3
+    if near.all():
+        return np.asarray(sinc_slope_near_zero(a))
+    away = np.where(near, 1.0, a)
+    return np.where(near, sinc_slope_near_zero(a), (np.cos(away) - np.sin(away) / away) / away)
+
+
+def sinc_slope_near_zero(a: Any) -> Any:
+    """The sum over k of (-1)^k 2k / (2k+1)! a^(2k-1), an array or a number: six terms are exact to rounding for |a| < 0.3."""
+    q = a * a
+    return a * (-1 / 3 + q * (1 / 30 + q * (-1 / 840 + q * (1 / 45360 + q * (-1 / 3991680 + q / 518918400)))))
+
+
 def rotation(theta: ArrayLike) -> Array:
     """The rotation matrix [[c, -s], [s, c]] of each angle; shape (...) -> (..., 2, 2)."""
     c, s = np.cos(theta), np.sin(theta)

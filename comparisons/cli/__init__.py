@@ -79,12 +79,9 @@ def make_app(complete: Collection[str] | None = None, language: str = "en") -> t
 
         group, command = classes_of(language)
     app = typer.Typer(
-        cls=group,
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        rich_markup_mode="rich",
+        cls=group, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode="rich",
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    )
+    )  # fmt: skip
     examples = ("slam-compare run", "slam-compare run LOG --estimators graph,fastslam1")
     app.callback(help=in_language(inspect.getdoc(_app) or "", language), epilog=epilog_of(examples, language))(_app)
     for verb in VERBS:

@@ -68,13 +68,10 @@ def calibrate(
     others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same kind of robot.")] = None,
     *,
     options: CalibrationOptions,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Write the noise models there (TOML), for run --noise.", rich_help_panel=OUTPUT
-        ),
-    ] = None,
-) -> None:
+    out: Annotated[Path | None, typer.Option(
+        metavar="FILE", help="Write the noise models there (TOML), for run --noise.", rich_help_panel=OUTPUT,
+    )] = None,
+) -> None:  # fmt: skip
     """Estimate motion and sensor noise, and scales and biases of sightings and odometry, by maximum likelihood.
 
     Noise for a log without ground truth is best calibrated from the ground truth of other robots of the same kind.
@@ -140,13 +137,10 @@ def evaluate(
 
 def datasets(
     output: Output,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Where to look.", show_default="the folder named by SLAM_DATA, or ../shared/data"
-        ),
-    ] = None,
-) -> None:
+    folder: Annotated[Path | None, typer.Option(
+        metavar="DIR", help="Where to look.", show_default="the folder named by SLAM_DATA, or ../shared/data",
+    )] = None,
+) -> None:  # fmt: skip
     """List the known data sets, where they are published and how they must be laid out; find and check local copies.
 
     Examples:
@@ -176,16 +170,13 @@ def datasets(
 
 def import_(
     output: Output,
-    words: Annotated[
-        list[str] | None,
-        argument(
-            "[SOURCE] [OUT.npz]",
-            "The folder of tables or the bag, and the log to write; without it, only what was found is listed.",
-        ),
-    ] = None,
+    words: Annotated[list[str] | None, argument(
+        "[SOURCE] [OUT.npz]",
+        "The folder of tables or the bag, and the log to write; without it, only what was found is listed.",
+    )] = None,
     *,
     options: ImportOptions,
-) -> None:
+) -> None:  # fmt: skip
     """Make a log of your own tables (CSV, TSV, Parquet) or bag (ROS 1, ROS 2, MCAP): odometry and sightings with times.
 
     Columns and topics are recognised by their names and types; without OUT the choice is only listed.

@@ -234,11 +234,9 @@ class Output:
         from rich.text import Text
 
         width, height = self._errors.size
+        room = min(width, 140) - 1, max(min(height, 50) - 4, 5)
         with Live(console=self._errors, auto_refresh=False) as live:
-            yield (
-                lambda lines: live.update(Text("\n".join(map(printable, lines))), refresh=True),
-                (min(width, 140) - 1, max(min(height, 50) - 4, 5)),
-            )
+            yield lambda lines: live.update(Text("\n".join(map(printable, lines))), refresh=True), room
         if not self._errors.is_terminal:
             self._errors.print()
 
@@ -254,13 +252,9 @@ class Output:
 
         what = in_language(what, self.language)
         columns = (
-            bars.TextColumn("{task.description}", markup=False),
-            bars.BarColumn(),
-            bars.MofNCompleteColumn(),
-            bars.TimeElapsedColumn(),
-            bars.TextColumn(in_language("remaining", self.language)),
-            bars.TimeRemainingColumn(),
-        )
+            bars.TextColumn("{task.description}", markup=False), bars.BarColumn(), bars.MofNCompleteColumn(),
+            bars.TimeElapsedColumn(), bars.TextColumn(in_language("remaining", self.language)), bars.TimeRemainingColumn(),
+        )  # fmt: skip
         hidden = self.quiet or not self._errors.is_terminal
         with bars.Progress(*columns, console=self._errors, transient=True, disable=hidden) as progress:
             task = progress.add_task(what, total=total)
@@ -285,10 +279,8 @@ def language_of_words(words: Sequence[str]) -> str:
     """The language of a command line before it is parsed: that of --lang, else of the environment."""
     given = None
     for word, following in zip(words, [*words[1:], None]):
-        if word == "--lang":
-            given = following
-        elif word.startswith("--lang="):
-            given = word.partition("=")[2]
+        if word == "--lang" or word.startswith("--lang="):
+            given = following if word == "--lang" else word.partition("=")[2]
     return _spoken(given, sys.stdout)
 
 
@@ -322,8 +314,7 @@ def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
     from ..options.declaration import options_of
 
     names = [f"--{name.replace('_', '-')}" for name in options_of(TableOptions) if name not in known]
-    named = [name for name in names if re.search(rf"{name}\b", text)]
-    if not named:
+    if not (named := [name for name in names if re.search(rf"{name}\b", text)]):
         return None
     return (
         f"slam-compare import has {', '.join(named)}; other verbs read such options from import.toml in the folder of the "

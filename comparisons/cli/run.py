@@ -30,14 +30,10 @@ PAGE = "Wrote the interactive report {}: open it in a browser."
 
 
 def run(
-    output: Output,
-    log: LogFile = None,
-    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same place, solved together.")] = None,
-    *,
-    chosen: EstimatorOptions,
-    options: RunOptions,
-    saving: OutputOptions,
-) -> None:
+    output: Output, log: LogFile = None,
+    others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same place, solved together.")] = None, *,
+    chosen: EstimatorOptions, options: RunOptions, saving: OutputOptions,
+) -> None:  # fmt: skip
     """Run all estimators on one log, or on several logs of one place: a table, a figure and the results as JSON.
 
     Examples:
@@ -53,12 +49,12 @@ def run(
 
     check_can_make(RESULTS if saving.out is None else saving.out)
     writers = {kind: (path, _writer(kind)) for kind in FURTHER if (path := getattr(saving, kind)) is not None}
+    logs = [log, *others] if others else log
     if saving.live:
-        _draw_live(output, [log, *others] if others else log, options)
-    outcome = _compared(output, [log, *others] if others else log, chosen, options)
-    files = outcome.save(
-        saving.out, figures=saving.figures, language=output.language_of_figures() if saving.figures else "en"
-    )
+        _draw_live(output, logs, options)
+    outcome = _compared(output, logs, chosen, options)
+    language = output.language_of_figures() if saving.figures else "en"
+    files = outcome.save(saving.out, figures=saving.figures, language=language)
     output.show(outcome, brief=True)
     for kind, (path, write) in writers.items():
         with noted(files.notes, "there is no interactive report" if kind == "html" else f"there is no {path}"):
@@ -69,11 +65,8 @@ def run(
     if output.wants_json:
         output.json(outcome.to_json(files))
     folder = files["json"].parent
-    named = [
-        p.name
-        for kind, p in files.items()
-        if not kind.endswith((".tum", ".csv", ".g2o", "-map.npz")) and kind not in FURTHER
-    ]
+    in_groups = (".tum", ".csv", ".g2o", "-map.npz")
+    named = [p.name for kind, p in files.items() if not kind.endswith(in_groups) and kind not in FURTHER]
     named += ["trajectories (*.tum)", "maps (*-map.csv, *-map.npz)"]
     named += ["associations (*-sightings.csv)"] * any(name.endswith("-sightings.csv") for name in files)
     named += ["graph.g2o"] * ("graph.g2o" in files)
@@ -150,17 +143,14 @@ def report(
 
 def animate(
     output: Output,
-    words: Annotated[
-        list[str],
-        argument(
-            "[LOG] OUT",
-            "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
-        ),
-    ],
+    words: Annotated[list[str], argument(
+        "[LOG] OUT",
+        "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
+    )],
     *,
     animation: AnimationOptions,
     options: RunOptions,
-) -> None:
+) -> None:  # fmt: skip
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths.
 
     Examples:
@@ -201,13 +191,9 @@ def _compared(
 
     with output.bar("estimators", len(chosen.estimators or default_estimators())) as advance:
         return compare(
-            log,
-            options,
-            estimators=chosen.estimators,
-            time_limit=chosen.time_limit,
-            progress=_progress(output, advance),
+            log, options, estimators=chosen.estimators, time_limit=chosen.time_limit, progress=_progress(output, advance),
             announce=output.progress,
-        )
+        )  # fmt: skip
 
 
 def _progress(output: Output, advance: Advance) -> Progress:

@@ -53,11 +53,8 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
     # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
     hints = get_type_hints(function, localns=vars(declared), include_extras=True)
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "output"]
-    groups = {
-        p.name: hints[p.name]
-        for p in parameters
-        if isinstance(hints[p.name], type) and issubclass(hints[p.name], Options)
-    }
+    groups = {p.name: hints[p.name] for p in parameters if isinstance(hints[p.name], type)}
+    groups = {name: kind for name, kind in groups.items() if issubclass(kind, Options)}
     options: dict[str, Option] = {}
     for group in (*groups.values(), declared.JsonOptions):
         options |= {name: each for name, each in options_of(group).items() if each.only != "python"}
@@ -143,10 +140,8 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
     """The option as a parameter that typer understands; its default None stands for the option's own."""
     # several values are one word with commas
     kind: Any = option.each if option.kind in (str, int, float, bool) else str
-    flag = (
-        f"{option.flag}/--no-{option.flag[2:]}" if option.kind is bool and option.default is not False else option.flag
-    )
-    flags = [flag, *([f"--{option.alias}"] if option.alias else [])]
+    off = f"/--no-{option.flag[2:]}" if option.kind is bool and option.default is not False else ""
+    flags = [option.flag + off, *([f"--{option.alias}"] if option.alias else [])]
     # the unit is in the first sentence
     stop, between = (".", ". ") if language == "en" else ("。", "。")
     first, dot, more = in_language(option.help, language).removesuffix(stop).partition(between)
@@ -154,40 +149,34 @@ def _parameter(option: Option, language: str = "en") -> inspect.Parameter:
     if not all(choice in option.help for choice in option.choices):
         several = "One or several of, with commas between: {}." if option.kind is tuple else "One of: {}."
         text += f" {in_language(several, language).format(', '.join(option.choices))}"
-    text_of_default = in_language(option.default_text, language) if option.default_text else ""
-    # spaces, at which the help breaks lines
-    default = text_of_default or (
-        option.default not in (None, False) and option.text(option.default).replace(",", ", ")
-    )
-    metavar = option.metavar or None
+    default: str | bool = option.default not in (None, False)
+    if default or option.default_text:
+        # spaces, at which the help breaks lines
+        default = in_language(option.default_text, language) or option.text(option.default).replace(",", ", ")
     settings = typer.Option(
-        *flags,
-        help=text.replace("[", r"\["),
-        metavar=metavar,
-        show_default=default,
+        *flags, help=text.replace("[", r"\["), metavar=option.metavar or None, show_default=default,
         rich_help_panel=in_language(option.panel, language) or None,
-    )
-    annotation = Annotated[kind | None, settings]
-    return inspect.Parameter(option.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+    )  # fmt: skip
+    return _keyword(option.name, None, Annotated[kind | None, settings])
+
+
+def _keyword(name: str, default: Any, annotation: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 def _flag(name: str, short: str, text: str) -> inspect.Parameter:
-    annotation = Annotated[bool, typer.Option(f"--{name}", short, help=text)]
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation)
+    return _keyword(name, False, Annotated[bool, typer.Option(f"--{name}", short, help=text)])
 
 
 #: the language, before the verb or among its options
-Lang = Annotated[
-    str | None,
-    typer.Option(
-        "--lang", metavar="en|ja", show_default="that of LC_ALL or LANG, else en",
-        help="Language of tables, figures, messages, reports and this help. What has no translation appears in English.",
-    ),
-]  # fmt: skip
+Lang = Annotated[str | None, typer.Option(
+    "--lang", metavar="en|ja", show_default="that of LC_ALL or LANG, else en",
+    help="Language of tables, figures, messages, reports and this help. What has no translation appears in English.",
+)]  # fmt: skip
 _VERBOSITY = [
     _flag("quiet", "-q", "Results only: no progress, no hints."),
     _flag("verbose", "-v", "Also report each step of the work, and the traceback of an error."),
-    inspect.Parameter("lang", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Lang),
+    _keyword("lang", None, Lang),
 ]
 
 
@@ -207,17 +196,10 @@ def _read_config(ctx: typer.Context, path: Path | None) -> Path | None:
     return path
 
 
-_CONFIG = inspect.Parameter(
-    "config", inspect.Parameter.KEYWORD_ONLY, default=None,
-    annotation=Annotated[
-        Path | None,
-        typer.Option(
-            "--config", metavar="FILE", show_default=False, callback=_read_config, is_eager=True,
-            help="A TOML file of options, such as the config.toml of an earlier run. Options of the command line take "
-            "precedence.",
-        ),
-    ],
-)  # fmt: skip
+_CONFIG = _keyword("config", None, Annotated[Path | None, typer.Option(
+    "--config", metavar="FILE", show_default=False, callback=_read_config, is_eager=True,
+    help="A TOML file of options, such as the config.toml of an earlier run. Options of the command line take precedence.",
+)])  # fmt: skip
 
 
 def _check_logs(ctx: typer.Context, logs: list[Path | None]) -> None:

@@ -5,7 +5,6 @@ Add one by writing its function and naming it in `ESTIMATORS`; tables, figures a
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -33,7 +32,7 @@ from graphslam.solvers.solution import BEYOND_NOISE, make_solution
 from ..options import FrontEndOptions, GraphOptions, RunOptions
 from ..options.declaration import options_of
 from ..results import EstimatorResult, noted
-from .filters import FILTER, identified, mcl, of_several_seeds
+from .filters import FILTER, identified, mcl, of_several_seeds, timed
 
 #: seconds per iteration above which an estimator is left out unless asked for by name
 PATIENCE = 0.5
@@ -110,9 +109,7 @@ def chosen(log: Log, options: RunOptions) -> RunOptions:
 
 def dead_reckoning(log: Log, options: RunOptions) -> EstimatorResult:
     """x_t = f(x_{t-1}, u_t) without noise; the log's own initial poses where it has no controls."""
-    begin = time.perf_counter()
-    poses = log.initial_poses if log.controls is None else log.dead_reckoning(options.motion)
-    seconds = time.perf_counter() - begin
+    poses, seconds = timed(lambda: log.initial_poses if log.controls is None else log.dead_reckoning(options.motion))
     notes = ["the log has no controls: these are its own initial poses"] if log.controls is None else []
     poses = np.column_stack([poses[:, :2], wrap(poses[:, 2])])
     maps: dict[str, Any] = {}
@@ -129,17 +126,15 @@ def textbook_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """The lectures' program as it stands, with the book's threshold; J is the world-frame cost that it works on."""
     _no_map("textbook", options)
     check_one_drive("textbook", log)
-    others = {each: getattr(RunOptions, each) for each in ("motion_weight", "residual", "initialize", "estimate")}
+    defaults = {each: getattr(GraphOptions, each) for each in _GRAPH if each != "edges"}
     options, notes = _fixed(
-        options, "it is the lectures' program as it stands", frame="world", weight="pairs", kernel="none", **others
+        options, "it is the lectures' program as it stands", **defaults | {"frame": "world", "kernel": "none"}
     )
     edges = options.edges
     if edges not in graphslam.textbook.THRESHOLDS:
         edges = "virtual" if log.controls is None else "virtual+motion"
     models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
-    begin = time.perf_counter()
-    result = graphslam.textbook.solve(log, edges=edges, **models)
-    seconds = time.perf_counter() - begin
+    result, seconds = timed(lambda: graphslam.textbook.solve(log, edges=edges, **models))
     # J and the map by the graph's own code, which gets what the book's cost has
     plain = log.replace(**dict.fromkeys(MEASURED))
     graph = Graph.from_log(plain, edges=edges, frame="world", kernel="none", **models)
@@ -180,9 +175,8 @@ def by_hand(name: str, log: Log, options: RunOptions, **changes: Any) -> Estimat
 def gtsam_estimator(log: Log, options: RunOptions) -> EstimatorResult:
     """GTSAM's Levenberg-Marquardt on the very same graph, made of our factor types, from the same start."""
     _no_gnc(options)
-    return _of_solution(
-        "gtsam", log, options, graphslam.solve_with_gtsam(make_graph(log, options), **_solving(options))
-    )
+    solution = graphslam.solve_with_gtsam(make_graph(log, options), **_solving(options))
+    return _of_solution("gtsam", log, options, solution)
 
 
 def _solving(options: RunOptions) -> dict[str, Any]:
@@ -205,9 +199,7 @@ def online(log: Log, options: RunOptions) -> EstimatorResult:
 
 def _online_options(options: RunOptions) -> tuple[RunOptions, tuple[str, ...]]:
     """The options with those that `online` has fixed, and a note on them."""
-    ways = {"edges": "landmark+motion", "weight": "pairs", "residual": "cartesian"}
-    reason = "it has landmark nodes with Cartesian residuals, and estimates no parameters"
-    return _fixed(options, reason, **ways, initialize="auto", estimate=None)
+    return _fixed(options, "it has landmark nodes with Cartesian residuals, and estimates no parameters", **_ONLINE)
 
 
 def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineSolver]:
@@ -288,25 +280,16 @@ def gibbs_sampler(log: Log, options: RunOptions) -> fastslam.ParticleGibbs:
 
 def particle_gibbs(log: Log, options: RunOptions) -> EstimatorResult:
     """Particle Gibbs: the means of sampled trajectories and maps, with the covariances of the samples."""
-    sampler = gibbs_sampler(log, options)
-    begin = time.perf_counter()
-    result = sampler.run()
-    seconds = time.perf_counter() - begin
+    result, seconds = timed(gibbs_sampler(log, options).run)
+    mixing = result.mixing
+    # where they have not mixed, the reason says it
+    notes = (mixing.statement,) if mixing.mixed else ()
+    used = {"seed": options.filter.seed} | {f"gibbs_{k}": v for k, v in asdict(options.gibbs).items()}
     return EstimatorResult(
-        name="particle-gibbs",
-        poses=result.poses,
-        estimated=np.ones(log.num_poses, dtype=bool),
-        seconds=seconds,
-        landmarks=result.landmarks,
-        landmark_covariances=result.landmark_covariances,
-        converged=result.mixing.mixed,
-        iterations=options.gibbs.iterations,
-        # where they have not mixed, the reason says it
-        notes=(result.mixing.statement,) if result.mixing.mixed else (),
-        options={"seed": options.filter.seed} | {f"gibbs_{k}": v for k, v in asdict(options.gibbs).items()},
-        reason=result.mixing.statement,
-        origin=result,
-    )
+        name="particle-gibbs", poses=result.poses, estimated=np.ones(log.num_poses, dtype=bool), seconds=seconds,
+        landmarks=result.landmarks, landmark_covariances=result.landmark_covariances, converged=mixing.mixed,
+        iterations=options.gibbs.iterations, notes=notes, options=used, reason=mixing.statement, origin=result,
+    )  # fmt: skip
 
 
 def pair_count(log: Log) -> int:
@@ -327,24 +310,22 @@ def _textbook_seconds(log: Log, options: RunOptions) -> float:
     return 5e-5 * (pair_count(log) + log.num_poses) + 2 / 3 * (3.0 * log.num_poses) ** 3 / 1e10
 
 
-def _gtsam_seconds(log: Log, options: RunOptions) -> float:
-    return _factor_seconds(log, options, lambda: identified(log, options)[0])
-
-
-def _factor_seconds(log: Log, options: RunOptions, known: Callable[[], Log]) -> float:
-    """The time [s] of one pass over all factors in GTSAM; ``known`` gives the log with the ids that they use."""
+def _factor_seconds(log: Log, options: RunOptions, *, of_log: bool = False) -> float:
+    """The time [s] of one pass over all factors in GTSAM; ``of_log``: they use the ids of the log in any case."""
     # 30 us a pose; GTSAM copies all values for every call of a Python factor, of which there is one for 16 poses
     seconds = 3e-5 * log.num_poses + 4e-8 * log.num_poses**2
-    options = chosen(log, options)
+    given, options = options, chosen(log, options)
+    on_landmarks = str(options.edges).startswith("landmark")
+    if not on_landmarks and not of_log and not (options.estimate and options.weight == "marginal"):
+        # how often each landmark is seen decides, so sightings without ids need them now; they are found once for all
+        log, _ = identified(log, given)
     if options.estimate:
         # a factor for each edge, which every step makes again
-        paired = options.weight != "marginal" and not str(options.edges).startswith("landmark")
-        count = log.num_poses + (pair_count(known()) if paired else len(log.steps))
+        paired = options.weight != "marginal" and not on_landmarks
+        count = log.num_poses + (pair_count(log) if paired else len(log.steps))
         return count * (5e-4 + 8e-8 * log.num_poses)
-    if str(options.edges).startswith("landmark"):
+    if on_landmarks:
         return seconds
-    # how often each landmark is seen decides, so sightings without ids need them now; they are found once for all
-    log = known()
     if options.kernel not in ("none", "gnc") and options.weight != "marginal":
         # a factor for each pair, because each has its own robust weight
         return seconds + 1e-4 * pair_count(log)
@@ -358,10 +339,14 @@ def _isam2_seconds(log: Log, options: RunOptions) -> float:
     # some ten milliseconds a step, and the landmarks' factors are made again as they grow; "per iteration" is per step here.
     # It estimates no parameters, and uses the ids of the log
     options = replace(isam2_options(log, options), estimate=None)
-    return 1e-3 * log.num_poses + _factor_seconds(log, options, lambda: log)
+    return 1e-3 * log.num_poses + _factor_seconds(log, options, of_log=True)
 
 
 _GRAPH = tuple(options_of(GraphOptions))
+#: those that `online` has fixed; it refuses the other frame
+_ONLINE: dict[str, Any] = {
+    "edges": "landmark+motion", "weight": "pairs", "residual": "cartesian", "initialize": "auto", "estimate": None,
+}  # fmt: skip
 #: and what finds the ids for it
 _SOLVED = (*_GRAPH, *options_of(FrontEndOptions), "class_confusion", "range_noise")
 
@@ -384,8 +369,8 @@ ESTIMATORS: dict[str, Estimator] = {
     "graph-no-kernel": Estimator(
         partial(by_hand, "graph-no-kernel", kernel="none"), _solved_without("kernel"), on_request=True
     ),
-    "gtsam": Estimator(gtsam_estimator, _SOLVED, _gtsam_seconds),
-    "online": Estimator(online, ("motion_weight", "kernel", "lag"), on_request=True),
+    "gtsam": Estimator(gtsam_estimator, _SOLVED, _factor_seconds),
+    "online": Estimator(online, (*(n for n in _GRAPH if n not in _ONLINE and n != "frame"), "lag"), on_request=True),
     "isam2": Estimator(isam2, _solved_without("initialize", "estimate", "range_noise"), _isam2_seconds),
     "mcl": Estimator(mcl, LOCALISATION),
     "fastslam1": Estimator(partial(of_several_seeds, "fastslam1"), FILTER),
@@ -410,14 +395,13 @@ def check_estimators(names: Any) -> tuple[str, ...]:
         OptionError: a name is unknown, or there is none.
     """
     names = (names,) if isinstance(names, str) else tuple(dict.fromkeys(names))
+    known = ", ".join(ESTIMATORS)
     for name in names:
         if name not in ESTIMATORS:
-            raise OptionError(
-                f"estimators: there is no estimator {quoted(name)}{suggestion(name, ESTIMATORS)}; the estimators are "
-                f"{', '.join(ESTIMATORS)}"
-            )
+            unknown = f"estimators: there is no estimator {quoted(name)}{suggestion(name, ESTIMATORS)}"
+            raise OptionError(f"{unknown}; the estimators are {known}")
     if not names:
-        raise OptionError(f"estimators: name at least one of {', '.join(ESTIMATORS)}")
+        raise OptionError(f"estimators: name at least one of {known}")
     return names
 
 

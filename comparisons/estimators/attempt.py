@@ -49,10 +49,9 @@ def added_estimators() -> bytes:
         try:
             cloudpickle.dumps(estimator)
         except Exception as error:
-            raise OptionError(
-                f"the estimator {name!r} cannot be sent to another process ({sentence(error)}): let its function use only "
-                "what can be pickled, or run in this process (a study: jobs=0)"
-            ) from None
+            why = f"the estimator {name!r} cannot be sent to another process ({sentence(error)})"
+            advice = "let its function use only what can be pickled, or run in this process (a study: jobs=0)"
+            raise OptionError(f"{why}: {advice}") from None
     return cloudpickle.dumps(added) if added else b""
 
 
@@ -126,9 +125,9 @@ def _checked(name: str, result: object, log: Log) -> EstimatorResult:
     """
 
     def wrong(part: str, expected: str, value: object) -> ResultError:
-        found = (
-            f"an array of shape {value.shape} and type {value.dtype}" if isinstance(value, np.ndarray) else repr(value)
-        )
+        found = repr(value)
+        if isinstance(value, np.ndarray):
+            found = f"an array of shape {value.shape} and type {value.dtype}"
         return ResultError(f"{name} returned {part} that cannot be used: expected {expected}, not {found[:80]}")
 
     if not isinstance(result, EstimatorResult):

@@ -27,12 +27,9 @@ from . import check_estimators
 
 
 def config_text(
-    source: Path | tuple[Path | None, ...] | None,
-    estimators: Sequence[str] | None,
-    options: RunOptions,
-    *,
+    source: Path | tuple[Path | None, ...] | None, estimators: Sequence[str] | None, options: RunOptions, *,
     time_limit: float | None = None,
-) -> str:
+) -> str:  # fmt: skip
     """The configuration of a run as TOML; options that were chosen by the log are left out."""
     paths = [path for path in (source if isinstance(source, tuple) else (source,)) if path is not None]
     # logs that come from no file cannot be named
@@ -48,13 +45,10 @@ def config_text(
         # the numbers of a noise file are below
         "noise": options.noise if options.noise == AUTO else None,
         "map": None if options.map is None else _path_text(options.map.absolute()),
-        # what was estimated from the log is estimated again
-        **{
-            name: asdict(model)
-            for name in MODELS
-            if (model := getattr(options, name)) is not None and options.noise != AUTO
-        },
     }
+    for name in MODELS if options.noise != AUTO else ():
+        # what was estimated from the log is estimated again
+        table[name] = None if (model := getattr(options, name)) is None else asdict(model)
     return to_toml(table, f"Repeat this run: slam-compare run --config config.toml\nmade with {', '.join(versions())}")
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -28,6 +28,8 @@ from graphslam.metrics import evaluate
 from ..options import RunOptions
 from ..options.declaration import options_of
 from ..results import EstimatorResult
+
+Result = TypeVar("Result")
 
 #: what was found for a log, or why nothing was, by what it was found with
 _FOUND: WeakKeyDictionary[Log, dict[tuple[object, ...], Association | SlamError]] = WeakKeyDictionary()
@@ -48,23 +50,18 @@ def identified(log: Log, options: RunOptions) -> tuple[Log, Association | None]:
     known = _FOUND.setdefault(log, {})
     if key not in known:
         try:
-            known[key] = _associated(log, options)
+            known[key] = associate(
+                log, motion=options.motion, sensor=options.sensor, filters=options.filter, estimate=options.estimate,
+                front_end=options.front_end, front_particles=options.front_particles, keep_ids=options.filter.uses_ids,
+                # a slip that the options name stays
+                confusion=options.filter.class_confusion, slip="slip" not in options.numbers,
+            )  # fmt: skip
         except SlamError as error:
             known[key] = error
     found = known[key]
     if isinstance(found, SlamError):
         raise found
     return found.log, found
-
-
-def _associated(log: Log, options: RunOptions) -> Association:
-    return associate(
-        log, motion=options.motion, sensor=options.sensor, filters=options.filter, estimate=options.estimate,
-        front_end=options.front_end, front_particles=options.front_particles, keep_ids=options.filter.uses_ids,
-        confusion=options.filter.class_confusion,
-        # a slip that the options name stays
-        slip="slip" not in options.numbers,
-    )  # fmt: skip
 
 
 def unused_ids(log: Log) -> str | None:
@@ -123,11 +120,14 @@ def particle_filter(name: str, log: Log, options: RunOptions) -> fastslam.Partic
     return filter_class(log, options=options.filter, map=known, start=first_fix(log, known, **models), **models)
 
 
-def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
-    particles = particle_filter(name, log, options)
+def timed(work: Callable[[], Result]) -> tuple[Result, float]:
+    """The result of a function, and how long it takes [s]."""
     begin = time.perf_counter()
-    result = particles.run()
-    seconds = time.perf_counter() - begin
+    return work(), time.perf_counter() - begin
+
+
+def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
+    result, seconds = timed(particle_filter(name, log, options).run)
     # a filter that ignores the ids numbers its landmarks itself
     named = name == "mcl" or result.options.uses_ids
     notes = [] if named else ["landmarks are numbered by discovery, and matched to the true ones by position"]
@@ -144,19 +144,13 @@ def _one_run(name: str, log: Log, options: RunOptions) -> EstimatorResult:
         reported = result.smoothed
         reason += f", and drew {options.filter.smoothing} trajectories backwards"
     return EstimatorResult(
-        name=name,
-        poses=reported.poses,
-        estimated=np.ones(log.num_poses, dtype=bool),
-        seconds=seconds,
+        name=name, poses=reported.poses, estimated=np.ones(log.num_poses, dtype=bool), seconds=seconds,
         landmarks=dict(reported.landmarks) if maps else {},
-        landmark_covariances=dict(reported.landmark_covariances) if maps else {},
-        named=named,
-        notes=tuple(notes),
+        landmark_covariances=dict(reported.landmark_covariances) if maps else {}, named=named, notes=tuple(notes),
         association=result.association,
         options={k: v for k, v in asdict(result.options).items() if k in ("seed", *(FILTER if maps else LOCALISATION))},
-        reason=reason,
-        origin=result,
-    )
+        reason=reason, origin=result,
+    )  # fmt: skip
 
 
 #: the runs of a filter, with the seeds from 0 on, unless the options name a seed

@@ -28,10 +28,7 @@ from graphslam.simulation.simulator import MotionFaults, SensorFaults
 from graphslam.simulation.worlds import WORLDS, World
 from graphslam.solvers import INITIALIZE
 
-from .declaration import OUTPUT as OUTPUT
-from .declaration import EvaluationOptions as EvaluationOptions
-from .declaration import ImportOptions as ImportOptions
-from .declaration import Options
+from .declaration import OUTPUT, EvaluationOptions, ImportOptions, Options  # noqa: F401
 
 #: the noise models: parameter name of an estimator and table of a TOML file -> the model
 MODELS: dict[str, type[MotionModel] | type[SensorModel]] = {"motion": MotionModel, "sensor": SensorModel}
@@ -81,7 +78,7 @@ class NoiseOptions(Options):
 
     Attributes:
         motion, sensor: whole models, in Python only.
-        numbers: single numbers of the models, {"range_std": 0.12}; they take precedence over all else.
+        numbers: single numbers of the models, {"oo": 0.12}; they take precedence over all else.
     """
 
     panel = NOISE
@@ -133,8 +130,7 @@ class GraphOptions(Options, EdgeOptions):
     panel = "Graph"
     kernel: str | None = option(
         None, "Robust kernel against wrong sightings; gnc is graduated non-convexity.",
-        choices=(*KERNELS, "gnc"), alias="robust",
-        default_text="cauchy on real data, none on logs of simulate",
+        choices=(*KERNELS, "gnc"), alias="robust", default_text="cauchy on real data, none on logs of simulate",
     )  # fmt: skip
     initialize: str = option("auto", "Where the iteration starts; auto tries several starts.", choices=INITIALIZE)
     estimate: tuple[str, ...] | None = option(
@@ -235,8 +231,7 @@ class EstimatorOptions(LimitOptions):
 
     estimators: tuple[str, ...] | None = option(
         None, "Estimators to run: dead-reckoning, textbook, graph, graph-marginal, graph-no-kernel, gtsam, online, "
-        "isam2, mcl, fastslam1, fastslam2, particle-gibbs.",
-        metavar="NAME,...",
+        "isam2, mcl, fastslam1, fastslam2, particle-gibbs.", metavar="NAME,...",
         default_text="all that can run on the log, without graph-no-kernel, online and particle-gibbs",
     )  # fmt: skip
 
@@ -253,11 +248,9 @@ class OutputOptions(Options):
         None, "Also write the interactive report, one HTML file.", metavar="FILE", writes=(".html", ".htm")
     )
     mcap: Path | None = option(
-        None,
-        "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.",
-        metavar="FILE",
+        None, "Also write poses and maps as MCAP with messages of ROS 2, for Foxglove and RViz.", metavar="FILE",
         writes=(".mcap",),
-    )
+    )  # fmt: skip
     rerun: Path | None = option(
         None, "Also write poses and maps as a recording of Rerun (.rrd).", metavar="FILE", writes=(".rrd",)
     )
@@ -367,12 +360,8 @@ class AnimationOptions(Options):
         choices=("graph", "association", "fastslam1", "fastslam2", "mcl", "isam2", "particle-gibbs"),
     )  # fmt: skip
     fps: float | None = option(
-        None,
-        "Frames per second.",
-        default_text="2 for iterations, 10 for steps and sweeps",
-        positive=True,
-        panel=OUTPUT,
-    )
+        None, "Frames per second.", default_text="2 for iterations, 10 for steps and sweeps", positive=True, panel=OUTPUT,
+    )  # fmt: skip
     max_frames: int = option(200, "Maximum number of frames; longer runs are thinned evenly.", minimum=2, panel=OUTPUT)
 
 
@@ -421,9 +410,8 @@ class SimulationOptions(Options):
         """
         world = replace(WORLDS[self.world], **self.of_component("settings"))
         noise = {name: model().changed(**self.of_component(name)) for name, model in MODELS.items()}
-        faults = {
-            n: self.components[n][0](**f) for n in ("motion_faults", "sensor_faults") if (f := self.of_component(n))
-        }
+        kinds = ("motion_faults", "sensor_faults")
+        faults = {name: self.components[name][0](**given) for name in kinds if (given := self.of_component(name))}
         noise_given = {name for model in MODELS for name in self.of_component(model)} - {*SensorModel.GEOMETRY}
         if not world.clean and noise_given:
             raise OptionError(

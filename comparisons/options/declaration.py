@@ -16,12 +16,12 @@ from typing import Any, ClassVar, Self
 
 from fastslam.options import GibbsOptions
 from graphslam.errors import OptionError, quoted
-from graphslam.errors.checks import Option as Option
-from graphslam.errors.checks import check_options, declared_in, option, suggestion
+from graphslam.errors.checks import Option, check_options, declared_in, option, suggestion
 from graphslam.log.rows import ReadOptions, TableOptions
+from graphslam.models import SensorModel
 
 #: fields of components that have another name among the options: (component, field) -> option
-_RENAMED = {("sensor", name): f"sensor_{name}" for name in ("offset", "min_range", "max_range", "field_of_view")}
+_RENAMED = {("sensor", name): f"sensor_{name}" for name in SensorModel.GEOMETRY}
 _RENAMED |= {("gibbs", f.name): f"gibbs_{f.name}" for f in fields(GibbsOptions)}
 
 #: the group of the options that say what is written

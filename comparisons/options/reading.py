@@ -104,7 +104,8 @@ def prepare(
         data = _compared_with_estimate(data, motion, sensor)
     if options.max_range is not None:
         # what is farther away has been left out, so that the sensor does not see it
-        sensor = replace(sensor, max_range=min(sensor.max_range, options.max_range))
+        least, most, view = sensor.limits
+        sensor = sensor.with_limits(least, min(most, options.max_range), view)
     in_map: dict[str, Any] = {}
     if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
         landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)
@@ -118,12 +119,9 @@ def prepare(
         data = data.replace(notes=(*data.notes, *remarks))
     filled: dict[str, Any] = {
         "numbers": {name: number for name, number in options.numbers.items() if name not in options_of(NoiseOptions)},
-        "noise": AUTO if estimated else options.noise if of_file else None,
-        "motion": motion,
-        "sensor": sensor,
-        "calibration": found,
-        "check_ids": check_ids or None,
-    }
+        "noise": AUTO if estimated else options.noise if of_file else None, "motion": motion, "sensor": sensor,
+        "calibration": found, "check_ids": check_ids or None,
+    }  # fmt: skip
     return data, source, replace(options, **filled, **corrected, **in_map)
 
 
@@ -139,11 +137,8 @@ def _joined(
     joined = graphslam.join_logs(with_common_noise([_with_given_noise(data, options) for data, _, _ in known])).log
     remarks: list[str] = []
     with noted(remarks, "what has changed between the logs is not known"):
-        changes = session_states(joined) if len(known) > 1 else []
-        remarks += [
-            f"{each.name}: {found.sentence} (the map of the logs before it)"
-            for each, found in zip(joined.sessions[1:], changes)
-        ]
+        changes = zip(joined.sessions[1:], session_states(joined) if len(known) > 1 else [])
+        remarks += [f"{each.name}: {found.sentence} (the map of the logs before it)" for each, found in changes]
     joined = joined.replace(notes=(*joined.notes, *remarks))
     # biases of options and of a noise file are the same for all
     return joined, tuple(source for _, source in read), known[0][1], any(found is not None for _, _, found in known)
@@ -204,10 +199,8 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
         known, estimate = known_noise(log, noise, *options.models(log.motion, log.sensor))
         # the ids of ranges and bearings alone are never checked
         if options.check_ids is False and estimate is not None and len(log.steps) and enough_ids(log):
-            raise OptionError(
-                "the estimate of the noise always checks ids; to run without that check, name the noise: --noise FILE or "
-                "--noise book"
-            )
+            advice = "to run without that check, name the noise: --noise FILE or --noise book"
+            raise OptionError(f"the estimate of the noise always checks ids; {advice}")
         return known, values, None if estimate is None else Calibration.of(estimate)
     except (GraphError, LogError) as error:
         return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values, None
@@ -240,12 +233,9 @@ def _compared_with_estimate(log: Log, motion: MotionModel, sensor: SensorModel) 
     ratios = np.sqrt(np.median(found_by / of_file, axis=0))
     # where nothing was left out, nothing says that the noise of the estimate is better than that of the file
     if found.left_out.count and found.left_out.best == ESTIMATE and not found.nearly_exact:
-        differ = [
-            f"{ratio:.2g} times that of the file in the {name}"
-            for name, ratio in zip(("distance", "heading"), ratios[[0, 2]].tolist())
-            if max(ratio, 1 / ratio) > TIMES
-        ]
-        shown += [f"noise of the motion that is {' and '.join(differ)}"] if differ else []
+        differ = {name: r for name, r in zip(("distance", "heading"), ratios[[0, 2]].tolist()) if max(r, 1 / r) > TIMES}
+        which = " and ".join(f"{ratio:.2g} times that of the file in the {name}" for name, ratio in differ.items())
+        shown += [f"noise of the motion that is {which}"] if differ else []
     if not shown:
         return log
     doubt = (

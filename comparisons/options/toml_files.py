@@ -6,7 +6,7 @@ reads it (`read_noise`).
     [motion]        # the numbers of `graphslam.MotionModel`; absent where the log has no controls
     nn = 0.19
     [sensor]        # those of `graphslam.SensorModel`
-    bearing_std = 0.05
+    range_rate = 0.14
     [ranges]        # measured range = scale * range + bias [m]
     scale = 1.02
     bias = 0.03
@@ -167,13 +167,9 @@ def write_noise(result: Calibration, path: Path, log: str) -> None:
             for table, keys in _CORRECTIONS.items()
         },
     }
-    head = f"The noise of {printable(log)}, from {result.source}; read by slam-compare run --noise."
-    errors = ", ".join(f"{name} {error:.2g}" for name, error in result.errors.items() if error < np.inf)
-    comment = [
-        head,
-        *([f"Standard errors: {errors}."] if errors else []),
-        *result.notes,
-        *(f"Not recommended: {doubt}" for doubt in result.doubts),
-    ]
+    comment = [f"The noise of {printable(log)}, from {result.source}; read by slam-compare run --noise."]
+    if errors := ", ".join(f"{name} {error:.2g}" for name, error in result.errors.items() if error < np.inf):
+        comment.append(f"Standard errors: {errors}.")
+    comment += [*result.notes, *(f"Not recommended: {doubt}" for doubt in result.doubts)]
     with write_whole(path) as temporary:
         temporary.write_text(to_toml(table, "\n".join(comment)), encoding="utf-8")

@@ -215,17 +215,12 @@ def time_axis(log: Log) -> str:
 def tum_text(times: Array, poses: Array, note: str = "") -> str:
     """Poses (n, 3) at times (n,) as TUM text. An unknown heading (NaN) is written as 0, and said at the top, as is a note."""
     heading = wrap(poses[:, 2])
-    lines = ["# timestamp x y z qx qy qz qw"]
-    if note:
-        lines.append(f"# {note}")
+    lines = ["# timestamp x y z qx qy qz qw", *[f"# {note}"] * bool(note)]
     if np.isnan(heading).any():
         lines.append("# headings are unknown and written as 0")
         heading = np.nan_to_num(heading, nan=0.0)
-    zero = np.zeros(len(poses))
-    quaternion = [zero, zero, zero, np.sin(heading / 2), np.cos(heading / 2)]
-    rows = np.column_stack([times, poses[:, 0], poses[:, 1], *quaternion])
-    lines += [" ".join(map(repr, row)) for row in rows.tolist()]
-    return "\n".join(lines) + "\n"
+    rows = np.column_stack([times, poses[:, :2], np.zeros((len(poses), 3)), np.sin(heading / 2), np.cos(heading / 2)])
+    return "\n".join([*lines, *(" ".join(map(repr, row)) for row in rows.tolist())]) + "\n"
 
 
 SIGHTING_COLUMNS = ("step", "range", "bearing", "orientation", "class", "landmark", "status", "true_id")
@@ -234,15 +229,18 @@ SIGHTING_COLUMNS = ("step", "range", "bearing", "orientation", "class", "landmar
 def sightings_text(log: Log, result: EstimatorResult) -> str:
     """A table of all sightings with the ids that an estimator gave them; what is not known, or none, stays empty."""
     assert result.association is not None
-    status, known = status_of(result).tolist(), log.classified
-    classes = [] if log.classes is None else log.classes.tolist()
+    given, true = (
+        ["" if j == UNIDENTIFIED else j for j in ids.tolist()] for ids in (result.association, log.landmarks)
+    )
+    classes = [""] * len(log.steps)
+    if log.classes is not None:
+        classes = [each if known else "" for each, known in zip(log.classes.tolist(), log.classified)]
+    sightings = [[*z, *[""] * (3 - len(z))] for z in log.sightings.tolist()]
+    columns = zip(log.steps.tolist(), sightings, classes, given, status_of(result).tolist(), true)
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(SIGHTING_COLUMNS)
-    for k, z in enumerate(log.sightings.tolist()):
-        ids = ["" if j == UNIDENTIFIED else j for j in (int(result.association[k]), int(log.landmarks[k]))]
-        shown = classes[k] if known[k] else ""
-        table.writerow([int(log.steps[k]), *z, *[""] * (3 - len(z)), shown, ids[0], status[k], ids[1]])
+    csv.writer(text, lineterminator="\n").writerows(
+        [SIGHTING_COLUMNS, *([step, *z, *rest] for step, z, *rest in columns)]
+    )
     return text.getvalue()
 
 
@@ -299,8 +297,7 @@ def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
     Raises:
         FormatError: the file cannot be written.
     """
-    reason = reason_without_graph(comparison)
-    if reason is None:
+    if (reason := reason_without_graph(comparison)) is None:
         result = comparison["graph"]
         assert result.graph is not None
         relative_graph(result.graph, state=result.state).save_g2o(path)
@@ -311,13 +308,12 @@ def reason_without_graph(comparison: Comparison) -> str | None:
     """The reason why the graph of ``graph`` cannot be written as g2o; None where it can."""
     if "graph" not in comparison:
         return "the estimator graph did not run"
-    result = comparison["graph"]
-    if result.graph is None:
+    if (graph := comparison["graph"].graph) is None:
         return "the result has no graph"
-    if result.graph.num_edges > MOST_EDGES:
-        return f"the graph has {result.graph.num_edges} edges, more than {MOST_EDGES}"
+    if graph.num_edges > MOST_EDGES:
+        return f"the graph has {graph.num_edges} edges, more than {MOST_EDGES}"
     try:
-        relative_graph(result.graph)
+        relative_graph(graph)
     except GraphError as error:
         return str(error)
     return None

@@ -27,7 +27,7 @@ from graphslam.identification.declared import ParameterEstimate
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import Errors, Metrics, mean_nees
 from graphslam.se2 import Array
-from graphslam.solvers.corrected import motion_edges, sighted_edges
+from graphslam.solvers.joint import motion_edges, sighted_edges
 from graphslam.solvers.uncertainty import Uncertainty
 
 from .documents import Count, Covariance, Flags, Numbers, Poses, Position
@@ -355,12 +355,11 @@ def sightings_of(log: Log, ids: np.ndarray) -> list[SeenLandmark]:
     found = []
     for j in np.setdiff1d(ids, [UNIDENTIFIED]).tolist():
         rows = np.flatnonzero(ids == j)
-        if log.classes is None or not np.any(known := log.classified[rows]):
-            found.append(SeenLandmark(j, rows, None, None))
-            continue
-        names, counts = np.unique(log.classes[rows[known]], return_counts=True)
-        best = int(np.argmax(counts))
-        found.append(SeenLandmark(j, rows, names[best].item(), float(counts[best] / len(rows))))
+        of_class, share = None, None
+        if log.classes is not None and np.any(known := log.classified[rows]):
+            names, counts = np.unique(log.classes[rows[known]], return_counts=True)
+            of_class, share = names[np.argmax(counts)].item(), float(counts.max() / len(rows))
+        found.append(SeenLandmark(j, rows, of_class, share))
     return found
 
 
@@ -379,15 +378,11 @@ def found_ids(log: Log, result: EstimatorResult, scores: AssociationScore | None
     given, found = result.association != UNIDENTIFIED, result.found
     classes = {each.landmark: each.of_class for each in sightings_of(log, result.association)}
     return FoundIds(
-        landmarks=len(classes),
-        clutter=int(np.sum(~given)),
-        classes=None if log.classes is None else classes,
+        landmarks=len(classes), clutter=int(np.sum(~given)), classes=None if log.classes is None else classes,
         unconfirmed=None if result.unconfirmed is None else int(np.sum(result.unconfirmed & given)),
-        evidence=None if found is None else found.evidence,
-        ambiguities=None if found is None else found.ambiguities,
-        verdict=None if found is None else found.verdict,
-        **({} if scores is None else vars(scores)),
-    )
+        evidence=None if found is None else found.evidence, ambiguities=None if found is None else found.ambiguities,
+        verdict=None if found is None else found.verdict, **({} if scores is None else vars(scores)),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

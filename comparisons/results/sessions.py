@@ -85,13 +85,11 @@ def errors_of_sessions(comparison: Comparison) -> Iterator[SessionErrors]:
 
 def shared_landmarks(log: Log) -> list[tuple[int, int]]:
     """How many landmarks each of the joined logs has seen, and how many of them another one has seen, too."""
-    drive = np.searchsorted([each.start for each in log.sessions], log.steps, side="right")
+    drive = np.searchsorted([each.start for each in log.sessions], log.steps, side="right") - 1
     seen = np.unique(np.column_stack([drive, log.landmarks]), axis=0)
     _, place, count = np.unique(seen[:, 1], return_inverse=True, return_counts=True)
-    return [
-        (int(np.sum(seen[:, 0] == k)), int(np.sum((seen[:, 0] == k) & (count[place] > 1))))
-        for k in range(1, len(log.sessions) + 1)
-    ]
+    counts = (np.bincount(each, minlength=len(log.sessions)) for each in (seen[:, 0], seen[count[place] > 1, 0]))
+    return list(zip(*(each.tolist() for each in counts)))
 
 
 def parted(rows: Array, ends: np.ndarray | list[int]) -> Array:
@@ -109,11 +107,9 @@ def solved_sessions(comparison: Comparison) -> list[SolvedSession] | None:
         errors[each.session][each.estimator] = each
     source = comparison.source
     files = source if isinstance(source, tuple) else (source,) * len(log.sessions)
-    return [
-        SolvedSession(
-            **vars(session), file=file, poses=drive.stop - drive.start,
-            sightings=int(np.sum((log.steps >= drive.start) & (log.steps < drive.stop))), landmarks=seen, shared=shared,
-            estimators=errors[session],
-        )
-        for session, drive, file, (seen, shared) in zip(log.sessions, log.drives, files, shared_landmarks(log))
-    ]  # fmt: skip
+    solved = []
+    for session, drive, file, (seen, shared) in zip(log.sessions, log.drives, files, shared_landmarks(log)):
+        sightings = int(np.sum((log.steps >= drive.start) & (log.steps < drive.stop)))
+        counts = {"poses": drive.stop - drive.start, "sightings": sightings, "landmarks": seen, "shared": shared}
+        solved.append(SolvedSession(**vars(session), file=file, estimators=errors[session], **counts))
+    return solved

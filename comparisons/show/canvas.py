@@ -229,10 +229,8 @@ MATRIX = ("#ffffff", "#E69F00", "#0072B2")
 
 def style_of(name: str, points: int = 0) -> dict[str, Any]:
     """The line properties of an estimator, a graph of a consistency study or a backend, for a line of ``points``."""
-    style = STYLES.get(name) or CONSISTENCY.get(name) or BACKENDS.get(name)
-    if style is None:
-        color = _OTHER[sum(map(ord, name)) % len(_OTHER)]
-        style = {"color": color, "linestyle": (0, (3, 1, 1, 1, 1, 1)), "zorder": 2.7}
+    other = {"color": _OTHER[sum(map(ord, name)) % len(_OTHER)], "linestyle": (0, (3, 1, 1, 1, 1, 1)), "zorder": 2.7}
+    style = STYLES.get(name) or CONSISTENCY.get(name) or BACKENDS.get(name) or other
     if "marker" in style and name in STYLES and points:
         # the markers of two estimators on one line take turns
         every = max(2, points // 15)
@@ -256,13 +254,9 @@ MOST_POINTS, MOST_TURN = 10_000, 1.0
 
 
 def placement_of(
-    log: Log,
-    poses: Array,
-    estimated: np.ndarray | None = None,
-    landmarks: Mapping[int, Array] | None = None,
-    *,
+    log: Log, poses: Array, estimated: np.ndarray | None = None, landmarks: Mapping[int, Array] | None = None, *,
     named: bool = True,
-) -> Array:
+) -> Array:  # fmt: skip
     """The rigid motion (3,) that aligns an estimate to the ground truth, the one after which its errors are measured.
 
     Args:
@@ -292,9 +286,7 @@ def placed(log: Log, placement: Array, poses: Array) -> Array:
 
 def between_poses(log: Log, motion: MotionModel | None, points: int = MOST_POINTS) -> ControlPath:
     """The path between poses along the recorded controls, for lines of about so many points at most."""
-    interval = 0.0
-    if log.dt is not None and len(log.dt) > points:
-        interval = float(np.sum(log.dt)) / points
+    interval = 0.0 if log.dt is None or len(log.dt) <= points else float(np.sum(log.dt)) / points
     return control_path(log, motion, interval=interval, most_turn=MOST_TURN)
 
 
@@ -321,10 +313,9 @@ def place_map(
 
 def reference_of(comparison: Comparison) -> EstimatorResult | None:
     """The result whose sightings and map are drawn: the graph, or the best of the others."""
-    for name in ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1", "fastslam2"):
-        if name in comparison:
-            return comparison[name]
-    return comparison.results[0] if comparison.results else None
+    best = ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1", "fastslam2")
+    known = [comparison[name] for name in best if name in comparison]
+    return next(iter([*known, *comparison.results]), None)
 
 
 def sensor_of(comparison: Comparison) -> SensorModel:

@@ -54,9 +54,8 @@ def yes_no(value: bool | None, more: str = "") -> Text:
     """Yes, no, or a dash where the question makes no sense; ``more`` follows in the same cell."""
     if value is None:
         return Text(NOTHING)
-    return (Text("yes", style="green") if value else Text("no", style="bold red")).append(
-        more, style="not bold default"
-    )
+    answer = Text("yes", style="green") if value else Text("no", style="bold red")
+    return answer.append(more, style="not bold default")
 
 
 def optimum(certificate: Certificate | None) -> Text:

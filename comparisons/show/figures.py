@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -90,10 +90,9 @@ def draw_truth(axes: Axes, path: Array | None, landmarks: Mapping[int, Array] | 
 def _draw_map(axes: Axes, comparison: Comparison) -> None:
     """Fill the left panel."""
     log, truth, reference = comparison.log, comparison.log.true_poses, canvas.reference_of(comparison)
-    rest: list[Array] = []
-    aligned, begun = canvas.aligned_to(log), log.initial_poses[[each.start for each in log.drives]]
+    rest, starts = list[Array](), [drive.start for drive in log.drives]
+    aligned, begun = canvas.aligned_to(log), log.initial_poses[starts]
     between = canvas.between_poses(log, comparison.options.motion)
-    starts = [drive.start for drive in log.drives]
     if (line := canvas.true_line(log)) is not None:
         line = parted(line, starts[1:] if log.true_path is None else log.control_starts[starts[1:]])
     core = draw_truth(axes, line, canvas.true_landmarks(log) if aligned else None)
@@ -119,12 +118,15 @@ def _draw_map(axes: Axes, comparison: Comparison) -> None:
     if truth is not None:
         begun = np.where(log.covered[starts, None], truth[starts], begun)
     axes.plot(*begun[:, :2].T, label="start" if len(starts) == 1 else "start of each log", **canvas.START)
-    for number, place in enumerate(begun, start=1):
-        if len(starts) > 1:
-            axes.annotate(
-                str(number), place[:2], xytext=(4, 3), textcoords="offset points", zorder=canvas.START["zorder"],
-                bbox={"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
-            )  # fmt: skip
+    box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+    beside: dict[str, Any] = {
+        "xytext": (4, 3),
+        "textcoords": "offset points",
+        "zorder": canvas.START["zorder"],
+        "bbox": box,
+    }
+    for number, place in enumerate(begun if len(starts) > 1 else (), start=1):
+        axes.annotate(str(number), place[:2], **beside)
     canvas.set_limits(axes, np.concatenate(core), rest)
     how = f", aligned to {aligned}" if aligned else ""
     name = f"{len(log.sessions)} logs" if log.sessions else canvas.as_text(log.name)
@@ -176,11 +178,8 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
         axes.plot(parted(elapsed, ends), parted(errors, ends), **style | thin)
         medians.append(float(np.nanmedian(errors)))
     log_scale_where_apart(axes, medians)
-    axes.set(
-        xlabel=time_axis(comparison.log),
-        ylabel="position error [m]",
-        title="(b) position error of every pose" + ", log after log" * bool(ends),
-    )
+    title = "(b) position error of every pose" + ", log after log" * bool(ends)
+    axes.set(xlabel=time_axis(comparison.log), ylabel="position error [m]", title=title)
     axes.margins(x=0.02)
 
 
@@ -196,17 +195,15 @@ def log_scale_where_apart(axes: Axes, medians: list[float]) -> None:
 
 
 def _draw_convergence(axes: Axes, comparison: Comparison) -> None:
-    longest = 1
-    for result in comparison.results:
-        if len(norms := result.step_norms):
-            style = canvas.style_of(result.name)
-            if style["linestyle"] == "none":
-                style |= {"linestyle": "-", "linewidth": 0.7}
-            axes.plot(np.arange(1, len(norms) + 1), norms, **style)
-            longest = max(longest, len(norms))
-    if any(np.any(np.asarray(result.step_norms) > 0) for result in comparison.results):
+    norms = {result.name: np.asarray(result.step_norms) for result in comparison.results if len(result.step_norms)}
+    for name, each in norms.items():
+        style = canvas.style_of(name)
+        if style["linestyle"] == "none":
+            style |= {"linestyle": "-", "linewidth": 0.7}
+        axes.plot(np.arange(1, len(each) + 1), each, **style)
+    if any(np.any(each > 0) for each in norms.values()):
         axes.set_yscale("log")
-    axes.set_xlim(0.5, longest + 0.5)
+    axes.set_xlim(0.5, max(map(len, norms.values()), default=1) + 0.5)
     axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     axes.set(xlabel="iteration", ylabel="norm of the correction", title="(b) convergence (the log has no true poses)")
 
@@ -218,9 +215,8 @@ def overview_figure(overview: Overview) -> Figure:
     sightings of a landmark end close together. Right: when each landmark was seen, ranges, and bearings.
     """
     with canvas.paper_figure((canvas.WIDTH, 0.6 * canvas.WIDTH)) as figure:
-        panels: dict[str, Axes] = figure.subplot_mosaic(
-            [["plan", "times", "times"], ["plan", "ranges", "bearings"]], width_ratios=(2, 1, 1)
-        )
+        rows: Any = [["plan", "times", "times"], ["plan", "ranges", "bearings"]]
+        panels: dict[str, Axes] = figure.subplot_mosaic(rows, width_ratios=(2, 1, 1))
         _draw_plan(panels["plan"], overview)
         _draw_times(panels["times"], overview)
         _draw_histogram(panels["ranges"], overview.ranges, "range [m]", "(c) ranges")

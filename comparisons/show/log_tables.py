@@ -52,12 +52,8 @@ def bars(edges: Array, counts: np.ndarray, unit: str, width: int = 40) -> list[s
 
 
 def plan(
-    path: Array,
-    points: Array,
-    width: int = 76,
-    height: int = 24,
-    names: tuple[str, str] = ("dead reckoning", "sighting"),
-) -> list[str]:
+    path: Array, points: Array, width: int = 76, height: int = 24, names: tuple[str, str] = ("dead reckoning", "sighting"),
+) -> list[str]:  # fmt: skip
     """A path (n, 2) of dots and points (m, 2) of crosses from above, with its size; S is the start.
 
     ``names`` are those of the dots and crosses.
@@ -100,12 +96,9 @@ def pictures(log: Log, options: RunOptions, *, width: int = 76, height: int = 24
             marks = np.array([mark[:2] for mark in solver.landmarks.values()]).reshape(-1, 2)
             lines = plan(solver.poses[:, :2], marks, width, height, ("estimated path", "landmark"))
             # the first steps of a process load compiled code
-            pace = 1e3 * float(np.median(spent))
-            yield [
-                *lines,
-                *_where(solver, options),
-                f"step {solver.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace:.2f} ms per step (median)",
-            ]
+            pace = f"{1e3 * float(np.median(spent)):.2f} ms per step (median)"
+            last = f"step {solver.step} of {log.num_poses - 1}, {len(marks)} landmarks, {pace}"
+            yield [*lines, *_where(solver, options), last]
             drawn = now
         begin = time.perf_counter()
 
@@ -137,13 +130,9 @@ def import_tables(found: Import) -> Tables:
     table = LeanTable(title, ["", "source"], ["rows", "from\n[s]", "to\n[s]", "rate\n[Hz]"])
     for stream in found.streams:
         table.add_row(
-            stream.kind,
-            stream.source.rpartition(": ")[2] if found.topics else Path(stream.source).name,
-            str(stream.rows),
-            f"{stream.begin:.2f}",
-            f"{stream.end:.2f}",
-            number(stream.rate),
-        )
+            stream.kind, stream.source.rpartition(": ")[2] if found.topics else Path(stream.source).name, str(stream.rows),
+            f"{stream.begin:.2f}", f"{stream.end:.2f}", number(stream.rate),
+        )  # fmt: skip
     log = found.log
     sizes = f"The log has {log.num_poses} poses and {log.seen}"
     known = f"; the true map has {found.landmarks} landmarks" if found.landmarks is not None else ""
@@ -188,14 +177,20 @@ def overview_tables(overview: Overview) -> Tables:
     remarks += ["", *plan(between_poses(log, None).through(overview.path)[:, :2], overview.seen_at), ""]
     remarks += [f"{note}." for note in log.notes]
     remarks += [f"WARNING: {finding.message}." for finding in overview.findings]
-    if not overview.findings:
-        remarks.append(
-            "Nothing is suspicious: units, signs, axes, clocks and ids were checked."
-            if overview.compared
-            else "Nothing is suspicious, but too few landmarks are seen twice over a short way to check units, signs and "
-            "axes against the odometry."
+    checked = "Nothing is suspicious: units, signs, axes, clocks and ids were checked."
+    if not overview.compared:
+        checked = (
+            "Nothing is suspicious, but too few landmarks are seen twice over a short way to check units, signs and axes "
+            "against the odometry."
         )
+    remarks += [checked] * (not overview.findings)
     return [rates, seen], remarks
+
+
+#: errors of the poses of an estimate, by their headings
+_ERRORS = {
+    "ATE\n[m]": "ate_m", "most\n[m]": "most_m", "RPE\n[m]": "rpe_m", "RPE\n[rad]": "rpe_rad", "heading\n[rad]": "heading_rad",
+}  # fmt: skip
 
 
 def evaluation_tables(evaluation: Evaluation) -> Tables:
@@ -203,17 +198,11 @@ def evaluation_tables(evaluation: Evaluation) -> Tables:
     estimates = evaluation.estimates
     columns = {
         "poses\ncompared": [f"{e.compared} of {e.poses}" for e in estimates],
-        "ATE\n[m]": [number(e.ate_m) for e in estimates],
-        "most\n[m]": [number(e.most_m) for e in estimates],
-        "RPE\n[m]": [number(e.rpe_m) for e in estimates],
-        "RPE\n[rad]": [number(e.rpe_rad) for e in estimates],
-        "heading\n[rad]": [number(e.heading_rad) for e in estimates],
-        "NEES": [number(e.nees, 2) for e in estimates],
-        "map\n[m]": [number(e.landmark_rmse_m) for e in estimates],
-        "missed": [written(e.missed) for e in estimates],
-        "false": [written(e.false) for e in estimates],
+        **{title: [number(getattr(e, name)) for e in estimates] for title, name in _ERRORS.items()},
+        "NEES": [number(e.nees, 2) for e in estimates], "map\n[m]": [number(e.landmark_rmse_m) for e in estimates],
+        "missed": [written(e.missed) for e in estimates], "false": [written(e.false) for e in estimates],
         "GOSPA\n[m]": [number(e.gospa_m) for e in estimates],
-    }
+    }  # fmt: skip
     shown = {title: cells for title, cells in columns.items() if set(cells) != {NOTHING}}
     truth = evaluation.truth
     table = LeanTable(f"against {truth.name}: {len(truth.times)} true poses", ["estimate"], list(shown))
@@ -239,21 +228,16 @@ def survey_tables(survey: Survey) -> Tables:
             counts = [entry.robot, entry.poses, entry.sightings, entry.landmarks, entry.controls]
             if entry.error is not None:
                 counts[1:] = [None] * 4
-            covered = entry.poses_covered
+            covered, place = entry.poses_covered, Text(os.path.relpath(entry.path, survey.folder))
             share = NOTHING if covered is None else f"{100 * covered / entry.poses:.0f} %"
-            place = Text(os.path.relpath(entry.path, survey.folder))
-            table.add_row(
-                name, place, *map(written, counts), number(entry.seconds, 1), share, yes_no(entry.error is None)
-            )
+            last = number(entry.seconds, 1), share, yes_no(entry.error is None)
+            table.add_row(name, place, *map(written, counts), *last)
     remarks = []
     for known in survey.sets:
         remarks += [
-            f"{known.name}: {known.title}",
-            f"  published: {known.source}",
-            f"  terms:     {known.terms}",
-            f"  layout:    {known.layout}",
-            f"  at hand:   {len(known.found) or 'no'}",
-        ]
+            f"{known.name}: {known.title}", f"  published: {known.source}", f"  terms:     {known.terms}",
+            f"  layout:    {known.layout}", f"  at hand:   {len(known.found) or 'no'}",
+        ]  # fmt: skip
     missing = "" if survey.exists else " There is no such folder: name another with SLAM_DATA or --folder."
     return [table], [*remarks, f"Searched below {survey.folder}.{missing}", ""]
 
@@ -261,11 +245,8 @@ def survey_tables(survey: Survey) -> Tables:
 def calibration_tables(calibration: Calibration, name: str = "") -> Tables:
     """The numbers of the noise models with their standard errors or upper bounds, a row each."""
     source = "the ground truth" if calibration.source == "truth" else calibration.source
-    table = LeanTable(
-        f"{name}: noise models from {source}" if name else f"noise models from {source}",
-        ["number", "unit"],
-        ["value", "± error, or bound"],
-    )
+    title = f"{name}: noise models from {source}" if name else f"noise models from {source}"
+    table = LeanTable(title, ["number", "unit"], ["value", "± error, or bound"])
     for number_of, value in calibration.numbers.items():
         error, bound = calibration.errors.get(number_of, np.nan), calibration.bounds.get(number_of, np.nan)
         known = f"{error:.2g}" if np.isfinite(error) else f"< {bound:.2g}" if np.isfinite(bound) else NOTHING

@@ -27,6 +27,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -93,15 +94,9 @@ def tracks(comparison: Comparison) -> Iterator[Track]:
         covariances = result.pose_covariances
         along = between.through(np.where(used[:, None], result.poses, np.nan))
         yield Track(
-            result.name,
-            seconds[used],
-            clock[used],
-            result.poses[used],
-            None if covariances is None else covariances[used],
-            along[np.isfinite(along[:, 0])],
-            result.landmarks,
-            result.landmark_covariances,
-        )
+            result.name, seconds[used], clock[used], result.poses[used], None if covariances is None else covariances[used],
+            along[np.isfinite(along[:, 0])], result.landmarks, result.landmark_covariances,
+        )  # fmt: skip
 
 
 def _clock(log: Log) -> np.ndarray:
@@ -139,13 +134,17 @@ geometry_msgs/Vector3 size
 """
 
 
+def _check_installed(advice: str, *modules: str) -> None:
+    try:
+        for module in modules:
+            import_module(module)
+    except ImportError:
+        raise OptionError(advice) from None
+
+
 def check_mcap() -> None:
     """Raise `OptionError` with what to install where the optional packages are missing."""
-    try:
-        import mcap.writer  # noqa: F401
-        import rosbags.typesys  # noqa: F401
-    except ImportError:
-        raise OptionError(INSTALL_MCAP) from None
+    _check_installed(INSTALL_MCAP, "mcap.writer", "rosbags.typesys")
 
 
 def write_mcap(comparison: Comparison, path: Path) -> None:
@@ -168,7 +167,8 @@ def write_mcap(comparison: Comparison, path: Path) -> None:
         for time, topic, message in messages:
             # MCAP knows no times before 1970
             log_time = max(0, time)
-            writer.add_message(channel(topic, message.__msgtype__), log_time, ros.bytes_of(message), log_time)
+            content = bytes(ros.store.serialize_cdr(message, kind := message.__msgtype__))
+            writer.add_message(channel(topic, kind), log_time, content, log_time)
         writer.finish()
 
 
@@ -178,21 +178,18 @@ class _Ros:
     def __init__(self) -> None:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-        self._store = get_typestore(Stores.ROS2_HUMBLE)
-        self._store.register(get_types_from_msg(_DETECTIONS, "vision_msgs/msg/Detection3DArray"))
+        self.store = get_typestore(Stores.ROS2_HUMBLE)
+        self.store.register(get_types_from_msg(_DETECTIONS, "vision_msgs/msg/Detection3DArray"))
 
     def definition(self, type: str) -> bytes:
-        return str(self._store.generate_msgdef(type, ros_version=2)[0]).encode()
-
-    def bytes_of(self, message: Any) -> bytes:
-        return bytes(self._store.serialize_cdr(message, message.__msgtype__))
+        return str(self.store.generate_msgdef(type, ros_version=2)[0]).encode()
 
     def make(self, type: str, /, **fields: Any) -> Any:
         """A message; numbers that are not given are 0, texts and lists empty."""
         package, _, name = type.partition("/")
         full = f"{package}/msg/{name}"
         values = {}
-        for key, (node, kind) in self._store.fielddefs[full][1]:
+        for key, (node, kind) in self.store.fielddefs[full][1]:
             if key in fields:
                 values[key] = fields.pop(key)
             elif node == 2:
@@ -203,7 +200,7 @@ class _Ros:
                 values[key] = []
             else:
                 values[key] = np.zeros(kind[1] if node == 3 else 0, dtype=kind[0][1][0].replace("octet", "uint8"))
-        return self._store.types[full](**values)
+        return self.store.types[full](**values)
 
     def header(self, ns: int, frame: str = FRAME) -> Any:
         stamp = self.make("builtin_interfaces/Time", sec=int(ns // 10**9), nanosec=int(ns % 10**9))
@@ -269,10 +266,9 @@ def _measured(log: Log, ros: _Ros) -> Iterator[tuple[int, str, Any]]:
 def _transform(ros: _Ros, pose: Array, ns: int) -> Any:
     at = ros.pose(pose)
     place = ros.make("geometry_msgs/Vector3", x=at.position.x, y=at.position.y)
+    frames = {"header": ros.header(ns), "child_frame_id": "base_link"}
     transform = ros.make("geometry_msgs/Transform", translation=place, rotation=at.orientation)
-    stamped = ros.make(
-        "geometry_msgs/TransformStamped", header=ros.header(ns), child_frame_id="base_link", transform=transform
-    )
+    stamped = ros.make("geometry_msgs/TransformStamped", transform=transform, **frames)
     return ros.make("tf2_msgs/TFMessage", transforms=[stamped])
 
 
@@ -282,10 +278,8 @@ def _detections(ros: _Ros, track: Track, ns: int) -> Any:
         pose = ros.pose_with_covariance(place, track.landmark_covariances.get(id))
         hypothesis = ros.make("vision_msgs/ObjectHypothesis", class_id=str(id), score=1.0)
         result = ros.make("vision_msgs/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=pose)
-        box = ros.make("vision_msgs/BoundingBox3D", center=ros.pose(place))
-        detections.append(
-            ros.make("vision_msgs/Detection3D", header=ros.header(ns), results=[result], bbox=box, id=str(id))
-        )
+        parts = {"results": [result], "bbox": ros.make("vision_msgs/BoundingBox3D", center=ros.pose(place))}
+        detections.append(ros.make("vision_msgs/Detection3D", header=ros.header(ns), id=str(id), **parts))
     return ros.make("vision_msgs/Detection3DArray", header=ros.header(ns), detections=detections)
 
 
@@ -294,18 +288,17 @@ def _markers(ros: _Ros, track: Track, ns: int) -> Any:
     markers = []
     for number, (id, place) in enumerate(sorted(track.landmarks.items())):
         axes, turn = _ellipse(track.landmark_covariances, id)
-        size = ros.make("geometry_msgs/Vector3", x=axes[0], y=axes[1], z=0.02)
-        for kind, text in ((3, ""), (9, str(id))):
-            pose = ros.pose(np.array([*place[:2], turn if kind == 3 else 0.0]))
-            pose.position.z = 0.0 if kind == 3 else 0.2
-            markers.append(
-                ros.make(
-                    "visualization_msgs/Marker", header=ros.header(ns), ns=track.name if kind == 3 else f"{track.name} ids",
-                    id=number, type=kind, pose=pose, text=text,
-                    scale=size if kind == 3 else ros.make("geometry_msgs/Vector3", z=0.2),
-                    color=ros.make("std_msgs/ColorRGBA", r=red, g=green, b=blue, a=0.5 if kind == 3 else 1.0),
-                )
-            )  # fmt: skip
+        # a flat cylinder, and above it the id as a text that faces the viewer
+        cylinder = (3, track.name, "", turn, 0.0, {"x": axes[0], "y": axes[1], "z": 0.02}, 0.5)
+        for kind, group, text, heading, height, size, opacity in (
+            cylinder, (9, f"{track.name} ids", str(id), 0.0, 0.2, {"z": 0.2}, 1.0),
+        ):  # fmt: skip
+            pose, scale = ros.pose(np.array([*place[:2], heading])), ros.make("geometry_msgs/Vector3", **size)
+            pose.position.z = height
+            markers.append(ros.make(
+                "visualization_msgs/Marker", header=ros.header(ns), ns=group, id=number, type=kind, pose=pose, text=text,
+                scale=scale, color=ros.make("std_msgs/ColorRGBA", r=red, g=green, b=blue, a=opacity),
+            ))  # fmt: skip
     return ros.make("visualization_msgs/MarkerArray", markers=markers)
 
 
@@ -325,10 +318,7 @@ TIMELINE = "time"
 
 def check_rerun() -> None:
     """Raise `OptionError` with what to install where the optional package is missing."""
-    try:
-        import rerun  # noqa: F401
-    except ImportError:
-        raise OptionError(INSTALL_RERUN) from None
+    _check_installed(INSTALL_RERUN, "rerun")
 
 
 def write_rerun(comparison: Comparison, path: Path) -> None:
@@ -363,33 +353,24 @@ def _write_track(rr: Any, recording: Any, track: Track) -> None:
     if track.covariances is not None:
         numbers |= _named(track.covariances)
     arrows = np.column_stack([np.cos(heading), np.sin(heading)]) * 0.3
-    rr.send_columns(
-        f"{track.name}/pose",
-        [times],
-        [
-            *rr.Arrows2D.columns(origins=track.poses[:, :2], vectors=arrows, colors=[color] * len(x)),
-            *rr.AnyValues.columns(**numbers),
-        ],
-        recording=recording,
-    )
+    robot = rr.Arrows2D.columns(origins=track.poses[:, :2], vectors=arrows, colors=[color] * len(x))
+    columns = [*robot, *rr.AnyValues.columns(**numbers)]
+    rr.send_columns(f"{track.name}/pose", [times], columns, recording=recording)
     recording.log(f"{track.name}/path", rr.LineStrips2D([track.path[:, :2]], colors=[color]), static=True)
     if not track.landmarks:
         return
     ids = sorted(track.landmarks)
     places = np.array([np.append(track.landmarks[id], np.nan)[:3] for id in ids])
     known = {id: C for id in ids if (C := track.landmark_covariances.get(id)) is not None and np.isfinite(C).all()}
-    values = {"id": np.array(ids), "x": places[:, 0], "y": places[:, 1], "heading": places[:, 2]}
     covariances = np.full((len(ids), 3, 3), np.nan)
-    for whole, C in zip(covariances, map(known.get, ids)):
-        if C is not None:
-            whole[: len(C), : len(C)] = C
-    values |= _named(covariances)
+    for row, id in enumerate(ids):
+        if (C := known.get(id)) is not None:
+            covariances[row, : len(C), : len(C)] = C
+    values = {"id": np.array(ids), **dict(zip(("x", "y", "heading"), places.T)), **_named(covariances)}
     recording.log(
-        f"{track.name}/landmarks",
-        rr.Points2D(places[:, :2], colors=[color], labels=[str(id) for id in ids], radii=0.04),
-        rr.AnyValues(**values),
-        static=True,
-    )
+        f"{track.name}/landmarks", rr.Points2D(places[:, :2], colors=[color], labels=[str(id) for id in ids], radii=0.04),
+        rr.AnyValues(**values), static=True,
+    )  # fmt: skip
     if known:
         curves = ellipses(track.landmarks, known)
         recording.log(f"{track.name}/landmarks/ellipses", rr.LineStrips2D(list(curves), colors=[color]), static=True)

@@ -70,15 +70,10 @@ def backend_tables(comparison: BackendComparison) -> Tables:
         ratio = comparison.ratio(row)
         table.add_row(
             Path(row.file).name if row.file != previous else "",
-            row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})",
-            number(row.chi2, 6),
-            number(row.chi2_per_dof, 2),
-            yes_no(comparison.reached(row)),
-            optimum(row.certificate),
-            str(row.iterations),
-            seconds(row.seconds),
-            NOTHING if ratio is None or row.backend == "graphslam" else f"1/{1 / ratio:.1f}",
-        )
+            row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})", number(row.chi2, 6),
+            number(row.chi2_per_dof, 2), yes_no(comparison.reached(row)), optimum(row.certificate), str(row.iterations),
+            seconds(row.seconds), NOTHING if ratio is None or row.backend == "graphslam" else f"1/{1 / ratio:.1f}",
+        )  # fmt: skip
         previous = row.file
     for name, mean in comparison.geometric_means.items():
         if mean is not None:
@@ -89,10 +84,8 @@ def backend_tables(comparison: BackendComparison) -> Tables:
             f"{' and '.join(called)} ({PYTHON_FACTORS}): GTSAM has no factor of its own for the points of a pose graph. "
             "Python evaluates them, which takes most of the time, so these rows are in no mean."
         )
-    if any(row.chi2_per_dof is not None for row in comparison.rows):
-        remarks.append(
-            "chi2 / dof: per degree of freedom; about 1 means that the information in the file fits the errors."
-        )
+    fits = "chi2 / dof: per degree of freedom; about 1 means that the information in the file fits the errors."
+    remarks += [fits] * any(row.chi2_per_dof is not None for row in comparison.rows)
     for row in comparison.rows:
         if not comparison.reached(row):
             remarks.append(f"{Path(row.file).name}: {row.backend} did not reach the best chi2: {row.reason}.")
@@ -128,8 +121,7 @@ def consistency_tables(study: ConsistencyStudy) -> Tables:
     """A row per estimator: the joint ANEES with its band, and that of its steps."""
     table = LeanTable(
         f"{study.logs} simulated logs of {study.steps} motions, {study.dimensions}-D sensor, {study.noise:g} times the "
-        "book's noise: ANEES / degrees of freedom, 1 means consistent",
-        ["estimator"],
+        "book's noise: ANEES / degrees of freedom, 1 means consistent", ["estimator"],
         ["logs", "joint", "95 % band", "inside", "median\nof steps", "worst\nstep", "95 % band\nof a step", "steps\ninside"],
     )  # fmt: skip
     for r in study.results:
@@ -165,8 +157,7 @@ def summary_tables(summary: Summary) -> Tables:
         time, ratio = line.figures["seconds"], line.figures["cost_per_dof"]
         _add(
             table, line.log, line.method, str(line.runs), Text(str(failed), style="bold red" if failed else ""),
-            written(line.converged, ".0%"),
-            seconds(None if time is None else time.median), *_intervals(line.figures),
+            written(line.converged, ".0%"), seconds(None if time is None else time.median), *_intervals(line.figures),
             number(None if ratio is None else ratio.median, 2), *[written(line.proven, ".0%")] * proofs,
         )  # fmt: skip
     tables: list[Table] = [table]
@@ -316,26 +307,22 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
             # columns share their axis
             panels[-1, 0].set_xscale("log")
         panels[-1, 0].set_xlabel(METRICS[metric])
-        panels[-1, 1].set_xlabel(
-            f"difference from {as_text(str(summary.baseline))},\nsame random seeds: {METRICS[metric]}"
-        )
+        baseline = as_text(str(summary.baseline))
+        panels[-1, 1].set_xlabel(f"difference from {baseline},\nsame random seeds: {METRICS[metric]}")
     return figure
 
 
 def _decades(medians: Collection[Median | None]) -> float:
     """The number of decades between the smallest and the largest median; 0 where a logarithmic axis cannot show one."""
-    values = [median.median for median in medians if median is not None]
+    values = [m.median for m in medians if m is not None]
     ends = [end for m in medians if m is not None for end in (m.low, m.high) if end is not None]
-    if not values or min([*values, *ends]) <= 0:
-        return 0.0
-    return float(np.log10(max(values) / min(values)))
+    return float(np.log10(max(values) / min(values))) if values and min([*values, *ends]) > 0 else 0.0
 
 
 def _draw_medians(axes: Axes, names: list[str], medians: Mapping[str, Median | None]) -> None:
     for height, name in enumerate(names):
-        if (median := medians.get(name)) is None:
-            continue
-        color = colour_of(name.split()[0])
-        if median.low is not None and median.high is not None:
-            axes.plot([median.low, median.high], [height, height], color=color, linewidth=2.0, solid_capstyle="butt")
-        axes.plot([median.median], [height], color=color, marker="o", markeredgecolor="black", linestyle="none")
+        if (m := medians.get(name)) is not None:
+            color = colour_of(name.split()[0])
+            if m.low is not None and m.high is not None:
+                axes.plot([m.low, m.high], [height, height], color=color, linewidth=2.0, solid_capstyle="butt")
+            axes.plot([m.median], [height], color=color, marker="o", markeredgecolor="black", linestyle="none")

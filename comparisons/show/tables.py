@@ -27,8 +27,7 @@ from graphslam.metrics import headings as metric_headings
 from ..options import DOUBTFUL
 from ..results.results import sightings_of
 from ..results.sessions import errors_of_sessions
-from .canvas import placement_of_result, png_as_html
-from .canvas import save_figure as save_figure
+from .canvas import placement_of_result, png_as_html, save_figure  # noqa: F401
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, written, yes_no
 
 if TYPE_CHECKING:
@@ -110,8 +109,7 @@ def figure_of(result: object, **options: Any) -> Any:
     Raises:
         NotImplementedError: there is no figure of this class of results.
     """
-    draw = RESULTS[type(result).__name__][1]
-    if not draw:
+    if not (draw := RESULTS[type(result).__name__][1]):
         raise NotImplementedError(f"there is no figure of {type(result).__name__}")
     return function(draw)(result, **options)
 
@@ -158,13 +156,9 @@ def table_as_latex(table: Table) -> str:
 def _latex(cell: object) -> str:
     """A cell with the characters that LaTeX takes for commands escaped."""
     special = {
-        "\\": r"\textbackslash{}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        "–": "--",
-        "µ": r"\textmu{}",
-    }
-    special |= {letter: f"\\{letter}" for letter in "&%$#_{}"}
+        "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--", "µ": r"\textmu{}",
+        **{letter: f"\\{letter}" for letter in "&%$#_{}"},
+    }  # fmt: skip
     return "".join(special.get(letter, letter) for letter in _text(cell))
 
 
@@ -232,19 +226,19 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
             "online when the robot is there, of others after the drive."
         )
     if any(comparison.associations.values()):
+        clutter = "" if log.identified else " Sightings without a true id count as clutter."
         remarks.append(
             "Precision and recall: of the ids that an estimator gave the sightings itself, against the true ones. Landmarks: "
-            "found, missed, doubled, invented."
-            + ("" if log.identified else " Sightings without a true id count as clutter.")
+            f"found, missed, doubled, invented.{clutter}"
         )
     if (difference := comparison.difference("graph", "gtsam")) is not None:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
-    if log.true_poses is None and any(metrics.aligned_by for metrics in comparison.metrics.values()):
-        remarks.append(
+    if log.true_poses is None:
+        on_map = any(metrics.aligned_by for metrics in comparison.metrics.values())
+        maps_alone = (
             "The log has no true poses: the maps are aligned to the true landmarks, and only maps have an error."
         )
-    elif log.true_poses is None:
-        remarks.append("The log has no true poses, so no error can be measured.")
+        remarks.append(maps_alone if on_map else "The log has no true poses, so no error can be measured.")
     elif (covered := int(log.covered.sum())) < log.num_poses:
         remarks.append(f"The errors are those of the {covered} of {log.num_poses} poses that the ground truth covers.")
     if log.true_poses is not None and (where := log.truth_place):
@@ -279,12 +273,10 @@ def session_table(comparison: Comparison) -> Table | None:
         return None
     of_all = ["ATE in the\ncommon\nframe [m]", "ATE of\nthis log\nalone [m]"][: 1 + bool(comparison.alone)]
     table = LeanTable("Errors in each log", ["log", "estimator"], [*metrics.values(), *of_all])
-    last = None
-    for each in errors:
+    for before, each in zip([None, *errors], errors):
         numbers = [*(getattr(each, metric) for metric in metrics), each.together_m, each.alone_m]
-        name = "" if each.session is last else each.session.name
+        name = "" if before is not None and each.session is before.session else each.session.name
         table.add_row(name, each.estimator, *map(number, numbers[: len(metrics) + len(of_all)]))
-        last = each.session
     return table
 
 
@@ -298,9 +290,8 @@ def state_table(comparison: Comparison) -> Table | None:
     table = LeanTable("Landmarks of the map that do not surely agree, and new ones", ["landmark"], headings)
     for each in states:
         shift = None if each.shift is None else float(np.hypot(*each.shift))
-        table.add_row(
-            str(each.id), each.state, number(each.probability), number(shift, 2), str(each.seen), written(each.views)
-        )
+        seen = str(each.seen), written(each.views)
+        table.add_row(str(each.id), each.state, number(each.probability), number(shift, 2), *seen)
     return table
 
 
@@ -309,10 +300,9 @@ def landmark_table(comparison: Comparison) -> Table | None:
     errors = {name: m.landmark_errors_m for name, m in comparison.metrics.items() if m.landmark_errors_m}
     if not errors:
         return None
-    first = errors.get("graph") or next(iter(errors.values()))
+    first, log = errors.get("graph") or next(iter(errors.values())), comparison.log
     title = "Error of each landmark after the alignment [m], largest first"
-    classed = comparison.log.classes is not None
-    seen = {each.landmark: each for each in sightings_of(comparison.log, comparison.log.landmarks)}
+    classed, seen = log.classes is not None, {each.landmark: each for each in sightings_of(log, log.landmarks)}
     table = LeanTable(title, ["landmark"], [*["class"] * classed, "sightings", *errors])
     for j in sorted(set().union(*errors.values()), key=lambda j: (-first.get(j, -1.0), j)):
         shown = [word(seen[j].of_class if j in seen else None)] * classed
@@ -349,10 +339,8 @@ def _noise_remarks(comparison: Comparison) -> list[str]:
         first, ratio = solved
         verdict = ""
         if ratio > DOUBTFUL:
-            verdict = (
-                f" {first} has {number(ratio, 1)}: the noise models assume less noise than there is, or sightings "
-                "are wrong."
-            )
+            why = "the noise models assume less noise than there is, or sightings are wrong."
+            verdict = f" {first} has {number(ratio, 1)}: {why}"
         elif ratio < 1 / DOUBTFUL:
             why = "the noise models assume more noise than there is."
             if "estimated" in comparison.noise_source.values():

@@ -107,7 +107,7 @@ def gtsam_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], 
         state, iterations = from_values(graph, end), int(optimizer.iterations())
         if iterations >= max_iterations:
             return PeerRun(state, iterations, seconds, False, f"max_iterations = {max_iterations} reached", costs)
-        if float(np.abs(state - graph.initial).max()) < 1e-12:
+        if np.abs(state - graph.initial).max() < 1e-12:
             return PeerRun(state, iterations, seconds, False, "returned the initial values")
         reason = f"the cost changed by less than {COST_TOLERANCE:g} of it"
         return PeerRun(state, iterations, seconds, True, reason, costs)
@@ -133,7 +133,10 @@ def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], Pe
 
     It has no stop rule here: it executes the smallest number of iterations that reaches its final cost.
     """
-    g2o = _import_g2o()
+    try:
+        g2o = import_module("g2opy")
+    except ImportError:
+        raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
     _check_pose_graph(graph)
     costs, reaches = _smallest_number(g2o, graph, damped, max_iterations)
 
@@ -143,21 +146,12 @@ def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], Pe
         optimizer.initialize_optimization()
         optimizer.optimize(reaches)
         seconds = time.perf_counter() - begin
-        converged, reason = True, f"{reaches} iterations reach its final cost"
-        if not np.isfinite(costs[-1]):
-            converged, reason = False, "diverged"
-        elif reaches >= max_iterations:
-            converged, reason = False, f"still moving after {max_iterations} iterations"
+        reason = "diverged" if not np.isfinite(costs[-1]) else f"still moving after {max_iterations} iterations"
+        if converged := bool(np.isfinite(costs[-1])) and reaches < max_iterations:
+            reason = f"{reaches} iterations reach its final cost"
         return PeerRun(_g2o_state(optimizer, graph), reaches, seconds, converged, reason, costs)
 
     return run
-
-
-def _import_g2o() -> Any:
-    try:
-        return import_module("g2opy")
-    except ImportError:
-        raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
 
 
 def _smallest_number(g2o: Any, graph: Graph, damped: bool, max_iterations: int) -> tuple[tuple[float, ...], int]:
@@ -308,20 +302,15 @@ def compare_backends(
         FormatError, GraphError: a file is not a graph that can be solved.
     """
     given = BackendOptions.of(**options)
-    rows: list[BackendRow] = []
     names = given.backends or BACKENDS
     paths = [files] if isinstance(files, (str, PathLike)) else files
     graphs = ((str(path), *_graph(path, given)) for path in paths)
-    for row in rows_of(
+    rows = rows_of(
         partial(_measured, options=given), ((name, *of_file) for of_file in graphs for name in names),
         jobs=0 if given.time_limit is None else 1, prepare=partial(_warm_up_all, tuple(names)), limit=given.time_limit,
-        instead=_stopped,
-    ):  # fmt: skip
-        if row is not None:
-            rows.append(row)
-            if progress is not None:
-                progress(row)
-    return BackendComparison(tuple(rows))
+        progress=None if progress is None else lambda row: None if row is None else progress(row), instead=_stopped,
+    )  # fmt: skip
+    return BackendComparison(tuple(row for row in rows if row is not None))
 
 
 def _graph(path: str | PathLike[str], options: BackendOptions) -> tuple[Graph, str]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
+from itertools import count
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -145,27 +146,17 @@ def study_consistency(*, progress: Callable[[int], None] | None = None, **option
         OptionError: an option has an impossible value.
     """
     given = ConsistencyOptions.of(**options)
-    rows: list[dict[str, tuple[Array, float]]] = []
-    sightings: list[float] = []
-    work = partial(_one_log, options=given)
-    warm = ("graph", *(name for name in given.estimators if name in FILTERS))
-    for per_landmark, row in rows_of(
-        work, range(given.seed, given.seed + given.logs), jobs=given.jobs, estimators=warm
-    ):
-        rows.append(row)
-        sightings.append(per_landmark)
-        if progress is not None:
-            progress(len(rows))
+    warm, done = ("graph", *(name for name in given.estimators if name in FILTERS)), count(1)
+    seeds, work = range(given.seed, given.seed + given.logs), partial(_one_log, options=given)
+    report = None if progress is None else lambda _: progress(next(done))
+    sightings, rows = zip(*rows_of(work, seeds, jobs=given.jobs, progress=report, estimators=warm))
     outcome = []
     for name in given.estimators:
         joint = np.array([row[name][1] for row in rows]) if name in GRAPHS else None
         outcome.append(Consistency(name, np.array([row[name][0] for row in rows]), joint))
     common = {f.name for f in fields(ConsistencyStudy)} & {f.name for f in fields(given)}
-    return ConsistencyStudy(
-        **{name: getattr(given, name) for name in common},
-        sightings_per_landmark=float(np.mean(sightings)),
-        results=tuple(outcome),
-    )
+    same = {name: getattr(given, name) for name in common}
+    return ConsistencyStudy(**same, sightings_per_landmark=float(np.mean(sightings)), results=tuple(outcome))
 
 
 def models(noise: float) -> tuple[MotionModel, SensorModel]:
@@ -233,11 +224,7 @@ def _smoother_nees(log: Log, truth: Array, seed: int, options: GibbsOptions, noi
 
 def _filter_nees(name: str, log: Log, truth: Array, seed: int, noise: dict[str, Any]) -> Array:
     """NEES / 3 of the particles' mean and covariance at each step, as it stood then; (T,)."""
-    errors: list[Array] = []
-    covariances: list[Array] = []
-    options = RunOptions.of(particles=PARTICLES, seed=seed, **noise)
-    for state in particle_filter(name, log, options):
-        errors.append(difference(state.mean_pose, truth[state.step]))
-        # a little of the identity: all particles may descend from one
-        covariances.append(state.covariance() + 1e-12 * np.eye(3))
-    return pose_nees(np.array(errors)[1:], np.array(covariances)[1:])
+    states = particle_filter(name, log, RunOptions.of(particles=PARTICLES, seed=seed, **noise))
+    means, covariances = map(np.array, zip(*((state.mean_pose, state.covariance()) for state in states)))
+    # a little of the identity: all particles may descend from one
+    return pose_nees(difference(means, truth)[1:], covariances[1:] + 1e-12 * np.eye(3))

@@ -18,8 +18,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from graphslam import FormatError
-from graphslam.errors import printable
+from graphslam.errors import FormatError, printable
 from graphslam.files import check_file
 
 from ..estimators.config import versions
@@ -99,24 +98,22 @@ class StudyDatabase:
         (version,) = self._connection.execute("PRAGMA user_version").fetchone()
         if application != APPLICATION:
             raise FormatError(self.path, None, "this SQLite file is no study of slam-compare; name another one")
-        if 1 <= version <= VERSION:
-            # a program with further metrics, or of a later version, has more figures, which are not known of older rows
-            present = {row[1] for row in self._connection.execute("PRAGMA table_info(runs)")}
-            for name, kind in _FIGURES:
-                if name not in present:
-                    self._connection.execute(f"ALTER TABLE runs ADD COLUMN {name} {kind}")
-            self._connection.execute(f"PRAGMA user_version = {VERSION}")
-        else:
+        if not 1 <= version <= VERSION:
             raise FormatError(self.path, None, f"a study of version {version}; this program reads version {VERSION}")
+        # a program with further metrics, or of a later version, has more figures, which are not known of older rows
+        present = {row[1] for row in self._connection.execute("PRAGMA table_info(runs)")}
+        for name, kind in _FIGURES:
+            if name not in present:
+                self._connection.execute(f"ALTER TABLE runs ADD COLUMN {name} {kind}")
+        self._connection.execute(f"PRAGMA user_version = {VERSION}")
 
     def plan(self, study: Study) -> None:
         """Store the list of the study's runs. Rows of runs that it no longer has stay, but count in no summary."""
         about = {"study": printable(str(study.path.absolute())), "text": study.text, "versions": ", ".join(versions())}
+        positions = [(run.key, position) for position, run in enumerate(study.runs)]
         with self._transaction():
             self._connection.execute("DELETE FROM planned")
-            self._connection.executemany(
-                "INSERT INTO planned VALUES (?, ?)", [(run.key, position) for position, run in enumerate(study.runs)]
-            )
+            self._connection.executemany("INSERT INTO planned VALUES (?, ?)", positions)
             self._connection.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", about.items())
 
     def about(self) -> dict[str, str]:
@@ -133,38 +130,30 @@ class StudyDatabase:
         Raises:
             sqlite3.IntegrityError: the run has a row already.
         """
-        description = {
-            "log": run.log, "source": json.dumps(dict(run.source)), "seed": run.seed, "estimator": run.estimator,
-            "method": run.method, "options": json.dumps(dict(run.options)),
-        }  # fmt: skip
-        row = description | asdict(outcome)
+        texts = {name: json.dumps(dict(getattr(run, name))) for name in ("source", "options")}
+        row = {**vars(run), **texts, **asdict(outcome)}
         marks = ", ".join(f":{name}" for name in COLUMNS)
         with self._transaction():
             self._connection.execute(f"INSERT INTO runs ({', '.join(COLUMNS)}) VALUES ({marks})", row)
 
     def forget_failures(self) -> int:
         """Remove the rows of planned runs that did not end well, so that they run again; how many there were."""
+        failures = "DELETE FROM runs WHERE status != ? AND key IN (SELECT key FROM planned)"
         with self._transaction():
-            deleted = self._connection.execute(
-                "DELETE FROM runs WHERE status != ? AND key IN (SELECT key FROM planned)", (DONE,)
-            )
-        return deleted.rowcount
+            return self._connection.execute(failures, (DONE,)).rowcount
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of the planned runs in the order of the study, as {column: value} with options and source as data."""
         names = ", ".join(f"runs.{name}" for name in COLUMNS)
-        rows = self._connection.execute(
-            f"SELECT {names} FROM runs JOIN planned ON planned.key = runs.key ORDER BY planned.position"
-        )
-        return list(map(_row, rows))
+        query = f"SELECT {names} FROM runs JOIN planned ON planned.key = runs.key ORDER BY planned.position"
+        return list(map(_row, self._connection.execute(query)))
 
     def counts(self) -> tuple[int, int]:
         """The number of planned runs, and of rows of runs that are no longer planned."""
-        (planned,) = self._connection.execute("SELECT count(*) FROM planned").fetchone()
-        (others,) = self._connection.execute(
-            "SELECT count(*) FROM runs WHERE key NOT IN (SELECT key FROM planned)"
-        ).fetchone()
-        return planned, others
+        others = "SELECT count(*) FROM runs WHERE key NOT IN (SELECT key FROM planned)"
+        queries = ("SELECT count(*) FROM planned", others)
+        planned, left = (self._connection.execute(query).fetchone()[0] for query in queries)
+        return planned, left
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:

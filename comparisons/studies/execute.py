@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, Generic
 
@@ -75,15 +76,13 @@ def execute(run: Run) -> Outcome:
 @lru_cache(maxsize=4)
 def _log(source: str, reading: str, name: str, seed: int | None) -> Log:
     """A log, read or simulated; the last few are kept, because neighbouring runs use the same one."""
-    description = json.loads(source)
-    log: Log | Path
+    description, options = json.loads(source), ReadingOptions.of(**json.loads(reading))
     if seed is not None:
-        log = simulated_log(description["simulate"], seed, name)
-    else:
-        log = Path(description["file"])
-        if description["sha256"] is not None and description["sha256"] != sha256_of(log):
-            raise LogError(f"{log} has changed since the study was begun; start the sweep again to take it as it is")
-    return read_log(log, ReadingOptions.of(**json.loads(reading)))[0]
+        return read_log(simulated_log(description["simulate"], seed, name), options)[0]
+    file = Path(description["file"])
+    if description["sha256"] is not None and description["sha256"] != sha256_of(file):
+        raise LogError(f"{file} has changed since the study was begun; start the sweep again to take it as it is")
+    return read_log(file, options)[0]
 
 
 def log_of(run: Run) -> Log:
@@ -93,9 +92,8 @@ def log_of(run: Run) -> Log:
         SlamError: it cannot be read or made.
     """
     reading = {name: run.options[name] for name in options_of(ReadingOptions) if name in run.options}
-    return _log(
-        json.dumps(dict(run.source)), json.dumps(reading), run.log, run.seed if "simulate" in run.source else None
-    )
+    seed = run.seed if "simulate" in run.source else None
+    return _log(json.dumps(dict(run.source)), json.dumps(reading), run.log, seed)
 
 
 def _execute(run: Run) -> dict[str, Any]:
@@ -154,14 +152,9 @@ def this_process(work: Callable[[Task], Row]) -> Iterator[Place[Task, Row]]:
 
 @contextmanager
 def local_processes(
-    work: Callable[[Task], Row],
-    *,
-    jobs: int | None = None,
-    estimators: Sequence[str] = (),
-    prepare: Callable[[], object] = list,
-    limit: float | None = None,
-    instead: Callable[[Task, str], Row] | None = None,
-) -> Iterator[Place[Task, Row]]:
+    work: Callable[[Task], Row], *, jobs: int | None = None, estimators: Sequence[str] = (),
+    prepare: Callable[[], object] = list, limit: float | None = None, instead: Callable[[Task, str], Row] | None = None,
+) -> Iterator[Place[Task, Row]]:  # fmt: skip
     """Processes of this machine. Starting one and loading its modules do not count towards the limit, reading a log does.
 
     Args:
@@ -180,18 +173,21 @@ def local_processes(
     with processes(jobs, loading(estimators, prepare)) as pool:
         # a task that waits in the pool keeps its process from waiting for the next one
         yield Place(
-            jobs + 1,
-            lambda task: pool.schedule(work, (task,), timeout=limit),
+            jobs + 1, lambda task: pool.schedule(work, (task,), timeout=limit),
             lambda future, task: ended(future, task, limit, instead),
-        )
+        )  # fmt: skip
 
 
-def rows_of(work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | None, **keywords: Any) -> Iterator[Row]:
+def rows_of(
+    work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | None,
+    progress: Callable[[Row], object] | None = None, **keywords: Any,
+) -> Iterator[Row]:  # fmt: skip
     """``map(work, tasks)`` in a place, rows in the order of the tasks.
 
     Args:
         work, tasks: see `local_processes`.
         jobs: how many processes; 0 for this process, None for one on each core.
+        progress: called with each row.
         keywords: the other arguments of `local_processes`.
 
     Raises:
@@ -205,9 +201,13 @@ def rows_of(work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | N
             warm_up(name)
     with this_process(work) if jobs == 0 else local_processes(work, jobs=jobs, **keywords) as place:
         waiting: deque[tuple[Future[Row], Task]] = deque()
-        for task in tasks:
-            waiting.append((place.submit(task), task))
-            if len(waiting) >= place.room:
-                yield place.row(*waiting.popleft())
-        for each in waiting:
-            yield place.row(*each)
+        left = iter(tasks)
+        while True:
+            for task in islice(left, place.room - len(waiting)):
+                waiting.append((place.submit(task), task))
+            if not waiting:
+                return
+            row = place.row(*waiting.popleft())
+            if progress is not None:
+                progress(row)
+            yield row

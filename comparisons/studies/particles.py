@@ -125,12 +125,9 @@ def quartiles(values: Sequence[float | None]) -> Array | None:
 
 
 def study_particles(
-    log: Log | str | PathLike[str] | None = None,
-    *,
-    progress: Callable[[ParticleRun], None] | None = None,
-    announce: Announce | None = None,
-    **options: Any,
-) -> ParticleStudy:
+    log: Log | str | PathLike[str] | None = None, *, progress: Callable[[ParticleRun], None] | None = None,
+    announce: Announce | None = None, **options: Any,
+) -> ParticleStudy:  # fmt: skip
     """Run filters with growing numbers of particles and several random seeds on one log.
 
     Args:
@@ -152,21 +149,15 @@ def study_particles(
     jobs = default_jobs() if given.jobs is None else max(given.jobs, 1)
     of_tasks = ((name, data, of_run.with_numbers(particles=particles)) for name, particles, _ in tasks)
     announce_memory(of_tasks, announce, jobs=jobs)
-    runs: list[ParticleRun] = []
-    notes: list[str] = []
-    work = partial(_run, log=data, options=of_run)
-    for run in rows_of(
-        work, tasks, jobs=given.jobs, estimators=given.filters, limit=given.time_limit, instead=_stopped
-    ):
-        if isinstance(run, str):
-            notes.append(run)
-            continue
-        runs.append(run)
-        if progress is not None:
-            progress(run)
+    rows = list(rows_of(
+        partial(_run, log=data, options=of_run), tasks, jobs=given.jobs, estimators=given.filters, limit=given.time_limit,
+        progress=None if progress is None else lambda run: None if isinstance(run, str) else progress(run), instead=_stopped,
+    ))  # fmt: skip
+    runs = tuple(row for row in rows if isinstance(row, ParticleRun))
+    notes = tuple(row for row in rows if isinstance(row, str))
     if not runs:
         raise SlamError(f"no run has a result: {notes[0]}")
-    return ParticleStudy(data.name, tuple(runs), tuple(notes))
+    return ParticleStudy(data.name, runs, notes)
 
 
 def _stopped(task: tuple[str, int, int], reason: str) -> str:
@@ -184,13 +175,9 @@ def _run(task: tuple[str, int, int], log: Log, options: RunOptions) -> ParticleR
     metrics = evaluate(truth, log.true_landmarks, path, estimate.landmarks, named=estimate.named)
     sighted = np.unique(log.steps)
     return ParticleRun(
-        name=name,
-        particles=particles,
-        seed=seed,
-        ate_m=metrics.ate_m,
+        name=name, particles=particles, seed=seed, ate_m=metrics.ate_m,
         mean_ate_m=None if metrics.ate_m is None or truth is None else ate(truth, log.at_truth(mean)),
         landmark_rmse_m=metrics.landmark_rmse_m,
         ess_share=float(np.mean(result.ess[sighted]) / particles) if len(sighted) else 1.0,
-        ancestors=int(result.ancestors[len(result.ancestors) // 2]),
-        seconds=estimate.seconds,
-    )
+        ancestors=int(result.ancestors[len(result.ancestors) // 2]), seconds=estimate.seconds,
+    )  # fmt: skip

@@ -121,12 +121,9 @@ def read_study(path: str | PathLike[str]) -> Study:
     if not sources:
         raise FormatError(path, None, "a study needs logs = [..] with files, or a table [simulate]")
     methods, seeds = list(_methods(file, keys["estimators"])), _seeds(file)
-    count = len(sources) * len(seeds) * len(methods)
-    if count > MOST_RUNS:
-        raise FormatError(
-            path, None, f"{len(sources)} logs, {len(seeds)} seeds and {len(methods)} methods are {count:,} runs; a study has "
-            f"at most {MOST_RUNS:,}",
-        )  # fmt: skip
+    if (count := len(sources) * len(seeds) * len(methods)) > MOST_RUNS:
+        what = f"{len(sources)} logs, {len(seeds)} seeds and {len(methods)} methods"
+        raise FormatError(path, None, f"{what} are {count:,} runs; a study has at most {MOST_RUNS:,}")
     runs: dict[str, Run] = {}
     for (log, source), seed, (estimator, method, options) in product(sources, seeds, methods):
         if "simulate" in source:
@@ -190,9 +187,8 @@ def _worlds(file: TomlFile) -> Iterator[tuple[str, dict[str, Any]]]:
     for number, table in enumerate([tables] if isinstance(tables, dict) else tables or [], start=1):
         where = "simulate" if isinstance(tables, dict) else f"simulate[{number - 1}]"
         if not isinstance(table, dict):
-            raise file.error(
-                "simulate", f"simulate should be a table [simulate], or several [[simulate]], not {quoted(table)}"
-            )
+            wrong = f"simulate should be a table [simulate], or several [[simulate]], not {quoted(table)}"
+            raise file.error("simulate", wrong)
         fixed = check({key: value for key, value in table.items() if key not in ("name", "vary")}, where=where)
         name = file.value(table, "name", str, where=where) or fixed.get("world", "book")
         if name in names:
@@ -239,11 +235,11 @@ def _methods(file: TomlFile, names: tuple[str, ...]) -> Iterator[tuple[str, str,
             if method not in methods:
                 methods.add(method)
                 options = {key: value for key, value in (fixed | varied).items() if key in used}
-                if "noise" in options and Path(options["noise"]) in (AUTO, BOOK):
+                if (noise := options.get("noise")) in (AUTO, BOOK):
                     # text, as the key and the database need it
-                    options["noise"] = str(options["noise"])
-                elif "noise" in options:
-                    numbers, ranges = read_noise(file.path.parent / options["noise"])
+                    options["noise"] = str(noise)
+                elif noise is not None:
+                    numbers, ranges = read_noise(file.path.parent / noise)
                     options["noise"] = numbers | ranges
                 yield name, method, options
 

@@ -141,8 +141,8 @@ def variants(log: Log, options: SolverCheckOptions | None = None) -> Iterator[Va
         if not kind.startswith("virtual") and weight != WEIGHTS[0]:
             # only pairs of sightings can be weighted differently
             continue
-        for scale in options.motion_weights if kind.endswith("+motion") else (1.0,):
-            yield Variant(edges=kind, frame=frame, weight=weight, motion_weight=scale, kernel=kernel, dimensions=d)
+        plain = Variant(edges=kind, frame=frame, weight=weight, kernel=kernel, dimensions=d)
+        yield from plain.weighed(options.motion_weights)
 
 
 def compare_solvers(
@@ -169,15 +169,11 @@ def compare_solvers(
     data, _, given = prepare(log, SolverCheckOptions.of(**options))
     if len(data.steps) == 0:
         raise GraphError(f"{data.name} has no sightings at all, so there is nothing to solve")
-    outcomes: list[VariantResult | SkippedVariant] = []
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
-    for outcome in rows_of(
-        work, variants(data, given), jobs=given.jobs, limit=given.time_limit,
+    outcomes = list(rows_of(
+        work, variants(data, given), jobs=given.jobs, progress=progress, limit=given.time_limit,
         instead=lambda variant, reason: SkippedVariant(variant.name, reason),
-    ):  # fmt: skip
-        outcomes.append(outcome)
-        if progress is not None:
-            progress(outcome)
+    ))  # fmt: skip
     solved = tuple(each for each in outcomes if isinstance(each, VariantResult))
     skipped = tuple(each for each in outcomes if isinstance(each, SkippedVariant))
     if not solved:
@@ -225,12 +221,10 @@ def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantRe
     if ours is not None and theirs is not None:
         compare = compare_solutions if variant.plain else partial(_compare_robust, graph=graph)
         outcome = compare(variant.name, ours=ours, theirs=theirs)
-        if isinstance(outcome, VariantResult):
-            outcome = replace(
-                outcome, cost_per_dof=of_expected(ours.cost, graph), certificate=ours.certificate,
-                gtsam_certificate=theirs.certificate,
-            )  # fmt: skip
-        return outcome
+        if isinstance(outcome, SkippedVariant):
+            return outcome
+        proofs: dict[str, Any] = {"certificate": ours.certificate, "gtsam_certificate": theirs.certificate}
+        return replace(outcome, cost_per_dof=of_expected(ours.cost, graph), **proofs)
     if ours is None and theirs is None:
         return SkippedVariant(variant.name, str(our_error))
     # that one solver finds the graph underdetermined and the other does not is a difference, not a reason to skip
@@ -281,14 +275,8 @@ def compare_solutions(name: str, ours: Solution, theirs: Solution) -> VariantRes
     # a cost of (numerically) zero, as noise-free logs have, has no relative error
     scale = max(abs(ours.cost), abs(theirs.cost), 1e-6)
     return VariantResult(
-        name=name,
-        pose_difference=float(np.max(np.abs(off), initial=0.0)) if not np.isnan(off).any() else float("nan"),
-        cost_difference=abs(ours.cost - theirs.cost) / scale,
-        cost=ours.cost,
-        iterations=ours.iterations,
-        gtsam_iterations=theirs.iterations,
-        seconds=ours.seconds,
-        gtsam_seconds=theirs.seconds,
-        converged=bool(ours.converged),
-        gtsam_converged=bool(theirs.converged),
-    )
+        name=name, pose_difference=float(np.max(np.abs(off), initial=0.0)) if not np.isnan(off).any() else float("nan"),
+        cost_difference=abs(ours.cost - theirs.cost) / scale, cost=ours.cost, iterations=ours.iterations,
+        gtsam_iterations=theirs.iterations, seconds=ours.seconds, gtsam_seconds=theirs.seconds,
+        converged=bool(ours.converged), gtsam_converged=bool(theirs.converged),
+    )  # fmt: skip

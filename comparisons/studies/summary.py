@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from graphslam import OptionError
-from graphslam.errors import printable, quoted
+from graphslam.errors import OptionError, printable, quoted
 from graphslam.errors.checks import suggestion
 from graphslam.files import write_whole
 from graphslam.metrics import METRICS as ERRORS
@@ -216,15 +215,11 @@ def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
     converged = [row["converged"] for row in rows if row["converged"] is not None]
     proven = [row["proven"] for row in rows if row.get("proven") is not None]
     return MethodSummary(
-        log=log,
-        method=name,
-        runs=len(rows),
-        failed=len(rows) - status[DONE] - status[TIMEOUT],
-        timeouts=status[TIMEOUT],
+        log=log, method=name, runs=len(rows), failed=len(rows) - status[DONE] - status[TIMEOUT], timeouts=status[TIMEOUT],
         converged=sum(converged) / len(converged) if converged else None,
         proven=sum(proven) / len(proven) if proven else None,
         figures={metric: _median([(row[metric], _unit(row, log)) for row in measured]) for metric in METRICS},
-    )
+    )  # fmt: skip
 
 
 def _difference(log: str, name: str, baseline: str, rows: Sequence[Row], base: Sequence[Row]) -> PairedDifference:
@@ -232,18 +227,14 @@ def _difference(log: str, name: str, baseline: str, rows: Sequence[Row], base: S
     for row in _measured(base):
         partners.setdefault(row["log"], []).append(row)
     pairs = [
-        (row, other)
+        (row, other, _unit(other if row["seed"] is None else row, log))
         for row in _measured(rows)
         for other in partners.get(row["log"], [])
         if row["seed"] == other["seed"] or None in (row["seed"], other["seed"])
     ]
     figures, lower = {}, {}
     for metric in METRICS:
-        gaps = [
-            (row[metric] - other[metric], _unit(other if row["seed"] is None else row, log))
-            for row, other in pairs
-            if None not in (row[metric], other[metric])
-        ]
+        gaps = [(a[metric] - b[metric], unit) for a, b, unit in pairs if None not in (a[metric], b[metric])]
         figures[metric] = _median(gaps)
         lower[metric] = sum(gap < 0 for gap, _ in gaps)
     return PairedDifference(log, name, baseline, figures, lower)
@@ -323,8 +314,10 @@ def write_summary_csv(summary: Summary, path: Path) -> None:
         for metric in METRICS:
             median, gap = line.figures[metric], None if against is None else against.figures[metric]
             cells += [None] * 4 if median is None else [median.median, median.low, median.high, median.count]
-            cells += [None] * 3 if gap is None else [gap.median, gap.low, gap.high]
-            cells += [None] * 2 if gap is None or against is None else [against.lower[metric], gap.count]
+            if against is None or gap is None:
+                cells += [None] * 5
+            else:
+                cells += [gap.median, gap.low, gap.high, against.lower[metric], gap.count]
         rows.append(cells)
     _write_table(path, head, rows)
 
@@ -337,11 +330,9 @@ def _write_table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]])
 
 
 def _cell(value: Any) -> Any:
-    if isinstance(value, float):
-        # repr keeps every digit
-        return repr(value)
     if isinstance(value, str):
         text = printable(value)
         # spreadsheets take such texts for formulas, and execute them
         return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+    # csv writes all digits of numbers
     return json.dumps(value) if isinstance(value, dict) else value

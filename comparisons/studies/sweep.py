@@ -103,10 +103,8 @@ def dask_cluster(address: str, limit: float) -> Iterator[Place[Run, Outcome]]:
         except KilledWorker as error:
             return Outcome(key=run.key, status=ERROR, error=f"given up by the cluster: {sentence(error)}")
         except (CancelledError, CommClosedError) as error:
-            raise SlamError(
-                f"the cluster at {address} is gone ({type(error).__name__}); finished runs are kept, and the same command "
-                "continues"
-            ) from None
+            gone = f"the cluster at {address} is gone ({type(error).__name__})"
+            raise SlamError(f"{gone}; finished runs are kept, and the same command continues") from None
 
     with Client(address, timeout=PATIENCE, set_as_default=False) as client:
         threads = sum(client.nthreads().values())
@@ -174,14 +172,11 @@ def _check_versions(client: Any, address: str) -> None:
     try:
         versions = set(client.run(our_version).values())
     except Exception as error:
-        raise OptionError(
-            f"the workers at {address} cannot import this project; install the same version there ({error})"
-        ) from None
+        imports = f"the workers at {address} cannot import this project"
+        raise OptionError(f"{imports}; install the same version there ({error})") from None
     if versions - {our_version()}:
-        raise OptionError(
-            f"the workers at {address} have version {', '.join(sorted(versions))} of this project, but this is "
-            f"{our_version()}; install the same version there"
-        )
+        theirs = f"the workers at {address} have version {', '.join(sorted(versions))} of this project"
+        raise OptionError(f"{theirs}, but this is {our_version()}; install the same version there")
 
 
 #: fewer particles never need much memory
@@ -226,12 +221,9 @@ Progress = Callable[[int, int, Run | None, Outcome | None], None]
 
 
 def sweep(
-    study: Study | str | PathLike[str],
-    *,
-    progress: Progress | None = None,
-    announce: Announce | None = None,
+    study: Study | str | PathLike[str], *, progress: Progress | None = None, announce: Announce | None = None,
     **options: Any,
-) -> SweepOutcome:
+) -> SweepOutcome:  # fmt: skip
     """Execute the runs of a study that have no row in its database yet.
 
     Args:
@@ -258,14 +250,13 @@ def sweep(
         database.plan(plan)
         if given.retry:
             database.forget_failures()
-        present = database.keys()
+        present, report = database.keys(), progress or (lambda *_: None)
         missing = [run for run in plan.runs if run.key not in present]
         before = len(plan.runs) - len(missing)
         # a cluster has memory of its own
         jobs = 1 if given.dask is not None else default_jobs() if given.jobs is None else max(given.jobs, 1)
         announce_memory(_large(missing), announce, jobs=jobs)
-        if progress is not None:
-            progress(before, len(plan.runs), None, None)
+        report(before, len(plan.runs), None, None)
         with _ctrl_c() as events:
             for run, outcome in _outcomes(place, missing, events):
                 if run is None or outcome is None:
@@ -273,12 +264,9 @@ def sweep(
                     break
                 database.add(run, outcome)
                 ran, failed = ran + 1, failed + (outcome.status != DONE)
-                if progress is not None:
-                    progress(before + ran, len(plan.runs), run, outcome)
-    return SweepOutcome(
-        study=plan.path, database=plan.database, planned=len(plan.runs), before=before, ran=ran, failed=failed,
-        interrupted=interrupted,
-    )  # fmt: skip
+                report(before + ran, len(plan.runs), run, outcome)
+    counts = {"planned": len(plan.runs), "before": before, "ran": ran, "failed": failed}
+    return SweepOutcome(study=plan.path, database=plan.database, interrupted=interrupted, **counts)
 
 
 def _large(runs: Sequence[Run]) -> Iterator[tuple[str, Log, RunOptions]]:
@@ -299,9 +287,8 @@ def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place[
     if options.jobs == 0:
         return this_process(execute)
     estimators, limit = tuple(dict.fromkeys(run.estimator for run in study.runs)), study.time_limit
-    return local_processes(
-        execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=partial(stopped, limit=limit)
-    )
+    late = partial(stopped, limit=limit)
+    return local_processes(execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=late)
 
 
 #: futures that are done, and None for Ctrl-C

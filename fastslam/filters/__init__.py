@@ -93,16 +93,14 @@ class FastSLAM1(ParticleFilter):
     _coordinates: int | None = None
 
     def __init__(self, log: Log | None = None, *, map: Any = None, **keywords: Any) -> None:
-        given = None if map is None else as_map(map)
-        super().__init__(log, map=given, **keywords)
+        self._given = None if map is None else as_map(map)
+        super().__init__(log, map=self._given, **keywords)
         self._waiting = WaitingNumbers(self.sensor)
-        self._given = given
         if self._given is not None and not self._needs_ids:
             raise OptionError("a map is used by the ids of its landmarks: leave out the option association, or the map")
         if self._given is not None and self.options.smoothing:
-            raise OptionError(
-                "trajectories that are drawn backwards do not know a map: leave out smoothing, or the map"
-            )
+            why = "trajectories that are drawn backwards do not know a map"
+            raise OptionError(f"{why}: leave out smoothing, or the map")
 
     def _check_options(self) -> None:
         options = self.options
@@ -165,12 +163,10 @@ class FastSLAM1(ParticleFilter):
             )
         self._begin_if_first(sightings)
         if self._needs_ids:
-            known: bool = self._engine.weigh_identified(ids, sightings, q, self._poses_drawn)
-            return known
-        if self._classes is None or rows is None:
-            # sightings that are handed in are of unknown class
-            shown = np.full(len(sightings), len(self._confusion))
-        else:
+            return bool(self._engine.weigh_identified(ids, sightings, q, self._poses_drawn))
+        # sightings that are handed in are of unknown class
+        shown = np.full(len(sightings), len(self._confusion))
+        if self._classes is not None and rows is not None:
             shown = np.minimum(self._classes.shown[rows], len(self._confusion))
         self._engine.weigh_anonymous(sightings, q, shown, self._poses_drawn)
         return True
@@ -370,9 +366,8 @@ class MonteCarloLocalization(ParticleFilter):
     def _check_sightings(self, ids: np.ndarray, columns: int) -> None:  # noqa: ARG002
         for j in ids.tolist():
             if j not in self._landmarks:
-                raise OptionError(
-                    f"landmark {j} was seen but is not on the known map: add it to the map, or use FastSLAM1"
-                )
+                advice = "add it to the map, or use FastSLAM1"
+                raise OptionError(f"landmark {j} was seen but is not on the known map: {advice}")
 
     def _weigh(self, ids: np.ndarray, sightings: Array, q: Array, rows: slice | None = None) -> bool:  # noqa: ARG002
         known = [self._landmarks[j] for j in ids.tolist()]

@@ -107,23 +107,17 @@ class ParticleFilter(ABC):
     _HOW_WITHOUT_IDS = "and the association is known: leave it out, or take maximum-likelihood"
 
     def __init__(
-        self,
-        log: Log | None = None,
-        *,
-        options: FilterOptions | None = None,
-        motion: MotionModel | None = None,
-        sensor: SensorModel | None = None,
-        start: ArrayLike | Fix | None = None,
-        map: Any = None,
-        **keywords: Any,
-    ) -> None:
+        self, log: Log | None = None, *, options: FilterOptions | None = None, motion: MotionModel | None = None,
+        sensor: SensorModel | None = None, start: ArrayLike | Fix | None = None, map: Any = None, **keywords: Any,
+    ) -> None:  # fmt: skip
         for name, value, kind in (("log", log, Log), ("motion", motion, MotionModel), ("sensor", sensor, SensorModel)):
             check_type(kind, **{name: value})
+        kind_of_filter = type(self).__name__
         if given := {"landmarks", "landmark_map"}.intersection(keywords):
             raise OptionError(
-                f"{type(self).__name__} has no option {quoted(min(given))}; a map of landmarks is given as map"
+                f"{kind_of_filter} has no option {quoted(min(given))}; a map of landmarks is given as map"
             )
-        check_known(type(self).__name__, keywords, [field.name for field in fields(FilterOptions)])
+        check_known(kind_of_filter, keywords, [field.name for field in fields(FilterOptions)])
         self.options = replace(options or FilterOptions(), **keywords).for_ids(log is None or log.identified)
         self._check_options()
         self.particles = self.options.particles
@@ -168,13 +162,9 @@ class ParticleFilter(ABC):
         return f"<{type(self).__name__}{on}: {self.particles} particles, step {self._step}{steps}>"
 
     def move(
-        self,
-        control: ArrayLike | None = None,
-        dt: float | None = None,
-        *,
-        motion: ArrayLike | None = None,
+        self, control: ArrayLike | None = None, dt: float | None = None, *, motion: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Go to the next step: every particle draws its own motion.
 
         Args:
@@ -246,11 +236,9 @@ class ParticleFilter(ABC):
     @property
     def state(self) -> ParticleState:
         """The present particles."""
-        particles, ess, resampled = self._engine, self._ess_history[-1], self._resampled_history[-1]
-        poses = robot_poses(self.sensor, particles.poses)
-        return ParticleState(
-            self._step, poses, particles.log_weights, ess, resampled, particles.best, self, self._version
-        )
+        particles, last = self._engine, (self._ess_history[-1], self._resampled_history[-1])
+        poses, weights = robot_poses(self.sensor, particles.poses), particles.log_weights
+        return ParticleState(self._step, poses, weights, *last, particles.best, self, self._version)
 
     @property
     def pose(self) -> Array:
@@ -332,23 +320,14 @@ class ParticleFilter(ABC):
         best_map = self._map(self._engine.best, provisional=False)
         poses = self.trajectory()
         result = FilterResult(
-            estimator=type(self).__name__,
-            log="" if self.log is None else self.log.name,
-            options=self.options,
-            motion=self.motion,
-            sensor=self.sensor,
-            poses=poses,
-            mean_poses=robot_poses(self.sensor, mean_poses),
+            estimator=type(self).__name__, log="" if self.log is None else self.log.name, options=self.options,
+            motion=self.motion, sensor=self.sensor, poses=poses, mean_poses=robot_poses(self.sensor, mean_poses),
             landmarks={j: estimate.mean for j, estimate in best_map.items()},
             landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
-            log_weights=self._engine.log_weights,
-            log_evidence=self._log_evidence,
-            ess=np.array(self._ess_history),
-            resampled=np.array(self._resampled_history),
-            ancestors=ancestors,
-            smoothed=self._smoothed(mean_poses),
+            log_weights=self._engine.log_weights, log_evidence=self._log_evidence, ess=np.array(self._ess_history),
+            resampled=np.array(self._resampled_history), ancestors=ancestors, smoothed=self._smoothed(mean_poses),
             **self._association(poses),
-        )
+        )  # fmt: skip
         # measurements that are handed in between those of the log are not in it
         return noted(result, self.log if self._next == self._step + 1 else None, self.HAS_MAPS)
 
@@ -356,15 +335,12 @@ class ParticleFilter(ABC):
         """Trajectories drawn by backward simulation, linearised at the mean history of the sensor, if there are any."""
         if self._record is None:
             return None
-        mixture = self._mixture(np.exp(self._engine.log_weights), provisional=False)
-        if not mixture:
+        if not (mixture := self._mixture(np.exp(self._engine.log_weights), provisional=False)):
             return None
-        marks = np.array([mixture[j].mean for j in sorted(mixture)])
+        marks, o = np.array([mixture[j].mean for j in sorted(mixture)]), self.options
         # a copy: what the filter draws later does not depend on whether it was asked for a result
-        rng, options = deepcopy(self._rng), self.options
-        return self._record.smooth(
-            self._engine, options.smoothing, rng, self.sensor, mean_poses, marks, options.threads
-        )
+        rng = deepcopy(self._rng)
+        return self._record.smooth(self._engine, o.smoothing, rng, self.sensor, mean_poses, marks, o.threads)
 
     def _association(self, poses: Array) -> dict[str, Any]:  # noqa: ARG002
         """The fields ``association`` and ``unconfirmed`` of the result, where they are defined."""
@@ -484,10 +460,8 @@ class ParticleFilter(ABC):
         if not possible:
             warnings.warn(
                 f"step {self._step}: its {what} are impossible for all {self.particles} particles; "
-                "the weights from before the step are kept",
-                VanishedWeightsWarning,
-                stacklevel=4,
-            )
+                "the weights from before the step are kept", VanishedWeightsWarning, stacklevel=4,
+            )  # fmt: skip
             return False
         self._log_evidence += log_evidence
         self._ess_history[-1] = ess

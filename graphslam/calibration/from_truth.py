@@ -20,8 +20,8 @@ from ..errors import LogError
 from ..identification.corrections import without_biases
 from ..identification.odometry import LEAST, motion_parts, ordinary, sensor_parts, stacked
 from ..log import Log
-from ..models import MotionModel, SensorModel, sinc
-from ..se2 import Array, between, difference, wrap
+from ..models import MotionModel, SensorModel
+from ..se2 import Array, between, difference, sinc, wrap
 from .variances import VarianceFit, fit_variances
 
 #: the means have converged when they change by less than this

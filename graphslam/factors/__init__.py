@@ -9,8 +9,7 @@ from .base import ResidualFactor
 from .description import FactorDescription, describe, load_factors, save_factors
 from .landmark import InverseObservationFactor, LandmarkFactor, ObservationFactor, RelativePointFactor
 from .priors import AnchorFactor, PositionFactor, PriorFactor
-from .relative import MotionFactor, RelativeEdgesFactor, RelativePoseFactor
-from .virtual_motion import VirtualMotionFactor
+from .relative import MotionFactor, RelativeEdgesFactor, RelativePoseFactor, VirtualMotionFactor
 
 __all__ = [
     "AnchorFactor",

@@ -91,20 +91,12 @@ def notes_on_options(log: Log, sensor: SensorModel, options: EdgeOptions, missin
         notes.append(
             f"covariances do not contain what is unknown of the biases taken out of the log: {', '.join(missing)}"
         )
-    without = f"with edges={options.edges!r}"
-    if options.landmark_nodes:
-        if options.weight != "pairs":
-            notes.append(f"weight={options.weight!r} has no effect: with landmark nodes each sighting counts once")
-        if options.residual == "cartesian" and (note := on_an_arc(log, sensor)):
-            notes.append(note)
+    notes += options.without_effect
+    if options.landmark_nodes and options.residual == "cartesian":
+        doubt = on_an_arc(log, sensor)
     else:
-        if options.residual != EdgeOptions.residual:
-            notes.append(f"residual={options.residual!r} has no effect: there are no landmark nodes {without}")
-        if options.weight == "pairs" and (note := pairs_overweight(log)):
-            notes.append(note)
-    if options.motion_weight != 1 and not options.with_motion:
-        notes.append(f"motion_weight={options.motion_weight:g} has no effect: there are no motion edges {without}")
-    return notes
+        doubt = None if options.landmark_nodes or options.weight != "pairs" else pairs_overweight(log)
+    return notes if doubt is None else [*notes, doubt]
 
 
 #: beyond so many standard deviations of the range the arc is said: on 12 logs each, 0.2 changed neither errors nor

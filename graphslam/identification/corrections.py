@@ -15,6 +15,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ..engine import engine
 from ..errors import LogError
 from ..errors.checks import check_choice, check_number, check_positive, first
 from ..log import Log, check_is_log
@@ -69,9 +70,9 @@ def motion_slopes(
             minutes of 50 Hz odometry 1.03 for 1.00); the mean over some time is an instrumental variable, which has hardly
             any part of it.
     """
-    log, motion = parameters.recorded, parameters.motion
+    log = parameters.recorded
     assert log.dt is not None
-    motions, by_control = motion.accumulated_slopes(controls, log.dt, log.control_starts)
+    motions, by_control = engine.accumulated_slopes(controls, log.dt, log.control_starts)
     by_parameter = np.zeros((len(motions), 3, len(parameters)))
     for k, speed, turn in control_slopes(parameters, smoothed_controls(parameters) if smooth else controls):
         each = by_control[:, :, 1] * turn[:, None]

@@ -11,7 +11,7 @@ the sensor sits at (sensor_ahead, sensor_left) of the robot's pose, and sighting
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
@@ -79,7 +79,7 @@ class Parameters:
         means, deviations: (K,) of their priors; a deviation is infinite where there is no prior.
         recorded: the log as it was recorded.
         motion, sensor: the noise models, and the nominal place of the sensor.
-        motion_weight: the factor on the motion edges, 1 for the lectures'.
+        options: those of the edges of the graph.
     """
 
     names: tuple[str, ...]
@@ -89,7 +89,7 @@ class Parameters:
     recorded: Log
     motion: MotionModel
     sensor: SensorModel
-    motion_weight: float = 1.0
+    options: EdgeOptions = field(default_factory=EdgeOptions)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -183,9 +183,7 @@ def declared(
     if "sensor_delay" in found and log.controls is None:
         raise GraphError(f"{log.name} has no controls, which sensor_delay needs")
     means = np.array([ideal_values(sensor)[name] for name in found])
-    return Parameters(
-        tuple(found), means, means, np.array(list(found.values())), log, motion, sensor, options.motion_weight
-    )
+    return Parameters(tuple(found), means, means, np.array(list(found.values())), log, motion, sensor, options)
 
 
 def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[str, float]:

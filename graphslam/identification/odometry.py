@@ -36,8 +36,42 @@ OF_SENSOR = tuple(f.name for f in fields(SensorModel) if f.name not in SensorMod
 
 #: the least epsilon [m², rad²] that a calibrated model has, because A M A' has only rank 2
 LEAST_EPSILON = 1e-9
-#: the least variances of calibrated models: noise that is smaller counts as this, (0.01 mm)² or (0.01 mrad)²
-LEAST = {"epsilon": LEAST_EPSILON, "range_std": 1e-10, "bearing_std": 1e-10, "orientation_std": 1e-10}
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is believed of a number of the noise models before a log says more.
+
+    Attributes:
+        typical: its typical value, where it is estimated without a truth; that of a noise per recorded control is for one
+            second of controls.
+        unusual: a value above this is that of hardly any robot. That of ways [m/√m] is for ways of at most a metre in a
+            second, and grows with the root of the way, of which it is the same part.
+        cause: what a value above may be.
+        least: the least variance in a calibrated model: noise that is smaller counts as this, (0.01 mm)² or (0.01 mrad)².
+    """
+
+    typical: float | None
+    unusual: float = np.inf
+    cause: str = ""
+    least: float | None = None
+
+
+_TURNS = "the turn rate has another sign or unit, or bearings count clockwise"
+#: the numbers of the noise models that logs tell
+NOISE = {
+    "nn": Noise(0.01, 0.3, "the speed is in another unit, or ids are wrong"),
+    "on": Noise(0.01, 0.2, _TURNS),
+    "oo": Noise(0.02, 0.15, _TURNS),
+    "slip": Noise(0.004, 0.3, "the robot does not move along its heading"),
+    "sigma_omega": Noise(0.001),
+    "epsilon": Noise(None, least=LEAST_EPSILON),
+    "range_rate": Noise(0.01, 0.3, "ranges and odometry have other units, or ids are wrong"),
+    "range_std": Noise(0.03, least=1e-10),
+    "bearing_std": Noise(0.01, 0.3, "bearings count clockwise or from another axis, or ids are wrong", least=1e-10),
+    "orientation_std": Noise(0.02, least=1e-10),
+}
+LEAST = {name: each.least for name, each in NOISE.items() if each.least is not None}
 
 #: an epsilon that vanishes beside every other variance
 NOTHING = 1e-20

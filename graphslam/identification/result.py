@@ -26,6 +26,7 @@ from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .corrections import corrected_log, honest_variances
 from .declared import ParameterEstimate
+from .odometry import NOISE
 from .sighting_errors import LAGS, Ids, Predictions
 from .unknowns import DEGREES_SIGHTINGS, HELD, PRIORS, Unknowns
 
@@ -149,16 +150,6 @@ CAUSES = {
     "sensor_left": "is the place of the sensor right (sensor offset)?",
     "sensor_delay": "do odometry and sensor have the same clock?",
 }
-#: noise above this is that of hardly any robot, for which these are likely causes; {name: (value, what it may be)}. That of
-#: ways [m/√m] is for ways of at most a metre in a second, and grows with the root of the way, of which it is the same part.
-UNUSUAL = {
-    "nn": (0.3, "the speed is in another unit, or ids are wrong"),
-    "on": (0.2, "the turn rate has another sign or unit, or bearings count clockwise"),
-    "oo": (0.15, "the turn rate has another sign or unit, or bearings count clockwise"),
-    "slip": (0.3, "the robot does not move along its heading"),
-    "range_rate": (0.3, "ranges and odometry have other units, or ids are wrong"),
-    "bearing_std": (0.3, "bearings count clockwise or from another axis, or ids are wrong"),
-}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -233,14 +224,15 @@ class RobotEstimate:
                     "wrong, so are the trajectory and its standard deviations"
                 )
         # of single sightings
-        of_sensor = {name: value / self.inflation**0.5 for name, value in vars(self.sensor).items() if name in UNUSUAL}
+        of_sensor = {name: value / self.inflation**0.5 for name, value in vars(self.sensor).items() if name in NOISE}
         values = vars(self.motion) | of_sensor
         speed = 0.0 if self.log.controls is None else float(np.sqrt(np.mean(self.log.controls[:, 0] ** 2)))
         larger = dict.fromkeys(("nn", "slip"), max(speed, 1.0) ** 0.5)
         lines += [
-            f"{name}, estimated as {values[name]:.2g}, is more than usual robots have (at most {most:.2g}): perhaps {why}"
-            for name, (usual, why) in UNUSUAL.items()
-            if name in self.errors and self.errors[name] < 1 and values[name] > (most := usual * larger.get(name, 1.0))
+            f"{name}, estimated as {values[name]:.2g}, is more than usual robots have (at most {most:.2g}): perhaps "
+            + of.cause
+            for name, of in NOISE.items()
+            if self.errors.get(name, 1) < 1 and values[name] > (most := of.unusual * larger.get(name, 1.0))
         ]
         if self.basis == DEAD_RECKONING:
             lines.append(

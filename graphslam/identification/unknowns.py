@@ -50,7 +50,7 @@ from ..se2 import (
 )
 from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
-from .odometry import LEAST_EPSILON, STILL, Edges, Odometry, near, sensor_parts, with_variances
+from .odometry import LEAST_EPSILON, NOISE, STILL, Edges, Odometry, near, sensor_parts, with_variances
 
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
 #: only its quotient with the scale of the wheels is identifiable.
@@ -58,12 +58,8 @@ PRIORS = {
     "wheel_scale": 0.03, "turn_scale": 0.03, "turn_rate_bias": 0.01, "curvature_bias": 0.01, "range_bias": 0.03,
     "bearing_bias": 0.03, "sensor_ahead": 0.05, "sensor_left": 0.03, "sensor_delay": 0.1,
 }  # fmt: skip
-#: typical standard deviations of the noise, the centres of priors on the logarithms of the variances; those of the models'
-#: fields per recorded control are for one second of controls
-TYPICAL = {
-    "nn": 0.01, "on": 0.01, "oo": 0.02, "slip": 0.004, "sigma_omega": 0.001,
-    "range_rate": 0.01, "range_std": 0.03, "bearing_std": 0.01, "orientation_std": 0.02,
-}  # fmt: skip
+#: typical standard deviations of the noise, the centres of priors on the logarithms of the variances
+TYPICAL = {name: each.typical for name, each in NOISE.items() if each.typical is not None}
 #: the standard deviation of the logarithm of a variance about its typical value
 SPREAD = 5.0
 #: the most that the logarithm of a variance changes in one step
@@ -223,8 +219,6 @@ class Unknowns:
         """The noise models whose Gaussian errors the variances fit, and the estimated place of the sensor."""
         variances = self.variances
         sightings, sensor = OF_GAUSSIAN_SIGHTINGS[self.numbers], corrected_sensor(self.parameters)
-        if "range_std" in self.sensor_parts:
-            sensor = replace(sensor, range_rate=0.0, range_std=1.0)
         return (
             with_variances(STILL, {name: variances[name] / OF_GAUSSIAN_MOTIONS for name in self.motion_parts}),
             with_variances(sensor, {name: variances[name] / sightings for name in self.sensor_parts}),

@@ -36,8 +36,8 @@ from ..log import Log
 from ..log.join import end_to_end
 from ..log.measurements import NOT_POSITIVE, AbsolutePositions, PartialSightings, PoseRelations, not_positive, symmetric
 from ..log.rows import ReadOptions
-from ..models import MotionModel, SensorModel, sinc
-from ..se2 import Array, between, difference, wrap
+from ..models import MotionModel, SensorModel
+from ..se2 import Array, between, difference, sinc, wrap
 from .base import Format
 
 #: tag -> whether a time comes first, how many names, how many numbers, form of the line
@@ -314,7 +314,7 @@ def _sensor(file: _File, ranges: list[_Row], seen: list[_Row]) -> tuple[SensorMo
     lengths = np.concatenate([r, [row.numbers[0] for row in ranges]])
     variances = np.concatenate([np.einsum("ni,nij,nj->n", along, C, along), [row.numbers[1] for row in ranges]])
     bearings = np.einsum("ni,nij,nj->n", across, C, across) / r**2
-    values: dict[str, Any] = {}
+    rate = constant = middle = None
     ratios = [np.ones(1)]
     if len(lengths):
         A = np.column_stack([lengths**2, np.ones_like(lengths)]) / variances[:, None]
@@ -328,16 +328,15 @@ def _sensor(file: _File, ranges: list[_Row], seen: list[_Row]) -> tuple[SensorMo
             0.0 if part * scale < 1e-5 * variances.min() else part
             for part, scale in ((rate, lengths.max() ** 2), (constant, 1.0))
         )
-        values |= {"range_rate": float(rate**0.5), "range_std": float(constant**0.5)}
         ratios.append(variances / (rate * lengths**2 + constant))
     if len(bearings):
         middle = float(np.median(bearings))
-        values["bearing_std"] = middle**0.5
         ratios.append(bearings / middle)
     most = float(np.exp(np.abs(np.log(np.concatenate(ratios))).max() / 2))
+    sensor = SensorModel.of_variances(rate, constant, middle)
     if most < _DIFFER:
-        return SensorModel(**values), []
-    return SensorModel(**values), [
+        return sensor, []
+    return sensor, [
         "a log has one noise model of the sensor for all sightings: the standard deviations of single ones in the file "
         f"differ from it by up to a factor of {most:.2g}"
     ]

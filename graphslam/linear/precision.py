@@ -41,18 +41,18 @@ def check_magnitudes(log: Log, motion: MotionModel | None, sensor: SensorModel) 
     check_size(f"the initial poses of {log.name}", log.initial_poses)
     ranges = log.sightings[:, 0]
     check_size(f"the ranges of {log.name}", ranges, least=SMALLEST)
-    along = np.hypot(ranges * sensor.range_rate, sensor.range_std)
-    across = ranges * sensor.bearing_std
+    bearing, orientation = sensor.bearing_std, sensor.orientation_std
+    along, across = np.hypot(ranges * sensor.range_rate, sensor.range_std), ranges * bearing
     if (k := first(np.maximum(along / across, across / along) > PART**-0.5)) is not None:
         raise GraphError(
             f"{log.name}: the noise of sighting {k} is {along[k]:.2g} m along the line of sight and {across[k]:.2g} m "
-            f"across it, and double precision holds a ratio of {PART**-0.5:.0e} at most; change range_rate, range_std or "
-            "bearing_std"
+            f"across it, and double precision holds a ratio of {PART**-0.5:.0e} at most; change range_rate, "
+            "range_std or bearing_std"
         )
-    if log.has_orientation and sensor.orientation_std < PART**0.5 * sensor.bearing_std:
+    if log.has_orientation and orientation < PART**0.5 * bearing:
         raise GraphError(
-            f"orientation_std, {sensor.orientation_std:.2g} rad, is too small beside bearing_std, "
-            f"{sensor.bearing_std:.2g} rad, for double precision; their ratio may be {PART**0.5:.0e} at least"
+            f"orientation_std, {orientation:.2g} rad, is too small beside bearing_std, {bearing:.2g} rad, for double "
+            f"precision; their ratio may be {PART**0.5:.0e} at least"
         )
 
 

@@ -17,8 +17,7 @@ import numpy as np
 
 from ..errors import LogError, decimals, named, quoted, shortened
 from ..errors.checks import first
-from ..models import sinc
-from ..se2 import Array, between
+from ..se2 import Array, between, sinc
 from .rows import MOST_CLASSES, NO_CLASS, UNIDENTIFIED, Fault, without_no_id
 from .table import Table
 from .text_table import MISSING

@@ -397,7 +397,7 @@ class Log:
 
     def nearer_than(self, most: float) -> Log:
         """The same log without sightings from farther than ``most`` [m]; bearings alone stay."""
-        check_positive(max_range=most)
+        check_positive(most=most)
         partial = self.partial_sightings
         near = None if partial is None else partial.among(~(partial.ranges > most))
         return self.with_sightings(self.sightings[:, 0] <= most, partial_sightings=near)

@@ -17,9 +17,8 @@ from itertools import chain
 import numpy as np
 
 from ..log import Log
-from .findings import Finding, distances_of
 from .given import against_map, against_truth
-from .ids import changed_ids, ids_of, misread, misread_ids
+from .ids import Finding, changed_ids, distances_of, ids_of, misread, misread_ids
 from .readings import readings_of, sizes
 
 __all__ = ["Finding", "check_log"]

@@ -14,7 +14,7 @@ from ..log import Log
 from ..log.rows import UNIDENTIFIED
 from ..models import SensorModel
 from ..se2 import Array, between, wrap
-from .findings import Distances, Finding
+from .ids import Distances, Finding
 
 #: motions that are needed
 _FEWEST = 20

@@ -21,7 +21,7 @@ from ..log import Log
 from ..log.rows import UNIDENTIFIED
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
-from .findings import Finding
+from .ids import Finding
 
 #: the largest range stands for no measurement where, of at least the first number of sightings, at least the second have it,
 #: and it is longer than the next one by at least this factor

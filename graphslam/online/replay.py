@@ -32,9 +32,9 @@ from ..graph.trilateration import places_of_rows
 from ..log import Log
 from ..models import SensorModel
 from ..se2 import Array
-from ..solvers.corrected import motion_edges
 from ..solvers.initialize import image_notes, partial_edges
 from ..solvers.iteration import Run
+from ..solvers.joint import motion_edges
 from ..solvers.solution import Solution, doubted, make_solution
 from .backend import FREE_START, Relation
 from .solver import OnlineSolver, backend_options

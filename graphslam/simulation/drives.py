@@ -24,6 +24,7 @@ from ..log.streams import Stream, synchronize
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .places import PLACES, Path, Place, follow
+from .worlds import SENSORS
 
 #: motions are exact but for their noise; the models need a variance above zero [m², rad²]
 EPSILON = 1e-9
@@ -43,15 +44,6 @@ SPREADS = {
     "bearing_bias": 0.02, "sensor_ahead": 0.1, "sensor_left": 0.05, "sensor_delay": 0.04,
 }  # fmt: skip
 
-#: the sensors by name, with typical noise
-SENSORS = {
-    "camera": SensorModel(range_rate=0.02, range_std=0.01, bearing_std=0.006, orientation_std=0.04, min_range=0.4,
-                          max_range=8.0, field_of_view=1.92),
-    "laser": SensorModel(range_rate=0.0, range_std=0.03, bearing_std=0.006, orientation_std=0.05, min_range=0.2,
-                         max_range=11.0, field_of_view=3 * pi / 2),
-    "reflectors": SensorModel(range_rate=0.0, range_std=0.02, bearing_std=0.003, orientation_std=0.05, min_range=0.5,
-                              max_range=30.0),
-}  # fmt: skip
 #: wheels with typical noise
 WHEELS = MotionModel(nn=0.015, no=0.0015, on=0.008, oo=0.015, slip=0.005, epsilon=EPSILON)
 
@@ -139,8 +131,8 @@ class Drive:
 
     def __post_init__(self) -> None:
         check_options(self)
-        if self.sensor.max_range == np.inf:
-            raise OptionError("sensor needs a max_range: a drive has no other limit of sight")
+        if not np.isfinite(self.sensor.max_range):
+            raise OptionError("sensor needs a max_range, because a drive has no other limit of sight")
         if unknown := self.parameters.keys() - PARAMETERS.keys():
             raise OptionError(f"parameters: there is no {sorted(unknown)[0]!r}; they are {', '.join(PARAMETERS)}")
         whole = {name: float(self.parameters.get(name, p.ideal)) for name, p in PARAMETERS.items()}
@@ -301,7 +293,7 @@ def _noise_of_sensor(kind: str, rng: np.random.Generator) -> SensorModel:
     """The noise of a sensor, over more than a decade; one in ten is almost perfect."""
     typical, best = SENSORS[kind], rng.random() < 0.1
     numbers = {}
-    for name in ("range_rate", "range_std", "bearing_std", "orientation_std"):
+    for name in typical.NOISE:
         factor = _between(rng, 0.3, 3.0) * (0.1 if best else 1.0)
         numbers[name] = getattr(typical, name) * factor
     return replace(typical, **numbers)
@@ -324,9 +316,10 @@ def _noise_of_wheels(rate: float, rng: np.random.Generator) -> tuple[MotionModel
 
 def _reaching(sensor: SensorModel, place: str, rng: np.random.Generator) -> SensorModel:
     """The sensor with a range and a view of its own; in the open it sees farther."""
-    reach = sensor.max_range * rng.uniform(0.8, 1.2) * (2.0 if place == "field" and sensor.max_range < 20 else 1.0)
-    view = min(2 * pi, sensor.field_of_view * float(rng.uniform(0.9, 1.1)))
-    return replace(sensor, max_range=float(reach), field_of_view=2 * pi if sensor.max_range >= 20 else view)
+    least, most, view = sensor.limits
+    reach = most * rng.uniform(0.8, 1.2) * (2.0 if place == "field" and most < 20 else 1.0)
+    view = min(2 * pi, view * float(rng.uniform(0.9, 1.1)))
+    return sensor.with_limits(least, float(reach), 2 * pi if most >= 20 else view)
 
 
 def _biases(rng: np.random.Generator, precise: bool, gyroscope: bool) -> dict[str, float]:

@@ -123,10 +123,10 @@ def simulate(
     else:
         poses, controls, biases = _drive(world, motion_faults or MotionFaults(), arena, rng)
     # the stricter limits of sight count, those of the world or those of the sensor; at no distance there is no direction
-    camera = replace(
-        sensor, min_range=max(world.min_range, sensor.min_range, 1e-9), max_range=min(world.max_range, sensor.max_range),
-        field_of_view=min(world.field_of_view, sensor.field_of_view),
-    )  # fmt: skip
+    least, most, view = sensor.limits
+    camera = sensor.with_limits(
+        max(world.min_range, least, 1e-9), min(world.max_range, most), min(world.field_of_view, view)
+    )
     at, seen = _visible(camera, poses, landmarks)
     exact = sensor.h(poses[at], landmarks[seen])
     if world.clean:

@@ -1,4 +1,4 @@
-"""`World`: the course of a simulated robot, its landmarks and camera; named worlds; the sample log; and single numbers.
+"""`World`: the course of a simulated robot, its landmarks and camera; named worlds and sensors; a sample log; single numbers.
 
 `simulate_single_numbers` makes logs of sensors that measure one number: ranges of radio beacons, or bearings of a camera.
 """
@@ -107,6 +107,17 @@ WORLDS: dict[str, World] = {
 }  # fmt: skip
 
 
+#: the sensors by name, with typical noise
+SENSORS = {
+    "camera": SensorModel(range_rate=0.02, range_std=0.01, bearing_std=0.006, orientation_std=0.04, min_range=0.4,
+                          max_range=8.0, field_of_view=1.92),
+    "laser": SensorModel(range_rate=0.0, range_std=0.03, bearing_std=0.006, orientation_std=0.05, min_range=0.2,
+                         max_range=11.0, field_of_view=3 * pi / 2),
+    "reflectors": SensorModel(range_rate=0.0, range_std=0.02, bearing_std=0.003, orientation_std=0.05, min_range=0.5,
+                              max_range=30.0),
+}  # fmt: skip
+
+
 def sample_log_path() -> Path:
     """The log shipped with the package, made by ``slam-compare simulate sample.npz --world garden --seed 1``."""
     return Path(str(files("graphslam") / "data" / "sample.npz"))
@@ -118,7 +129,7 @@ SIZE = 40.0
 NUMBERS = ("range", "bearing")
 #: the noise of a mower with radio beacons or a camera
 MOTION = MotionModel(nn=0.03, no=0.001, on=0.01, oo=0.03, epsilon=1e-8)
-SENSOR = SensorModel(range_rate=0.0, range_std=0.1, bearing_std=0.02)
+SENSOR = SensorModel.constant(0.1, 0.02)
 
 
 def simulate_single_numbers(

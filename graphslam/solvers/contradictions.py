@@ -33,6 +33,9 @@ the robot drove or turned by d more than the odometry says, beside the constant 
 solution varies less than v_k, so that z of a right model is at most a standard normal number. Where models are too narrow,
 all stretches have large ones: z counts in units of their median over all stretches of the same length.
 
+**Scans.** A sensor that shakes, or times that are inexact, give all sightings of one scan the same error, whereas the noise
+models have independent ones. `errors_of_scans` finds its covariance, which `Solution.covariance` adds.
+
 Sources: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948; Baarda, *A testing
 procedure for use in geodetic networks*, 1968 (the covariance of residuals); Kulldorff, *A spatial scan statistic*, 1997 (the
 largest abs(z) of all stretches).
@@ -41,6 +44,7 @@ largest abs(z) of all stretches).
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -51,9 +55,8 @@ from ..graph import Graph
 from ..graph.localization import SURE
 from ..linear.cholesky import Bordered, FactorizationError
 from ..se2 import Array, between, turn_matrix, wrap
-from .corrected import motion_edges
 from .iteration import end_of, levenberg_marquardt
-from .joint import JointFactor, JointGraph, times
+from .joint import JointFactor, JointGraph, motion_edges, times
 from .map_errors import likeliest_deviation
 from .uncertainty import Uncertainty
 
@@ -338,7 +341,7 @@ def _lever_step(graph: Graph, families: list[PositionEdges], state: Array) -> tu
     return np.linalg.solve(S, g) if determined else np.zeros(2), S
 
 
-def _motion_errors(graph: Graph, state: Array) -> tuple[RelativePoseEdges, Array, Array] | None:
+def _motion_errors(graph: Graph, state: Array) -> tuple[Any, Array, Array] | None:
     """The motion edges of a log with times, their errors (E, 3) and variances (E, 3, 3); None where there are too few."""
     edges, log = motion_edges(graph), graph.log
     if edges is None or log is None or log.times is None or edges.count < FEWEST_MOTIONS:
@@ -408,11 +411,12 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     C = -(e[:-1][joined].T @ e[1:][joined]) / count
     values, axes = np.linalg.eigh((C + C.T) / 2)
     C = (axes * np.maximum(values, 0.0)) @ axes.T
-    sizes = [f"{C[k, k] ** 0.5:.2g} {unit}" for k, unit in ((0, "m forward"), (1, "m to the left"), (2, "rad")) if cancel[k]]
+    sizes = {"m": np.sqrt(C[0, 0] + C[1, 1]), "rad": np.sqrt(C[2, 2])}
+    said = ", ".join(f"{size:.2g} {unit}" for unit, size in sizes.items() if size > 0)
     return C, (
-        f"the sightings of each scan have an error in common of about {', '.join(sizes)}, as where the sensor shakes or times "
-        f"are inexact, or encoders count coarse ticks: errors of successive motions cancel each other (correlation "
-        f"{correlations.min():.2f}). The covariances of poses contain it, those of landmarks do not"
+        f"the sightings of each scan have an error in common of about {said}, as where the sensor shakes, times are inexact, or "
+        f"encoders count coarse ticks: errors of successive motions cancel each other (correlation {correlations.min():.2f}). "
+        "Covariances contain it"
     )
 
 

@@ -45,9 +45,9 @@ from ..graph import Graph
 from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
 from .agreement import Trusted, grown_trust
-from .corrected import corrected, sighted_edges
 from .initialize import partial_edges, place_landmarks
 from .iteration import refuse, rough
+from .joint import corrected, sighted_edges
 from .minimize import minimize, without_parameters
 from .solution import Solution
 

@@ -33,11 +33,10 @@ from ..identification.corrections import corrected_controls, motion_slopes, move
 from ..models import RANGE_NOISES
 from ..se2 import Array, difference, turn_matrix, turned_by, wrap
 from .auto import DAMPED, best_end
-from .corrected import controls_of
 from .gtsam_factors import eliminated_landmarks, from_values, to_gtsam, to_values
 from .initialize import starting_state
 from .iteration import PROMISE, Run, rounding
-from .joint import JointGraph
+from .joint import JointGraph, controls_of
 from .minimize import FIRST, at_estimated_ranges, best_of_starts, takes_estimated_ranges
 from .solution import Solution, doubted, make_solution
 

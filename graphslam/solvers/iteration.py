@@ -17,7 +17,7 @@ from ..graph import Graph
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
 from ..se2 import Array
-from .corrected import undetermined
+from .joint import undetermined
 
 
 def objective_of(graph: Any) -> Any:

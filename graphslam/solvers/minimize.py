@@ -19,10 +19,9 @@ from ..errors import GraphError, SlamError
 from ..graph import Graph
 from ..se2 import Array, difference, wrap
 from .auto import best_end
-from .corrected import corrected, finished, negative_information
 from .initialize import image_notes, partial_edges, starting_state
 from .iteration import Iteration, Run, gauss_newton, levenberg_marquardt
-from .joint import JointGraph, check_observable
+from .joint import JointGraph, check_observable, corrected, finished, negative_information
 from .solution import Solution, make_solution
 
 #: the nodes are first solved to this tolerance, at the given parameters

@@ -31,8 +31,8 @@ from ..metrics import pose_nees
 from ..se2 import Array, difference, turned_by, wrap
 from .certificate import Certificate, prove
 from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_odometry, doubt_of_positions, errors_of_scans
-from .corrected import motion_edges
 from .iteration import Run
+from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
 from .uncertainty import Uncertainty, anchored, doubts, ids_of, shaped
 

@@ -22,8 +22,7 @@ from ..identification.corrections import control_noise_at_steps
 from ..identification.declared import Parameters
 from ..linear.cholesky import Factor, FactorizationError
 from ..se2 import Array, perpendicular, turned_by
-from .corrected import motion_edges, undetermined
-from .joint import JointFactor, JointGraph
+from .joint import JointFactor, JointGraph, motion_edges, undetermined
 
 
 class Uncertainty:
@@ -189,13 +188,18 @@ class Uncertainty:
 
 def anchored(graph: Graph) -> np.ndarray:
     """The nodes of poses that anchors hold."""
-    return np.concatenate([np.zeros(0, dtype=int), *(each.nodes for each in graph.families if type(each) is AnchorEdges)])
+    return np.concatenate(
+        [np.zeros(0, dtype=int), *(each.nodes for each in graph.families if type(each) is AnchorEdges)]
+    )
 
 
 def _with_wider_anchors(graph: Graph, state: Array, covariance: Array) -> Graph:
     """The graph with the covariance (3, 3), in the axes of each pose, added to that of each anchor."""
     families = [
-        replace(each, information=np.linalg.inv(np.linalg.inv(each.information) + turned_by(covariance, state[each.nodes, 2])))
+        replace(
+            each,
+            information=np.linalg.inv(np.linalg.inv(each.information) + turned_by(covariance, state[each.nodes, 2])),
+        )
         if type(each) is AnchorEdges
         else each
         for each in graph.families

@@ -449,8 +449,8 @@ def test_a_figure_of_the_page_that_fails_is_a_sentence(comparison: Comparison, m
     def fails(*_: object) -> None:
         raise ValueError("too large")
 
-    monkeypatch.setattr("comparisons.show.report.page.pictures", fails)
-    monkeypatch.setattr("comparisons.show.report.page.iterations", fails)
+    monkeypatch.setattr("comparisons.show.report.charts.pictures", fails)
+    monkeypatch.setattr("comparisons.show.report.charts.iterations", fails)
     elements = Elements(page_of(comparison))
     assert elements.text.count("Left out: ValueError: too large.") == 2
     assert set(elements.data["figures"]) == {"map", "errors", "costs"}

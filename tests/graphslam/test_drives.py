@@ -15,8 +15,9 @@ from graphslam.identification.declared import PARAMETERS
 from graphslam.log.rows import UNIDENTIFIED
 from graphslam.log.streams import Stream, truth_at
 from graphslam.se2 import between, wrap
-from graphslam.simulation.drives import SENSORS, SPREADS, correlated_errors
+from graphslam.simulation.drives import SPREADS, correlated_errors
 from graphslam.simulation.places import PLACES, Place, follow
+from graphslam.simulation.worlds import SENSORS
 
 BIASES = {
     "wheel_scale": 0.97, "turn_scale": 1.01, "turn_rate_bias": -0.006, "curvature_bias": 0.004, "range_scale": 1.01,

@@ -4,8 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from graphslam import MotionModel, OptionError, SensorModel
-from graphslam.models import sinc_derivative
-from graphslam.se2 import wrap
+from graphslam.se2 import sinc_derivative, wrap
 
 motion, sensor = MotionModel(), SensorModel()
 angle = st.floats(-np.pi, np.pi)

@@ -20,6 +20,7 @@ from graphslam import (
     solve_online,
     solve_with_gtsam,
 )
+from graphslam.engine import engine
 from graphslam.identification.corrections import (
     controls_at_steps,
     corrected_controls,
@@ -76,9 +77,8 @@ def test_derivatives_are_those_of_the_corrections(biased: Log) -> None:
         here = p.at(v)
         z = corrected_sightings(here, rows, 3)
         facing = corrected_sensor(here).h_inverse(np.zeros(3), z)
-        return here.motion.accumulated_slopes(corrected_controls(here), p.recorded.dt, p.recorded.control_starts)[
-            0
-        ], facing
+        log = p.recorded
+        return engine.accumulated_slopes(corrected_controls(here), log.dt, log.control_starts)[0], facing
 
     _, slopes = motion_slopes(p, corrected_controls(p))
     X = moves(p, corrected_sightings(p, rows, 3), controls_at_steps(p)[p.recorded.steps])

@@ -49,7 +49,8 @@ from graphslam.identification.unknowns import (
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import evaluate
 from graphslam.se2 import between, wrap
-from graphslam.simulation.drives import SENSORS, DriveTruth
+from graphslam.simulation.drives import DriveTruth
+from graphslam.simulation.worlds import SENSORS
 from graphslam.solvers.uncertainty import Uncertainty
 
 

@@ -18,8 +18,7 @@ from matplotlib.animation import FFMpegWriter
 from matplotlib.figure import Figure
 from PIL import Image
 
-from graphslam import OptionError
-from graphslam.errors import printable
+from graphslam.errors import OptionError, printable
 from graphslam.files import write_whole
 
 from ...results.files import check_can_write
@@ -59,8 +58,7 @@ def write_film(film: Film, path: Path, progress: Callable[[], None]) -> None:
         try:
             _WRITERS[path.suffix.lower()](film, temporary, progress)
         except subprocess.CalledProcessError as error:
-            lines = (error.stderr or "").strip().splitlines()
-            reason = lines[-1] if lines else f"status {error.returncode}"
+            reason = [f"status {error.returncode}", *(error.stderr or "").strip().splitlines()][-1]
             raise OptionError(f"{path}: ffmpeg failed: {reason}") from None
 
 
@@ -95,10 +93,9 @@ def _write_gif(film: Film, path: Path, progress: Callable[[], None]) -> None:
     rest = images()
     first = next(rest)
     # a file of our own, which is closed when the film is interrupted
+    timing = {"append_images": rest, "duration": durations, "loop": 0}
     with path.open("wb") as file:
-        first.save(
-            file, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0, disposal=1, optimize=False,
-        )  # fmt: skip
+        first.save(file, format="GIF", save_all=True, disposal=1, optimize=False, **timing)
 
 
 def _write_mp4(film: Film, path: Path, progress: Callable[[], None]) -> None:

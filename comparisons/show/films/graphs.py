@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
@@ -80,8 +81,7 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
+class _Run(NamedTuple):
     """The iterations from one start: the state after each, the norms of the corrections, and the solution."""
 
     start: str
@@ -93,10 +93,8 @@ class _Run:
 def _run(graph: Graph, start: str, method: str = "gauss-newton", max_iterations: int = 100) -> _Run:
     state = starting_state(graph, start)
     steps: list[Iteration] = []
-    solution = solve(
-        graph.with_initial(state), initialize="given", method=method, max_iterations=max_iterations,
-        callback=steps.append,
-    )  # fmt: skip
+    rules: dict[str, Any] = {"method": method, "max_iterations": max_iterations, "callback": steps.append}
+    solution = solve(graph.with_initial(state), initialize="given", **rules)
     # a run that diverged ends at its last finite state
     finite = [step for step in steps if np.isfinite(step.state).all()]
     return _Run(start, (state, *(step.state for step in finite)), tuple(step.step_norm for step in finite), solution)
@@ -149,8 +147,7 @@ def isam2_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
     Raises:
         GraphError, OptionError: ISAM2 cannot do what is asked for on this log.
     """
-    options = isam2_options(log, options)
-    keywords = online_keywords(options)
+    keywords = online_keywords(isam2_options(log, options))
     wanted = set(kept(log.num_poses, animation.max_frames).tolist())
     frames: list[Frame] = []
 
@@ -232,18 +229,13 @@ def association_film(log: Log, options: RunOptions, animation: AnimationOptions,
         now, before = log.steps == step, log.steps <= step
         known = set(result.association[before].tolist())
         counts = np.bincount(numbers[before], minlength=len(_LABELS)).tolist()
-        frames.append(
-            Frame(
-                number=step,
-                caption=f"step {step}    " + ", ".join(f"{count} {each}" for each, count in zip(_LABELS, counts)),
-                poses=result.poses[: step + 1],
-                estimated=result.estimated[: step + 1],
-                landmarks={j: m for j, m in result.landmarks.items() if j in known},
-                landmark_covariances={j: S for j, S in result.landmark_covariances.items() if j in known},
-                lines=lines[now],
-                values=numbers[now],
-            )
-        )
+        frames.append(Frame(
+            number=step, caption=f"step {step}    " + ", ".join(f"{n} {each}" for each, n in zip(_LABELS, counts)),
+            poses=result.poses[: step + 1], estimated=result.estimated[: step + 1],
+            landmarks={j: m for j, m in result.landmarks.items() if j in known},
+            landmark_covariances={j: S for j, S in result.landmark_covariances.items() if j in known},
+            lines=lines[now], values=numbers[now],
+        ))  # fmt: skip
         progress()
     uncertain = np.bincount(log.steps[status != CONFIRMED], minlength=log.num_poses)
 

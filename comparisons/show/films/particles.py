@@ -86,13 +86,11 @@ def _particles(log: Log, filter: ParticleFilter, state: ParticleState, resamplin
         number=state.step,
         caption=f"step {state.step}    effective particles {state.ess:,.0f} ({state.ess / len(state.poses):.0%})",
         flash="" if not resamplings else "resampled" if resamplings == 1 else f"resampled {resamplings} ×",
-        poses=filter.trajectory(),
-        landmarks={j: estimate.mean for j, estimate in estimates.items()},
-        landmark_covariances={j: estimate.covariance for j, estimate in estimates.items()},
-        dots=state.poses[every].copy(),
+        poses=filter.trajectory(), landmarks={j: estimate.mean for j, estimate in estimates.items()},
+        landmark_covariances={j: estimate.covariance for j, estimate in estimates.items()}, dots=state.poses[every].copy(),
         values=np.exp(state.log_weights - state.log_weights.max())[every],
         sightings=filter.sensor.h_inverse(state.best_pose, seen)[:, :2],
-    )
+    )  # fmt: skip
 
 
 def _add_particles(scene: Scene) -> None:
@@ -165,14 +163,11 @@ def _samples(result: GibbsResult, number: int) -> SampleFrame:
     so_far = Samples(result.trajectories[:, : number + 1], result.maps[:, : number + 1], result.ids)
     rows = kept(number, -(-MOST_SAMPLES // chains)) if number else np.empty(0, dtype=np.int64)
     return SampleFrame(
-        number=number,
-        caption=f"sweep {number + 1}    {chains * (number + 1)} samples",
-        poses=so_far.poses,
-        landmarks=so_far.landmarks,
-        paths=result.trajectories[:, number],
+        number=number, caption=f"sweep {number + 1}    {chains * (number + 1)} samples", poses=so_far.poses,
+        landmarks=so_far.landmarks, paths=result.trajectories[:, number],
         earlier=result.trajectories[:, rows].reshape(-1, *result.trajectories.shape[2:]),
         dots=result.maps[:, np.append(rows, number), :, :2].reshape(-1, 2),
-    )
+    )  # fmt: skip
 
 
 def _trace(result: GibbsResult) -> tuple[Array, str]:

@@ -196,11 +196,9 @@ class Film:
     def _repr_html_(self) -> str:
         """The player, in an iframe so that several films in one notebook do not interfere."""
         height, width = self.pictures[0].shape[:2]
-        document = escape(player(self, lambda: None), quote=True)
-        return (
-            f'<iframe srcdoc="{document}" title="{escape(self.title, quote=True)}" width="{width + 40}" '
-            f'height="{height + 90}" style="border:0;max-width:100%"></iframe>'
-        )
+        document, title = escape(player(self, lambda: None)), escape(self.title)
+        size = f'width="{width + 40}" height="{height + 90}" style="border:0;max-width:100%"'
+        return f'<iframe srcdoc="{document}" title="{title}" {size}></iframe>'
 
 
 class Scene:
@@ -269,9 +267,8 @@ class Scene:
 
     def finish(self) -> Show:
         """Add caption and legend, and return what draws a frame."""
-        caption = self.plane.annotate(
-            "", (0, 1), (0, 4), xycoords="axes fraction", textcoords="offset points", va="bottom", animated=True
-        )
+        above: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
+        caption = self.plane.annotate("", (0, 1), (0, 4), animated=True, **above)
         flash = self.plane.text(
             0.985, 0.975, "", ha="right", va="top", color="white", weight="bold", size=10, animated=True,
             transform=self.plane.transAxes,
@@ -299,10 +296,8 @@ class Scene:
         line.set_animated(True)
 
         def move(frame: Frame) -> list[Artist]:
-            poses = frame.poses
-            line.set_data(
-                *self.along(poses if frame.estimated is None else np.where(frame.estimated[:, None], poses, np.nan)).T
-            )
+            drawn = np.ones(len(frame.poses), dtype=bool) if frame.estimated is None else frame.estimated
+            line.set_data(*self.along(np.where(drawn[:, None], frame.poses, np.nan)).T)
             return [line]
 
         self.add(move)
@@ -314,12 +309,8 @@ class Scene:
         return lines
 
     def add_coloured(
-        self,
-        norm: Normalize,
-        colours: Colormap,
-        drawn: Callable[[Any], tuple[Array, Array]] | None = None,
-        **style: Any,
-    ) -> None:
+        self, norm: Normalize, colours: Colormap, drawn: Callable[[Any], tuple[Array, Array]] | None = None, **style: Any,
+    ) -> None:  # fmt: skip
         """Lines (E, 2, 2) in the picture in the colours of values (E,): those that a frame has, or ``drawn`` of a frame."""
         lines = self.add_lines(cmap=colours, norm=norm, **style)
 
@@ -340,9 +331,8 @@ class Scene:
 
         def move(frame: Frame) -> list[Artist]:
             ends = self.moved(frame.sightings)
-            lines.set_segments(
-                list(np.stack([np.broadcast_to(self.placed(frame.poses[-1:]), ends.shape), ends], axis=1))
-            )
+            begins = np.broadcast_to(self.placed(frame.poses[-1:]), ends.shape)
+            lines.set_segments(list(np.stack([begins, ends], axis=1)))
             return [lines]
 
         self.add(move)

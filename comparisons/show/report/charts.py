@@ -17,6 +17,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from graphslam.se2 import Array, difference
 from ...comparison import Comparison
 from ...estimators import pair_count
 from ...options import RunOptions
+from ...results.files import time_axis
 from ..canvas import INK, ITERATIONS, MATCHED, MATRIX, colour_of, true_landmarks
 from ..figures import ellipses
 from .view import Estimate, Figure, View, axis, layout, line_of, logarithmic, place, short
@@ -53,15 +55,9 @@ def paths_figure(view: View) -> Figure:
     traces.append(_silent({"layer": "matches"}, "lines", visible=False, line={"color": MATCHED, "width": 1.2}))
     for estimate in view.estimates:
         traces += _now(estimate)
-    return {
-        "data": traces,
-        "layout": layout(
-            xaxis=axis("x [m]", constrain="domain", range=_range(view, 0)),
-            yaxis=axis("y [m]", scaleanchor="x", range=_range(view, 1)),
-            dragmode="pan",
-            uirevision="kept",
-        ),
-    }
+    x = axis("x [m]", constrain="domain", range=_range(view, 0))
+    y = axis("y [m]", scaleanchor="x", range=_range(view, 1))
+    return {"data": traces, "layout": layout(xaxis=x, yaxis=y, dragmode="pan", uirevision="kept")}
 
 
 def pose_columns(view: View, estimate: Estimate) -> list[list[float | int | None]]:
@@ -104,8 +100,7 @@ def _map(view: View, estimate: Estimate) -> list[dict[str, Any]]:
     if estimate.landmarks:
         traces.append({
             "type": "scatter", "mode": "markers", "meta": {"estimator": estimate.name, "layer": "landmarks"},
-            **_xy(np.array(list(estimate.landmarks.values()))),
-            "marker": {"color": colour_of(estimate.name), "size": 6},
+            **_xy(np.array(list(estimate.landmarks.values()))), "marker": {"color": colour_of(estimate.name), "size": 6},
             "customdata": [[j, _known(estimate, j)] for j in estimate.landmarks],
             "hovertemplate": f"<b>{estimate.name}</b>, landmark %{{customdata[0]}}<br>x %{{x:.3f}} m, y %{{y:.3f}} m"
             "<br>%{customdata[1]}<extra></extra>",
@@ -151,8 +146,7 @@ def _truth(view: View) -> list[dict[str, Any]]:
             traces.append(common | look | _xy(view.true_line) | {"hoverinfo": "skip"})
             look = {"mode": "markers", "marker": {"size": 6, "opacity": 0}}
         traces.append(common | look | {
-            **_xy(view.truth),
-            "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
+            **_xy(view.truth), "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
             "hovertemplate": f"<b>ground truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
         })  # fmt: skip
     if view.aligned_to and (landmarks := true_landmarks(view.log)):
@@ -190,9 +184,9 @@ def _range(view: View, column: int) -> list[float]:
     if view.truth is not None:
         parts.append((view.truth if view.true_line is None else view.true_line)[:, column])
     values = np.concatenate([np.empty(0), *parts])
-    values = values[np.isfinite(values)]
-    if len(values) == 0:
+    if not np.isfinite(values).any():
         return [-1.0, 1.0]
+    values = values[np.isfinite(values)]
     margin = 0.06 * max(float(np.ptp(values)), 1.0)
     return [float(values.min()) - margin, float(values.max()) + margin]
 
@@ -229,23 +223,17 @@ def iterations(log: Log, options: RunOptions) -> list[Iterations]:
     """
     if (pairs := pair_count(log)) > MOST_PAIRS:
         raise SlamError(f"{log.name} has {pairs} pairs of sightings, more than the limit of {MOST_PAIRS}")
+    of_log = partial(Graph.from_log, log, kernel="none", motion=options.motion, sensor=options.sensor)
     try:
-        world, body = _graphs(log, options, "virtual")
+        world, body = of_log(edges="virtual", frame="world"), of_log(edges="virtual", frame="body")
     except GraphError:
-        world, body = _graphs(log, options, "virtual+motion")
-    variants = [
-        plain_steps("textbook: anchor reset at every step", world, anchored=False),
-        plain_steps("world frame, fixed anchor", world, anchored=True),
-    ]
+        world, body = of_log(edges="virtual+motion", frame="world"), of_log(edges="virtual+motion", frame="body")
+    variants = [plain_steps("textbook: anchor reset at every step", world, anchored=False)]
+    variants.append(plain_steps("world frame, fixed anchor", world, anchored=True))
     for name, graph in (("world frame, Anderson acceleration", world), ("body frame", body)):
         solution = solve(graph, initialize="given", tolerance=TOLERANCE, max_iterations=MOST_STEPS)
         variants.append(Iterations(name, solution.costs, solution.step_norms))
     return variants
-
-
-def _graphs(log: Log, options: RunOptions, edges: str) -> list[Graph]:
-    models: dict[str, Any] = {"motion": options.motion, "sensor": options.sensor}
-    return [Graph.from_log(log, edges=edges, frame=frame, kernel="none", **models) for frame in ("world", "body")]
 
 
 def remarks(variants: Sequence[Iterations]) -> list[str]:
@@ -300,7 +288,7 @@ def errors_figure(view: View) -> Figure | None:
     """
     if view.measured_from is None:
         return None
-    where, name = view.abscissa
+    where, name = (view.steps.astype(float) if view.times is None else view.times), time_axis(view.log)
     drawn = [e for e in view.estimates if np.isfinite(e.errors).any() and e.name != view.measured_from]
     traces = [
         {
@@ -308,8 +296,7 @@ def errors_figure(view: View) -> Figure | None:
             "x": [place(v) for v in where], "y": [short(v) for v in estimate.errors],
             "customdata": [int(t) for t in view.steps],
             "hovertemplate": f"<b>{estimate.name}</b>, step %{{customdata}}<br>{name.split()[0]} %{{x}}<br>"
-            "%{y:.4f} m<extra></extra>",
-            **line_of(estimate.name),
+            "%{y:.4f} m<extra></extra>", **line_of(estimate.name),
         }
         for estimate in drawn
     ]  # fmt: skip
@@ -330,9 +317,8 @@ def errors_figure(view: View) -> Figure | None:
 def costs_figure(comparison: Comparison) -> Figure | None:
     """J (left) and the norm of the correction (right) over the iterations of each estimator; None where none iterates."""
     traces: list[dict[str, Any]] = []
-    for result in comparison.results:
-        meta = {"estimator": result.name, "layer": "cost"}
-        traces += _pair(result.name, result.costs, result.step_norms, meta, line_of(result.name))
+    for r in comparison.results:
+        traces += _pair(r.name, r.costs, r.step_norms, {"estimator": r.name, "layer": "cost"}, line_of(r.name))
     return {"data": traces, "layout": _two_panels(traces, "cost J")} if traces else None
 
 
@@ -356,16 +342,17 @@ def _pair(
 ) -> list[dict[str, Any]]:
     """The two curves of one iteration. J is known before the first step, so it begins at 0, unless only its end is known."""
     begins = len(norms) if len(costs) == 1 else 0
-    pair: list[dict[str, Any]] = []
-    for values, first, axes, what in ((costs, begins, {}, "J"), (norms, 1, {"xaxis": "x2", "yaxis": "y2"}, "norm")):
-        if len(values):
-            pair.append({
-                "type": "scatter", "meta": meta, "x": list(range(first, first + len(values))),
-                "y": [short(v, 7) if v > 0 else None for v in values],
-                "hovertemplate": f"<b>{name}</b><br>iteration %{{x}}<br>{what} %{{y:.6g}}<extra></extra>",
-                "showlegend": False, "cliponaxis": False, **axes, **look,
-            })  # fmt: skip
-    return pair
+    right = {"xaxis": "x2", "yaxis": "y2"}
+    curves: list[tuple[Any, ...]] = [(costs, begins, {}, "J"), (norms, 1, right, "norm")]
+    return [
+        {
+            "type": "scatter", "meta": meta, "x": list(range(first, first + len(values))),
+            "y": [short(v, 7) if v > 0 else None for v in values],
+            "hovertemplate": f"<b>{name}</b><br>iteration %{{x}}<br>{what} %{{y:.6g}}<extra></extra>",
+            "showlegend": False, "cliponaxis": False, **axes, **look,
+        }
+        for values, first, axes, what in curves if len(values)
+    ]  # fmt: skip
 
 
 def _two_panels(traces: Sequence[dict[str, Any]], cost: str) -> dict[str, Any]:
@@ -374,11 +361,10 @@ def _two_panels(traces: Sequence[dict[str, Any]], cost: str) -> dict[str, Any]:
         [v for t in traces if ("xaxis" in t) == second for v in t["y"] if v is not None] for second in (False, True)
     )
     return layout(
-        xaxis=axis("iteration", domain=[0, 0.44], **whole),
+        xaxis=axis("iteration", domain=[0, 0.44], **whole), yaxis=axis(cost, **logarithmic(left)),
         xaxis2=axis("iteration", domain=[0.56, 1], anchor="y2", **whole),
-        yaxis=axis(cost, **logarithmic(left)),
         yaxis2=axis("norm of the correction", anchor="x2", **logarithmic(right)),
-    )
+    )  # fmt: skip
 
 
 #: cells of a picture along each side; with more nodes several share a cell
@@ -458,15 +444,12 @@ def matrix_figure(before: Picture, after: Picture) -> Figure:
         })  # fmt: skip
     side = {"constrain": "domain", "showgrid": False, "mirror": True}
     down = side | {"autorange": "reversed"}
-    return {
-        "data": traces,
-        "layout": layout(
-            xaxis=axis("node, numbered as in the log", domain=[0, 0.46], **side),
-            xaxis2=axis("node, in the order of elimination", domain=[0.54, 1], anchor="y2", **side),
-            yaxis=axis("", scaleanchor="x", **down),
-            yaxis2=axis("", scaleanchor="x2", anchor="x2", **down),
-        ),
-    }
+    panels = {
+        "xaxis": axis("node, numbered as in the log", domain=[0, 0.46], **side),
+        "xaxis2": axis("node, in the order of elimination", domain=[0.54, 1], anchor="y2", **side),
+        "yaxis": axis("", scaleanchor="x", **down), "yaxis2": axis("", scaleanchor="x2", anchor="x2", **down),
+    }  # fmt: skip
+    return {"data": traces, "layout": layout(**panels)}
 
 
 def description(name: str, before: Picture, after: Picture) -> str:

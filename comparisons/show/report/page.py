@@ -31,20 +31,7 @@ from ..canvas import MATRIX, colour_of, reference_of
 from ..cells import NOTHING, LeanTable, number, word
 from ..language import catalogue, language_of, translated, translated_table
 from ..tables import landmark_table, table_as_html, tables_of
-from .charts import (
-    COLUMNS,
-    ENTRY,
-    FILL,
-    convergence_figure,
-    costs_figure,
-    description,
-    errors_figure,
-    iterations,
-    matrix_figure,
-    paths_figure,
-    pictures,
-    remarks,
-)
+from . import charts
 from .view import Figure, View, line_of, view_of
 
 if TYPE_CHECKING:
@@ -52,13 +39,9 @@ if TYPE_CHECKING:
 
 #: layers of the map: name, label, whether it is shown at first
 LAYERS = (
-    ("path", "paths", True),
-    ("landmarks", "landmarks", True),
-    ("landmark-ellipses", "landmark ellipses", True),
-    ("pose-ellipses", "pose ellipses", False),
-    ("truth", "ground truth", True),
-    ("now", "robot at the step", True),
-)
+    ("path", "paths", True), ("landmarks", "landmarks", True), ("landmark-ellipses", "landmark ellipses", True),
+    ("pose-ellipses", "pose ellipses", False), ("truth", "ground truth", True), ("now", "robot at the step", True),
+)  # fmt: skip
 _CONVERGENCE = (
     "All four start at the initial poses of the log, with every pair of sightings as an edge. The lectures reset the "
     "anchor x̂₀ at every step: the cost settles, but the whole graph keeps drifting, and the norm of the correction stays "
@@ -86,12 +69,9 @@ def check_plotly() -> None:
 
 
 def write_report(
-    comparison: Comparison | Log | str | PathLike[str] | None,
-    path: str | PathLike[str],
-    *,
-    language: str = "en",
+    comparison: Comparison | Log | str | PathLike[str] | None, path: str | PathLike[str], *, language: str = "en",
     **options: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Write the interactive report of a comparison, one HTML file that works offline, whole or not at all.
 
     Args:
@@ -130,54 +110,38 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
     convergence, convergence_note, endings = _convergence(comparison)
     error_heading, errors_note = _error_texts(view)
     figures = {
-        "map": paths_figure(view),
-        "errors": errors_figure(view),
-        "costs": costs_figure(comparison),
-        "convergence": convergence,
-        "matrix": matrix,
-    }
+        "map": charts.paths_figure(view), "errors": charts.errors_figure(view), "costs": charts.costs_figure(comparison),
+        "convergence": convergence, "matrix": matrix,
+    }  # fmt: skip
     tables, sentences = tables_of(comparison)
     tables[0].title = None
+    poses_known = any(estimate.covariances is not None for estimate in view.estimates)
     part = {
-        "title": escape(comparison.log.name),
-        "language": language,
-        "summary": say(_summary(view)),
+        "title": escape(comparison.log.name), "language": language, "summary": say(_summary(view)),
         "table": "\n".join(table_as_html(translated_table(table, language)) for table in tables),
-        "remarks": items(sentences),
-        "landmarks": _landmarks(comparison, language),
-        "estimators": "\n".join(
-            f'<label><input type="checkbox" checked data-estimator="{escape(e.name)}">{_sample(e.name)}{escape(e.name)}'
-            "</label>"
-            for e in view.estimates
-        ),
+        "remarks": items(sentences), "landmarks": _landmarks(comparison, language),
+        "estimators": "\n".join(_box("estimator", e.name, _sample(e.name) + escape(e.name), True) for e in view.estimates),
         "layers": "\n".join(
-            f'<label><input type="checkbox"{" checked" * on} data-layer="{name}">{say(label)}</label>'
-            for name, label, on in LAYERS
-            if name != "pose-ellipses" or any(e.covariances is not None for e in view.estimates)
+            _box("layer", name, say(label), on) for name, label, on in LAYERS if name != "pose-ellipses" or poses_known
         ),
         "last": str(len(view.steps) - 1),
-        "error_heading": say(error_heading),
-        "map_note": say(_map_note(view)),
-        "errors_note": say(errors_note),
         **{f"{name}_hidden": "hidden" if figure is None else "" for name, figure in figures.items()},
-        "convergence_note": say(convergence_note),
-        "convergence_remarks": items(endings),
-        "matrix_note": say(matrix_note),
-        "entry": MATRIX[ENTRY],
-        "fill": MATRIX[FILL],
-        "configuration": escape(comparison.config),
+        "map_note": say(_map_note(view)), "error_heading": say(error_heading), "errors_note": say(errors_note),
+        "convergence_note": say(convergence_note), "convergence_remarks": items(endings), "matrix_note": say(matrix_note),
+        "entry": MATRIX[charts.ENTRY], "fill": MATRIX[charts.FILL], "configuration": escape(comparison.config),
         "versions": items([*versions(), f"plotly.js {get_plotlyjs_version()}", platform.platform()]),
-        "figures": embedded(
-            {name: _translated_figure(figure, language) for name, figure in figures.items() if figure is not None}
-        ),
+        "figures": embedded({n: _translated_figure(figure, language) for n, figure in figures.items() if figure}),
         "facts": embedded(_facts(view) | {"matches": matches_of(comparison), "words": _words(language)}),
-        "style": _resource("page.css"),
-        "behaviour": _resource("page.js"),
-        "plotly": get_plotlyjs(),
-    }
+        "style": _resource("page.css"), "behaviour": _resource("page.js"), "plotly": get_plotlyjs(),
+    }  # fmt: skip
     # the texts of the template, but not its style
     page = _TEXTS.sub(lambda text: translated(text[0], language), _resource("page.html"))
     return Template(page).substitute(part)
+
+
+def _box(kind: str, name: str, label: str, on: bool) -> str:
+    """A box that shows or hides an estimator or a layer."""
+    return f'<label><input type="checkbox"{" checked" * on} data-{kind}="{escape(name)}">{label}</label>'
 
 
 #: texts between the marks of a page, and those of its labels
@@ -216,14 +180,10 @@ def embedded(value: Any) -> str:
 def _facts(view: View) -> dict[str, Any]:
     """The data of the slider: the steps, their times, and what is seen from them in the axes of the robot."""
     return {
-        "columns": COLUMNS,
-        "steps": view.steps,
-        "times": view.times,
-        "last": view.log.num_poses - 1,
-        "measured_from": view.measured_from,
-        "estimators": [estimate.name for estimate in view.estimates],
+        "columns": charts.COLUMNS, "steps": view.steps, "times": view.times, "last": view.log.num_poses - 1,
+        "measured_from": view.measured_from, "estimators": [estimate.name for estimate in view.estimates],
         "sightings": [[[round(x, 4), round(y, 4), int(j)] for x, y, j in seen.tolist()] for seen in view.sightings],
-    }
+    }  # fmt: skip
 
 
 def _summary(view: View) -> str:
@@ -236,10 +196,8 @@ def _summary(view: View) -> str:
 def _map_note(view: View) -> str:
     note = "The ellipses are those of three standard deviations. A click on a path moves the slider to that step, "
     note += "one on a landmark shows its sightings."
-    if view.aligned_to:
-        note += (
-            f" Each estimate is aligned to {view.aligned_to} by the rigid motion that its errors are measured after."
-        )
+    if reference := view.aligned_to:
+        note += f" Each estimate is aligned to {reference} by the rigid motion that its errors are measured after."
     if view.truth is not None and (where := view.log.truth_place):
         note += f" Paths are those of the point that the ground truth is of, {where} of the robot's pose."
     if view.log.composite:
@@ -255,10 +213,8 @@ def _landmarks(comparison: Comparison, language: str) -> str:
     for table in (landmark_table(comparison), *(association_table(comparison, each) for each in comparison.results)):
         if table is not None:
             table = translated_table(table, language)
-            title, table.title = str(table.title), None
-            parts.append(
-                f'<details><summary>{escape(title)}</summary><div class="wide">{table_as_html(table)}</div></details>'
-            )
+            title, table.title = escape(str(table.title)), None
+            parts.append(f'<details><summary>{title}</summary><div class="wide">{table_as_html(table)}</div></details>')
     return "\n".join(parts)
 
 
@@ -272,20 +228,15 @@ def matches_of(comparison: Comparison) -> dict[str, Any]:
     Of a landmark are known the ``steps`` of its sightings, those of them that are ``doubtful``, the ``true`` landmark and
     the ``share`` of its sightings that are of it, and its ``class``. Estimators with the same ids share an association.
     """
-    log = comparison.log
-    known: dict[tuple[bytes, bytes], int] = {}
-    of: dict[str, int] = {}
-    associations: list[dict[str, Any]] = []
-    if len(log.steps) > MOST_SIGHTINGS:
-        return {"of": {}, "associations": []}
-    for result in comparison.results:
+    log, of = comparison.log, dict[str, int]()
+    found: dict[tuple[bytes, bytes], dict[str, Any]] = {}
+    for result in comparison.results if len(log.steps) <= MOST_SIGHTINGS else ():
         ids = log.landmarks if result.association is None else result.association
         key = ids.tobytes(), b"" if result.unconfirmed is None else result.unconfirmed.tobytes()
-        if key not in known:
-            known[key] = len(associations)
-            associations.append(_matches(comparison, result, ids))
-        of[result.name] = known[key]
-    return {"of": of, "associations": associations}
+        if key not in found:
+            found[key] = _matches(comparison, result, ids)
+        of[result.name] = list(found).index(key)
+    return {"of": of, "associations": list(found.values())}
 
 
 def _matches(comparison: Comparison, result: EstimatorResult, ids: np.ndarray) -> dict[str, Any]:
@@ -311,11 +262,8 @@ def association_table(comparison: Comparison, result: EstimatorResult) -> Table 
     if result.association is None:
         return None
     log, scores = comparison.log, comparison.associations[result.name]
-    headings = ["sightings", "unconfirmed", "steps"]
-    if log.classes is not None:
-        headings += ["class", "share of\nthe class"]
-    if scores is not None:
-        headings += ["true\nlandmark", "correct\nshare"]
+    headings = ["sightings", "unconfirmed", "steps", *["class", "share of\nthe class"] * (log.classes is not None)]
+    headings += ["true\nlandmark", "correct\nshare"] * (scores is not None)
     table = LeanTable(f"Landmarks of {result.name}, and what was matched to them", ["landmark"], headings)
     known = _matches(comparison, result, result.association)
     for each in sightings_of(log, result.association):
@@ -340,10 +288,10 @@ def _error_texts(view: View) -> tuple[str, str]:
 def _convergence(comparison: Comparison) -> tuple[Figure | None, str, list[str]]:
     """The figure, what it shows, and how each variant ended."""
     try:
-        variants = iterations(comparison.log, comparison.options)
+        variants = charts.iterations(comparison.log, comparison.options)
     except Exception as error:
         return None, f"Left out: {sentence(error)}.", []
-    return convergence_figure(variants), _CONVERGENCE, remarks(variants)
+    return charts.convergence_figure(variants), _CONVERGENCE, charts.remarks(variants)
 
 
 def _matrix(comparison: Comparison) -> tuple[Figure | None, str]:
@@ -351,10 +299,10 @@ def _matrix(comparison: Comparison) -> tuple[Figure | None, str]:
     if reference is None or reference.graph is None:
         return None, "Left out: no estimator of this comparison solved a graph."
     try:
-        before, after = pictures(reference.graph)
+        before, after = charts.pictures(reference.graph)
     except Exception as error:
         return None, f"Left out: {sentence(error)}."
-    return matrix_figure(before, after), description(reference.name, before, after)
+    return charts.matrix_figure(before, after), charts.description(reference.name, before, after)
 
 
 def _sample(name: str) -> str:

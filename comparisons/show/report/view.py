@@ -20,7 +20,7 @@ from graphslam.se2 import Array, perpendicular, turn_matrix
 
 from ...comparison import Comparison
 from ...results import EstimatorResult
-from ...results.files import elapsed_of, time_axis
+from ...results.files import elapsed_of
 from .. import canvas
 
 #: of longer logs every N-th step is shown: a screen has no more points, and the file must stay small
@@ -81,11 +81,6 @@ class View:
     measured_from: str | None
     sightings: tuple[Array, ...]
 
-    @property
-    def abscissa(self) -> tuple[Array, str]:
-        """The horizontal axis of curves over the drive (S,), and its name with the unit."""
-        return (self.steps.astype(float) if self.times is None else self.times), time_axis(self.log)
-
 
 def view_of(comparison: Comparison) -> View:
     """The view of a comparison."""
@@ -95,10 +90,8 @@ def view_of(comparison: Comparison) -> View:
     path, measured_from = log.true_poses, "truth" if log.true_poses is not None else None
     reference = canvas.reference_of(comparison)
     if path is None and reference is not None and len(comparison.results) >= 2:
-        path, measured_from = (
-            np.where(reference.estimated[:, None], log.at_truth(reference.poses), np.nan),
-            reference.name,
-        )
+        path = np.where(reference.estimated[:, None], log.at_truth(reference.poses), np.nan)
+        measured_from = reference.name
     at_origin = np.zeros((len(log.steps), 3))
     places = canvas.sensor_of(comparison).h_inverse(at_origin, log.sightings)[:, :2] - log.truth_offset
     seen = np.column_stack([places, log.landmarks])
@@ -107,16 +100,12 @@ def view_of(comparison: Comparison) -> View:
     if line is not None and log.true_path is not None:
         line = line[:: max(1, len(line) // MOST_POINTS)]
     return View(
-        log=log,
-        aligned_to=canvas.aligned_to(log),
-        steps=steps,
+        log=log, aligned_to=canvas.aligned_to(log), steps=steps,
         times=None if log.times is None else elapsed_of(log)[steps],
-        truth=None if log.true_poses is None else log.true_poses[steps],
-        true_line=line,
+        truth=None if log.true_poses is None else log.true_poses[steps], true_line=line,
         estimates=tuple(_estimate(comparison, result, steps, path, between) for result in comparison.results),
-        measured_from=measured_from,
-        sightings=tuple(seen[begin:end] for begin, end in bounds),
-    )
+        measured_from=measured_from, sightings=tuple(seen[begin:end] for begin, end in bounds),
+    )  # fmt: skip
 
 
 def _estimate(
@@ -172,16 +161,11 @@ def dash_of(style: dict[str, Any], width: float) -> str:
 def layout(**more: Any) -> dict[str, Any]:
     """The layout that all figures share, and what one of them needs besides."""
     common: dict[str, Any] = {
-        "template": "none",
-        "autosize": True,
+        "template": "none", "autosize": True, "paper_bgcolor": "#fff", "plot_bgcolor": "#fff", "showlegend": False,
         "font": {"family": "DejaVu Sans, Verdana, sans-serif", "size": 13, "color": canvas.INK},
-        "paper_bgcolor": "#fff",
-        "plot_bgcolor": "#fff",
-        "margin": {"l": 62, "r": 14, "t": 34, "b": 48},
-        "showlegend": False,
-        "hovermode": "closest",
+        "margin": {"l": 62, "r": 14, "t": 34, "b": 48}, "hovermode": "closest",
         "hoverlabel": {"align": "left", "bgcolor": "#fff", "font": {"color": canvas.INK, "size": 13}},
-    }
+    }  # fmt: skip
     return common | more
 
 
