@@ -414,9 +414,9 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     sizes = {"m": np.sqrt(C[0, 0] + C[1, 1]), "rad": np.sqrt(C[2, 2])}
     said = ", ".join(f"{size:.2g} {unit}" for unit, size in sizes.items() if size > 0)
     return C, (
-        f"the sightings of each scan have an error in common of about {said}, as where the sensor shakes, times are inexact, or "
-        f"encoders count coarse ticks: errors of successive motions cancel each other (correlation {correlations.min():.2f}). "
-        "Covariances contain it"
+        f"the sightings of each scan have an error in common of about {said}, as where the sensor shakes, times are inexact, "
+        "or encoders count coarse ticks: errors of successive motions cancel each other (correlation "
+        f"{correlations.min():.2f}). Covariances contain it"
     )
 
 
