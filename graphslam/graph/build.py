@@ -153,7 +153,7 @@ def priors_of_map(
     if not uncertain:
         return [], fixed
     if landmark_map.joint is not None:
-        information = landmark_map.joint_information(uncertain, d)
+        information = landmark_map.information(uncertain, d)
         return [PriorEdges(nodes, initial[nodes], information, pivot=freest_turn(initial[nodes], information))], fixed
     information = np.array([landmark_map.own_information(j, d) for j in uncertain])
     return [LandmarkPriors(nodes, initial[nodes], information)], fixed
