@@ -25,6 +25,7 @@ optimum of the graph Omega and xi are the same with these weights as with the ke
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 from typing import TypeVar
 
 import numpy as np
@@ -82,7 +83,7 @@ def with_cartesian_sightings(graph: Graph) -> Graph | None:
     """
     if not any(isinstance(family, PolarObservationEdges) for family in graph.families):
         return None
-    return graph.with_families(f.cartesian if isinstance(f, PolarObservationEdges) else f for f in graph.families)
+    return graph.with_changed(PolarObservationEdges, attrgetter("cartesian"))
 
 
 def with_landmark_nodes(graph: Graph) -> Graph | None:

@@ -64,15 +64,8 @@ class OtherEnds:
             if landmark in self.numbers:
                 self.numbers[landmark].append(row)
 
-    def located(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
-        """Note a position of a pose."""
-        self.positions.append((pose, measured, information, lever))
-
     def doubts(
-        self,
-        rows: Sequence[tuple[int, NumberRow]],
-        poses: Callable[[], Array],
-        place: Callable[[int], Array],
+        self, rows: Sequence[tuple[int, NumberRow]], poses: Callable[[], Array], place: Callable[[int], Array]
     ) -> list[int]:
         """The landmarks whose other places are to be tried: all where a number surprises, or those with many more numbers."""
         rows = [(id, row) for id, row in rows if id in self.numbers]
@@ -134,10 +127,8 @@ class LatestSightings:
     def add(self, landmarks: Sequence[int], sightings: Sequence[Row]) -> None:
         """Note the sightings of landmarks."""
         for id, row in zip(landmarks, sightings):
-            if id not in self.rows:
-                self.rows[id], self.counts[id] = deque(maxlen=LATEST), 0
-            self.rows[id].append(row)
-            self.counts[id] += 1
+            self.rows.setdefault(id, deque(maxlen=LATEST)).append(row)
+            self.counts[id] = self.counts.get(id, 0) + 1
 
     def contradicted(
         self, landmarks: Sequence[int], sightings: Sequence[Row], nodes: list[Sequence[float]]
@@ -165,10 +156,6 @@ class LatestSightings:
         costs = self.kernel.of_dimension(d).loss(_squares(poses, places[:, None], rows)).sum(axis=1)
         best = int(np.argmin(costs))
         return places[best] if costs[best] < costs[-1] else None
-
-    def failed(self, landmark: int) -> None:
-        """J is not lower where the landmark was tried."""
-        self.tried[landmark] = self.counts[landmark]
 
 
 def _dimension(numbers: int) -> int:

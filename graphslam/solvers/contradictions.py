@@ -44,7 +44,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..edges import EdgeFamily, LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
+from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
@@ -199,14 +199,11 @@ def _moved(graph: Graph, tested: np.ndarray, g: Array, S: Array, alone: Array, r
 def _unbiased(graph: Graph, state: Array) -> Graph:
     """The graph with polar residuals, and the noise at the ranges that the state predicts."""
 
-    def changed(f: EdgeFamily) -> EdgeFamily:
-        if not isinstance(f, ObservationEdges):
-            return f
-        ends = f.first, f.second
-        polar = PolarObservationEdges(*ends, f.sightings, f.sensor, kernel=f.kernel, trust=f.trust)
+    def changed(f: ObservationEdges) -> PolarObservationEdges:
+        polar = PolarObservationEdges(f.first, f.second, f.sightings, f.sensor, kernel=f.kernel, trust=f.trust)
         return polar.with_noise_at(f.predicted(state))
 
-    return graph.with_families(changed(f) for f in graph.families)
+    return graph.with_changed(ObservationEdges, changed)
 
 
 def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array, Array]:
@@ -283,11 +280,12 @@ def _lever_followed(graph: Graph, state: Array, lever: Array) -> tuple[Array, Ar
         FactorizationError, GraphError: the edges do not determine the nodes.
     """
     total = lever
+
+    def moved(edges: PositionEdges) -> PositionEdges:
+        return replace(edges, levers=edges.levers + total)
+
     for _ in range(ROUNDS):
-        other = graph.with_families(
-            replace(each, levers=each.levers + total) if isinstance(each, PositionEdges) else each
-            for each in graph.families
-        )
+        other = graph.with_changed(PositionEdges, moved)
         state = end_of(levenberg_marquardt, other, state, max_iterations=STEPS)
         families = [each for each in other.families if isinstance(each, PositionEdges)]
         step, S = _lever_step(other, families, state)

@@ -45,10 +45,10 @@ from ..graph import Graph
 from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
 from .agreement import Trusted, grown_trust
-from .corrected import corrected, sighted_edges
+from .corrected import corrected
 from .initialize import partial_edges, place_landmarks
 from .iteration import refuse, rough
-from .minimize import minimize, without_parameters
+from .minimize import minimize
 from .solution import Solution
 
 #: the most damped steps in a round: the next one changes the problem anyway
@@ -78,7 +78,7 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
         graph = _at_robust_parameters(graph, initialize)
     if graph.measurements == 0:
         raise GraphError("graduated non-convexity needs sightings, relations or positions, and this graph has none")
-    nodes, order = _by_landmark(without_parameters(graph))
+    nodes, order = _by_landmark(replace(graph, parameters=None))
     best = _best_sequence(nodes, probability, max_rounds, initialize)
     trust = np.empty(len(order))
     trust[order] = best.trust
@@ -135,10 +135,8 @@ def _trust_by_kind(graph: Graph) -> dict[str, Array]:
 
 def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
     """The graph at parameters that a robust kernel finds: at wrong parameters correct sightings would be rejected."""
-    seen = sighted_edges(graph)
-    robust = replace(seen, kernel=Cauchy())
-    families = tuple(robust if family is seen else family for family in graph.families)
-    found = minimize(replace(graph, families=families), tolerance=rough(graph), initialize=initialize)
+    robust = graph.with_changed(SightingEdges, lambda f: replace(f, kernel=Cauchy()))
+    found = minimize(robust, tolerance=rough(graph), initialize=initialize)
     assert found.graph is not None
     return corrected(graph, found.graph.estimated.values, found.state).with_initial(found.state)
 
@@ -271,9 +269,8 @@ def _from_kernel(doubts: _Doubts, initialize: str) -> Trusted:
 
     Plain squares put their landmarks so far from where they are that the sequence from there rejects most of them.
     """
-    graph = doubts.graph
-    robust = tuple(replace(f, kernel=Cauchy()) if isinstance(f, DoubtedEdges) else f for f in graph.families)
-    start = minimize(replace(graph, families=robust), tolerance=rough(graph), initialize=initialize).state
+    robust = doubts.graph.with_changed(DoubtedEdges, lambda f: replace(f, kernel=Cauchy()))
+    start = minimize(robust, tolerance=rough(robust), initialize=initialize).state
     rounds = doubts.rounds(start)
     rounds.judge(np.inf)
     rounds.settle()

@@ -7,7 +7,7 @@ optimiser. Therefore edges that share nodes share factors where that leaves the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import gtsam
 import numpy as np
@@ -49,18 +49,8 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     reference = graph.initial if reference is None else reference
     made = gtsam.NonlinearFactorGraph()
     joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
-    for family in families:
-        if isinstance(family, edges.PriorEdges):
-            made.add(_prior_factor(graph, family.nodes, family.values, family.information, family.pivot))
-            continue
-        if isinstance(family, edges.LandmarkPriors):
-            for k in range(family.count):
-                one = slice(k, k + 1)
-                made.add(_prior_factor(graph, family.nodes[one], family.values[one], family.information[k]))
-            continue
-        for factor in _factors_of(family, reference, graph.num_nodes, factors):
-            made.add(factor)
-    for factor in joined:
+    each = (_factors_of(family, graph, reference, factors) for family in families)
+    for factor in chain(*each, joined):
         made.add(factor)
     for node in graph.fixed.tolist():
         if node in graph.without_heading:
@@ -153,9 +143,14 @@ def _stacked(
 
 
 def _factors_of(
-    family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
+    family: edges.EdgeFamily, graph: Graph, reference: Array, factors: str
 ) -> Iterator[gtsam.NonlinearFactor]:
-    if isinstance(family, edges.AnchorEdges):
+    if isinstance(family, edges.PriorEdges):
+        yield _prior_factor(graph, family.nodes, family.values, family.information, family.pivot)
+    elif isinstance(family, edges.LandmarkPriors):
+        for node, value, information in zip(family.nodes[:, None], family.values[:, None], family.information):
+            yield _prior_factor(graph, node, value, information)
+    elif isinstance(family, edges.AnchorEdges):
         for i, x, information in _rows(family.nodes, family.values, family.information):
             if information[:2].any():
                 yield factor_types.AnchorFactor(i, x, information)
@@ -187,7 +182,7 @@ def _factors_of(
             )
             yield factor.fastest()
     elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
-        yield from _inverse_observations(family, family.nodes, num_nodes + family.group, reference)
+        yield from _inverse_observations(family, family.nodes, graph.num_nodes + family.group, reference)
     elif isinstance(family, edges.MarginalEdges):
         yield from _landmark_factors(family, reference, "marginal")
     elif isinstance(family, edges.VirtualMotionEdges) and family.kernel is None and factors == "fastest":

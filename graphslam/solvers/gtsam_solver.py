@@ -69,7 +69,7 @@ def solve_jointly_with_gtsam(joint: JointGraph, run: Run) -> None:
 
 def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
     """The minimum of the graph frozen at a state (n + r, 3), as such a state."""
-    graph, (nodes, values) = joint.at(state), joint.parted(state)
+    (graph, nodes, _), (_, values) = joint.at(state), joint.parted(state)
     key = 2 * graph.num_nodes + len(graph.sighting_rows)
     made, start = _factors(graph, nodes, key), to_values(graph, nodes)
     start.insert(eliminated_landmarks(graph, nodes, always=True))

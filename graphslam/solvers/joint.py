@@ -57,23 +57,20 @@ class JointGraph:
         count = self.graph.num_nodes
         return state[:count], state[count:].ravel()[: len(self.parameters)]
 
-    def at(self, state: Array, reference: Array | None = None) -> Graph:
-        """The graph at the parameters of a state, its noise at those of a reference state."""
-        _, values = self.parted(state)
-        nodes, at = self.parted(state if reference is None else reference)
-        return corrected(self.graph, values, nodes, at)
+    def at(self, state: Array, reference: Array | None = None) -> tuple[Graph, Array, Array]:
+        """The graph at the parameters of a state, its noise at those of a reference state, and the nodes of both."""
+        nodes, values = self.parted(state)
+        held, at = self.parted(state if reference is None else reference)
+        return corrected(self.graph, values, held, at), nodes, held
 
     def cost(self, state: Array, reference: Array | None = None) -> float:
         """J and the cost of the priors."""
-        nodes, _ = self.parted(state)
-        held = nodes if reference is None else self.parted(reference)[0]
-        return self.at(state, reference).cost(nodes, held)
+        graph, nodes, held = self.at(state, reference)
+        return graph.cost(nodes, held)
 
     def linearize(self, state: Array, reference: Array | None = None) -> float:
         """Evaluate the system at a state, and return the cost there."""
-        self._nodes, _ = self.parted(state)
-        held = self._nodes if reference is None else self.parted(reference)[0]
-        self._here = self.at(state, reference)
+        self._here, self._nodes, held = self.at(state, reference)
         _, cost = self._here.linearize(self._nodes, held)
         self._border = self.border(self._here, self._nodes, held)
         return cost

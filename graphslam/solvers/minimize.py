@@ -33,11 +33,6 @@ ANGLES, TURNS = ("bearing_bias",), (np.pi, np.pi / 2, -np.pi / 2)
 OBLIQUE, DOUBTFUL = (np.pi / 4, -np.pi / 4, 3 * np.pi / 4, -3 * np.pi / 4), 3.0
 
 
-def without_parameters(graph: Graph) -> Graph:
-    """The same graph with its parameters held at their values."""
-    return replace(graph, parameters=None)
-
-
 def best_of_starts(
     graph: Graph, solved: Callable[[Graph], Array], search: Callable[[JointGraph, Run], None], begun: Callable[[], Run]
 ) -> tuple[Graph, Run]:
@@ -56,7 +51,7 @@ def best_of_starts(
         GraphError: the log does not determine the nodes or the parameters.
     """
     names, values = graph.estimated.names, graph.estimated.values
-    first = solved(without_parameters(graph))
+    first = solved(replace(graph, parameters=None))
     starts = [(graph, first)]
     lowest = graph.cost(first)
     for name, turn in product(ANGLES, (*TURNS, *OBLIQUE)):
@@ -66,7 +61,7 @@ def best_of_starts(
         changed[names.index(name)] = wrap(changed[names.index(name)] + turn)
         there = corrected(graph, changed, first)
         try:
-            nodes = solved(without_parameters(there))
+            nodes = solved(replace(there, parameters=None))
         except GraphError:
             continue
         if (cost := there.cost(nodes)) < lowest:
