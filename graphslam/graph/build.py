@@ -112,9 +112,8 @@ def graph_of_log(
         )  # fmt: skip
     families += measured
     if options.landmark_nodes:
-        families += edges_of_single_numbers(
-            partial, log.num_poses + np.searchsorted(ids, partial.landmarks), sensor, kernel
-        )
+        nodes = log.num_poses + np.searchsorted(ids, partial.landmarks)
+        families += edges_of_single_numbers(partial, nodes, sensor, kernel)
     return make(
         initial, families=tuple(families), steps=steps, trajectory=log.initial_poses, pose_ids=steps, landmark_ids=ids,
         landmark_dimension=d, fixed=fixed, log=log, sensor=sensor, notes=(*remarks, *notes), sighting_rows=rows,
@@ -183,11 +182,8 @@ def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, tuple[str, ...
         notes.append(f"no edge comes from {listed('landmark', ids[~often].tolist())}, seen in one step only")
     if with_motion:
         return np.arange(log.num_poses), tuple(notes)
-    steps = np.unique(
-        np.concatenate(
-            [seen[often[seen[:, 0]], 1], *(getattr(each, end) for each in log.measured.values() for end in each.ENDS)]
-        )
-    )
+    ends = [getattr(each, end) for each in log.measured.values() for end in each.ENDS]
+    steps = np.unique(np.concatenate([seen[often[seen[:, 0]], 1], *ends]))
     if not len(steps):
         raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
     left_out = np.setdiff1d(np.arange(log.num_poses), steps).tolist()

@@ -77,9 +77,8 @@ class Stretch:
     @property
     def rows_at(self) -> list[np.ndarray]:
         """The rows of the sightings from each pose."""
-        return np.split(
-            np.argsort(self.steps, kind="stable"), np.cumsum(np.bincount(self.steps, minlength=self.num_poses))
-        )
+        ends = np.cumsum(np.bincount(self.steps, minlength=self.num_poses))
+        return np.split(np.argsort(self.steps, kind="stable"), ends)
 
     def after(self, step: int) -> Stretch:
         """What comes from a pose on, which is then pose 0."""

@@ -324,9 +324,8 @@ def beyond(covariances: Array, metres: float, radians: float = np.inf) -> Array:
     P = np.asarray(covariances, dtype=float)
     variance = np.maximum(P[..., 2, 2], 1e-18)
     slope = P[..., :2, 2] / variance[..., None]
-    values, axes = np.linalg.eigh(
-        P[..., :2, :2] - slope[..., :, None] * slope[..., None, :] * variance[..., None, None]
-    )
+    by_heading = slope[..., :, None] * slope[..., None, :] * variance[..., None, None]
+    values, axes = np.linalg.eigh(P[..., :2, :2] - by_heading)
     small, large = np.moveaxis(np.sqrt(np.maximum(values, 1e-18)), -1, 0)
     slope = (np.swapaxes(axes, -1, -2) @ slope[..., None])[..., 0]
     std = np.sqrt(variance)

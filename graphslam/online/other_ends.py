@@ -22,7 +22,7 @@ from ..edges.robust import Kernel
 from ..graph.defaults import into_world
 from ..graph.trilateration import MIN_GAP, MORE, NumberRow, WaitingNumbers, edges_of_rows, other_places, places_of_rows
 from ..models import SensorModel
-from ..se2 import Array, between, compose, wrap
+from ..se2 import Array, between, compose, difference, wrap
 
 #: the way is tried where its positions put it when that turns it by more than this [rad]
 TURNED = 0.1
@@ -176,8 +176,6 @@ def _square(pose: Sequence[float], place: Sequence[float], row: Row) -> float:
 def _squares(poses: Array, places: Array, sightings: Array) -> Array:
     """r² (P, K) of sightings (K, d + d²) of places (P, 1, 3) from poses (K, 3)."""
     d = _dimension(sightings.shape[1])
-    e = between(poses, places)[..., :d] - sightings[:, :d]
-    if d == 3:
-        e[..., 2] = wrap(e[..., 2])
+    e = difference(between(poses, places)[..., :d], sightings[:, :d])
     omega = sightings[:, d:].reshape(-1, d, d)
     return np.asarray(((e[..., None, :] @ omega)[..., 0, :] * e).sum(axis=-1))

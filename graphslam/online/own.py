@@ -23,7 +23,7 @@ from ..graph.landmark_map import HELD_STD, LandmarkMap, as_map
 from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..linear.precision import inverses
 from ..models import SensorModel
-from ..se2 import Array, compose, inverse, wrap
+from ..se2 import Array, compose, difference, inverse
 from .backend import RELEASED_START, Backend, Relation, information_of
 from .other_ends import LatestSightings, OtherEnds
 
@@ -385,8 +385,7 @@ class OwnBackend(Backend):
         if not self._in_map or self.lag is not None:
             return float(self.system.cost())
         start, information = self._start
-        off = self.system.values(self._poses[:1])[0] - start
-        off[2] = wrap(off[2])
+        off = difference(self.system.values(self._poses[:1])[0], start)
         return float(self.system.cost_with_priors() - off @ information @ off)
 
     @property

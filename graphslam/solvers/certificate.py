@@ -154,11 +154,9 @@ _Outcome: TypeAlias = tuple[str, float, str, Array | None]
 def _certificate(outcome: _Outcome, cost: float, begin: float, weighted: bool = False) -> Certificate:
     """The certificate of an outcome; ``weighted`` if cost and bound are those of the weights of a kernel, not of J."""
     status, bound, reason, direction = outcome
-    if bound > 0:
-        gap = (cost - bound) / cost
-    else:
-        # a state of cost zero, also up to rounding, is proven with the bound 0
-        gap = np.nan if status in (NOT_PROVEN, NOT_APPLICABLE) else 0.0
+    # a state of cost zero, also up to rounding, is proven with the bound 0
+    without = np.nan if status in (NOT_PROVEN, NOT_APPLICABLE) else 0.0
+    gap = (cost - bound) / cost if bound > 0 else without
     if weighted and status != NOT_APPLICABLE:
         bound = 0.0
     return Certificate(status, float(bound), float(gap), reason, time.perf_counter() - begin, direction)
@@ -197,10 +195,8 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
         case Finding.unsplit:
             reason = f"{unsplit} edges have a heading residual near half a turn, or singular information"
         case Finding.not_stationary:
-            lower = cost - best
-            reason = (
-                f"the state is not a stationary point of J: a step from it promises to lower J by up to {lower:.2g}"
-            )
+            promise = f"a step from it promises to lower J by up to {cost - best:.2g}"
+            reason = f"the state is not a stationary point of J: {promise}"
         case Finding.negative:
             reason = "the matrix S has a negative direction, so that there may be a lower minimum"
     return NOT_PROVEN, best, reason, None if direction is None else direction[: problem.given]

@@ -50,7 +50,7 @@ from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.localization import SURE
 from ..linear.cholesky import Bordered, FactorizationError
-from ..se2 import Array, between, turn_matrix, wrap
+from ..se2 import Array, between, difference, turn_matrix
 from .corrected import motion_edges
 from .iteration import end_of, levenberg_marquardt
 from .joint import JointFactor, JointGraph, times
@@ -342,8 +342,7 @@ def doubt_of_odometry(graph: Graph, state: Array) -> str:
     edges, log = motion_edges(graph), graph.log
     if edges is None or log is None or log.times is None or edges.count < FEWEST_MOTIONS:
         return ""
-    errors = between(state[edges.first], state[edges.second]) - edges.measured
-    errors[:, 2] = wrap(errors[:, 2])
+    errors = difference(between(state[edges.first], state[edges.second]), edges.measured)
     try:
         variances = np.linalg.inv(edges.information)
     except np.linalg.LinAlgError:

@@ -9,12 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..edges import (
-    EdgeFamily,
-    RelationEdges,
-    RelativePoseEdges,
-    SightingEdges,
-)
+from ..edges import EdgeFamily, RelationEdges, RelativePoseEdges, SightingEdges
 from ..edges import motion_edges as make_motion_edges
 from ..errors import GraphError
 from ..errors.checks import first

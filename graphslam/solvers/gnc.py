@@ -61,7 +61,7 @@ PAIRS = 5_000
 REJECTED = 0.5
 
 
-def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, probability: float) -> Solution:
+def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: int, probability: float) -> Solution:
     """`solve` with the method "gnc": c² is the quantile of ``probability``, and ``max_rounds`` the most values of mu.
 
     Motion edges and anchors are always trusted.
@@ -87,7 +87,7 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
         # landmarks that were seen by single numbers alone have no other place
         weighted = weighted.with_initial(best.state)
     start = weighted.with_initial(place_landmarks(weighted, best.state[: len(graph.steps)]))
-    solution = minimize(start, tolerance=tolerance, initialize="given")
+    solution = minimize(start, "given", tolerance)
     found = _trust_by_kind(weighted)
     which = " and ".join(
         f"{np.count_nonzero(each < REJECTED)} of {len(each)} {kind}" for kind, each in found.items() if len(each)
@@ -136,7 +136,7 @@ def _trust_by_kind(graph: Graph) -> dict[str, Array]:
 def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
     """The graph at parameters that a robust kernel finds: at wrong parameters correct sightings would be rejected."""
     robust = graph.with_changed(SightingEdges, lambda f: replace(f, kernel=Cauchy()))
-    found = minimize(robust, tolerance=rough(graph), initialize=initialize)
+    found = minimize(robust, initialize, rough(graph))
     assert found.graph is not None
     return corrected(graph, found.graph.estimated.values, found.state).with_initial(found.state)
 
@@ -258,7 +258,7 @@ def _of_relations(doubts: _Doubts, max_rounds: int, initialize: str) -> Trusted:
 
 def _sequence(doubts: _Doubts, max_rounds: int, initialize: str, steps: int = STEPS) -> Trusted:
     """The sequence from plain squares to squares truncated at c²."""
-    start = minimize(doubts.graph, tolerance=rough(doubts.graph), initialize=initialize).state
+    start = minimize(doubts.graph, initialize, rough(doubts.graph)).state
     rounds = doubts.rounds(start, steps=steps)
     rounds.graduate(max_rounds)
     return doubts.after(rounds)
@@ -270,7 +270,7 @@ def _from_kernel(doubts: _Doubts, initialize: str) -> Trusted:
     Plain squares put their landmarks so far from where they are that the sequence from there rejects most of them.
     """
     robust = doubts.graph.with_changed(DoubtedEdges, lambda f: replace(f, kernel=Cauchy()))
-    start = minimize(robust, tolerance=rough(robust), initialize=initialize).state
+    start = minimize(robust, initialize, rough(robust)).state
     rounds = doubts.rounds(start)
     rounds.judge(np.inf)
     rounds.settle()

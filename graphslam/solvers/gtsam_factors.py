@@ -250,12 +250,9 @@ def factors_of_single_numbers(family: edges.PartialEdges) -> Iterator[gtsam.Nonl
             else:
                 yield gtsam.BearingFactor2D(i, j, gtsam.Rot2(z[0]), noise)
         else:
-            one = type(family)(
-                np.array([0]), np.array([1]), family.measured[k : k + 1], information[None], family.offset
-            )
-            yield factor_types.ResidualFactor(
-                [i, j], _residual(one), information, kinds=["pose", "point"], kernel=family.kernel
-            )
+            ends, kinds = (np.array([0]), np.array([1])), ["pose", "point"]
+            one = type(family)(*ends, family.measured[k : k + 1], information[None], family.offset)
+            yield factor_types.ResidualFactor([i, j], _residual(one), information, kinds=kinds, kernel=family.kernel)
 
 
 def _residual(edge: edges.PartialEdges) -> Callable[[Array, Array], tuple[Array, list[Array]]]:

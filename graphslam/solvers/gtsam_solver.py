@@ -276,10 +276,8 @@ def _solved(graph: Graph, initialize: str, tolerance: float, *, factors: str, ma
 
 def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
     """The number of factors of each type, as a note of a solution."""
-    each = [factors.at(k) for k in range(factors.size())]
-    kinds = Counter(
-        factor_types.describe(f).kind if isinstance(f, gtsam.CustomFactor) else type(f).__name__ for f in each
-    )
+    each, ours = map(factors.at, range(factors.size())), gtsam.CustomFactor
+    kinds = Counter(factor_types.describe(f).kind if isinstance(f, ours) else type(f).__name__ for f in each)
     return "graph: " + ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds.items())
 
 
@@ -331,11 +329,7 @@ def _undamped(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsa
 
 
 def _promises_little(
-    graph: Graph,
-    state: Array,
-    factors: gtsam.NonlinearFactorGraph,
-    optimizer: gtsam.NonlinearOptimizer,
-    part: float,
+    graph: Graph, state: Array, factors: gtsam.NonlinearFactorGraph, optimizer: gtsam.NonlinearOptimizer, part: float
 ) -> bool:
     """Whether an undamped step from the optimizer's values, a state (n, 3), promises a negligible decrease of J.
 

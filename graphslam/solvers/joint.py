@@ -117,10 +117,8 @@ class JointGraph:
         if driven is not None:
             _, slopes = motion_slopes(parameters, corrected_controls(parameters))
             border += Border.of_motions(driven, nodes, held, slopes)
-        priors = parameters.weights
-        return border + Border(
-            np.zeros_like(border.mixed), np.diag(priors), -priors * (parameters.values - parameters.means)
-        )
+        priors, pulled = parameters.weights, parameters.values - parameters.means
+        return border + Border(np.zeros_like(border.mixed), np.diag(priors), -priors * pulled)
 
     @cached_property
     def _copies(self) -> BlockSystem:
@@ -212,9 +210,8 @@ def times(system: BlockSystem, right: Array) -> Array:
     n, _, K = right.shape
     flat = right.reshape(3 * n, K)
     # the blocks of the upper triangle by columns are, transposed, those of the lower one by rows
-    lower = bsr_matrix(
-        (np.ascontiguousarray(np.swapaxes(system.values, 1, 2)), system.indices, system.indptr), shape=(3 * n, 3 * n)
-    )
+    blocks = np.ascontiguousarray(np.swapaxes(system.values, 1, 2))
+    lower = bsr_matrix((blocks, system.indices, system.indptr), shape=(3 * n, 3 * n))
     product = (lower @ flat + lower.T @ flat).reshape(n, 3, K)
     return np.asarray(product - system.values[system.diagonal_slots] @ right)
 

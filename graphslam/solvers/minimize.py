@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from math import isfinite
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from ..se2 import Array, difference, wrap
 from .auto import best_end
 from .corrected import corrected, finished, negative_information
 from .initialize import image_notes, partial_edges, starting_state
-from .iteration import Iteration, Run, gauss_newton, levenberg_marquardt
+from .iteration import METHODS, Iteration, Run
 from .joint import JointGraph, check_observable
 from .solution import Solution, make_solution
 
@@ -161,24 +160,17 @@ def at_estimated_ranges(
     reason = f"the noise of the ranges still moved the solution by {moved:.1g} after {PASSES} passes"
     if required:
         return replace(solution, seconds=seconds, converged=False, reason=reason)
-    return replace(
-        first, seconds=seconds, notes=(*first.notes, f"{reason}, so that it is taken at the measured ranges")
-    )
-
-
-METHODS: dict[str, Callable[[Any, Run], Any]] = {
-    "gauss-newton": gauss_newton,
-    "levenberg-marquardt": levenberg_marquardt,
-}
+    note = f"{reason}, so that it is taken at the measured ranges"
+    return replace(first, seconds=seconds, notes=(*first.notes, note))
 
 
 def minimize(
     graph: Graph,
+    initialize: str,
+    tolerance: float,
     *,
     method: str = "gauss-newton",
-    tolerance: float = 1e-9,
     max_iterations: int = 100,
-    initialize: str = "auto",
     callback: Callable[[Iteration], None] | None = None,
     cost_tolerance: float = 0.0,
 ) -> Solution:
@@ -195,7 +187,7 @@ def minimize(
     if graph.parameters is not None:
 
         def solved(nodes: Graph) -> Array:
-            return minimize(nodes, method=method, tolerance=max(FIRST, tolerance), initialize=initialize).state
+            return minimize(nodes, initialize, max(FIRST, tolerance), method=method).state
 
         def begun() -> Run:
             run = Run(graph.initial, tolerance, max_iterations, cost_tolerance)
