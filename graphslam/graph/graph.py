@@ -229,10 +229,8 @@ class Graph:
         for f in self.families:
             if isinstance(f, DoubtedEdges) and start < len(trust):
                 end = start + f.measurements
-                families.append(f.with_trust(trust[start:end]))
-                start = end
-            else:
-                families.append(f)
+                f, start = f.with_trust(trust[start:end]), end
+            families.append(f)
         if start != len(trust):
             raise OptionError(
                 f"trust has {len(trust)} numbers for {self.measurements} measurements: it needs one for each sighting, or "

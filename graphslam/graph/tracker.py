@@ -196,11 +196,10 @@ class Tracker:
         if seen.sum() < FEWEST:
             return 0.0, 0.0
         z, information = (each[seen] for each in self._scores)
-        off, middle = np.linalg.solve(information, z[:, :, None])[:, :, 0], (len(z) - 1) // 2
+        off = np.linalg.solve(information, z[:, :, None])[:, :, 0]
         expected = information + information @ self._covariances[seen] @ information
-        q = np.sort(np.einsum("ki,ki->k", z, np.linalg.solve(expected, z[:, :, None])[:, :, 0]))
-        size = np.sort(np.hypot(*off.T))
-        return float(np.sqrt(q[middle] / (2 * np.log(2)))), float(size[middle])
+        q = np.einsum("ki,ki->k", z, np.linalg.solve(expected, z[:, :, None])[:, :, 0])
+        return middle_misfit(q, np.hypot(*off.T))
 
     @property
     def seen_of_map(self) -> list[int]:
@@ -292,6 +291,12 @@ class Tracker:
 def area_of(places: Array) -> float:
     """The area [m²] of a map with landmarks at these places (L, 2)."""
     return float(np.prod(np.ptp(places, axis=0) + MARGIN))
+
+
+def middle_misfit(q: Array, size: Array) -> tuple[float, float]:
+    """The root of the median of q over 2 log 2, and that of displacements [m]; of an even number the lower middle one."""
+    middle = (len(q) - 1) // 2
+    return float(np.sqrt(np.sort(q)[middle] / (2 * np.log(2)))), float(np.sort(size)[middle])
 
 
 def _bounded(log_odds: float) -> float:

@@ -49,6 +49,7 @@ from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.localization import SURE
+from ..graph.tracker import middle_misfit
 from ..linear.cholesky import Bordered, FactorizationError
 from ..se2 import Array, between, difference, turn_matrix
 from .corrected import motion_edges
@@ -159,10 +160,7 @@ def _misfit(g: Array, S: Array, alone: Array) -> tuple[float, float]:
     ``alone`` is d' H d. With few landmarks the median is the lower one of two.
     """
     q, size, determined = _displacements(g, S, alone)
-    if determined.sum() < FEWEST:
-        return 0.0, 0.0
-    middle = (determined.sum() - 1) // 2
-    return float(np.sqrt(np.sort(q)[middle] / (2 * np.log(2)))), float(np.sort(size)[middle])
+    return (0.0, 0.0) if determined.sum() < FEWEST else middle_misfit(q, size)
 
 
 def _displacements(g: Array, S: Array, alone: Array) -> tuple[Array, Array, np.ndarray]:
@@ -352,8 +350,8 @@ def doubt_of_odometry(graph: Graph, state: Array) -> str:
         (*_largest_stretch(errors[:, axis], variances[:, axis, axis]), unit) for axis, unit in ((0, "m"), (2, "rad"))
     )
     if z < SLIPPED:
+        # pairs of sightings count these more than once, so that poses follow their errors
         if len(state) == len(graph.steps):
-            # pairs of sightings count these more than once, so that poses follow their errors
             return ""
         correlation = _of_successive(edges.first, edges.second, errors[:, 2], variances[:, 2, 2])
         if correlation is None:
