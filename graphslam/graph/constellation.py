@@ -230,7 +230,7 @@ def _refined(
 ) -> tuple[list[Match | None], np.ndarray]:
     """Hypotheses (H, 3) after Gauss-Newton with the nearest landmark for each measurement, and these partners (H, K)."""
     matches: list[Match | None] = []
-    own_ids = np.arange(len(landmarks.places))
+    ids = np.arange(len(landmarks.places))
     for _ in range(rounds):
         moved = transform(poses[:, None], landmarks.places)
         distance, partner = known.tree.query(moved)
@@ -241,9 +241,7 @@ def _refined(
         np.put_along_axis(again, order[:, 1:], in_order[:, 1:] == in_order[:, :-1], axis=1)
         places = known.places[partner]
         places[again, :2] += 1e6
-        points = Points(
-            landmarks.places, landmarks.covariances, places, known.covariances[partner], own_ids, known.area
-        )
+        points = Points(landmarks.places, landmarks.covariances, places, known.covariances[partner], ids, known.area)
         matches = refined(points, poses)
         poses = np.array([pose if match is None else match.pose for match, pose in zip(matches, poses)])
     moved = transform(poses[:, None], landmarks.places)

@@ -213,9 +213,8 @@ class Isam2Backend(Backend):
                     self._nodes[landmark] = M(len(self._nodes))
                     y = self._sensor.h_inverse(self._value(pose), z)
                     self._values.insert(self._nodes[landmark], gtsam.Pose2(*y) if len(z) == 3 else gtsam.Point2(*y))
-                factor = ObservationFactor(
-                    X(pose), self._nodes[landmark], z, self._sensor, residual=self._residual, kernel=self._kernel
-                )
+                options: dict[str, Any] = {"residual": self._residual, "kernel": self._kernel}
+                factor = ObservationFactor(X(pose), self._nodes[landmark], z, self._sensor, **options)
                 self._factors.add(factor.fastest())
             self._add_numbers(landmark, waiting)
             keys, seen = self._sightings.setdefault(landmark, ([], []))

@@ -264,9 +264,8 @@ def _kernel_of(graph: Graph) -> tuple[Graph, Kernel | None]:
     doubted = [f for f in graph.families if isinstance(f, DoubtedEdges)]
     seen = [f for f in doubted if isinstance(f, SightingEdges | PartialEdges)]
     kernel = next((_without_width(f) for f in seen or doubted if f.kernel is not None), None)
-    other = [
-        f for f in doubted if f.kernel is not None and (kernel is None or f.kernel != kernel.of_dimension(f.dimension))
-    ]
+    robust = [f for f in doubted if f.kernel is not None]
+    other = [f for f in robust if kernel is None or f.kernel != kernel.of_dimension(f.dimension)]
     if not other:
         return graph, kernel
     note = "step by step, relations and positions count without a robust kernel that is not that of the sightings"

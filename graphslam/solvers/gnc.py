@@ -89,9 +89,8 @@ def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: in
     start = weighted.with_initial(place_landmarks(weighted, best.state[: len(graph.steps)]))
     solution = minimize(start, "given", tolerance)
     found = _trust_by_kind(weighted)
-    which = " and ".join(
-        f"{np.count_nonzero(each < REJECTED)} of {len(each)} {kind}" for kind, each in found.items() if len(each)
-    )
+    known = {kind: each for kind, each in found.items() if len(each)}
+    which = " and ".join(f"{np.count_nonzero(each < REJECTED)} of {len(each)} {kind}" for kind, each in known.items())
     note = f"graduated non-convexity rejected {which} in {best.rounds} rounds"
     in_sightings: Array | None = found.pop("sightings", None)
     if graph.log is not None and in_sightings is not None:

@@ -121,9 +121,8 @@ def _stacked(
     parts: list[_Part], graph: Graph, reference: Array, frame: str, kernel: Kernel | None
 ) -> Iterator[factor_types.RelativeEdgesFactor]:
     """The edges of several families, those from `TOGETHER` consecutive poses in one factor each."""
-    first, second, robust = (
-        np.concatenate(column) for column in zip(*((f.first, f.second, robust) for f, robust in parts))
-    )
+    columns = zip(*((f.first, f.second, robust) for f, robust in parts))
+    first, second, robust = map(np.concatenate, columns)
     measured, information = np.zeros((len(first), 3)), np.tile(np.eye(3), (len(first), 1, 1))
     start = 0
     for f, _ in parts:
@@ -166,10 +165,8 @@ def _factors_of(
         yield from factors_of_single_numbers(family)
     elif isinstance(family, edges.RelativePoseEdges):
         kernel = getattr(family, "kernel", None)
-        for i, j, z, information in _rows(family.first, family.second, family.measured, family.weighed):
-            yield factor_types.RelativePoseFactor(
-                i, j, z, information, frame=family.frame, at=reference[i], kernel=kernel
-            )
+        for i, j, z, omega in _rows(family.first, family.second, family.measured, family.weighed):
+            yield factor_types.RelativePoseFactor(i, j, z, omega, frame=family.frame, at=reference[i], kernel=kernel)
     elif isinstance(family, edges.RelativePointEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePointFactor(i, j, z, information)
