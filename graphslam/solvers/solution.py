@@ -389,8 +389,7 @@ def make_solution(
     landmarks: dict[int, Array] = {}
     if len(graph.landmark_ids):
         nodes = state[len(graph.steps) :, : graph.landmark_dimension].copy()
-        if graph.landmark_dimension == 3:
-            nodes[:, 2] = wrap(nodes[:, 2])
+        nodes[:, 2:] = wrap(nodes[:, 2:])
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)
@@ -424,9 +423,8 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
             found = found.replace(TAKEN_FOR_RIGHT, said_of_wider(deviation))
             graph = solution.graph or graph
         notes.append(found)
-    for doubt_of in (doubt_of_positions, doubt_of_odometry):
-        if doubt := doubt_of(graph, solution.state):
-            notes.append(doubt)
+    doubts_of = doubt_of_positions(graph, solution.state), doubt_of_odometry(graph, solution.state)
+    notes += filter(None, doubts_of)
     # families with edges that do not say how many numbers they measure leave the expected cost open
     counted = all(
         family.numbers[0] or isinstance(family, AnchorEdges) or not len(family.cliques()[1])
