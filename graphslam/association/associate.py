@@ -283,9 +283,8 @@ def _starts(
         return lambda: checked(each())
 
     if not (start is None or callable(start) or isinstance(start, Sequence)):
-        raise OptionError(
-            f"start must be a pair (ids, poses), a function that finds one, or a list, not {quoted(start)}"
-        )
+        message = f"start must be a pair (ids, poses), a function that finds one, or a list, not {quoted(start)}"
+        raise OptionError(message)
     found: list[Start | Begin] = []
     # a tuple is one start
     for each in [start] if start is None or callable(start) or isinstance(start, tuple) else start:

@@ -229,7 +229,6 @@ def _seen(log: Log, sensor: SensorModel) -> tuple[Array, Array]:
     n = log.sightings.shape[1]
     places = [log.true_landmarks[j] for j in log.landmarks[counted].tolist()]
     if n == 3 and any(len(place) == 2 for place in places):
-        raise LogError(
-            f"{log.name}: the truth of psi is unknown, because true landmarks have no heading; leave psi out"
-        )
+        message = f"{log.name}: the truth of psi is unknown, because true landmarks have no heading; leave psi out"
+        raise LogError(message)
     return log.sightings[counted], sensor.h(truth[log.steps[counted]], np.array([place[:n] for place in places]))

@@ -228,9 +228,8 @@ def relations_table(
     x, P, V = found.poses()
     notes: list[str] = []
     if not np.isfinite(x).all():
-        raise FormatError(
-            found.source, None, "its poses have no orientation; a relation needs the heading of both poses"
-        )
+        message = "its poses have no orientation; a relation needs the heading of both poses"
+        raise FormatError(found.source, None, message)
     if np.any(explicit >= 0):
         kept = explicit >= 0
         return _relations(found, explicit[kept], times[kept], x[kept], P[kept]), notes
@@ -265,18 +264,16 @@ def relations_table(
         )
     first, second = first[~spans], second[~spans]
     if not len(first):
-        raise FormatError(
-            found.source, None, f"no two of its poses are {APART:g} s apart without a pause or a jump between them"
-        )
+        message = f"no two of its poses are {APART:g} s apart without a pause or a jump between them"
+        raise FormatError(found.source, None, message)
     motions = between(x[first], x[second])
     if std is not None:
         C = np.tile(np.diag([std[0], std[0], std[1] if len(std) > 1 else std[0]]) ** 2, (len(first), 1, 1))
     else:
         grown, how = _growth(x, P, V, spent, first, second)
         if grown is None:
-            raise FormatError(
-                found.source, None, f"{_no_noise(P)} of a relation, [relations] std = [METRES, RADIANS] in the recipe"
-            )
+            message = f"{_no_noise(P)} of a relation, [relations] std = [METRES, RADIANS] in the recipe"
+            raise FormatError(found.source, None, message)
         C = grown
         notes.append(f"the noise of the relations of {found.source} is {how}")
     return _relations(found, times[first], times[second], motions, C), notes

@@ -119,9 +119,8 @@ def _check_head(path: Path) -> None:
     check_unpacked(path, head)
     for suffix, kind in SUFFIXES.items():
         if head.startswith(MAGIC[kind]) and path.suffix.lower() in SUFFIXES and path.suffix.lower() != suffix:
-            raise FormatError(
-                path, None, f"its content is that of {kind}; give it the name {path.with_suffix(suffix).name}"
-            )
+            message = f"its content is that of {kind}; give it the name {path.with_suffix(suffix).name}"
+            raise FormatError(path, None, message)
     if not head.startswith(tuple(MAGIC.values())):
         raise FormatError(
             path, None, "not a readable bag: it does not begin as one of ROS 1, MCAP or SQLite; was it overwritten, or is it "

@@ -131,18 +131,14 @@ def _recognised(path: Path) -> Format:
         if candidate.recognises(path, head):
             return candidate
     if path.is_dir():
-        raise FormatError(
-            path, None, "this is a folder, and not that of a known data set; slam-compare datasets lists their files"
-        )
+        message = "this is a folder, and not that of a known data set; slam-compare datasets lists their files"
+        raise FormatError(path, None, message)
     check_unpacked(path, head)
     if head.lstrip().startswith(tuple(tag.encode() for tag in SPATIAL)):
         raise FormatError(path, 1, f"this is a pose graph in space; {IN_THE_PLANE}")
     if head.lstrip().startswith((b"VERTEX", b"EDGE")):
-        raise FormatError(
-            path,
-            1,
-            "this is a pose graph and no log; slam-compare backends FILE solves it, and Graph.from_g2o reads it",
-        )
+        message = "this is a pose graph and no log; slam-compare backends FILE solves it, and Graph.from_g2o reads it"
+        raise FormatError(path, 1, message)
     raise FormatError(
         path,
         None if is_mat(head) else 1,
@@ -166,9 +162,8 @@ def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> N
         by_suffix = {suffix: name for name in writers for suffix in FORMATS[name].suffixes}
         if path.suffix not in by_suffix:
             known = ", ".join(by_suffix)
-            raise FormatError(
-                path, None, f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {known}"
-            )
+            message = f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {known}"
+            raise FormatError(path, None, message)
         format = by_suffix[path.suffix]
     check_choice("format", format, writers)
     writers[format](log, path)

@@ -118,9 +118,8 @@ def _of_dates(table: Table, column: int) -> np.ndarray | None:
         if (match := _DATE.fullmatch(word)) is None:
             if row == 0:
                 return None
-            raise table.error(
-                row, f"{table.title(column)} should be a date and time as in the rows above, not {quoted(word)}"
-            )
+            message = f"{table.title(column)} should be a date and time as in the rows above, not {quoted(word)}"
+            raise table.error(row, message)
         day, clock, hours, minutes = match.groups()
         try:
             whole, _, fraction = clock.replace(",", ".").partition(".")
@@ -355,9 +354,8 @@ def checked_heading(table: Table, quaternions: Array) -> Array:
     x, y, _, _ = (quaternions / length[:, None]).T
     if (k := first(1 - 2 * (x * x + y * y) < np.cos(_TILT))) is not None:
         tilt = np.rad2deg(np.arccos(np.clip(1 - 2 * (x[k] ** 2 + y[k] ** 2), -1, 1)))
-        raise table.error(
-            k, f"the quaternion tilts the robot by {tilt:.0f} degrees: are its columns x, y, z, w in this order?"
-        )
+        message = f"the quaternion tilts the robot by {tilt:.0f} degrees: are its columns x, y, z, w in this order?"
+        raise table.error(k, message)
     return heading(quaternions)
 
 

@@ -72,9 +72,8 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
     table = reader.leave_out("t1", "t2", "dx", "dy")
     ns, ends = reader.times("t1"), reader.times("t2")
     if (k := first(ns == ends)) is not None:
-        raise table.error(
-            k, f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it needs two different times"
-        )
+        message = f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it needs two different times"
+        raise table.error(k, message)
     # an empty cell: the heading is not known there
     motions = np.column_stack([reader.numbers("dx", "dy"), reader.numbers("dtheta", finite=False)])
     reader.refuse("dtheta", motions[:, 2], WHOLE_TURN, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
@@ -308,9 +307,8 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
     if len(odometry.times) == 1:
         raise odometry.table.error(None, "there is one row, but motion takes two")
     if begin == end:
-        raise odometry.table.error(
-            None, f"all {len(odometry.times)} rows have the time {begin / 1e9:.3f} s: are times in another column?"
-        )
+        message = f"all {len(odometry.times)} rows have the time {begin / 1e9:.3f} s: are times in another column?"
+        raise odometry.table.error(None, message)
     if first <= end and last >= begin:
         inside = int(np.sum((other.times >= begin) & (other.times <= end)))
         longer = (last - first) / (end - begin)

@@ -286,9 +286,8 @@ class AbsolutePositions(_Records):
         if measured.any() and d == 2:
             raise LogError("positions with headings need covariances (N, 3, 3), of x, y and heading")
         if shape not in ((d, d), (count, d, d)):
-            raise LogError(
-                f"the covariances of positions must have shape ({count}, 2, 2) or ({count}, 3, 3), not {shape}"
-            )
+            message = f"the covariances of positions must have shape ({count}, 2, 2) or ({count}, 3, 3), not {shape}"
+            raise LogError(message)
         all_of_them = np.broadcast_to(self.covariances, (count, d, d))
         for rows, size in ((np.flatnonzero(~measured), 2), (np.flatnonzero(measured), 3)):
             if len(rows):
@@ -348,9 +347,8 @@ class PartialSightings(_Records):
             for name in ("steps", "landmarks")
         )
         if (k := first(np.isin(landmarks, (UNIDENTIFIED, NO_ID)))) is not None:
-            raise LogError(
-                f"partial sighting {k} has no id; ranges and bearings alone need ids: leave out those without one"
-            )
+            message = f"partial sighting {k} has no id; ranges and bearings alone need ids: leave out those without one"
+            raise LogError(message)
         self._set(steps=steps, landmarks=landmarks, ranges=ranges, bearings=bearings)
 
     @property
@@ -470,9 +468,8 @@ def checked_sightings(ids: Any, sightings: Any, refused: Collection[int], advice
         )
     check_sighted("sightings", (np.nanmin(z[:, 1:], initial=0.0), np.nanmax(z[:, 1:], initial=0.0)))
     if len(z) != len(numbers):
-        raise OptionError(
-            f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
-        )
+        message = f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
+        raise OptionError(message)
     return numbers, z.copy()
 
 

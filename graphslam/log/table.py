@@ -318,9 +318,8 @@ def _stated(table: Table, role: str, column: str | int) -> Chosen:
         return Chosen(number - 1, plain(table.names[number - 1])[1] if table.names else None)
     if column not in table.names:
         known = f"its columns are {named(table.names)}" if table.names else "its columns have no names: give numbers"
-        raise table.error(
-            None, f"there is no column {quoted(column)} for {role}{suggestion(column, table.names) or f'; {known}'}"
-        )
+        message = f"there is no column {quoted(column)} for {role}{suggestion(column, table.names) or f'; {known}'}"
+        raise table.error(None, message)
     return Chosen(table.names.index(column), plain(column)[1])
 
 

@@ -123,9 +123,8 @@ class TextTable(Table):
         # every row of an array of text takes as much memory as the longest one
         for row, line in enumerate(self._rows):
             if len(line) > _LONGEST and len(cells := self._cells(line)) > column and len(cells[column]) > _LONGEST:
-                raise self.error(
-                    row, f"{self.title(column)} has {len(cells[column]):,} letters; a word has at most {_LONGEST}"
-                )
+                message = f"{self.title(column)} has {len(cells[column]):,} letters; a word has at most {_LONGEST}"
+                raise self.error(row, message)
         return np.char.strip(self._loaded(column, str))
 
     def texts(self, column: int) -> np.ndarray:
@@ -144,9 +143,8 @@ class TextTable(Table):
                 next(reader)
                 # it has read on
                 if reader.line_num > 1:
-                    raise self.error(
-                        row, "a quotation mark is opened and not closed in this line; each row is one line"
-                    )
+                    message = "a quotation mark is opened and not closed in this line; each row is one line"
+                    raise self.error(row, message)
 
     def _line(self, row: int) -> int:
         """The line, counted from 1, of a row."""
@@ -250,9 +248,8 @@ def _form(path: Path, head: list[str]) -> tuple[str | None, bool]:
             if score > best[0] + 1e-9:
                 best = (score, separator, comma)
     if best[0] == 0.0:
-        raise FormatError(
-            path, None, f"cannot find columns in {quoted(head[0])}; separate them by commas, semicolons, tabs or spaces"
-        )
+        message = f"cannot find columns in {quoted(head[0])}; separate them by commas, semicolons, tabs or spaces"
+        raise FormatError(path, None, message)
     return best[1], best[2]
 
 
