@@ -74,13 +74,12 @@ class Poses(Collector):
         super().add(time, message)
         self._from.append(_time_of(message.header.frame_id))
 
-    @property
     def _rows_of_numbers(self) -> Array:
         return np.array(self._values).reshape(len(self), -1)
 
     def poses(self) -> tuple[Array, Array, Array]:
         """Poses (N, 3), headings NaN where the quaternion is none, and covariances (N, 3, 3) of poses and of speeds."""
-        rows = self._rows_of_numbers
+        rows = self._rows_of_numbers()
         turns, known = rows[:, 2:6], np.linalg.norm(rows[:, 2:6], axis=1) > 0.5
         headings = np.full(len(rows), np.nan)
         R = rotation_of(turns[known])
@@ -89,7 +88,7 @@ class Poses(Collector):
 
     def fixes(self) -> tuple[Array, Array, np.ndarray]:
         """Latitude, longitude [degrees], altitude [m] (N, 3), covariances (N, 2, 2), and their types (N,), -1 for no fix."""
-        rows = self._rows_of_numbers
+        rows = self._rows_of_numbers()
         C = rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
         return rows[:, :3], C, rows[:, 6].astype(int)
 
@@ -250,8 +249,7 @@ def relations_table(
     for k, t in enumerate(seconds.tolist()):
         if t - seconds[rows[-1]] >= APART:
             rows.append(k)
-    rows_ = np.array(rows)
-    first, second = rows_[:-1], rows_[1:]
+    first, second = np.array(rows[:-1], dtype=int), np.array(rows[1:], dtype=int)
     spent = np.diff(seconds)
     way = np.hypot(*np.diff(x[:, :2], axis=0).T)
     speed = way / np.maximum(spent, 1e-9)
@@ -270,19 +268,19 @@ def relations_table(
     if std is not None:
         C = np.tile(np.diag([std[0], std[0], std[1] if len(std) > 1 else std[0]]) ** 2, (len(first), 1, 1))
     else:
-        grown, how = _growth(x, P, V, spent, first, second)
-        if grown is None:
+        C, how = _growth(x, P, V, spent, first, second)
+        if not how:
             message = f"{_no_noise(P)} of a relation, [relations] std = [METRES, RADIANS] in the recipe"
             raise FormatError(found.source, None, message)
-        C = grown
         notes.append(f"the noise of the relations of {found.source} is {how}")
     return _relations(found, times[first], times[second], motions, C), notes
 
 
-def _growth(
-    x: Array, P: Array, V: Array, spent: Array, first: np.ndarray, second: np.ndarray
-) -> tuple[Array | None, str]:
-    """The covariances of motions in the axes of the first pose, by the growth of those of the poses or by those of speeds."""
+def _growth(x: Array, P: Array, V: Array, spent: Array, first: np.ndarray, second: np.ndarray) -> tuple[Array, str]:
+    """The covariances of motions in the axes of the first pose, by the growth of those of the poses or by those of speeds.
+
+    And which of both; empty where neither are covariances.
+    """
     a, b = x[first], x[second]
     F = np.tile(np.eye(3), (len(a), 1, 1))
     F[:, 0, 2], F[:, 1, 2] = a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]
@@ -295,9 +293,8 @@ def _growth(
     driven = total[second] - total[first]
     # some programs leave out the speed sideways
     driven[:, 1, 1] = np.where(driven[:, 1, 1] > 0, driven[:, 1, 1], driven[:, 0, 0])
-    if not not_positive(driven).any() and (V[:, 0, 0] < UNKNOWN).all():
-        return driven, "that of its speeds"
-    return None, ""
+    known = not not_positive(driven).any() and (V[:, 0, 0] < UNKNOWN).all()
+    return driven, "that of its speeds" if known else ""
 
 
 def _relations(found: Poses, begin: np.ndarray, end: np.ndarray, motions: Array, C: Array) -> Columns:

@@ -52,10 +52,8 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     if options.get("robot") is not None and chosen.robots is None:
         raise OptionError(f"robot does not apply to logs of the format {quoted(chosen.name)} ({path}); leave it out")
     reading = ReadOptions(**options)
-    log = chosen.read(path, reading)
-    if reading.keep_every is None or chosen.separate_times:
-        return log
-    return with_poses_every(log, reading.keep_every)
+    log, seconds = chosen.read(path, reading), reading.keep_every
+    return log if seconds is None or chosen.separate_times else with_poses_every(log, seconds)
 
 
 def read(path: str | PathLike[str], *, format: str | None = None, **options: Any) -> Log | Graph:
@@ -68,16 +66,13 @@ def read(path: str | PathLike[str], *, format: str | None = None, **options: Any
         FormatError, OptionError: as `load`. GraphError: the graph falls into several pieces.
     """
     path = path_of(path)
-    if format in DIALECTS or (format is None and path.is_file() and _is_graph(path)):
+    head = first_bytes(path) if format is None and path.is_file() else b""
+    is_graph = is_pose_graph(head) and not any(form.recognises(path, head) for form in FORMATS.values())
+    if format in DIALECTS or is_graph:
         if options:
             raise OptionError(f"{next(iter(options))} does not apply to pose graphs ({path}); leave it out")
         return Graph.from_g2o(path, format=format)
     return load(path, format=format, **options)
-
-
-def _is_graph(path: Path) -> bool:
-    head = first_bytes(path)
-    return is_pose_graph(head) and not any(form.recognises(path, head) for form in FORMATS.values())
 
 
 def robots_in(path: str | PathLike[str], *, format: str | None = None) -> list[int]:

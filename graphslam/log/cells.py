@@ -54,7 +54,9 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
         if (dates := _of_dates(table, column)) is not None:
             return dates
         word = str(table.words(column)[0])
-        if _is_number(word):
+        with suppress(ValueError):
+            # the first time is a number, so that a later one is the mistake
+            float(word)
             raise
         message = "should be a number, or a date with the time of day as in 2026-11-22T10:00:00.5Z"
         raise table.error(0, f"the time {table.title(column)} {message}, not {quoted(word)}") from None
@@ -158,14 +160,6 @@ def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int) 
     if np.ptp(total) >= _LARGEST:
         raise table.error(int(np.argmax(total)), f"the times {table.title(column)} are more than 292 years apart")
     return times + more
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def by_size(values: np.ndarray) -> str:
@@ -335,14 +329,8 @@ def _numbers(names: list[str | int]) -> np.ndarray | None:
 _LENGTH, _TILT = 0.02, np.deg2rad(45)
 
 
-def heading(quaternions: Array) -> Array:
-    """The direction of the x axis in the plane (N,) [rad] of quaternions (N, 4), x, y, z, w."""
-    x, y, z, w = quaternions.T
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
 def checked_heading(table: Table, quaternions: Array) -> Array:
-    """The headings (N,) of the quaternions (N, 4) of a table, of a robot that stands on the ground.
+    """The headings (N,) of the quaternions (N, 4) of a table, x, y, z, w, of a robot that stands on the ground.
 
     Raises:
         LogError: a quaternion is not of length 1, or tilts the robot.
@@ -356,7 +344,9 @@ def checked_heading(table: Table, quaternions: Array) -> Array:
         tilt = np.rad2deg(np.arccos(np.clip(1 - 2 * (x[k] ** 2 + y[k] ** 2), -1, 1)))
         message = f"the quaternion tilts the robot by {tilt:.0f} degrees: are its columns x, y, z, w in this order?"
         raise table.error(k, message)
-    return heading(quaternions)
+    # the direction of the x axis in the plane
+    x, y, z, w = quaternions.T
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def controls_between(poses: Array, dt: Array) -> tuple[Array, float]:

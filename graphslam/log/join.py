@@ -57,6 +57,10 @@ def datum_note(datum: Array, source: str) -> str:
 
 #: the coordinates of the noise
 _AXES = ("x", "y", "theta")
+_COUNTS_STEPS = (
+    " counts steps, which tables do not have: poses are at the times of what was measured, so give the time of both "
+    "poses"
+)
 
 
 def relations_of(table: Table, options: TableOptions) -> Timed:
@@ -67,7 +71,7 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
     """
     reader = Reader("relations", table, options)
     steps = [name for name in table.names if name.lower() in ("step", "steps", "first", "second", "step1", "step2")]
-    reader.need("t1", instead=_no_steps(steps))
+    reader.need("t1", instead=f", and {steps[0]!r}{_COUNTS_STEPS}" if steps else "")
     reader.need("t2", "dx", "dy", "dtheta")
     table = reader.leave_out("t1", "t2", "dx", "dy")
     ns, ends = reader.times("t1"), reader.times("t2")
@@ -80,15 +84,6 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
     rows = np.column_stack([motions, _noise(reader, np.isfinite(motions[:, 2])).reshape(-1, 9)])
     order = np.argsort(ns, kind="stable")
     return Timed(table, ns[order], rows[order], reader.described(), ends=ends[order])
-
-
-def _no_steps(steps: list[str]) -> str:
-    if not steps:
-        return ""
-    return (
-        f", and {steps[0]!r} counts steps, which tables do not have: poses are at the times of what was measured, so give "
-        "the time of both poses"
-    )
 
 
 def positions_of(table: Table, options: TableOptions) -> Timed:
@@ -321,12 +316,13 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
         return
     offset = (begin - first) / 1e9
     hours = offset / 3600
+    ratio = max(end - begin, last - first) / max(1, min(end - begin, last - first))
     if abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
         cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
     elif min(begin, first) < 1e16 < max(begin, first):
         cause = "one counts from 1970 and the other from its own start"
-    elif (ratio := _unit_ratio(end - begin, last - first)) is not None:
-        cause = f"one seems to be in units {ratio} times as large"
+    elif unit := next((unit for unit in (1000, 10**6, 10**9) if 0.5 < ratio / unit < 2), None):
+        cause = f"one seems to be in units {unit} times as large"
     else:
         cause = "they are of different drives, or one clock was not set"
     text = f"{offset:.3f}".rstrip("0").rstrip(".")
@@ -338,12 +334,6 @@ def _name(stream: Timed) -> str:
     """The table without its folder: a sentence with two paths is hard to read."""
     path, colon, topic = stream.table.source.partition(": ")
     return f"{Path(path).name}{colon}{topic}"
-
-
-def _unit_ratio(one: int, other: int) -> int | None:
-    """The factor between the units of two spans, a power of 1000."""
-    ratio = max(one, other) / max(1, min(one, other))
-    return next((unit for unit in (1000, 10**6, 10**9) if 0.5 < ratio / unit < 2), None)
 
 
 def _interval(begin: int, end: int) -> str:
@@ -372,6 +362,7 @@ def end_to_end(first: Log, second: Log) -> Log:
             return None
         return np.concatenate([np.full((n, 3), np.nan) if each is None else each for each, n in zip(rows, sizes)])
 
+    moved = {name: each.moved(lambda steps: steps + poses) for name, each in b.measured.items()}
     recorded = [each.dt if each.recorded_dt is None else each.recorded_dt for each in (a, b)]
     # where one of them has true poses and no path, there is none of both
     has_path = all(each.true_path is not None for each in (a, b) if each.true_poses is not None)
@@ -389,7 +380,7 @@ def end_to_end(first: Log, second: Log) -> Log:
         true_poses=with_unknown("true_poses", (poses, b.num_poses)),
         true_path=with_unknown("true_path", (pieces, len(b.controls) + 1)) if has_path else None,
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
-        **{name: _shifted(getattr(a, name), getattr(b, name), poses) for name in MEASURED},
+        **{name: joined_rows(getattr(a, name), moved.get(name)) for name in MEASURED},
         notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
         doubts=(*a.doubts, *b.doubts),
         sessions=(*_sessions(a), *(replace(each, start=poses + each.start) for each in _sessions(b))),
@@ -412,10 +403,3 @@ def _sessions(log: Log) -> tuple[Session, ...]:
 def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
     """Remarks about a log, with its name; those about logs that were joined have it already."""
     yield from remarks if log.sessions else (f"{log.name}: {remark}" for remark in remarks)
-
-
-def _shifted(first: Measured | None, second: Measured | None, poses: int) -> Measured | None:
-    """The measurements of two logs, the steps of the second counted from ``poses`` on."""
-    if second is not None:
-        second = second.moved(lambda steps: steps + poses)
-    return joined_rows(first, second)

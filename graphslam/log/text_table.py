@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -135,7 +136,6 @@ class TextTable(Table):
 
     def _check_quotes(self) -> None:
         """Raise `FormatError` for the first row in which a text in quotation marks does not end."""
-        import csv
 
         for row, line in enumerate(self._rows):
             if '"' in line:
@@ -203,8 +203,6 @@ def _check_length(path: Path, text: str) -> None:
 
 def _split(line: str, separator: str | None) -> list[str]:
     if '"' in line:
-        import csv
-
         return [cell.strip() for cell in next(csv.reader([line], delimiter=separator or " "))]
     return [cell.strip() for cell in line.split(separator)]
 
