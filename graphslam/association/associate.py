@@ -32,12 +32,11 @@ from ..solvers.unknown_robot import estimate_robot
 from .adapting import Competition, Robot, Start, compete, spread, tolerance
 from .ambiguity import Ambiguity, ambiguities, readable
 from .front_end import run_front_end
-from .leaps import Leap
 from .map_solution import Problem
 from .problem import AssociationOptions
 from .problem import names as names_of
 from .refining import TRIAL_ROUNDS
-from .repair import repaired, with_unknown_motions
+from .repair import Leap, repaired, with_unknown_motions
 
 #: the evidence for a reliable map over that for any other one [nats]; with 30, one of 42 maps called good was bad
 MIN_LEAD = 40.0

@@ -204,9 +204,8 @@ def inverse_information(information: Array) -> tuple[Array, bool]:
         return information, True
     unit = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(unit, unit)
-    return np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) / np.outer(unit, unit), bool(
-        np.linalg.eigvalsh(scaled)[0] > 1e-9
-    )
+    known = bool(np.linalg.eigvalsh(scaled)[0] > 1e-9)
+    return np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) / np.outer(unit, unit), known
 
 
 def _named(names: Sequence[str], means: Array, errors: Array) -> Means:

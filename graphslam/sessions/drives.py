@@ -5,6 +5,14 @@ anywhere. The log has a control there that says nothing, with the variances `ANY
 checks take it like any other log, and it knows its `Log.sessions`. The start values matter: each drive is put where its first
 sightings fit the map of those before (`first_fix`).
 
+**Without ids.** Each log is associated alone, and their maps are matched:
+
+1. Each log gets ids, a trajectory and a map of its own (`associate_from`).
+2. The map of each log is a constellation that is looked for in the map of those before (`graph.constellation.match`), and the
+   log is followed through that map (`graph.tracking`). Landmarks that agree get one id.
+3. From both starts the graph of all logs so far is solved, and association and solving take turns
+   (`association.refining`), which merges landmarks that the drift of a log had held apart. The end with more evidence counts.
+
 **Robots** with a common clock. A sighting of another robot is a measured relation of two poses at one instant, whose heading
 is not measured: from the pose x_a of the robot that sees, range and bearing give the place of the other one,
 
@@ -25,20 +33,24 @@ from typing import Any
 
 import numpy as np
 
-from ..association import known_noise
-from ..association.across_logs import joined_without_ids
+from ..association import AssociationOptions, associate_from, known_noise
+from ..association.assignment import evidence
+from ..association.map_solution import Problem
+from ..association.refining import refine
 from ..errors import GraphError, LogError, OptionError, named
 from ..graph import Graph
+from ..graph.constellation import Constellations, Merged, match
 from ..graph.landmark_map import LandmarkMap
-from ..graph.localization import first_fix
+from ..graph.localization import SURE, first_fix, odds_of
+from ..graph.tracking import follow
 from ..identification.robot import known_robot
-from ..log import Log
+from ..log import UNIDENTIFIED, Log
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
 from ..log.join import end_to_end, joined_rows
 from ..log.measurements import PoseRelations
 from ..log.rows import robot_class
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, begun_at
+from ..se2 import Array, begun_at, between, compose, in_frame
 from ..solvers.solve import solve
 
 #: a log is said where the mean noise of sightings is more than so many times its own; the largest of 30 pairs of drives of
@@ -68,7 +80,7 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
 
     Args:
         logs: with controls, and ids that mean the same landmarks in all of them. Where one has sightings without ids, each
-            log is associated, and their maps are matched (`association.across_logs`). Noise models must be the same in all,
+            log is associated, and their maps are matched. Noise models must be the same in all,
             or be given to `Graph.from_log`. Their ground truth is in one frame, and unknown where a log has none.
         mean_noise: the noise of each log is found by `known_noise`, and all get the means (`with_common_noise`).
         placed: the initial poses of all are in one frame already, so that none is looked for.
@@ -125,23 +137,19 @@ def with_common_noise(logs: Sequence[Log]) -> list[Log]:
     if len(set(motions)) == len(set(sensors)) == 1 and all(each == taken_out[0] for each in taken_out):
         return list(logs)
 
-    def squares(models: Sequence[MotionModel | SensorModel]) -> dict[str, float]:
-        rows = [vars(each) for each in models]
-        geometry = (*SensorModel.GEOMETRY, "epsilon")
-        return {
-            name: float(np.sqrt(np.mean([row[name] ** 2 for row in rows]))) for name in rows[0] if name not in geometry
-        }
+    def squares(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
+        """The square roots of the means of all variances, which are zero where a row has none."""
+        names = dict.fromkeys(name for row in rows for name in row if name not in (*SensorModel.GEOMETRY, "epsilon"))
+        return {name: float(np.sqrt(np.mean([row.get(name, 0.0) ** 2 for row in rows]))) for name in names}
 
-    motion = MotionModel(**squares(motions), epsilon=float(np.mean([each.epsilon for each in motions])))
+    epsilon = float(np.mean([each.epsilon for each in motions]))
+    motion = MotionModel(**squares([*map(vars, motions)]), epsilon=epsilon)
     ahead, left = np.mean([each.offset for each in sensors], axis=0).tolist()
     sensor = SensorModel(
-        **squares(sensors), offset=(ahead, left), min_range=min(each.min_range for each in sensors),
+        **squares([*map(vars, sensors)]), offset=(ahead, left), min_range=min(each.min_range for each in sensors),
         max_range=max(each.max_range for each in sensors), field_of_view=max(each.field_of_view for each in sensors),
     )  # fmt: skip
-    uncertain = {
-        name: float(np.sqrt(np.mean([each.get(name, 0.0) ** 2 for each in taken_out])))
-        for name in dict.fromkeys(name for each in taken_out for name in each)
-    }
+    uncertain = squares(taken_out)
     mean, common = f"its noise models are the means of those of {len(logs)} logs", []
     for log, own in zip(logs, sensors):
         robot = np.zeros((len(log.sightings), 3))
@@ -193,6 +201,110 @@ def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -
     return log.replace(initial_poses=begun_at(fix.pose, log.initial_poses), notes=notes)
 
 
+#: the fewest landmarks of two maps that have to agree
+FEWEST_SHARED = 5
+
+
+def joined_without_ids(logs: Sequence[Log]) -> tuple[Log, list[int]]:
+    """The log of all, with ids and without clutter, in the frame of the first, and the first step of each.
+
+    Args:
+        logs: with controls and the same noise models. Ids that a log has are used within this log.
+
+    Raises:
+        GraphError: a log has no landmarks that were seen twice, or its map surely is at no place in that of those before.
+    """
+    models: dict[str, Any] = {"motion": logs[0].motion or MotionModel(), "sensor": logs[0].sensor or SensorModel()}
+    joined, starts = _associated(logs[0], models), [0]
+    for each in logs[1:]:
+        starts.append(joined.num_poses)
+        ends = []
+        for placed in _in_map_of(joined, _associated(each, models), models):
+            both = end_to_end(joined, placed)
+            ends.append(_refined(both.replace(initial_poses=solve(_graph(both, models)).poses), models))
+        joined = max(ends, key=lambda end: end[1])[0]
+    clutter = joined.landmarks == UNIDENTIFIED
+    note = f"{len(joined.landmark_ids)} landmarks were found in all logs together, and {clutter.sum()} sightings are clutter"
+    return joined.with_sightings(~clutter, notes=(*joined.notes, note)), starts
+
+
+def _associated(log: Log, models: dict[str, Any]) -> Log:
+    """The log with ids, `UNIDENTIFIED` for clutter, and its trajectory."""
+    if log.identified:
+        return log.replace(initial_poses=solve(_graph(log, models)).poses)
+    found = associate_from(log, **models)
+    return log.replace(landmarks=found.ids, initial_poses=found.poses, notes=(*log.notes, *found.notes))
+
+
+def _graph(log: Log, models: dict[str, Any]) -> Graph:
+    return Graph.from_log(log.with_sightings(log.landmarks != UNIDENTIFIED), edges="landmark+motion", **models)
+
+
+def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
+    """The log with initial poses in the frame of those before and with their ids, by its map and by following it.
+
+    Raises:
+        GraphError: its map surely is at no place in that of those before, and neither are its sightings.
+    """
+    known, own = solve(_graph(before, models)).map, solve(_graph(log, models)).map
+    reach = float(np.quantile(np.concatenate([before.sightings[:, 0], log.sightings[:, 0]]), 0.98))
+    fresh = max(known, default=-1) + 1
+    names = {j: fresh + k for k, j in enumerate(own)} | {UNIDENTIFIED: UNIDENTIFIED}
+    ways = list[Log]()
+    counts = np.array([np.count_nonzero(log.landmarks == j) for j in own])
+    found = match(Merged(*own.arrays(own), counts, np.zeros(0, dtype=int)), Constellations.of(known, reach))
+    if found and odds_of([each for each, _ in found]) > SURE and np.sum(found[0][0].agree) >= FEWEST_SHARED:
+        best, where = found[0]
+        ids = np.array(list(known))
+        partners = {j: int(ids[where[k]]) for k, j in enumerate(own) if best.agree[k]}
+        how = f"its map has {len(partners)} landmarks of those before"
+        ids = np.array([partners.get(j, names[j]) for j in log.landmarks.tolist()])
+        ways.append(_in_frame(log, ids, best.pose, how))
+    try:
+        along = follow(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)), known, **models)
+    except GraphError:
+        if not ways:
+            raise
+        return ways
+    seen = np.isin(along.landmarks, list(known))
+    if along.lifted or len(np.unique(along.landmarks[seen])) < FEWEST_SHARED:
+        if not ways:
+            names = " and ".join(each.name for each in before.sessions) or before.name
+            shared = f"no {FEWEST_SHARED} landmarks in common"
+            raise GraphError(f"{log.name} and {names} have {shared}: are they logs of one place?")
+        return ways
+    # what the map does not have keeps its own id, where most sightings of that are not in the map
+    mostly = {j: 2 * np.sum(seen[log.landmarks == j]) > np.sum(log.landmarks == j) for j in own}
+    others = [UNIDENTIFIED if mostly.get(j, True) else names[j] for j in log.landmarks.tolist()]
+    fix = along.fixes[0]
+    frame = compose(fix.pose, between(log.initial_poses[0], np.zeros(3)))
+    how = f"it was followed through their map, where {fix.sentence}"
+    return [*ways, _in_frame(log, np.where(seen, along.landmarks, others), frame, how)]
+
+
+def _in_frame(log: Log, ids: np.ndarray, frame: Array, how: str) -> Log:
+    """The log with ids, and initial poses in another frame."""
+    return log.replace(
+        landmarks=ids,
+        initial_poses=in_frame(frame, log.initial_poses),
+        notes=(*log.notes, f"joined without ids: {how}"),
+    )
+
+
+def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
+    """The joined log after association and solving in turn, and its evidence."""
+    bare = joined.replace(landmarks=np.full(len(joined.steps), UNIDENTIFIED), relations=None, positions=None)
+    _, labels = np.unique(joined.landmarks, return_inverse=True)
+    # the smallest name is that of clutter
+    labels = labels - int(np.any(joined.landmarks == UNIDENTIFIED))
+    problem = Problem.of(bare, models["motion"], models["sensor"], AssociationOptions())
+    found = refine(problem, labels, joined.initial_poses)
+    if found is None:
+        return joined, -np.inf
+    ids = np.where(found.labels < 0, UNIDENTIFIED, found.labels)
+    return joined.replace(landmarks=ids, initial_poses=found.solution.poses), evidence(problem, found.solution)
+
+
 def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
     """One log of several robots with a common clock, which see landmarks and each other.
 
@@ -239,9 +351,8 @@ def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
     notes = [f"{len(first):,} sightings of other robots are relations between two poses of one instant"]
     others = sum(len(meetings(logs[a], b)) for a in logs for b in logs if a != b) - len(first)
     if others:
-        notes.append(
-            f"{others:,} sightings of other robots are from times at which these did not drive, and are not used"
-        )
+        when = "from times at which these did not drive"
+        notes.append(f"{others:,} sightings of other robots are {when}, and are not used")
     log = joined.log
     return replace(joined, log=log.replace(relations=joined_rows(log.relations, relations), notes=(*log.notes, *notes)))
 
