@@ -356,10 +356,9 @@ def evaluate(
         landmarks = named_by_place(true_landmarks, landmarks, alignment)
     of_map = Metrics(aligned_by=aligned_by)
     if true_landmarks is not None:
-        arguments = (true_landmarks, landmarks, alignment)
-        of_map = replace(
-            of_map, landmark_rmse_m=landmark_rmse(*arguments), landmark_errors_m=landmark_errors(*arguments)
-        )
+        each = landmark_errors(true_landmarks, landmarks, alignment)
+        rmse = landmark_rmse(true_landmarks, landmarks, alignment)
+        of_map = replace(of_map, landmark_rmse_m=rmse, landmark_errors_m=each)
     if true_poses is None or aligned_by != "poses":
         return of_map
     counted = np.isfinite(true_poses[:, 0]) & (True if mask is None else np.asarray(mask, dtype=bool))

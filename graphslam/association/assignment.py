@@ -382,9 +382,8 @@ def _near(
     m, S, labels = solution.landmarks[:, :2], solution.covariances + solution.slack, solution.labels
     variances = np.diagonal(S, axis1=1, axis2=2)[:, :2]
     # the variance of the difference is at most the sum, as errors of landmarks are correlated positively
-    near = (labels[items, None] > labels[None]) & np.all(
-        (m[items, None] - m[None]) ** 2 <= gate * (variances[items, None] + variances[None]), axis=2
-    )
+    close = (m[items, None] - m[None]) ** 2 <= gate * (variances[items, None] + variances[None])
+    near = (labels[items, None] > labels[None]) & np.all(close, axis=2)
     pairs = [(items[k], j) for k, j in np.argwhere(near)]
     steps = {k: set(seen[k].tolist()) for k in {each for pair in pairs for each in pair}}
     both = [len(steps[k] & steps[j]) for k, j in pairs]

@@ -78,9 +78,8 @@ class LocalMap:
 
     def _weights(self, rows: np.ndarray) -> Array:
         """w (k, n) of each sighting and track."""
-        return self._densities.weight + self._classes.together(
-            self._classes.of_sightings(rows)[:, None], self._shown[None]
-        )
+        own = self._classes.of_sightings(rows)[:, None]
+        return self._densities.weight + self._classes.together(own, self._shown[None])
 
     def _pairs(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array, Array, Array]:
         """Pairs of a sighting of the scan and a track within the gate.

@@ -275,9 +275,8 @@ class RobotEstimate:
             if names and not set(names) & set(self.parameters.names)
         ]
         if self.untested:
-            lines.append(
-                f"not estimated from these ranges and bearings alone: {', '.join(self.untested)} keep their ideal values"
-            )
+            which = ", ".join(self.untested)
+            lines.append(f"not estimated from these ranges and bearings alone: {which} keep their ideal values")
         if self.left_out.sentence is not None:
             lines.append(self.left_out.sentence)
         if self.basis == DEAD_RECKONING:
@@ -314,9 +313,8 @@ def without_found(
     """
     parameters = replace(last.parameters, recorded=log)
     free = np.flatnonzero(parameters.deviations > HELD)
-    names, means, deviations = (
-        np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
-    )
+    every = (parameters.names, parameters.means, parameters.deviations)
+    names, means, deviations = (np.array(each)[free].tolist() for each in every)
     uncertain = {**held, **(log.uncertain or {}), **dict(zip(names, deviations))}
     corrected = corrected_log(parameters).replace(motion=motion, sensor=sensor, uncertain=uncertain)
     variances = honest_variances(corrected)

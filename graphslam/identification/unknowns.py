@@ -188,9 +188,8 @@ class Unknowns:
         """Keep parameters at their ideal values."""
         p = self.parameters
         held = np.isin(p.names, list(names))
-        self.parameters = replace(
-            p, values=np.where(held, p.means, p.values), deviations=np.where(held, HELD, p.deviations)
-        )
+        values, deviations = np.where(held, p.means, p.values), np.where(held, HELD, p.deviations)
+        self.parameters = replace(p, values=values, deviations=deviations)
 
     def hold_noise(self, motion: MotionModel, sensor: SensorModel) -> None:
         """Keep these variances, and all parameters at their ideal values."""

@@ -282,10 +282,8 @@ def _sightings_table(
         if np.nan_to_num(positions).any():
             break
     else:
-        message = (
-            "its detections have no positions, all are zero or absent; a range takes a position in space or a size"
-        )
-        raise FormatError(collector.source, None, message)
+        message = "its detections have no positions, all are zero or absent"
+        raise FormatError(collector.source, None, f"{message}; a range takes a position in space or a size")
     known = np.isfinite(positions).all(axis=1)
     offset, turn = None, np.eye(3)
     if _stated(options):

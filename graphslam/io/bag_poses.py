@@ -159,9 +159,8 @@ def positions_table(
         if silent[kept].all():
             raise FormatError(found.source, None, f"{_no_noise(C)}, [positions] std = [0.05] in the recipe")
         if silent.any():
-            notes.append(
-                f"{np.sum(silent & kept):,} of {len(kept):,} messages of {found.source} have no covariance: left out"
-            )
+            count = f"{np.sum(silent & kept):,} of {len(kept):,}"
+            notes.append(f"{count} messages of {found.source} have no covariance: left out")
         kept &= ~silent
         C[np.isnan(places[:, 2]), 2] = np.nan
     if not kept.any():
@@ -257,9 +256,8 @@ def relations_table(
     spans = np.add.reduceat(bad, first) > 0 if len(first) else np.zeros(0, dtype=bool)
     if spans.any():
         pauses, jumps = np.sum(spent > GAP), np.sum(bad & (spent <= GAP))
-        notes.append(
-            f"{found.source}: {spans.sum()} relations are left out because of {pauses} pauses and {jumps} jumps"
-        )
+        causes = f"{pauses} pauses and {jumps} jumps"
+        notes.append(f"{found.source}: {spans.sum()} relations are left out because of {causes}")
     first, second = first[~spans], second[~spans]
     if not len(first):
         message = f"no two of its poses are {APART:g} s apart without a pause or a jump between them"

@@ -44,9 +44,8 @@ _LANDMARKS = ("subject", "x", "y", "standard deviation of x", "standard deviatio
 
 def robots(folder: Path) -> list[int]:
     """The numbers of the robots that a folder has any file of."""
-    matches = (
-        re.fullmatch(r"Robot(\d+)_(Odometry|Measurement|Groundtruth)\.dat", path.name) for path in folder.iterdir()
-    )
+    form = re.compile(r"Robot(\d+)_(Odometry|Measurement|Groundtruth)\.dat")
+    matches = (form.fullmatch(path.name) for path in folder.iterdir())
     return sorted({int(match[1]) for match in matches if match})
 
 

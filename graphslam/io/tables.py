@@ -137,10 +137,8 @@ def _recognises(path: Path, _: bytes) -> bool:
 
 
 def _candidates(folder: Path, table: str) -> list[Path]:
-    names = _NAMES.get(table, (table,))
-    return sorted(
-        path for path in folder.iterdir() if path.stem.lower() in names and path.suffix.lower() in (*TEXT, *PARQUET)
-    )
+    names, endings = _NAMES.get(table, (table,)), (*TEXT, *PARQUET)
+    return sorted(path for path in folder.iterdir() if path.stem.lower() in names and path.suffix.lower() in endings)
 
 
 def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:

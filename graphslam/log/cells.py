@@ -461,9 +461,8 @@ def repeated_sightings(
     other = same & ~twice & (ids[1:] != UNIDENTIFIED)
     if np.sum(other) > _SHARE * len(ns) and np.ptp(ids) > 0:
         later = np.maximum(numbers[1:], numbers[:-1])[other]
-        which = (
-            f"{_first(table, later, 'sighting')} (of {len(ns)}) with the time and id of another row and other numbers"
-        )
+        which = f"{_first(table, later, 'sighting')} (of {len(ns)})"
+        which += " with the time and id of another row and other numbers"
         cause = "several objects have one id, or the times were rounded"
         if rounded := _rounded(ns):
             cause = f"the times were probably rounded{rounded}, or several objects have one id"

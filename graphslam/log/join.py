@@ -230,9 +230,8 @@ def read_drive(
     options = options or TableOptions()
     moved = odometry_of(table_of(odometry, "odometry"), options)
     seen = sightings_of(table_of(sightings, "sightings"), options)
-    read: dict[str, Any] = {
-        kind: READERS[kind](table_of(table, kind), options) for kind, table in others.items() if table is not None
-    }
+    given = ((kind, table_of(table, kind)) for kind, table in others.items() if table is not None)
+    read: dict[str, Any] = {kind: READERS[kind](table, options) for kind, table in given}
     landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
     return Drive(
         moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read

@@ -87,9 +87,8 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
     lasting = np.diff(cuts)
     bridged = silent(silence, odometry.times)
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
-    controls, variances = bridge(
-        odometry.rows[row], cuts[:-1] - odometry.times[row], lasting, silence, bridged, odometry.rows
-    )
+    begin = cuts[:-1] - odometry.times[row]
+    controls, variances = bridge(odometry.rows[row], begin, lasting, silence, bridged, odometry.rows)
     return controls, lasting, silence, np.searchsorted(cuts, times), variances, gaps
 
 

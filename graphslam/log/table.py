@@ -349,9 +349,8 @@ def ordered(
         cause = "does the table hold two drives, or a clock that was set? Import each part alone"
         how = f"by {(reached[k] - ns[k]) / 1e9:.3g} s: {cause}"
         if len(jumps) > 2:
-            how = (
-                f"{len(jumps)} times: sort the rows by their time if they are of one drive, or import each drive alone"
-            )
+            cause = "sort the rows by their time if they are of one drive, or import each drive alone"
+            how = f"{len(jumps)} times: {cause}"
         raise table.error(int(rows[k]), f"the time goes back {how}")
     note = f"{table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
     order = np.argsort(ns, kind="stable")

@@ -269,9 +269,9 @@ def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
     seen = np.isin(along.landmarks, list(known))
     if along.lifted or len(np.unique(along.landmarks[seen])) < FEWEST_SHARED:
         if not ways:
-            names = " and ".join(each.name for each in before.sessions) or before.name
+            earlier = " and ".join(each.name for each in before.sessions) or before.name
             shared = f"no {FEWEST_SHARED} landmarks in common"
-            raise GraphError(f"{log.name} and {names} have {shared}: are they logs of one place?")
+            raise GraphError(f"{log.name} and {earlier} have {shared}: are they logs of one place?")
         return ways
     # what the map does not have keeps its own id, where most sightings of that are not in the map
     mostly = {j: 2 * np.sum(seen[log.landmarks == j]) > np.sum(log.landmarks == j) for j in own}
