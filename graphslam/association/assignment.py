@@ -351,8 +351,9 @@ def merges(problem: Problem, solution: MapSolution, items: np.ndarray, views: np
         likely = group[np.argsort(-alone[group], kind="stable")] if len(group) > MOST_PAIRS else group
         for begin in range(0, len(group), MOST_PAIRS):
             some = likely[begin : begin + MOST_PAIRS]
-            pairs = (each[some] for each in (item, other, a, b, nu, weights))
-            decided = _decided(solution, *pairs, P, probability)
+            decided = _decided(
+                solution, item[some], other[some], a[some], b[some], nu[some], weights[some], P, probability
+            )
             found += decided
             if decided:
                 # less likely pairs are decided on in the next round, when these are merged
