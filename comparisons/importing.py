@@ -17,9 +17,9 @@ import numpy as np
 
 from graphslam import FormatError, Log, LogError, OptionError, SensorModel
 from graphslam.files import check_file, check_path, check_unpacked, first_bytes
-from graphslam.io.bag_drive import drive_of_bag, recipe_beside, topics_of
+from graphslam.io.bag_drive import drive_of_bag, topics_of
 from graphslam.io.bag_topics import is_bag
-from graphslam.io.tables import Recipe, drive_of, merged, read_recipe, recipe_of
+from graphslam.io.tables import RECIPE, Recipe, drive_of, merged, read_recipe, recipe_if_any
 from graphslam.log.drive import Timed
 from graphslam.log.join import Drive, read_drive
 from graphslam.log.rows import TABLES, ReadOptions
@@ -151,7 +151,7 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
     if not source.is_dir():
         check_file(source)
     if is_bag(source, first_bytes(source)):
-        recipe = _with_places(merged(recipe or recipe_beside(source), changes), named)
+        recipe = _with_places(merged(recipe or recipe_if_any(source.with_suffix(".toml")), changes), named)
         offered = ((each.topic, each.could_be, each.chosen) for each in topics_of(source, recipe))
         found = Import(source, tuple(FoundTopic(t.name, t.type, t.count, *uses) for t, *uses in offered))
         try:
@@ -163,7 +163,7 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
         raise FormatError(
             source, None, "this is no bag; give the folder of tables, or the file of each: --odometry .. --sightings .."
         )
-    recipe = _with_places(merged(recipe or recipe_of(source), changes), named)
+    recipe = _with_places(merged(recipe or recipe_if_any(source / RECIPE), changes), named)
     return _made(Import(source), drive_of(source, recipe), reading, source.resolve().name)
 
 

@@ -37,9 +37,8 @@ _PACKED = {
 def check_unpacked(path: Path, head: bytes) -> None:
     """Raise `FormatError` for a file whose first bytes say that it is compressed as a whole."""
     if path.suffix == ".npz" and head.startswith(b"PK"):
-        raise FormatError(
-            path, None, "this is an archive of NumPy, such as a log of graphslam.save; graphslam.load reads it"
-        )
+        message = "this is an archive of NumPy, such as a log of graphslam.save; graphslam.load reads it"
+        raise FormatError(path, None, message)
     for first, program in _PACKED.items():
         if head.startswith(first):
             raise FormatError(path, None, f"the file is compressed as a whole; unpack it first: {program} {path.name}")
@@ -76,16 +75,14 @@ def read_archive(path: Path, kind: str) -> dict[str, Any]:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
             # a small file can claim to hold any number of zeros
             if (size := sum(entry.file_size for entry in archive.zip.infolist())) > MOST_BYTES:
-                raise FormatError(
-                    path, None, f"its arrays would take {size / 1e9:.1f} GB; those of {kind} take at most 1 GB"
-                )
+                message = f"its arrays would take {size / 1e9:.1f} GB; those of {kind} take at most 1 GB"
+                raise FormatError(path, None, message)
             return {name: archive[name] for name in archive.files}
     except FormatError:
         raise
     except Exception as error:  # what a damaged archive raises depends on the byte
-        raise FormatError(
-            path, None, f"not a readable .npz archive ({shortened(str(error))}); was it cut short?"
-        ) from None
+        message = f"not a readable .npz archive ({shortened(str(error))}); was it cut short?"
+        raise FormatError(path, None, message) from None
 
 
 def check_path(path: Path) -> None:
@@ -180,9 +177,8 @@ def check_place(path: Path) -> None:
     if path.is_dir():
         raise FormatError(path, None, "this is a folder; give the name of a file to write")
     if path.exists() and not path.is_file():
-        raise FormatError(
-            path, None, "this is a pipe or device and no file; use - for standard output, or a file's name"
-        )
+        message = "this is a pipe or device and no file; use - for standard output, or a file's name"
+        raise FormatError(path, None, message)
 
 
 def number(path: Path, line: int, what: str, word: str) -> float:

@@ -12,7 +12,7 @@ in the RPE.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -99,8 +99,7 @@ def align(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = Non
     q_mean, p_mean = q.mean(axis=0), p.mean(axis=0)
     q, p = q - q_mean, p - p_mean
     theta = np.arctan2(np.sum(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), np.sum(p * q))
-    rotation_only = np.array([0.0, 0.0, theta])
-    return np.array([*(q_mean - transform(rotation_only, p_mean)), theta])
+    return np.array([*(q_mean - transform(np.array([0.0, 0.0, theta]), p_mean)), theta])
 
 
 def position_errors(truth: ArrayLike, estimate: ArrayLike, *, mask: ArrayLike | None = None) -> Array:
@@ -256,30 +255,30 @@ def named_by_place(
 
     Source: Kuhn, *The Hungarian method*, 1955, as implemented in SciPy.
     """
-    from scipy.optimize import linear_sum_assignment
-
-    if not truth or not estimate:
-        return {}
-    ids, numbers = sorted(truth), sorted(estimate)
-    distances = transform(alignment, _positions(estimate, numbers))[:, None] - _positions(truth, ids)
-    rows, columns = linear_sum_assignment(np.hypot(distances[..., 0], distances[..., 1]))
-    return {ids[c]: estimate[numbers[r]] for r, c in zip(rows, columns, strict=True)}
+    pairs = _matched(truth, estimate, lambda off: np.hypot(off[..., 0], off[..., 1]), alignment)
+    return {j: estimate[k] for j, k, _ in pairs}
 
 
 def matched_places(
     truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], cutoff: float
 ) -> list[tuple[int, int]]:
     """The pairs (true id, id) of landmarks nearer than the cutoff [m] that `gospa` counts; maps in one frame, any ids."""
+    pairs = _matched(truth, estimate, lambda off: np.minimum(np.sum(off**2, axis=2), cutoff**2))
+    return sorted((j, k) for j, k, square in pairs if square < cutoff**2)
+
+
+def _matched(
+    truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], cost: Callable[[Array], Array],
+    alignment: ArrayLike = (0.0, 0.0, 0.0),
+) -> list[tuple[int, int, float]]:  # fmt: skip
+    """The pairs (true id, id, cost) of two maps with the least sum of costs, which are of the offsets (L, J, 2)."""
     from scipy.optimize import linear_sum_assignment
 
     if not truth or not estimate:
         return []
     ids, numbers = sorted(truth), sorted(estimate)
-    ways = _positions(estimate, numbers)[:, None] - _positions(truth, ids)
-    squares = np.sum(ways**2, axis=2)
-    rows, columns = linear_sum_assignment(np.minimum(squares, cutoff**2))
-    near = squares[rows, columns] < cutoff**2
-    return sorted((ids[c], numbers[r]) for r, c in zip(rows[near].tolist(), columns[near].tolist()))
+    costs = cost(transform(alignment, _positions(estimate, numbers))[:, None] - _positions(truth, ids))
+    return [(ids[c], numbers[r], float(costs[r, c])) for r, c in zip(*linear_sum_assignment(costs))]
 
 
 def gospa(truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], cutoff: float) -> float:
@@ -292,13 +291,8 @@ def gospa(truth: Mapping[int, ArrayLike], estimate: Mapping[int, ArrayLike], cut
     Source: Rahmathullah, Garcia-Fernandez and Svensson, *Generalized optimal sub-pattern assignment metric* (FUSION 2017).
     """
     pairs = matched_places(truth, estimate, cutoff)
-    if pairs:
-        true, found = (
-            np.array([np.asarray(of[j])[:2] for j in side]) for of, side in zip((truth, estimate), zip(*pairs))
-        )
-        near = float(np.sum((found - true) ** 2))
-    else:
-        near = 0.0
+    off = _positions(truth, [j for j, _ in pairs]) - _positions(estimate, [k for _, k in pairs])
+    near = float(np.sum(off**2))
     return float(np.sqrt(near + cutoff**2 / 2 * (len(truth) + len(estimate) - 2 * len(pairs))))
 
 
@@ -360,24 +354,20 @@ def evaluate(
     alignment, aligned_by = aligned
     if true_landmarks is not None and not named:
         landmarks = named_by_place(true_landmarks, landmarks, alignment)
-    errors = None if true_landmarks is None else landmark_errors(true_landmarks, landmarks, alignment)
-    of_map = Metrics(
-        landmark_rmse_m=None if true_landmarks is None else landmark_rmse(true_landmarks, landmarks, alignment),
-        landmark_errors_m=errors,
-        aligned_by=aligned_by,
-    )
+    of_map = Metrics(aligned_by=aligned_by)
+    if true_landmarks is not None:
+        each = landmark_errors(true_landmarks, landmarks, alignment)
+        rmse = landmark_rmse(true_landmarks, landmarks, alignment)
+        of_map = replace(of_map, landmark_rmse_m=rmse, landmark_errors_m=each)
     if true_poses is None or aligned_by != "poses":
         return of_map
     counted = np.isfinite(true_poses[:, 0]) & (True if mask is None else np.asarray(mask, dtype=bool))
-    per_step = rpe(true_poses, poses, mask=counted)
+    rpe_m, rpe_rad = rpe(true_poses, poses, mask=counted) or (None, None)
+    heading_rad = heading_rmse(true_poses, poses, mask=counted)
     return replace(
-        of_map,
-        ate_m=ate(true_poses, poses, mask=counted),
-        rpe_m=None if per_step is None else per_step[0],
-        rpe_rad=None if per_step is None else per_step[1],
-        heading_rad=heading_rmse(true_poses, poses, mask=counted),
+        of_map, ate_m=ate(true_poses, poses, mask=counted), rpe_m=rpe_m, rpe_rad=rpe_rad, heading_rad=heading_rad,
         poses_counted=int(np.count_nonzero(counted)),
-    )
+    )  # fmt: skip
 
 
 def _positions(places: Mapping[int, ArrayLike], ids: list[int]) -> Array:
@@ -389,9 +379,8 @@ def _checked(
 ) -> tuple[Array, Array, np.ndarray]:
     truth, estimate = np.asarray(truth, dtype=float), np.asarray(estimate, dtype=float)
     if truth.shape != estimate.shape or truth.ndim != 2 or not columns <= truth.shape[1] <= 3:
-        raise OptionError(
-            f"truth and estimate must be arrays of one shape (T+1, 3), not {truth.shape}, {estimate.shape}"
-        )
+        shapes = f"{truth.shape}, {estimate.shape}"
+        raise OptionError(f"truth and estimate must be arrays of one shape (T+1, 3), not {shapes}")
     counted = np.ones(len(truth), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
     if counted.shape != truth.shape[:1]:
         raise OptionError(f"mask must have one entry per step, shape ({len(truth)},), not {counted.shape}")

@@ -268,11 +268,9 @@ def compete(
         values = [evidence(replace(problem, densities=shared), end.refined.solution) for end in ends]
         best = ends[int(np.argmax(values))].refined.solution
         near = tolerance(best, problem.field)
-        alike = [
-            value > max(values) - PROMISING and ate(best.poses, end.refined.solution.poses) <= near
-            for value, end in zip(values, ends, strict=True)
-        ]
-        if sum(alike) >= options.agreeing > 0 or not waiting:
+        likely_ends = [end for value, end in zip(values, ends, strict=True) if value > max(values) - PROMISING]
+        alike = sum(ate(best.poses, end.refined.solution.poses) <= near for end in likely_ends)
+        if alike >= options.agreeing > 0 or not waiting:
             labels = ends[int(np.argmax(values))].refined.labels
             if np.count_nonzero(labels >= 0) < LEAST_SEEN + len(names) and np.mean(labels < 0) > 0.5:
                 # a pair among many sightings that agree with none may agree by chance

@@ -74,10 +74,9 @@ class CandidatePairs:
         if len(seeds) == 0:
             return []
         _, _, second = self._grown(seeds[:, None], self.gate, allowed=allowed)
-        begin = np.column_stack(
-            [np.repeat(seeds, SECOND + 1), np.column_stack([second, np.full(len(seeds), -1)]).ravel()]
-        )
-        begin = np.unique(begin, axis=0)
+        # and each seed alone
+        second = np.column_stack([second, np.full(len(seeds), -1)])
+        begin = np.unique(np.column_stack([np.repeat(seeds, SECOND + 1), second.ravel()]), axis=0)
         return _best(*self._grown(begin, self.gate, allowed=allowed)[:2], most)
 
     def completed(self, chosen: np.ndarray, allowed: np.ndarray | None = None) -> Hypothesis:
@@ -312,13 +311,11 @@ class Ambiguity:
     def __str__(self) -> str:
         which = _listed(self.landmarks)
         if self.new:
-            begin = (
-                f"the arrival at {which} at step {self.step}, after a blind drive from step {self.last}, is ambiguous"
-            )
-            mine = "that nothing there had been seen before"
+            begin, mine = f"the arrival at {which}", "that nothing there had been seen before"
+            since = f"after a blind drive from step {self.last}"
         else:
-            begin = f"the return to {which} at step {self.step}, last seen at step {self.last}, is ambiguous"
-            mine = "for it"
+            begin, mine, since = f"the return to {which}", "for it", f"last seen at step {self.last}"
+        begin = f"{begin} at step {self.step}, {since}, is ambiguous"
         if self.others and set(self.others) <= set(self.landmarks):
             other = f"for {_listed(self.others)}, exchanged"
         else:

@@ -230,8 +230,8 @@ def assign(
     kept = (squares <= limit) & (evidence > 0)
     item, landmark, evidence = item[kept], landmark[kept], evidence[kept]
     chosen, margins = np.full(len(steps), -1), np.full(len(steps), np.inf)
-    for begin, end in _runs(steps[item]):
-        k, j, e = item[begin:end], landmark[begin:end], evidence[begin:end]
+    for run in np.split(np.arange(len(item)), np.flatnonzero(np.diff(steps[item])) + 1):
+        k, j, e = item[run], landmark[run], evidence[run]
         rows, row = np.unique(k, return_inverse=True)
         names, column = np.unique(j, return_inverse=True)
         if len(names) == len(k) == len(rows):
@@ -247,12 +247,6 @@ def assign(
         others[np.arange(len(a)), b] = 0.0
         margins[rows[a]] = table[a, b] - others.max(axis=1)
     return chosen, margins
-
-
-def _runs(values: np.ndarray) -> list[tuple[int, int]]:
-    """The beginnings and ends of runs of equal values."""
-    cuts = np.flatnonzero(np.diff(values)) + 1
-    return list(zip([0, *cuts.tolist()], [*cuts.tolist(), len(values)], strict=True)) if len(values) else []
 
 
 def ids_by_map(
@@ -340,11 +334,8 @@ def merges(problem: Problem, solution: MapSolution, items: np.ndarray, views: np
     if views is not None:
         # two landmarks missed one sighting in every view without both; if they are one, a second sighting is clutter
         V = np.minimum(views[item], views[other])
-        sighting = (
-            densities.seen
-            - densities.clutter
-            - 0.5 * (log_volume(INDEPENDENT / 2 * solution.slack_of(item, other)) + d)
-        )
+        volume = log_volume(INDEPENDENT / 2 * slack)
+        sighting = densities.seen - densities.clutter - 0.5 * (volume + d)
         weights = weights - np.maximum(V - both, 0) * densities.missed - both * np.maximum(sighting, 0)
     density, squares = log_density(nu, own)
     kept = (squares <= gate) & (density + weights > 0)
@@ -360,8 +351,9 @@ def merges(problem: Problem, solution: MapSolution, items: np.ndarray, views: np
         likely = group[np.argsort(-alone[group], kind="stable")] if len(group) > MOST_PAIRS else group
         for begin in range(0, len(group), MOST_PAIRS):
             some = likely[begin : begin + MOST_PAIRS]
-            decided = _decided(solution, item[some], other[some], a[some], b[some], nu[some], weights[some],
-                               P, probability)  # fmt: skip
+            decided = _decided(
+                solution, item[some], other[some], a[some], b[some], nu[some], weights[some], P, probability
+            )
             found += decided
             if decided:
                 # less likely pairs are decided on in the next round, when these are merged
@@ -391,9 +383,8 @@ def _near(
     m, S, labels = solution.landmarks[:, :2], solution.covariances + solution.slack, solution.labels
     variances = np.diagonal(S, axis1=1, axis2=2)[:, :2]
     # the variance of the difference is at most the sum, as errors of landmarks are correlated positively
-    near = (labels[items, None] > labels[None]) & np.all(
-        (m[items, None] - m[None]) ** 2 <= gate * (variances[items, None] + variances[None]), axis=2
-    )
+    close = (m[items, None] - m[None]) ** 2 <= gate * (variances[items, None] + variances[None])
+    near = (labels[items, None] > labels[None]) & np.all(close, axis=2)
     pairs = [(items[k], j) for k, j in np.argwhere(near)]
     steps = {k: set(seen[k].tolist()) for k in {each for pair in pairs for each in pair}}
     both = [len(steps[k] & steps[j]) for k, j in pairs]
@@ -408,9 +399,10 @@ def _decided(
     """The merges of one search."""
     if len(item) == 0:
         return []
-    S = difference_covariance(P, a, b, solution.slack_of(item, other)).reshape(nu.size, nu.size)
+    slack = solution.slack_of(item, other)
+    S = difference_covariance(P, a, b, slack).reshape(nu.size, nu.size)
     # at least the noise that the sightings themselves leave, the other landmarks and poses known
-    noise = solution.own_covariances[item] + solution.slack_of(item, other)
+    noise = solution.own_covariances[item] + slack
     candidates, order = Candidates.of(np.unique(item, return_inverse=True)[1], other, nu, S, weights, noise)
     item, other = item[order], other[order]
     chosen, evidence = candidates.best(gate, most=MAX_MERGE_HYPOTHESES)

@@ -94,9 +94,8 @@ def verdict(competition: Competition, problem: Problem, leaps: tuple[Leap, ...])
     if lead <= 0:
         reasons.append("another map that was tried is as likely")
     elif lead < MIN_LEAD:
-        reasons.append(
-            f"another map that was tried is less likely by a factor of {readable(lead)}, and {readable(MIN_LEAD)} is needed"
-        )
+        by = f"by a factor of {readable(lead)}, and {readable(MIN_LEAD)} is needed"
+        reasons.append(f"another map that was tried is less likely {by}")
     reasons += [str(each) for each in leaps[:MOST_NOTES]]
     return Verdict(not reasons, tuple(reasons), lead, len(competition.ends), agreeing, spread(best))
 
@@ -189,10 +188,8 @@ class Association:
     def log(self) -> Log:
         """The log with these ids, from ``poses`` on, without clutter, with ``motion`` and the variances of `repaired`."""
         kept, log = self.ids != UNIDENTIFIED, with_unknown_motions(self.of, self.repaired)
-        notes = (*log.notes, *self.notes)
-        return log.with_sightings(
-            kept, landmarks=self.ids[kept], initial_poses=self.poses, notes=notes, motion=self.motion
-        )
+        changes: dict[str, Any] = {"initial_poses": self.poses, "motion": self.motion}
+        return log.with_sightings(kept, landmarks=self.ids[kept], notes=(*log.notes, *self.notes), **changes)
 
 
 def associate_from(
@@ -282,9 +279,8 @@ def _starts(
         return lambda: checked(each())
 
     if not (start is None or callable(start) or isinstance(start, Sequence)):
-        raise OptionError(
-            f"start must be a pair (ids, poses), a function that finds one, or a list, not {quoted(start)}"
-        )
+        message = f"start must be a pair (ids, poses), a function that finds one, or a list, not {quoted(start)}"
+        raise OptionError(message)
     found: list[Start | Begin] = []
     # a tuple is one start
     for each in [start] if start is None or callable(start) or isinstance(start, tuple) else start:
@@ -330,14 +326,12 @@ def _report(
     notes.append(str(found.verdict))
     if len(values) > 1:
         ends = ", ".join(str(round(value - max(values))) for value in values)
-        notes.append(
-            f"of {len(values)} starts the best by evidence was taken; all of them, relative to it [nats]: {ends}"
-        )
+        taken = f"of {len(values)} starts the best by evidence was taken"
+        notes.append(f"{taken}; all of them, relative to it [nats]: {ends}")
     notes += [str(each) for each in found.ambiguities[:MOST_NOTES]]
     if (more := len(found.ambiguities) - MOST_NOTES) > 0:
-        notes.append(
-            f"{more} further {'return is' if more == 1 else 'returns are'} ambiguous by a factor of {options.factor:g}"
-        )
+        which = "return is" if more == 1 else "returns are"
+        notes.append(f"{more} further {which} ambiguous by a factor of {options.factor:g}")
     if found.clutter > len(found.ids) / 2:
         notes.append("most sightings are of no landmark that was seen again: the few landmarks may be there by chance")
     if found.landmarks == 1:
@@ -490,9 +484,8 @@ def _with_found_ids(log: Log, corrected: Log, motion: MotionModel, sensor: Senso
     """The log with the ids that `associate_from` finds in the corrected log, without clutter, and a note."""
     found = associate_from(corrected, motion=motion, sensor=sensor)
     kept = found.ids != UNIDENTIFIED
+    repaired, ids = with_unknown_motions(log, found.repaired), found.ids[kept]
     # landmarks that were found are not those of the true map
-    named = with_unknown_motions(log, found.repaired).with_sightings(
-        kept, landmarks=found.ids[kept], initial_poses=found.poses, true_landmarks=None
-    )
+    named = repaired.with_sightings(kept, landmarks=ids, initial_poses=found.poses, true_landmarks=None)
     note = f"noise and biases were estimated with {found.landmarks} landmarks that were found in sightings without ids"
     return named, note

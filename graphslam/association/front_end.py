@@ -49,7 +49,7 @@ class LocalMap:
 
     def scan(self, rows: np.ndarray, step: int, fresh: int) -> np.ndarray:
         """The tracks (k,) of the sightings in rows (k,), new ones numbered from ``fresh`` on, -1 for doubtful ones."""
-        self._forget(step)
+        self._keep(self.last >= step - self._memory)
         item, landmark, nu, S, H = pairs = self._pairs(rows)
         chosen, doubtful = self._chosen(rows, *pairs[:-1])
         matched, used = item[chosen], landmark[chosen]
@@ -68,10 +68,6 @@ class LocalMap:
         """Marginalise tracks."""
         self._keep(~np.isin(self.tracks, tracks))
 
-    def _forget(self, step: int) -> None:
-        if len(self.last) and np.any(old := self.last < step - self._memory):
-            self._keep(~old)
-
     def _keep(self, kept: np.ndarray) -> None:
         if kept.all():
             return
@@ -82,9 +78,8 @@ class LocalMap:
 
     def _weights(self, rows: np.ndarray) -> Array:
         """w (k, n) of each sighting and track."""
-        return self._densities.weight + self._classes.together(
-            self._classes.of_sightings(rows)[:, None], self._shown[None]
-        )
+        own = self._classes.of_sightings(rows)[:, None]
+        return self._densities.weight + self._classes.together(own, self._shown[None])
 
     def _pairs(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array, Array, Array]:
         """Pairs of a sighting of the scan and a track within the gate.
@@ -126,12 +121,9 @@ class LocalMap:
             best = nearest(candidates)
             return order[best[best >= 0]], order[:0]
         best, evidence = candidates.best(self._options.gate, most=MOST_IN_SCAN)
-        doubtful = np.zeros(len(best), dtype=bool)
-        if len(order) > len(best):
-            # only where some sighting has several candidates
-            others = np.where(np.diff(candidates.starts) > 1, best, -1)
-            margins = candidates.margins(others, evidence, self._options.gate, most=MOST_IN_SCAN // 5)
-            doubtful = margins < SURE
+        # only sightings with several candidates can be doubtful
+        others = np.where(np.diff(candidates.starts) > 1, best, -1)
+        doubtful = candidates.margins(others, evidence, self._options.gate, most=MOST_IN_SCAN // 5) < SURE
         return order[best[(best >= 0) & ~doubtful]], order[best[(best >= 0) & doubtful]]
 
     def _correct(self, nu: Array, H: Array, S: Array) -> None:

@@ -202,9 +202,8 @@ def map_states(
         if j in found:
             shift, square, p = found[j]
             name = MOVED if p > 0.5 else AGREES
-            states.append(
-                LandmarkState(j, name, max(p, 1 - p), p, 0.0, shift[:2], square, views[j].count, seen=counts[j])
-            )
+            state = LandmarkState(j, name, max(p, 1 - p), p, 0.0, shift[:2], square, views[j].count, seen=counts[j])
+            states.append(state)
         else:
             p = gone(views[j].counts)
             name = VANISHED if p > 0.5 else NOT_IN_VIEW
@@ -229,9 +228,8 @@ def session_states(log: Log, **options: Any) -> list[MapStates]:
     for drive in log.drives[1:]:
         before = log.at_steps(np.arange(drive.start)).replace(sessions=())
         known = solve(Graph.from_log(before, **(options | {"edges": "landmark+motion"}))).map
-        found.append(
-            map_states(log.at_steps(np.arange(drive.start, drive.stop)).replace(sessions=()), known, **options)
-        )
+        own = log.at_steps(np.arange(drive.start, drive.stop)).replace(sessions=())
+        found.append(map_states(own, known, **options))
     return found
 
 

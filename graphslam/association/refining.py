@@ -156,9 +156,8 @@ def _born(problem: Problem, world: Places, labels: np.ndarray) -> np.ndarray:
             best, count = count, count + 1
         own = np.linalg.inv(world.covariances[k])
         total = information[best] + own
-        means[best] = difference(
-            means[best] + np.linalg.solve(total, own @ difference(world.means[k], means[best])), np.zeros(d)
-        )
+        step = np.linalg.solve(total, own @ difference(world.means[k], means[best]))
+        means[best] = difference(means[best] + step, np.zeros(d))
         information[best], spread[best], last[best], number[n] = total, np.linalg.inv(total), steps[k], best
     born = np.bincount(number, minlength=count) >= 2
     labels[rows] = np.where(born[number], labels.max() + 1 + number, -1)

@@ -4,7 +4,7 @@ A bump, wheels that spin, or hands that lift the robot move it without its odome
 landmark of its map, and becomes a second map beside the first one. The evidence prefers it: a few dozen landmarks cost less
 than a motion of twenty standard deviations, and no alternative that is solved with the same odometry is likelier.
 
-So it is looked for by itself. At a step t the map begins again where
+So it is looked for by itself (`leaps`). At a step t the map begins again where
 
 - of the landmarks seen in the moment from t on hardly any had been seen before (`NEW`),
 - landmarks of before should have been in view then, or those of afterwards before t, and were not seen; with n such views the
@@ -15,10 +15,10 @@ So it is looked for by itself. At a step t the map begins again where
 The covariances are those given the pose at t, and given the last pose with sightings before it, so that the drift of the
 odometry up to there, which all landmarks share, does not blur the constellation.
 
-Repair: the motion becomes one that is not known. A leap is tried as another solution. Landmarks from its step on that repeat
-older ones get their labels, the poses from there on are moved, and the controls of the gap before the step have an additional
-variance: together that of a motion as far as the sensor sees, with any turn. From there association and solving compete as
-before, and both ends are compared by
+**Repair.** Such a motion becomes one that is not known. A leap is tried as another solution. Landmarks from its step on that
+repeat older ones get their labels, the poses from there on are moved, and the controls of the gap before the step have an
+additional variance: together that of a motion as far as the sensor sees, with any turn. From there association and solving
+compete as before, and both ends are compared by
 
     E + 1/2 sum over motions of log det(W / 2 pi) - n log(`SURE`),
 
@@ -320,23 +320,19 @@ def _across(problem: Problem, refined: Refined, leap: Leap) -> Start:
     steps = problem.log.steps
     inside = (steps > last) & (steps < step)
     found = []
-    for way in (np.repeat(x[last : last + 1], step - last, axis=0), ahead, in_frame(x[step], _back(moved))):
+    # the poses from which these motions lead to the origin, one after the other
+    back = chained(np.zeros(3), inverse(moved[::-1]))[:0:-1]
+    for way in (np.repeat(x[last : last + 1], step - last, axis=0), ahead, in_frame(x[step], back)):
         poses = np.concatenate([x[: last + 1], way[1:], x[step:]])
         labels, _ = assigned(problem, problem.backbone.places.seen_at(poses[steps]), refined.solution)
         found.append((np.where(inside, labels, refined.labels), poses))
     return max(found, key=lambda each: np.count_nonzero(each[0] >= 0))
 
 
-def _back(motions: Array) -> Array:
-    """The poses (T, 3) from which motions (T, 3) lead to the origin, one after the other."""
-    return chained(np.zeros(3), inverse(motions[::-1]))[:0:-1]
-
-
 def _moved(problem: Problem, refined: Refined, leap: Leap) -> Start:
     """Labels and poses with the leap, as this end has it; those of the end where it has none."""
     labels, poses = refined.labels, refined.solution.poses
-    found = leaps(replace(problem, densities=refined.densities), refined.solution)
-    for own in found:
+    for own in leaps(replace(problem, densities=refined.densities), refined.solution):
         if abs(own.step - leap.step) <= problem.moment / 2:
             merged = np.arange(-1, labels.max(initial=-1) + 1)
             new, old = np.array(own.pairs).T

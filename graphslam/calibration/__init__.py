@@ -228,12 +228,9 @@ def calibrate(
     _check(logs, source)
     if source == "truth":
         return _from_truth(logs, motion, sensor, degrees)
-    known = all(map(knows_poses, logs))
-    reason = (
-        f"only {moved} motions have true poses at both ends ({FEWEST_MOTIONS} are needed)"
-        if known
-        else "no true poses with headings are known"
-    )
+    known, reason = all(map(knows_poses, logs)), "no true poses with headings are known"
+    if known:
+        reason = f"only {moved} motions have true poses at both ends ({FEWEST_MOTIONS} are needed)"
     try:
         robots = [robot_of(each, motion, sensor) for each in logs]
     except LogError as error:

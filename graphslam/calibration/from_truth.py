@@ -204,9 +204,8 @@ def inverse_information(information: Array) -> tuple[Array, bool]:
         return information, True
     unit = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(unit, unit)
-    return np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) / np.outer(unit, unit), bool(
-        np.linalg.eigvalsh(scaled)[0] > 1e-9
-    )
+    known = bool(np.linalg.eigvalsh(scaled)[0] > 1e-9)
+    return np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) / np.outer(unit, unit), known
 
 
 def _named(names: Sequence[str], means: Array, errors: Array) -> Means:
@@ -229,7 +228,6 @@ def _seen(log: Log, sensor: SensorModel) -> tuple[Array, Array]:
     n = log.sightings.shape[1]
     places = [log.true_landmarks[j] for j in log.landmarks[counted].tolist()]
     if n == 3 and any(len(place) == 2 for place in places):
-        raise LogError(
-            f"{log.name}: the truth of psi is unknown, because true landmarks have no heading; leave psi out"
-        )
+        message = f"{log.name}: the truth of psi is unknown, because true landmarks have no heading; leave psi out"
+        raise LogError(message)
     return log.sightings[counted], sensor.h(truth[log.steps[counted]], np.array([place[:n] for place in places]))

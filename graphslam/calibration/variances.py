@@ -121,11 +121,7 @@ class _Likelihood:
     """
 
     def __init__(
-        self,
-        residuals: Array,
-        parts: Mapping[str, Array],
-        least: Mapping[str, float],
-        degrees: float | None,
+        self, residuals: Array, parts: Mapping[str, Array], least: Mapping[str, float], degrees: float | None
     ) -> None:
         self.names = [name for name, C in parts.items() if C.any()]
         self.residuals, self.degrees = residuals, degrees

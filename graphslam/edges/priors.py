@@ -137,14 +137,11 @@ class Way(NamedTuple):
     def information(self, omega: Array) -> Array:
         """J' Omega J (3K, 3K), without products of large matrices."""
         k, turn = len(self.v) // 3, self.turn
-        turned = np.einsum("ra,irjs,sb->iajb", turn, omega.reshape(k, 3, k, 3), turn, optimize=True).reshape(
-            3 * k, 3 * k
-        )
+        turned = np.einsum("ra,irjs,sb->iajb", turn, omega.reshape(k, 3, k, 3), turn, optimize=True)
         pull = omega @ self.along
-        half = np.outer(
-            (pull.reshape(k, 3) @ turn).ravel() + 0.5 * float(self.along @ pull) * self.gradient, self.gradient
-        )
-        return turned + half + half.T
+        side = (pull.reshape(k, 3) @ turn).ravel() + 0.5 * float(self.along @ pull) * self.gradient
+        half = np.outer(side, self.gradient)
+        return turned.reshape(half.shape) + half + half.T
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -82,10 +82,8 @@ class Kernel:
 
         On average over edges with Gaussian noise this is b²/a Omega. An edge without weight contributes nothing.
         """
-        mean_weight, slope, square = engine.robust_expectations(
-            self.code, self.of_dimension(dimension).width, dimension
-        )
-        return slope**2 / square / mean_weight
+        weight, slope, square = engine.robust_expectations(self.code, self.of_dimension(dimension).width, dimension)
+        return slope**2 / square / weight
 
     def mean_loss(self, dimension: int) -> float:
         """E[2 rho(r)] for Gaussian noise; d for plain squares."""

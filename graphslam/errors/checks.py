@@ -247,9 +247,8 @@ def checked_covariance(covariance: Any, d: int = 3) -> np.ndarray:
     """
     P = finite_numbers("covariance", covariance, (d, d))
     if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max() or not np.linalg.eigvalsh(P)[0] > 0:
-        raise OptionError(
-            f"covariance must be a symmetric positive definite {d} x {d} matrix, not {quoted(covariance)}"
-        )
+        message = f"covariance must be a symmetric positive definite {d} x {d} matrix, not {quoted(covariance)}"
+        raise OptionError(message)
     return P
 
 

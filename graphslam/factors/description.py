@@ -254,12 +254,10 @@ def _revived(value: Any, functions: Functions) -> Any:
 
 
 def _named_in_graph(graph: gtsam.NonlinearFactorGraph, text: str) -> str:
-    return re.sub(
-        r"^(Factor (\d+): )(CustomFactor on )",
-        lambda match: match[1] + _named(graph.at(int(match[2])), match[3]),
-        text,
-        flags=re.MULTILINE,
-    )
+    def named(line: re.Match[str]) -> str:
+        return line[1] + _named(graph.at(int(line[2])), line[3])
+
+    return re.sub(r"^(Factor (\d+): )(CustomFactor on )", named, text, flags=re.MULTILINE)
 
 
 def _named(factor: gtsam.NonlinearFactor, text: str) -> str:

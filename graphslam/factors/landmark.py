@@ -140,10 +140,8 @@ def _pairs(
     covariance = sensor.landmark_covariance(at_a, noisy[a]) + sensor.landmark_covariance(at_b, noisy[b])
     # without psi the third row and column stay zero
     information = np.zeros((len(a), 3, 3))
-    information[:, : z.shape[1], : z.shape[1]] = (
-        np.linalg.inv(covariance) * (scale * trust[a] * trust[b])[:, None, None]
-    )
-
+    weighed = np.linalg.inv(covariance) * (scale * trust[a] * trust[b])[:, None, None]
+    information[:, : z.shape[1], : z.shape[1]] = weighed
     pairs = engine.LandmarkPairs(node, z, ahead, sensor.offset, not world, a, b, information)
 
     def error(*at: Coordinates) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from numbers import Integral
 from typing import TYPE_CHECKING
 
@@ -112,9 +113,8 @@ def graph_of_log(
         )  # fmt: skip
     families += measured
     if options.landmark_nodes:
-        families += edges_of_single_numbers(
-            partial, log.num_poses + np.searchsorted(ids, partial.landmarks), sensor, kernel
-        )
+        nodes = log.num_poses + np.searchsorted(ids, partial.landmarks)
+        families += edges_of_single_numbers(partial, nodes, sensor, kernel)
     return make(
         initial, families=tuple(families), steps=steps, trajectory=log.initial_poses, pose_ids=steps, landmark_ids=ids,
         landmark_dimension=d, fixed=fixed, log=log, sensor=sensor, notes=(*remarks, *notes), sighting_rows=rows,
@@ -153,7 +153,7 @@ def priors_of_map(
     if not uncertain:
         return [], fixed
     if landmark_map.joint is not None:
-        information = landmark_map.joint_information(uncertain, d)
+        information = landmark_map.information(uncertain, d)
         return [PriorEdges(nodes, initial[nodes], information, pivot=freest_turn(initial[nodes], information))], fixed
     information = np.array([landmark_map.own_information(j, d) for j in uncertain])
     return [LandmarkPriors(nodes, initial[nodes], information)], fixed
@@ -183,11 +183,8 @@ def _tied_steps(log: Log, with_motion: bool) -> tuple[np.ndarray, tuple[str, ...
         notes.append(f"no edge comes from {listed('landmark', ids[~often].tolist())}, seen in one step only")
     if with_motion:
         return np.arange(log.num_poses), tuple(notes)
-    steps = np.unique(
-        np.concatenate(
-            [seen[often[seen[:, 0]], 1], *(getattr(each, end) for each in log.measured.values() for end in each.ENDS)]
-        )
-    )
+    ends = [getattr(each, end) for each in log.measured.values() for end in each.ENDS]
+    steps = np.unique(np.concatenate([seen[often[seen[:, 0]], 1], *ends]))
     if not len(steps):
         raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
     left_out = np.setdiff1d(np.arange(log.num_poses), steps).tolist()
@@ -231,7 +228,7 @@ def node_names(nodes: np.ndarray, pose_ids: np.ndarray, landmark_ids: np.ndarray
     return " and ".join(listed(noun, ids.tolist()) for noun, ids in named if len(ids))
 
 
-def pieces(num_nodes: int, first: list[np.ndarray], second: list[np.ndarray]) -> np.ndarray:
+def pieces(num_nodes: int, first: Sequence[np.ndarray], second: Sequence[np.ndarray]) -> np.ndarray:
     """The number (n,) of the connected piece that each node belongs to."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -246,16 +243,12 @@ def _check_determined(
 ) -> None:
     """Raise `GraphError` where the pattern alone shows that virtual edges and measured poses leave poses undetermined."""
     num_nodes, num_groups = len(steps), len(virtual.starts) - 1
-    first, second, held = [virtual.nodes], [num_nodes + virtual.group], np.zeros(num_nodes, dtype=bool)
-    for family in measured:
-        if isinstance(family, RelationEdges):
-            first, second = [*first, family.first], [*second, family.second]
-            held[family.first] = held[family.second] = True
-        else:
-            # positions tie poses to the world, one more node
-            first, second = [*first, family.nodes], [*second, np.full(family.count, num_nodes + num_groups)]
-            held[family.nodes] = True
-    label = pieces(num_nodes + num_groups + 1, first, second)
+    # positions tie poses to the world, one more node
+    world, ends = num_nodes + num_groups, [(virtual.nodes, num_nodes + virtual.group)]
+    for f in measured:
+        both = (f.first, f.second) if isinstance(f, RelationEdges) else (f.nodes, np.full(f.count, world))
+        ends.append(both)
+    label = pieces(world + 1, *zip(*ends))
     loose = steps[label[:num_nodes] != label[0]].tolist()
     if loose:
         raise GraphError(
@@ -267,6 +260,7 @@ def _check_determined(
     shared = np.unique(np.column_stack([virtual.nodes, virtual.group]), axis=0)
     ties = np.bincount(shared[:, 1], minlength=num_groups) > 1
     landmarks_of = np.bincount(shared[ties[shared[:, 1]], 0], minlength=num_nodes)
+    held = np.isin(np.arange(num_nodes), np.concatenate([[], *chain(*ends[1:])]))
     loose = steps[(landmarks_of < 2) & ~held].tolist()
     if loose:
         share = "shares" if len(loose) == 1 else "share"

@@ -83,9 +83,7 @@ class Constellations:
         size = np.ptp(places[:, :2], axis=0) + reach / 2
         cell = float(np.sqrt(np.prod(size) / CELLS))
         shape = np.ceil(size / cell).astype(int)
-        centres = (
-            np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1) * cell + corner + cell / 2
-        )
+        centres = np.moveaxis(np.indices(shape), 0, -1) * cell + corner + cell / 2
         nearest = tree.query(centres.reshape(-1, 2))[1].reshape(shape)
         area = float(np.prod(np.ptp(places[:, :2], axis=0) + reach))
         return cls(ids, places, covariances, tree, pairs[order], distances[order], corner, cell, nearest, area)
@@ -186,9 +184,8 @@ def with_alike(
     kept = best.agree
     exact = landmarks.places[kept].copy()
     exact[:, :2] = (known.places[partners[kept], :2] - best.pose[:2]) @ rotation(best.pose[2])
-    alike = match(
-        replace(landmarks, places=exact, covariances=landmarks.covariances[kept], counts=landmarks.counts[kept]), known
-    )
+    once = replace(landmarks, places=exact, covariances=landmarks.covariances[kept], counts=landmarks.counts[kept])
+    alike = match(once, known)
     poses = np.array([each.pose for each, _ in alike if each.evidence > alike[0][0].evidence - CLOSE])
     if len(poses) < 2:
         return found
@@ -233,7 +230,7 @@ def _refined(
 ) -> tuple[list[Match | None], np.ndarray]:
     """Hypotheses (H, 3) after Gauss-Newton with the nearest landmark for each measurement, and these partners (H, K)."""
     matches: list[Match | None] = []
-    own_ids = np.arange(len(landmarks.places))
+    ids = np.arange(len(landmarks.places))
     for _ in range(rounds):
         moved = transform(poses[:, None], landmarks.places)
         distance, partner = known.tree.query(moved)
@@ -244,9 +241,7 @@ def _refined(
         np.put_along_axis(again, order[:, 1:], in_order[:, 1:] == in_order[:, :-1], axis=1)
         places = known.places[partner]
         places[again, :2] += 1e6
-        points = Points(
-            landmarks.places, landmarks.covariances, places, known.covariances[partner], own_ids, known.area
-        )
+        points = Points(landmarks.places, landmarks.covariances, places, known.covariances[partner], ids, known.area)
         matches = refined(points, poses)
         poses = np.array([pose if match is None else match.pose for match, pose in zip(matches, poses)])
     moved = transform(poses[:, None], landmarks.places)

@@ -229,10 +229,8 @@ class Graph:
         for f in self.families:
             if isinstance(f, DoubtedEdges) and start < len(trust):
                 end = start + f.measurements
-                families.append(f.with_trust(trust[start:end]))
-                start = end
-            else:
-                families.append(f)
+                f, start = f.with_trust(trust[start:end]), end
+            families.append(f)
         if start != len(trust):
             raise OptionError(
                 f"trust has {len(trust)} numbers for {self.measurements} measurements: it needs one for each sighting, or "
@@ -247,10 +245,7 @@ class Graph:
 
     def with_wider_kernel(self, factor: float) -> Graph:
         """The same graph with ``factor`` times the width of its kernels. Both write Omega and xi into one `system`."""
-        return self.with_families(
-            replace(f, kernel=f.kernel.scaled(factor**2)) if isinstance(f, DoubtedEdges) and f.kernel else f
-            for f in self.families
-        )
+        return self.with_changed(DoubtedEdges, lambda f: replace(f, kernel=f.kernel and f.kernel.scaled(factor**2)))
 
     def with_noise_at(self, state: Array) -> Graph:
         """The same graph with the noise of the sensor at the sightings that a state (n, 3) predicts; see `with_families`.
@@ -258,15 +253,17 @@ class Graph:
         ``solve(graph, range_noise="estimated")`` repeats this. Single ranges and bearings keep their information.
         """
         self._check_states(state)
-        return self.with_families(
-            f.with_noise_at(f.predicted(state)) if isinstance(f, SightingEdges) else f for f in self.families
-        )
+        return self.with_changed(SightingEdges, lambda f: f.with_noise_at(f.predicted(state)))
 
     def with_families(self, families: Iterable[EdgeFamily], **others: Any) -> Graph:
         """The same graph with other edges between the same groups of nodes, ``others`` changed; both have one `system`."""
         changed = replace(self, families=tuple(families), **others)
         vars(changed)["_systems"] = self._systems
         return changed
+
+    def with_changed(self, kind: type, change: Callable[[Any], EdgeFamily]) -> Graph:
+        """The same graph with other edges in the place of families of one kind; see `with_families`."""
+        return self.with_families(change(f) if isinstance(f, kind) else f for f in self.families)
 
     @property
     def estimated(self) -> Parameters:
@@ -353,7 +350,7 @@ class Graph:
         """The same graph with plain squares in place of robust kernels. Both write Omega and xi into one `system`."""
         if not self.reweighted:
             return self
-        return self.with_families(replace(f, kernel=None) if isinstance(f, DoubtedEdges) else f for f in self.families)
+        return self.with_changed(DoubtedEdges, lambda f: replace(f, kernel=None))
 
     @cached_property
     def degrees_of_freedom(self) -> int:

@@ -62,17 +62,15 @@ class LandmarkMap(dict[int, Array]):
         super().__init__({_id(j): _place(j, place) for j, place in sorted(means.items())})
         self.classes: dict[int, str | int] = {j: _class(kind) for j, kind in (classes or {}).items() if j in self}
         self.joint: Array | None = None
-        if joint is None:
-            given = covariances or {}
-            if unknown := [j for j in given if j not in self]:
-                raise OptionError(f"there is a covariance of landmark {unknown[0]}, which is not in the map")
-            self.covariances = {j: _covariance(j, given[j], len(self[j])) for j in self if j in given}
-            return
-        if covariances:
+        given = covariances or {}
+        if given and joint is not None:
             raise OptionError("give covariances of single landmarks or a joint covariance, not both")
-        chosen = sorted(self if joint_ids is None else set(joint_ids))
+        chosen = list(given) if joint is None else sorted(self if joint_ids is None else set(joint_ids))
         if unknown := [j for j in chosen if j not in self]:
             raise OptionError(f"there is a covariance of landmark {unknown[0]}, which is not in the map")
+        if joint is None:
+            self.covariances = {j: _covariance(j, given[j], len(self[j])) for j in self if j in given}
+            return
         ends = np.cumsum([0, *(len(self[j]) for j in chosen)])
         matrix = array_of("joint", joint)
         if matrix.shape != (ends[-1], ends[-1]):
@@ -172,7 +170,7 @@ class LandmarkMap(dict[int, Array]):
         means, known = {j: self[j] for j in kept}, [j for j in kept if j in self.covariances]
         if self.joint is None:
             return LandmarkMap(means, {j: self.covariances[j] for j in known}, classes=self.classes)
-        rows = np.repeat(np.isin(list(self.covariances), known), [len(C) for C in self.covariances.values()])
+        rows, *_ = self._in_joint(known)
         return LandmarkMap(means, classes=self.classes, joint=self.joint[np.ix_(rows, rows)], joint_ids=known)
 
     def arrays(self, ids: Iterable[int]) -> tuple[Array, Array]:
@@ -185,57 +183,44 @@ class LandmarkMap(dict[int, Array]):
                 covariances[k, : len(self[j]), : len(self[j])] = self.covariances[j]
         return places, covariances
 
+    def _in_joint(self, ids: Sequence[int], coordinates: int = 3) -> np.ndarray:
+        """The rows of ``joint`` that are of landmarks, with the places of these among ``ids`` and the coordinate: (3, N)."""
+        place = {j: k for k, j in enumerate(ids)}
+        each = ((j, c) for j, C in self.covariances.items() for c in range(len(C)))
+        found = [(row, place[j], c) for row, (j, c) in enumerate(each) if j in place and c < coordinates]
+        return np.array(found, dtype=np.int64).reshape(-1, 3).T
+
+    def between(self, ids: Sequence[int]) -> Array:
+        """The covariances (L, L, 3, 3) of landmarks from one another, zero where they are exact."""
+        blocks, each = np.zeros((len(ids), len(ids), 3, 3)), np.arange(len(ids))
+        blocks[each, each] = self.arrays(ids)[1]
+        if self.joint is not None:
+            rows, k, c = self._in_joint(ids)
+            blocks[k[:, None], k, c[:, None], c] = self.joint[np.ix_(rows, rows)]
+        return blocks
+
     def joint_covariance(self, ids: Sequence[int]) -> Array:
         """The covariance (2 L, 2 L) of the positions of landmarks together, zero where they are exact."""
-        blocks, each = np.zeros((len(ids), 2, len(ids), 2)), np.arange(len(ids))
-        blocks[each, :, each] = self.arrays(ids)[1][:, :2, :2]
-        whole: Array = blocks.reshape(2 * len(ids), -1)
-        if self.joint is not None:
-            starts = dict(zip(self.covariances, np.cumsum([0, *map(len, self.covariances.values())]).tolist()))
-            known = [k for k, j in enumerate(ids) if j in starts]
-            to = np.add.outer(2 * np.array(known, dtype=np.int64), [0, 1]).ravel()
-            rows = np.add.outer(np.array([starts[ids[k]] for k in known], dtype=np.int64), [0, 1]).ravel()
-            whole[np.ix_(to, to)] = self.joint[np.ix_(rows, rows)]
-        return whole
+        return self.between(ids)[:, :, :2, :2].transpose(0, 2, 1, 3).reshape(2 * len(ids), -1)
 
-    def joint_information(self, ids: Iterable[int], coordinates: int) -> Array:
-        """The information (3K, 3K) of landmarks with covariances, ``coordinates`` of each, whatever the others are.
+    def information(self, ids: Sequence[int], coordinates: int) -> Array:
+        """The information (3 L, 3 L) of landmarks, ``coordinates`` of each, whatever the others are; zero for exact ones.
 
         Rows of coordinates that the map does not give are zero. Of a joint covariance it is the inverse of the block
         of these landmarks, that is, the Schur complement of the others.
 
         Raises:
-            OptionError: the covariance is singular.
-        """
-        places: list[int] = []
-        rows: list[int] = []
-        at = 0
-        wanted = {j: k for k, j in enumerate(ids)}
-        for j, covariance in self.covariances.items():
-            known = min(len(covariance), coordinates)
-            if j in wanted:
-                places += range(at, at + known)
-                rows += range(3 * wanted[j], 3 * wanted[j] + known)
-            at += len(covariance)
-        assert self.joint is not None
-        information = np.zeros((3 * len(wanted), 3 * len(wanted)))
-        information[np.ix_(rows, rows)] = _inverse(
-            "the joint covariance of the map", self.joint[np.ix_(places, places)]
-        )
-        return information
-
-    def information(self, ids: Sequence[int], coordinates: int) -> Array:
-        """The information (3 L, 3 L) of landmarks: joint where the map has that, else of each; zero for exact ones.
-
-        Raises:
             OptionError: a covariance is singular.
         """
-        if self.joint is not None:
-            return self.joint_information(ids, coordinates)
         blocks = np.zeros((len(ids), 3, len(ids), 3))
-        for k, j in enumerate(ids):
-            if j in self.covariances:
-                blocks[k, :, k] = self.own_information(j, coordinates)
+        if self.joint is not None:
+            rows, k, c = self._in_joint(ids, coordinates)
+            inverse = _inverse("the joint covariance of the map", self.joint[np.ix_(rows, rows)])
+            blocks[k[:, None], c[:, None], k, c] = inverse
+        else:
+            for k, j in enumerate(ids):
+                if j in self.covariances:
+                    blocks[k, :, k] = self.own_information(j, coordinates)
         return blocks.reshape(3 * len(ids), 3 * len(ids))
 
     def own_information(self, id: int, coordinates: int) -> Array:

@@ -93,10 +93,8 @@ class Fix:
         wrong = f", {len(self.disagree)} contradict it" if len(self.disagree) else ""
         count = len(self.agree)
         agree = f"{count} sightings agree up to step" if count != 1 else "1 sighting agrees up to step"
-        doubt = (
-            "" if self.odds > SURE else f"; the odds against other places and other maps are only {self.odds:.2g} to 1"
-        )
-        return f"{agree} {self.step}{wrong}{doubt}"
+        doubt = f"; the odds against other places and other maps are only {self.odds:.2g} to 1"
+        return f"{agree} {self.step}{wrong}{'' if self.odds > SURE else doubt}"
 
 
 def first_fix(

@@ -31,6 +31,7 @@ import numpy as np
 from ..errors import FormatError, OptionError, quoted, reason_of
 from ..files import check_file, read_archive, read_text, write_whole
 from ..log.drive import map_of
+from ..log.measurements import symmetric
 from ..log.rows import TableOptions
 from ..log.table import Table, plain
 from ..log.text_table import PARQUET, TEXT, table_of
@@ -113,14 +114,14 @@ def _table(path: Path) -> Parts:
         if missing:
             raise table.error(None, f"there is a column var_x, but no column {missing[0]} of the covariance")
         used = [name for name in COVARIANCE if name in columns]
-        values = table.numbers([columns[name] for name in used])
+        values = np.full((len(ids), len(COVARIANCE)), np.nan)
+        values[:, [COVARIANCE.index(name) for name in used]] = table.numbers([columns[name] for name in used])
         covariances = {}
-        for row, (j, numbers) in enumerate(zip(ids, values)):
-            d = len(means[j])
-            C = _symmetric(dict(zip(used, numbers.tolist())))[:d, :d]
+        for row, (j, whole) in enumerate(zip(ids, symmetric(values, UPPER))):
+            C = whole[: len(means[j]), : len(means[j])]
             if np.isfinite(C).all():
                 covariances[j] = C
-            elif np.isfinite(numbers).any():
+            elif np.isfinite(whole).any():
                 raise table.error(row, f"the covariance of landmark {j} is not complete; fill in all of it, or nothing")
         parts["covariances"] = covariances
     if "class" in columns:
@@ -145,13 +146,6 @@ def _check_errors(table: Table) -> None:
                 "a standard deviation, square it and name it so; otherwise rename or remove it: without a covariance a "
                 "landmark counts as exact",
             )
-
-
-def _symmetric(numbers: Mapping[str, float]) -> Array:
-    C = np.full((3, 3), np.nan)
-    for name, (i, j) in zip(COVARIANCE, UPPER):
-        C[i, j] = C[j, i] = numbers.get(name, np.nan)
-    return C
 
 
 def _archive(path: Path) -> Parts:

@@ -231,41 +231,35 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
     root = any((edge.dialect or edge2) == "isam" for edge in lines.edges["pose"])
     return PoseGraphFile(
         pose_ids, places, landmark_ids, np.array([landmarks[k] for k in landmark_ids.tolist()]).reshape(-1, 2),
-        list(lines.fixed), edges, (*_doubt_of_angles(lines), *_doubts(path, edges["pose"].information, root)),
+        list(lines.fixed), edges, _doubts(lines, edges["pose"].information, root),
     )  # fmt: skip
 
 
-def _doubt_of_angles(lines: _Lines) -> tuple[str, ...]:
-    """A note where edges turn by more than a whole turn, which is a number of degrees."""
-    beyond = [edge for edge in lines.edges["pose"] if abs(edge.numbers[2]) > WHOLE_TURN]
-    if len(beyond) < 2:
-        return ()
-    line, turn = beyond[0].line, beyond[0].numbers[2]
-    note = (
-        f"{len(beyond)} edges, the first one in line {line}, turn by more than 2 pi ({turn:g} rad): are angles in degrees? "
-        "Files have radians"
-    )
-    warnings.warn(f"{lines.path}: {note}", UserWarning, stacklevel=5)
-    return (note,)
-
-
-def _doubts(path: Path, information: Array, root: bool) -> tuple[str, ...]:
-    """A note where the information (E, 3, 3) of relative poses is so small that the file must have covariances.
+def _doubts(lines: _Lines, information: Array, root: bool) -> tuple[str, ...]:
+    """Notes where edges turn by more than a whole turn, which is a number of degrees, and where the information (E, 3, 3) of
+    relative poses is so small that the file must have covariances.
 
     A heading that is not measured at all is uniform, with a deviation of pi / sqrt(3). Edges that claim more say nothing,
     and a covariance read as information claims it nearly always. Edges without information on the heading do not count.
     """
+    notes = []
+    beyond = [edge for edge in lines.edges["pose"] if abs(edge.numbers[2]) > WHOLE_TURN]
+    if len(beyond) > 1:
+        notes.append(
+            f"{len(beyond)} edges, the first one in line {beyond[0].line}, turn by more than 2 pi "
+            f"({beyond[0].numbers[2]:g} rad): are angles in degrees? Files have radians"
+        )
     heading = information[:, 2, 2]
     heading = heading[heading > 0]
-    if len(heading) == 0 or (middle := float(np.median(heading))) >= 3 / np.pi**2:
-        return ()
-    wanted = "the square root R of the information R'R, 1 / deviation" if root else "the information, 1 / variance"
-    note = (
-        f"the information of this file means a deviation of {middle**-0.5:.2g} rad for half of its headings: it "
-        f"seems to hold covariances where its format wants {wanted}"
-    )
-    warnings.warn(f"{path}: {note}", UserWarning, stacklevel=5)
-    return (note,)
+    if len(heading) and (middle := float(np.median(heading))) < 3 / np.pi**2:
+        wanted = "the square root R of the information R'R, 1 / deviation" if root else "the information, 1 / variance"
+        notes.append(
+            f"the information of this file means a deviation of {middle**-0.5:.2g} rad for half of its headings: it "
+            f"seems to hold covariances where its format wants {wanted}"
+        )
+    for note in notes:
+        warnings.warn(f"{lines.path}: {note}", UserWarning, stacklevel=5)
+    return tuple(notes)
 
 
 def _edges(path: Path, kind: str, rows: list[_Edge], edge2: str) -> FileEdges:

@@ -77,9 +77,8 @@ class Stretch:
     @property
     def rows_at(self) -> list[np.ndarray]:
         """The rows of the sightings from each pose."""
-        return np.split(
-            np.argsort(self.steps, kind="stable"), np.cumsum(np.bincount(self.steps, minlength=self.num_poses))
-        )
+        ends = np.cumsum(np.bincount(self.steps, minlength=self.num_poses))
+        return np.split(np.argsort(self.steps, kind="stable"), ends)
 
     def after(self, step: int) -> Stretch:
         """What comes from a pose on, which is then pose 0."""
@@ -203,20 +202,6 @@ def noise_of(log: Stretch, rows: np.ndarray, drift: Drift, levers: Array) -> Arr
     return np.asarray(measured)
 
 
-def of_landmarks(landmarks: LandmarkMap, ids: np.ndarray) -> Array:
-    """The covariances (L, L, 3, 3) of landmarks of a map from one another."""
-    S, some = np.zeros((len(ids), 3, len(ids), 3)), landmarks.among(ids.tolist())
-    number = {j: k for k, j in enumerate(ids.tolist())}
-    if some.joint is None:
-        for j, C in some.covariances.items():
-            S[number[j], : len(C), number[j], : len(C)] = C
-        return S.transpose(0, 2, 1, 3)
-    rows = [(number[j], c) for j, C in some.covariances.items() for c in range(len(C))]
-    n, c = np.array(rows, dtype=np.int64).reshape(-1, 2).T
-    S[n[:, None], c[:, None], n, c] = some.joint
-    return S.transpose(0, 2, 1, 3)
-
-
 def seen_from(poses: Array, sightings: Array, sensor: SensorModel) -> tuple[Array, Array, Array]:
     """The landmarks (M, 3) of sightings with covariances (M, 3, 3), and their levers (M, 2) about the poses."""
     d = sightings.shape[1]
@@ -241,7 +226,7 @@ def together(
     log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, drift: Drift, points: Points, matches: list[Match]
 ) -> list[Weighed]:
     """Hypotheses of sightings ``rows``, which are ``points``, by decreasing joint evidence, each place once."""
-    of_map, poses = of_landmarks(landmarks, np.unique(points.ids)), drift.poses[log.steps[rows]]
+    of_map, poses = landmarks.between(np.unique(points.ids).tolist()), drift.poses[log.steps[rows]]
 
     def judged(match: Match) -> Weighed | None:
         levers = levers_of(points, match.pose, poses)
@@ -266,7 +251,7 @@ def _smoothed(log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, pose: Arra
     rows = rows[evenly(len(rows), ENOUGH)]
     at, ids = log.steps[rows], np.unique(log.landmarks[rows])
     which = np.searchsorted(ids, log.landmarks[rows])
-    S = of_landmarks(landmarks, ids)[which[:, None], which]
+    S = landmarks.between(ids.tolist())[which[:, None], which]
     each = np.arange(len(rows))
 
     def residuals(drift: Drift, pose: Array) -> tuple[Points, Array, Array]:

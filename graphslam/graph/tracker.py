@@ -196,11 +196,10 @@ class Tracker:
         if seen.sum() < FEWEST:
             return 0.0, 0.0
         z, information = (each[seen] for each in self._scores)
-        off, middle = np.linalg.solve(information, z[:, :, None])[:, :, 0], (len(z) - 1) // 2
+        off = np.linalg.solve(information, z[:, :, None])[:, :, 0]
         expected = information + information @ self._covariances[seen] @ information
-        q = np.sort(np.einsum("ki,ki->k", z, np.linalg.solve(expected, z[:, :, None])[:, :, 0]))
-        size = np.sort(np.hypot(*off.T))
-        return float(np.sqrt(q[middle] / (2 * np.log(2)))), float(size[middle])
+        q = np.einsum("ki,ki->k", z, np.linalg.solve(expected, z[:, :, None])[:, :, 0])
+        return middle_misfit(q, np.hypot(*off.T))
 
     @property
     def seen_of_map(self) -> list[int]:
@@ -294,6 +293,12 @@ def area_of(places: Array) -> float:
     return float(np.prod(np.ptp(places, axis=0) + MARGIN))
 
 
+def middle_misfit(q: Array, size: Array) -> tuple[float, float]:
+    """The root of the median of q over 2 log 2, and that of displacements [m]; of an even number the lower middle one."""
+    middle = (len(q) - 1) // 2
+    return float(np.sqrt(np.sort(q)[middle] / (2 * np.log(2)))), float(np.sort(size)[middle])
+
+
 def _bounded(log_odds: float) -> float:
     """Log odds that a few sightings can still turn."""
     most = float(-np.log(LIFTED))
@@ -324,9 +329,8 @@ def beyond(covariances: Array, metres: float, radians: float = np.inf) -> Array:
     P = np.asarray(covariances, dtype=float)
     variance = np.maximum(P[..., 2, 2], 1e-18)
     slope = P[..., :2, 2] / variance[..., None]
-    values, axes = np.linalg.eigh(
-        P[..., :2, :2] - slope[..., :, None] * slope[..., None, :] * variance[..., None, None]
-    )
+    by_heading = slope[..., :, None] * slope[..., None, :] * variance[..., None, None]
+    values, axes = np.linalg.eigh(P[..., :2, :2] - by_heading)
     small, large = np.moveaxis(np.sqrt(np.maximum(values, 1e-18)), -1, 0)
     slope = (np.swapaxes(axes, -1, -2) @ slope[..., None])[..., 0]
     std = np.sqrt(variance)

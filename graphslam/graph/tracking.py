@@ -18,7 +18,7 @@ from ..errors import GraphError
 from ..errors.checks import listed
 from ..log import UNIDENTIFIED, Log
 from ..models import ANYWHERE, MotionModel, SensorModel, additional_variances
-from ..se2 import Array, begun_at, wrap
+from ..se2 import Array, begun_at, difference
 from .landmark_map import LandmarkMap
 from .localization import SURE, Fix, carried_back, first_fix, possible_fixes
 from .stretch import Stretch, drifted
@@ -160,16 +160,14 @@ def elsewhere(drive: Stretch, tracker: Tracker, landmarks: LandmarkMap) -> tuple
     for step in range(later - 1, -1, -1):
         now = np.flatnonzero(after.steps == step)
         back = carried_back(fix, after.after(step), later - step)
-        seen = Tracker(landmarks, drive.sensor, back.pose, back.covariance).see(
-            step, now, after.landmarks[now], after.sightings[now]
-        )
+        there = Tracker(landmarks, drive.sensor, back.pose, back.covariance)
+        seen = there.see(step, now, after.landmarks[now], after.sightings[now])
         if seen.contradict.sum() > seen.agree.sum() or np.trace(back.covariance[:2, :2]) > VAGUE**2:
             break
         if seen.agree.any():
             later, fix = step, back
     (*_, x), (*_, P) = drifted(x, after.motions[:later], after.noise[:later], P)
-    way = fix.pose - x
-    way[2] = wrap(way[2])
+    way = difference(fix.pose, x)
     if float(way @ np.linalg.solve(fix.covariance + P, way)) < ELSEWHERE:
         return None
     return since + later, fix, float(np.hypot(*way[:2]))

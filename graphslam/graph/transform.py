@@ -25,6 +25,7 @@ optimum of the graph Omega and xi are the same with these weights as with the ke
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 from typing import TypeVar
 
 import numpy as np
@@ -49,7 +50,7 @@ from ..edges import (
 )
 from ..errors import GraphError
 from ..errors.checks import array_of
-from ..se2 import Array, between, chained, inverse, lever_matrix, perpendicular, rotation, turn_matrix
+from ..se2 import Array, between, chained, inverse, lever_matrix, perpendicular, rotation, turn_matrix, turned_by
 from .defaults import anchors
 from .graph import Graph
 
@@ -67,9 +68,8 @@ def without_landmarks(graph: Graph) -> Graph | None:
         landmark = edges.second[order]
         here = np.flatnonzero(landmark[1:] == landmark[:-1])
         rows = order[np.column_stack([here, here + 1]).ravel()]
-        return VirtualMotionEdges(
-            np.arange(0, len(rows) + 1, 2), edges.first[rows], edges.sightings[rows], edges.sensor
-        )
+        starts = np.arange(0, len(rows) + 1, 2)
+        return VirtualMotionEdges(starts, edges.first[rows], edges.sightings[rows], edges.sensor)
 
     families = [paired(f) if isinstance(f, ObservationEdges) else f for f in graph.families]
     return None if families == [*graph.families] else poses_only(graph, families)
@@ -82,7 +82,7 @@ def with_cartesian_sightings(graph: Graph) -> Graph | None:
     """
     if not any(isinstance(family, PolarObservationEdges) for family in graph.families):
         return None
-    return graph.with_families(f.cartesian if isinstance(f, PolarObservationEdges) else f for f in graph.families)
+    return graph.with_changed(PolarObservationEdges, attrgetter("cartesian"))
 
 
 def with_landmark_nodes(graph: Graph) -> Graph | None:
@@ -223,8 +223,7 @@ def _joined(chain: RelativePoseEdges, kept: np.ndarray) -> RelativePoseEdges:
     J = turn_matrix(driven[:-1, 2])
     J[:, :2, 2] = perpendicular(end[last, :2] - driven[1:, :2])
     covariance = np.add.reduceat(J @ np.linalg.inv(chain.information) @ np.swapaxes(J, 1, 2), kept[:-1], axis=0)
-    back = turn_matrix(-start[:, 2])
-    information = np.linalg.inv(back @ covariance @ np.swapaxes(back, 1, 2))
+    information = np.linalg.inv(turned_by(covariance, -start[:, 2]))
     number = np.arange(len(kept))
     return RelativePoseEdges(number[:-1], number[1:], between(start, end), _symmetric(information))
 
@@ -264,9 +263,8 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
         seen = family.cartesian if isinstance(family, PolarObservationEdges) else family
         assert isinstance(seen, CartesianObservationEdges)
         kind = RelativePoseEdges if seen.oriented else RelativePointEdges
-        return _weighted(
-            kind(seen.first, seen.second, seen.relative.measured, seen.relative.information), family, state
-        )
+        relative = kind(seen.first, seen.second, seen.relative.measured, seen.relative.information)
+        return _weighted(relative, family, state)
     if isinstance(family, RelationEdges):
         edges = RelativePoseEdges(family.first, family.second, family.measured, family.weighed)
         return _weighted(edges, family, state)

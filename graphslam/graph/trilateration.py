@@ -167,11 +167,8 @@ def placed_single_numbers(
             places[j] = found.places[0]
         else:
             open_.append(j)
-    notes: tuple[str, ...] = ()
-    if open_:
-        notes = (
-            f"{listed('landmark', open_)} left out: their ranges or bearings from this way leave any number of places",
-        )
+    why = "left out: their ranges or bearings from this way leave any number of places"
+    notes = (f"{listed('landmark', open_)} {why}",) if open_ else ()
     return partial.among(~np.isin(partial.landmarks, open_)), places, notes
 
 

@@ -136,8 +136,8 @@ def moves(parameters: Parameters, predicted: Array, controls: Array) -> Array:
 
 def smoothed_controls(parameters: Parameters) -> Array:
     """The corrected controls (S, 2), each averaged for some time before and after its middle; `_smoothing` chooses."""
-    ends = _ends(parameters.recorded)
-    return _averaged(parameters, ends, (ends[:-1] + ends[1:]) / 2)
+    ends = parameters.recorded.control_times
+    return _averaged(parameters, corrected_controls(parameters), (ends[:-1] + ends[1:]) / 2)
 
 
 def controls_at_steps(parameters: Parameters) -> Array:
@@ -146,19 +146,17 @@ def controls_at_steps(parameters: Parameters) -> Array:
     A single control is noisy where odometry is frequent, and a delay that multiplies noise is estimated too small, as in
     every regression on noisy values; a long mean blurs turns. `_smoothing` chooses.
     """
-    ends = _ends(parameters.recorded)
-    return _averaged(parameters, ends, ends[parameters.recorded.control_starts])
+    log = parameters.recorded
+    return _averaged(parameters, corrected_controls(parameters), log.control_times[log.control_starts])
 
 
 def control_noise_at_steps(parameters: Parameters, rng: np.random.Generator) -> Array:
     """Noise (T+1, 2) of `controls_at_steps`, drawn from the motion model."""
-    log, ends = parameters.recorded, _ends(parameters.recorded)
+    log = parameters.recorded
     assert log.controls is not None and log.dt is not None
     variances = np.diagonal(parameters.motion.M(log.controls, log.dt, log.recorded_dt), axis1=1, axis2=2)
     noise = np.sqrt(variances) * rng.standard_normal(variances.shape)
-    columns = zip(noise.T, _smoothing(parameters))
-    times = ends[log.control_starts]
-    return np.column_stack([_means(_summed(each * log.dt), ends, times, window) for each, window in columns])
+    return _averaged(parameters, noise, log.control_times[log.control_starts])
 
 
 def changes_within(log: Log) -> Array:
@@ -196,18 +194,11 @@ def honest_variances(log: Log) -> Array | None:
     return np.maximum(within, additional_variances(log.control_variances, len(within)))
 
 
-def _ends(log: Log) -> Array:
-    """The times (S+1,) at which controls end, from that of the first pose on [s]."""
-    assert log.dt is not None
-    return _summed(log.dt)
-
-
-def _averaged(parameters: Parameters, ends: Array, times: Array) -> Array:
-    """The corrected controls (n, 2) around times (n,), averaged as `_smoothing` says."""
-    log = parameters.recorded
-    assert log.controls is not None and log.dt is not None
-    columns = zip(corrected_controls(parameters).T, _smoothing(parameters))
-    return np.column_stack([_means(_summed(each * log.dt), ends, times, window) for each, window in columns])
+def _averaged(parameters: Parameters, controls: Array, times: Array) -> Array:
+    """Controls (S, 2) of the log, averaged around times (n,) as `_smoothing` says, (n, 2)."""
+    log, ends = parameters.recorded, parameters.recorded.control_times
+    columns = zip(controls.T * log.dt, _smoothing(parameters))
+    return np.column_stack([_means(_summed(each), ends, times, window) for each, window in columns])
 
 
 def _smoothing(parameters: Parameters) -> list[float]:
@@ -242,7 +233,7 @@ def _averages(log: Log) -> _Averages:
     times = [float(np.median(log.dt if log.recorded_dt is None else log.recorded_dt))]
     while 2 * times[-1] <= LONGEST:
         times.append(2 * times[-1])
-    ends = _ends(log)
+    ends = log.control_times
 
     def around(values: Array, window: float) -> Array:
         # `np.interp` looks up both numbers of a control at once where they are one complex number

@@ -201,9 +201,8 @@ def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[s
     if isinstance(estimate, str):
         estimate = [word for word in estimate.split(",") if word.strip()]
     if not isinstance(estimate, Iterable):
-        raise OptionError(
-            f"estimate must be names of parameters, not {quoted(estimate)}; they are {', '.join(PARAMETERS)}"
-        )
+        message = f"estimate must be names of parameters, not {quoted(estimate)}; they are {', '.join(PARAMETERS)}"
+        raise OptionError(message)
     if isinstance(estimate, Mapping):
         pairs = [(str(name), inf if value is None else value) for name, value in estimate.items()]
     else:
@@ -222,8 +221,7 @@ def parsed(estimate: str | Iterable[str] | Mapping[str, float | None]) -> dict[s
         except (TypeError, ValueError):
             deviation = -1.0
         if not deviation > 0:
-            raise OptionError(
-                f"estimate: the prior of {name} must be a positive standard deviation, not {quoted(value)}"
-            )
+            message = f"estimate: the prior of {name} must be a positive standard deviation, not {quoted(value)}"
+            raise OptionError(message)
         found[name] = deviation
     return found

@@ -197,9 +197,8 @@ class Odometry:
     def speeds(self, parameters: Parameters) -> Array:
         """The control (T+1, 2) at each pose, `controls_at_steps`."""
         everything = replace(parameters, recorded=self.log)
-        return self._kept(
-            "speeds", (parameters.values.tobytes(), parameters.motion), lambda: controls_at_steps(everything)
-        )
+        of = parameters.values.tobytes(), parameters.motion
+        return self._kept("speeds", of, lambda: controls_at_steps(everything))
 
     def _kept(self, name: str, of: tuple[object, ...], make: Callable[[], Array]) -> Array:
         """The result that was made last by this name, where it was made of the same."""

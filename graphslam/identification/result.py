@@ -267,9 +267,8 @@ class RobotEstimate:
             if names and not set(names) & set(self.parameters.names)
         ]
         if self.untested:
-            lines.append(
-                f"not estimated from these ranges and bearings alone: {', '.join(self.untested)} keep their ideal values"
-            )
+            which = ", ".join(self.untested)
+            lines.append(f"not estimated from these ranges and bearings alone: {which} keep their ideal values")
         if self.left_out.sentence is not None:
             lines.append(self.left_out.sentence)
         if self.basis == DEAD_RECKONING:
@@ -282,11 +281,9 @@ class RobotEstimate:
                 "the log does not show that the odometry is noisy: the noise of the motion was reduced to a third of its "
                 "estimate"
             )
-        nameless = np.count_nonzero(~self.ids.identified)
-        if nameless:
-            lines.append(
-                f"{nameless} of {len(self.ids.identified)} sightings have no id and were not used for the estimate"
-            )
+        if nameless := np.count_nonzero(~self.ids.identified):
+            count = len(self.ids.identified)
+            lines.append(f"{nameless} of {count} sightings have no id and were not used for the estimate")
         if (contradicting := self.ids.sentence) is not None:
             lines.append(contradicting)
         if self.inflation > 1:
@@ -308,15 +305,12 @@ def without_found(
     """
     parameters = replace(last.parameters, recorded=log)
     free = np.flatnonzero(parameters.deviations > HELD)
-    names, means, deviations = (
-        np.array(each)[free].tolist() for each in (parameters.names, parameters.means, parameters.deviations)
-    )
-    corrected = corrected_log(parameters).replace(
-        motion=motion, sensor=sensor, uncertain={**held, **(log.uncertain or {}), **dict(zip(names, deviations))}
-    )
-    corrected = corrected.replace(
-        initial_poses=corrected.dead_reckoning(), control_variances=honest_variances(corrected)
-    )
+    every = (parameters.names, parameters.means, parameters.deviations)
+    names, means, deviations = (np.array(each)[free].tolist() for each in every)
+    uncertain = {**held, **(log.uncertain or {}), **dict(zip(names, deviations))}
+    corrected = corrected_log(parameters).replace(motion=motion, sensor=sensor, uncertain=uncertain)
+    variances = honest_variances(corrected)
+    corrected = corrected.replace(initial_poses=corrected.dead_reckoning(), control_variances=variances)
     return corrected, ParameterEstimate(
         tuple(names), parameters.values[free], last.parameter_covariance()[np.ix_(free, free)],
         {name: (m, s) for name, m, s in zip(names, means, deviations)},
@@ -325,9 +319,8 @@ def without_found(
 
 def with_book(log: Log, error: Exception) -> Log:
     """The log with a note why its noise is the book's."""
-    return log.replace(
-        notes=(*log.notes, f"the noise models are the book's, because noise cannot be estimated: {error}")
-    )
+    note = f"the noise models are the book's, because noise cannot be estimated: {error}"
+    return log.replace(notes=(*log.notes, note))
 
 
 def not_used(log: Log) -> tuple[str, ...]:

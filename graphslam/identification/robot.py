@@ -30,14 +30,7 @@ from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .declared import ParameterEstimate
 from .odometry import sighting_times
-from .restricted_likelihood import (
-    fit,
-    gain_over,
-    hold_needless,
-    is_elsewhere,
-    numbers_on_motion,
-    with_sensor_anywhere,
-)
+from .restricted_likelihood import fit, gain_over, hold_needless, is_elsewhere, numbers_on_motion, with_sensor_anywhere
 from .result import (
     BOOK_NOISE,
     DEAD_RECKONING,
@@ -174,15 +167,13 @@ def _estimate(
     if nearly_exact:
         second, held = exact, held_with_exact
         compared = _compared(part, second, dead_reckoning, *other, rng)
-    basis = ESTIMATE
-    if compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
-        basis = other[0]
     # few sightings are predicted well from odometry with biases, too: dead reckoning counts only where the log shows neither
     # biases nor noise
     exact_and_unbiased = nearly_exact and set(KINDS["odometry"]) <= set(held)
+    basis = ESTIMATE
     if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING
-    if basis == other[0]:
+    elif compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
         return _known(log, ids, *other, compared)
     if basis == DEAD_RECKONING:
         # this problem holds what the first one held, too
@@ -203,8 +194,7 @@ def _estimate(
     corrected, estimate = without_found(last, ids.correct(log), held, motion, seen)
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
-        inflation=factor, nearly_exact=nearly_exact, left_out=compared,
-        basis=basis, on_motion=on_motion,
+        inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion,
     )  # fmt: skip
 
 

@@ -56,9 +56,8 @@ class Predictions:
 
     def compare(self, log: Log, rows: np.ndarray, landmarks: np.ndarray) -> tuple[Edges, Array]:
         """The edges of sightings in rows (M,) with landmarks (M,), and samples (M, d, k) of the errors of the predictions."""
-        edges = self._unknowns.sighted(
-            log.steps[rows].astype(np.int64), landmarks + self._unknowns.poses, log.sightings[rows]
-        )
+        steps, nodes = log.steps[rows].astype(np.int64), landmarks + self._unknowns.poses
+        edges = self._unknowns.sighted(steps, nodes, log.sightings[rows])
         return edges, edges.moved(self._nodes, self._values)
 
     def distances(self, log: Log, rows: np.ndarray, landmarks: np.ndarray) -> tuple[Array, Array]:

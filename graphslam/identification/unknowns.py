@@ -117,10 +117,8 @@ class Unknowns:
         self.poses = log.num_poses
         self.seen_from, self.seen = steps[self.used].astype(np.int64), group.astype(np.int64) + self.poses
         #: with any value where nothing was measured; and (M, d, d) 1 there on the diagonal
-        self.sightings, self._unmeasured = (
-            sightings[self.used],
-            ~measured[self.used, :, None] * np.eye(sightings.shape[1]),
-        )
+        self.sightings = sightings[self.used]
+        self._unmeasured = ~measured[self.used, :, None] * np.eye(sightings.shape[1])
         #: how many numbers a sighting has
         self.numbers = sightings.shape[1] if places is None else 1
         # sightings are in the order of time
@@ -186,9 +184,8 @@ class Unknowns:
         """Keep parameters at their ideal values."""
         p = self.parameters
         held = np.isin(p.names, list(names))
-        self.parameters = replace(
-            p, values=np.where(held, p.means, p.values), deviations=np.where(held, HELD, p.deviations)
-        )
+        values, deviations = np.where(held, p.means, p.values), np.where(held, HELD, p.deviations)
+        self.parameters = replace(p, values=values, deviations=deviations)
 
     def hold_noise(self, motion: MotionModel, sensor: SensorModel) -> None:
         """Keep these variances, and all parameters at their ideal values."""
@@ -467,9 +464,8 @@ class Linear(Bordered):
         diagonal[0], mixed[edges.first == 0] = 0.0, 0.0
         one, two = edges.by_first, edges.by_second
         crossed = one @ mixed @ np.swapaxes(two, 1, 2)
-        total = one @ diagonal[edges.first] @ np.swapaxes(one, 1, 2) + two @ diagonal[edges.second] @ np.swapaxes(
-            two, 1, 2
-        )
+        total = one @ diagonal[edges.first] @ np.swapaxes(one, 1, 2)
+        total += two @ diagonal[edges.second] @ np.swapaxes(two, 1, 2)
         of_parameters = edges.moved(-self.reach, np.eye(len(self.schur)))
         spread = of_parameters @ np.linalg.cholesky(self.covariance)
         return total + crossed + np.swapaxes(crossed, 1, 2) + spread @ np.swapaxes(spread, 1, 2)

@@ -27,7 +27,7 @@ from .bag_messages import Collector, Frames, clean, rotation_of
 from .bag_poses import Poses, positions_table, relations_table
 from .bag_topics import TF, Bag, Candidate, Topic, candidates, is_bag, open_bag, plan_of
 from .base import Format
-from .tables import Recipe, read_recipe
+from .tables import Recipe, recipe_if_any
 
 #: names that the frame of a robot usually has
 _BASES = ("base_link", "base_footprint", "base", "robot", "chassis")
@@ -107,10 +107,8 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
     if "positions" in choices or recipe.place("positions", "file") is not None:
         return drive
     unused = [each.topic.name for each in found if each.could_be == "positions" and each.topic.count]
-    offers = (
-        f"{name} has absolute positions, which are used where they are named: --positions {name}" for name in unused
-    )
-    return replace(drive, notes=(*drive.notes, *offers))
+    offer = "{0} has absolute positions, which are used where they are named: --positions {0}"
+    return replace(drive, notes=(*drive.notes, *map(offer.format, unused)))
 
 
 def _drive(
@@ -126,13 +124,13 @@ def _drive(
     truth = None
     if "truth" in collectors:
         try:
-            truth = truth_of(_poses_table(collectors["truth"]), options)
-            check_overlap(odometry, truth, "truth")
+            read = truth_of(_poses_table(collectors["truth"]), options)
+            check_overlap(odometry, read, "truth")
+            truth = read
         except LogError as error:
             if choices["truth"].named:
                 raise
             notes.append(f"the truth was left out: {error}")
-            truth = None
     for kind, each in collectors.items():
         if each.unstamped > 0:
             which = "its messages have" if each.unstamped == len(each) else "some of its messages have"
@@ -180,11 +178,8 @@ def _choices(bag: Bag, found: Sequence[Candidate], recipe: Recipe) -> list[Choic
             choices.append(Choice(kind, transforms, *pair))
     for choice in choices:
         if choice.topic.type in TF and not (choice.parent or choice.child):
-            raise FormatError(
-                bag.path,
-                None,
-                f"{choice.topic.name} has many frames; say which: [{choice.kind}] parent = .. and child = .. in the recipe",
-            )
+            advice = f"say which: [{choice.kind}] parent = .. and child = .. in the recipe"
+            raise FormatError(bag.path, None, f"{choice.topic.name} has many frames; {advice}")
     return choices
 
 
@@ -282,13 +277,13 @@ def _sightings_table(
             values[:, [x, y]] = values[:, [x, y]] @ AXES[options.axes][:2, :2].T
         columns |= dict(zip(names, values.T))
         return Columns(collector.source, columns, rows="row"), None
-    place = next((each for each in collector.plan.places if _measured(collector, each)), None)
-    if place is None:
-        raise FormatError(
-            collector.source, None, "its detections have no positions, all are zero or absent; a range takes a position "
-            "in space or a size",
-        )  # fmt: skip
-    positions = collector.columns([f"{place}.{axis}" for axis in "xyz"])
+    for place in collector.plan.places:
+        positions = collector.columns([f"{place}.{axis}" for axis in "xyz"])
+        if np.nan_to_num(positions).any():
+            break
+    else:
+        message = "its detections have no positions, all are zero or absent"
+        raise FormatError(collector.source, None, f"{message}; a range takes a position in space or a size")
     known = np.isfinite(positions).all(axis=1)
     offset, turn = None, np.eye(3)
     if _stated(options):
@@ -297,13 +292,10 @@ def _sightings_table(
     elif collector.frame not in ("", base):
         mounted = frames.between(base, collector.frame)
         if mounted is None:
-            raise FormatError(
-                collector.source,
-                None,
-                f"its positions are in the frame {quoted(collector.frame)}, and no fixed transform in TF leads from there to "
-                f"{quoted(base)}, the robot; state where the sensor is: --sensor-offset FORWARD,LEFT, and --sensor-yaw or "
-                "--axes",
-            )
+            lost = f"no fixed transform in TF leads from there to {quoted(base)}, the robot"
+            advice = "state where the sensor is: --sensor-offset FORWARD,LEFT, and --sensor-yaw or --axes"
+            frame = f"its positions are in the frame {quoted(collector.frame)}"
+            raise FormatError(collector.source, None, f"{frame}, and {lost}; {advice}")
         offset, turn = (float(mounted[0][0]), float(mounted[0][1])), mounted[1]
     positions = positions @ turn.T
     columns |= {"x": positions[:, 0], "y": positions[:, 1]}
@@ -312,11 +304,6 @@ def _sightings_table(
     if not known.all():
         columns = {name: values[known] for name, values in columns.items()}
     return Columns(collector.source, columns, rows="row"), offset if offset != (0.0, 0.0) else None
-
-
-def _measured(collector: Collector, place: str) -> bool:
-    positions = collector.columns([f"{place}.{axis}" for axis in "xyz"])
-    return bool(np.any(np.abs(np.nan_to_num(positions)) > 0))
 
 
 def _orientations(collector: Collector, place: str, positions: Array, turn: Array) -> Array | None:
@@ -336,18 +323,9 @@ def _orientations(collector: Collector, place: str, positions: Array, turn: Arra
     return wrap(np.arctan2(positions[:, 1], positions[:, 0]) - heading)
 
 
-def recipe_beside(path: Path) -> Recipe:
-    """The recipe beside a bag, or an empty one.
-
-    Raises:
-        FormatError: it has a mistake.
-    """
-    beside = path.with_suffix(".toml")
-    return read_recipe(beside) if beside.is_file() else Recipe()
-
-
 def _read(path: Path, options: ReadOptions) -> Log:
-    return drive_of_bag(path, recipe_beside(path).strictly(options.strict)).log(options, path.resolve().stem)
+    recipe = recipe_if_any(path.with_suffix(".toml")).strictly(options.strict)
+    return drive_of_bag(path, recipe).log(options, path.resolve().stem)
 
 
 FORMAT = Format("bag", is_bag, _read, separate_times=True)

@@ -135,17 +135,13 @@ class Collector:
         for row in self._rows(message) if self._rows else (message,):
             if self.plan.action and row.action != 0:
                 continue
-            frame, child = "", self._of_child(row) if self._of_child else ""
-            stamp = 0
+            frame, child, stamp = "", self._of_child(row) if self._of_child else "", 0
             if self.plan.stamp:
                 header = (row if self.plan.stamp == "row" else message).header
-                frame = header.frame_id
-                stamp = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+                frame, stamp = header.frame_id, _nanoseconds(header)
                 if stamp == 0 and self.plan.stamp == "row" and self._rows and hasattr(message, "header"):
-                    stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-            if self._only and not (
-                self._child.fullmatch(clean(child)) and (not self._parent or clean(frame) == self._parent)
-            ):
+                    stamp = _nanoseconds(message.header)
+            if self._only and not (self._child.fullmatch(clean(child)) and self._parent in ("", clean(frame))):
                 continue
             values = self._get(row)
             if not self._times:
@@ -176,6 +172,10 @@ class Collector:
     def classes(self) -> np.ndarray | None:
         """The classes (N,) as numbers or text; None where there are none."""
         return _words(self._looks)
+
+
+def _nanoseconds(header: Any) -> int:
+    return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
 
 
 def _words(values: list[Any]) -> np.ndarray | None:

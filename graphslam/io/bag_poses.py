@@ -74,13 +74,12 @@ class Poses(Collector):
         super().add(time, message)
         self._from.append(_time_of(message.header.frame_id))
 
-    @property
     def _rows_of_numbers(self) -> Array:
         return np.array(self._values).reshape(len(self), -1)
 
     def poses(self) -> tuple[Array, Array, Array]:
         """Poses (N, 3), headings NaN where the quaternion is none, and covariances (N, 3, 3) of poses and of speeds."""
-        rows = self._rows_of_numbers
+        rows = self._rows_of_numbers()
         turns, known = rows[:, 2:6], np.linalg.norm(rows[:, 2:6], axis=1) > 0.5
         headings = np.full(len(rows), np.nan)
         R = rotation_of(turns[known])
@@ -89,7 +88,7 @@ class Poses(Collector):
 
     def fixes(self) -> tuple[Array, Array, np.ndarray]:
         """Latitude, longitude [degrees], altitude [m] (N, 3), covariances (N, 2, 2), and their types (N,), -1 for no fix."""
-        rows = self._rows_of_numbers
+        rows = self._rows_of_numbers()
         C = rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
         return rows[:, :3], C, rows[:, 6].astype(int)
 
@@ -160,9 +159,8 @@ def positions_table(
         if silent[kept].all():
             raise FormatError(found.source, None, f"{_no_noise(C)}, [positions] std = [0.05] in the recipe")
         if silent.any():
-            notes.append(
-                f"{np.sum(silent & kept):,} of {len(kept):,} messages of {found.source} have no covariance: left out"
-            )
+            count = f"{np.sum(silent & kept):,} of {len(kept):,}"
+            notes.append(f"{count} messages of {found.source} have no covariance: left out")
         kept &= ~silent
         C[np.isnan(places[:, 2]), 2] = np.nan
     if not kept.any():
@@ -228,9 +226,8 @@ def relations_table(
     x, P, V = found.poses()
     notes: list[str] = []
     if not np.isfinite(x).all():
-        raise FormatError(
-            found.source, None, "its poses have no orientation; a relation needs the heading of both poses"
-        )
+        message = "its poses have no orientation; a relation needs the heading of both poses"
+        raise FormatError(found.source, None, message)
     if np.any(explicit >= 0):
         kept = explicit >= 0
         return _relations(found, explicit[kept], times[kept], x[kept], P[kept]), notes
@@ -251,8 +248,7 @@ def relations_table(
     for k, t in enumerate(seconds.tolist()):
         if t - seconds[rows[-1]] >= APART:
             rows.append(k)
-    rows_ = np.array(rows)
-    first, second = rows_[:-1], rows_[1:]
+    first, second = np.array(rows[:-1], dtype=int), np.array(rows[1:], dtype=int)
     spent = np.diff(seconds)
     way = np.hypot(*np.diff(x[:, :2], axis=0).T)
     speed = way / np.maximum(spent, 1e-9)
@@ -260,32 +256,29 @@ def relations_table(
     spans = np.add.reduceat(bad, first) > 0 if len(first) else np.zeros(0, dtype=bool)
     if spans.any():
         pauses, jumps = np.sum(spent > GAP), np.sum(bad & (spent <= GAP))
-        notes.append(
-            f"{found.source}: {spans.sum()} relations are left out because of {pauses} pauses and {jumps} jumps"
-        )
+        causes = f"{pauses} pauses and {jumps} jumps"
+        notes.append(f"{found.source}: {spans.sum()} relations are left out because of {causes}")
     first, second = first[~spans], second[~spans]
     if not len(first):
-        raise FormatError(
-            found.source, None, f"no two of its poses are {APART:g} s apart without a pause or a jump between them"
-        )
+        message = f"no two of its poses are {APART:g} s apart without a pause or a jump between them"
+        raise FormatError(found.source, None, message)
     motions = between(x[first], x[second])
     if std is not None:
         C = np.tile(np.diag([std[0], std[0], std[1] if len(std) > 1 else std[0]]) ** 2, (len(first), 1, 1))
     else:
-        grown, how = _growth(x, P, V, spent, first, second)
-        if grown is None:
-            raise FormatError(
-                found.source, None, f"{_no_noise(P)} of a relation, [relations] std = [METRES, RADIANS] in the recipe"
-            )
-        C = grown
+        C, how = _growth(x, P, V, spent, first, second)
+        if not how:
+            message = f"{_no_noise(P)} of a relation, [relations] std = [METRES, RADIANS] in the recipe"
+            raise FormatError(found.source, None, message)
         notes.append(f"the noise of the relations of {found.source} is {how}")
     return _relations(found, times[first], times[second], motions, C), notes
 
 
-def _growth(
-    x: Array, P: Array, V: Array, spent: Array, first: np.ndarray, second: np.ndarray
-) -> tuple[Array | None, str]:
-    """The covariances of motions in the axes of the first pose, by the growth of those of the poses or by those of speeds."""
+def _growth(x: Array, P: Array, V: Array, spent: Array, first: np.ndarray, second: np.ndarray) -> tuple[Array, str]:
+    """The covariances of motions in the axes of the first pose, by the growth of those of the poses or by those of speeds.
+
+    And which of both; empty where neither are covariances.
+    """
     a, b = x[first], x[second]
     F = np.tile(np.eye(3), (len(a), 1, 1))
     F[:, 0, 2], F[:, 1, 2] = a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]
@@ -298,9 +291,8 @@ def _growth(
     driven = total[second] - total[first]
     # some programs leave out the speed sideways
     driven[:, 1, 1] = np.where(driven[:, 1, 1] > 0, driven[:, 1, 1], driven[:, 0, 0])
-    if not not_positive(driven).any() and (V[:, 0, 0] < UNKNOWN).all():
-        return driven, "that of its speeds"
-    return None, ""
+    known = not not_positive(driven).any() and (V[:, 0, 0] < UNKNOWN).all()
+    return driven, "that of its speeds" if known else ""
 
 
 def _relations(found: Poses, begin: np.ndarray, end: np.ndarray, motions: Array, C: Array) -> Columns:

@@ -99,10 +99,8 @@ def open_bag(path: Path) -> Iterator[Bag]:
         reader.open()
     try:
         with _errors(path):
-            topics = tuple(
-                Topic(name, info.msgtype or "several types", info.msgcount)
-                for name, info in sorted(reader.topics.items())
-            )
+            found = sorted(reader.topics.items())
+            topics = tuple(Topic(name, info.msgtype or "several types", info.msgcount) for name, info in found)
         if not all(isinstance(text, str) for topic in topics for text in (topic.name, topic.type)):
             raise FormatError(path, None, "the name or type of a topic is no text; was the file damaged?")
         yield Bag(path, topics, reader.typestore.fielddefs, reader)
@@ -119,9 +117,8 @@ def _check_head(path: Path) -> None:
     check_unpacked(path, head)
     for suffix, kind in SUFFIXES.items():
         if head.startswith(MAGIC[kind]) and path.suffix.lower() in SUFFIXES and path.suffix.lower() != suffix:
-            raise FormatError(
-                path, None, f"its content is that of {kind}; give it the name {path.with_suffix(suffix).name}"
-            )
+            message = f"its content is that of {kind}; give it the name {path.with_suffix(suffix).name}"
+            raise FormatError(path, None, message)
     if not head.startswith(tuple(MAGIC.values())):
         raise FormatError(
             path, None, "not a readable bag: it does not begin as one of ROS 1, MCAP or SQLite; was it overwritten, or is it "
@@ -197,11 +194,10 @@ def lists(path: str) -> str:
 
 def getter(path: str) -> Callable[[Any], Any]:
     """The value of a path in a message or element; of a list within it the first entry, None where it is empty."""
-    parts = path.split("[]")
-    if len(parts) == 1:
-        return attrgetter(path)
-    first, rest = attrgetter(parts[0]), "[]".join(parts[1:]).lstrip(".")
-    inner = getter(rest) if rest else None
+    begin, brackets, rest = path.partition("[]")
+    first, inner = attrgetter(begin), getter(rest.lstrip(".")) if rest else None
+    if not brackets:
+        return first
 
     def value(message: Any) -> Any:
         entries = first(message)
@@ -284,7 +280,7 @@ def _by_fields(bag: Bag, topic: Topic) -> tuple[str, float]:
     paths = leaves(bag.types, topic.type)
     rows = {lists(path) for path in paths}
     for row in sorted(rows, reverse=True):
-        inside = [path.removeprefix(f"{row}[].") if row else path for path in paths if lists(path) == row]
+        inside = [_in_row(path, row) for path in paths if lists(path) == row]
         has = {role for role in NAMES if any(matches(role, path) for path in inside)}
         place = {"range", "bearing"} <= has or any(path.endswith((".position.x", ".translation.x")) for path in inside)
         if "id" in has and (place or {"x", "y"} <= has):
@@ -365,9 +361,7 @@ def plan_of(source: str, kind: str, type: str, types: Any, stated: Mapping[str, 
     paths = leaves(types, type)
     row = _row(kind, paths, stated)
     inside = [_in_row(path, row) for path in paths if lists(path) == row]
-    columns: dict[str, str] = {}
-    for role, path in stated.items():
-        columns[role] = _stated(source, role, str(path), inside, row)
+    columns = {role: _stated(source, role, str(path), inside, row) for role, path in stated.items()}
     places: list[str] = []
     if not columns.keys() - {"id", "class"}:
         places = _places(inside)
@@ -390,16 +384,11 @@ def plan_of(source: str, kind: str, type: str, types: Any, stated: Mapping[str, 
     look = look or _look([path for path in inside if path != id])
     if not places and not any(need <= columns.keys() for need in _NEEDS[kind]):
         raise FormatError(source, None, f"its messages, {type}, give no {kind}; {_GIVES[kind]}")
-    return Plan(
-        row,
-        columns,
-        tuple(places),
-        id if kind == "sightings" else "",
-        look if kind == "sightings" else "",
-        "row" if "header.stamp.sec" in inside else "message" if "header.stamp.sec" in paths else "",
-        "child_frame_id" if "child_frame_id" in inside else "",
-        row == "markers" and "action" in inside,
-    )
+    if kind != "sightings":
+        id = look = ""
+    stamp = "row" if "header.stamp.sec" in inside else "message" if "header.stamp.sec" in paths else ""
+    child = "child_frame_id" if "child_frame_id" in inside else ""
+    return Plan(row, columns, tuple(places), id, look, stamp, child, action=row == "markers" and "action" in inside)
 
 
 def _row(kind: str, paths: Mapping[str, str], stated: Mapping[str, str | int]) -> str:

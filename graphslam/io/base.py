@@ -121,10 +121,8 @@ def read_columns(
         notes += about
         rows, numbers = rows[kept], numbers[kept]
     if times and (k := first(disorder(rows[:, 0]) > MOST_DISORDER)) is not None:
-        before = np.max(rows[:k, 0])
-        message = (
-            f"time runs backwards: {decimals(rows[k, 0])} s comes after {decimals(before)} s; sort the lines by time"
-        )
+        which = f"{decimals(rows[k, 0])} s comes after {decimals(np.max(rows[:k, 0]))} s"
+        message = f"time runs backwards: {which}; sort the lines by time"
         raise FormatError(path, line_of(path, int(numbers[k])), message)
     return rows
 

@@ -52,10 +52,8 @@ def load(path: str | PathLike[str], *, format: str | None = None, **options: Any
     if options.get("robot") is not None and chosen.robots is None:
         raise OptionError(f"robot does not apply to logs of the format {quoted(chosen.name)} ({path}); leave it out")
     reading = ReadOptions(**options)
-    log = chosen.read(path, reading)
-    if reading.keep_every is None or chosen.separate_times:
-        return log
-    return with_poses_every(log, reading.keep_every)
+    log, seconds = chosen.read(path, reading), reading.keep_every
+    return log if seconds is None or chosen.separate_times else with_poses_every(log, seconds)
 
 
 def read(path: str | PathLike[str], *, format: str | None = None, **options: Any) -> Log | Graph:
@@ -68,16 +66,13 @@ def read(path: str | PathLike[str], *, format: str | None = None, **options: Any
         FormatError, OptionError: as `load`. GraphError: the graph falls into several pieces.
     """
     path = path_of(path)
-    if format in DIALECTS or (format is None and path.is_file() and _is_graph(path)):
+    head = first_bytes(path) if format is None and path.is_file() else b""
+    is_graph = is_pose_graph(head) and not any(form.recognises(path, head) for form in FORMATS.values())
+    if format in DIALECTS or is_graph:
         if options:
             raise OptionError(f"{next(iter(options))} does not apply to pose graphs ({path}); leave it out")
         return Graph.from_g2o(path, format=format)
     return load(path, format=format, **options)
-
-
-def _is_graph(path: Path) -> bool:
-    head = first_bytes(path)
-    return is_pose_graph(head) and not any(form.recognises(path, head) for form in FORMATS.values())
 
 
 def robots_in(path: str | PathLike[str], *, format: str | None = None) -> list[int]:
@@ -131,18 +126,14 @@ def _recognised(path: Path) -> Format:
         if candidate.recognises(path, head):
             return candidate
     if path.is_dir():
-        raise FormatError(
-            path, None, "this is a folder, and not that of a known data set; slam-compare datasets lists their files"
-        )
+        message = "this is a folder, and not that of a known data set; slam-compare datasets lists their files"
+        raise FormatError(path, None, message)
     check_unpacked(path, head)
     if head.lstrip().startswith(tuple(tag.encode() for tag in SPATIAL)):
         raise FormatError(path, 1, f"this is a pose graph in space; {IN_THE_PLANE}")
     if head.lstrip().startswith((b"VERTEX", b"EDGE")):
-        raise FormatError(
-            path,
-            1,
-            "this is a pose graph and no log; slam-compare backends FILE solves it, and Graph.from_g2o reads it",
-        )
+        message = "this is a pose graph and no log; slam-compare backends FILE solves it, and Graph.from_g2o reads it"
+        raise FormatError(path, 1, message)
     raise FormatError(
         path,
         None if is_mat(head) else 1,
@@ -166,9 +157,8 @@ def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> N
         by_suffix = {suffix: name for name in writers for suffix in FORMATS[name].suffixes}
         if path.suffix not in by_suffix:
             known = ", ".join(by_suffix)
-            raise FormatError(
-                path, None, f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {known}"
-            )
+            message = f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {known}"
+            raise FormatError(path, None, message)
         format = by_suffix[path.suffix]
     check_choice("format", format, writers)
     writers[format](log, path)

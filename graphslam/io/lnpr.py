@@ -63,9 +63,8 @@ class _Reader:
         columns = _COLUMNS[tag].split()
         if len(words) != len(columns) and (tag, len(words)) != ("z", 4):
             form = f"{tag} {_COLUMNS[tag].replace('PSI', '[PSI]')}"
-            raise self.error(
-                f"expected {quoted(form)}, found {1 + len(words)} columns in {quoted(' '.join([tag, *words]))}"
-            )
+            message = f"expected {quoted(form)}, found {1 + len(words)} columns in {quoted(' '.join([tag, *words]))}"
+            raise self.error(message)
         names = {"t": "the step number"}
         integers = [whole(self.path, line, names.get(c, c), w) for c, w in zip(columns, words) if c in ("t", "ID")]
         numbers = [(c, w) for c, w in zip(columns, words) if c not in ("t", "ID")]

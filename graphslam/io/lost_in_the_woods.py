@@ -62,9 +62,8 @@ def _read(path: Path, _: ReadOptions) -> Log:
     r_std, b_std, v_std, om_std = (content[name].item() ** 0.5 for name in ("r_var", "b_var", "v_var", "om_var"))
     dt = np.diff(times)
     if (k := first(dt <= 0)) is not None:
-        raise FormatError(
-            path, None, f"two rows have the time t = {decimals(times[k])} s; every row should have its own"
-        )
+        message = f"two rows have the time t = {decimals(times[k])} s; every row should have its own"
+        raise FormatError(path, None, message)
     steps, columns = np.nonzero(content["r"] > 0)
     if len(steps) == 0:
         raise FormatError(path, None, NO_SIGHTING)

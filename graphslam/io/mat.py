@@ -150,11 +150,8 @@ def read_mat(path: Path, shapes: Mapping[str, Shape | None]) -> dict[str, Array]
     try:
         data = path.read_bytes()
         if data.startswith(b"MATLAB 7.3") or data[124:126] == b"\0\2":
-            raise FormatError(
-                path,
-                None,
-                "a MATLAB file of version 7.3, which is HDF5; save it with -v7 in MATLAB to have it read here",
-            )
+            message = "a MATLAB file of version 7.3, which is HDF5; save it with -v7 in MATLAB to have it read here"
+            raise FormatError(path, None, message)
         content = variables(data)
     except (ValueError, OSError) as error:
         raise FormatError(path, None, f"not a readable MATLAB file ({error}); was it cut short?") from None

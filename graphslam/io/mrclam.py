@@ -44,9 +44,8 @@ _LANDMARKS = ("subject", "x", "y", "standard deviation of x", "standard deviatio
 
 def robots(folder: Path) -> list[int]:
     """The numbers of the robots that a folder has any file of."""
-    matches = (
-        re.fullmatch(r"Robot(\d+)_(Odometry|Measurement|Groundtruth)\.dat", path.name) for path in folder.iterdir()
-    )
+    form = re.compile(r"Robot(\d+)_(Odometry|Measurement|Groundtruth)\.dat")
+    matches = (form.fullmatch(path.name) for path in folder.iterdir())
     return sorted({int(match[1]) for match in matches if match})
 
 
@@ -130,9 +129,8 @@ def _subjects(path: Path) -> dict[int, int]:
     # beyond 2^53 floating-point numbers leave out whole numbers
     if (k := first(np.any((rows % 1 != 0) | (np.abs(rows) > 2**53), axis=1))) is not None:
         subject, barcode = rows[k].tolist()
-        raise FormatError(
-            path, line_of(path, k), f"expected two whole numbers, subject and barcode, not {subject:g} and {barcode:g}"
-        )
+        message = f"expected two whole numbers, subject and barcode, not {subject:g} and {barcode:g}"
+        raise FormatError(path, line_of(path, k), message)
     subjects = {int(barcode): int(subject) for subject, barcode in rows.tolist()}
     if len(subjects) < len(rows):
         raise FormatError(path, None, "two subjects have the same barcode, so a sighting of it could be of either")

@@ -142,9 +142,8 @@ def _write(log: Log, path: Path) -> None:
     if log.uncertain:
         content["uncertain"] = np.array([(name, repr(float(number))) for name, number in log.uncertain.items()])
     if log.sessions:
-        content["sessions"] = np.array(
-            [[*("" if value is None else str(value) for value in vars(each).values())] for each in log.sessions]
-        )
+        rows = [[*vars(each).values()] for each in log.sessions]
+        content["sessions"] = np.array([["" if value is None else str(value) for value in row] for row in rows])
     for name, measured in log.measured.items():
         content |= {f"{name}_{f.name}": getattr(measured, f.name) for f in fields(measured)}
     for name in ("notes", "doubts"):

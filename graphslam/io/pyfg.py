@@ -256,10 +256,8 @@ def _odometry(file: _File, chains: dict[str, list[str]]) -> tuple[dict[str, list
         else:
             others.append(row)
     for a, b in sorted(wanted - first.keys(), key=lambda pair: file.vertices[pair[1]].line):
-        raise file.error(
-            file.vertices[b].line,
-            f"no EDGE_SE2 leads from {a} to {b}: a robot needs odometry from each pose to its next",
-        )
+        message = f"no EDGE_SE2 leads from {a} to {b}: a robot needs odometry from each pose to its next"
+        raise file.error(file.vertices[b].line, message)
     return {letter: [first[pair] for pair in zip(chain, chain[1:])] for letter, chain in chains.items()}, others
 
 

@@ -93,9 +93,8 @@ def read_recipe(path: Path) -> Recipe:
                 clocks[table] = file.value(content, key, float, where=table)
             else:
                 columns.setdefault(table, {})[key] = file.value(content, key, str, int, where=table)
-    for name, value in (*units.items(), ("columns", columns), ("clocks", clocks)):
-        if value:
-            values[name] = value
+    by_table = {**units, "columns": columns, "clocks": clocks}
+    values |= {name: value for name, value in by_table.items() if value}
     return Recipe(file.attempt(lambda: TableOptions(**values)), places, numbers)
 
 
@@ -124,9 +123,8 @@ def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
     """The recipe with options of the command line or of Python, which take precedence; None is not given."""
     given = {name: value for name, value in changes.items() if value is not None}
     known = [f.name for f in fields(TableOptions)]
-    for name in given:
-        if name not in known:
-            raise OptionError(f"there is no option {quoted(name)} of tables; they are {', '.join(known)}")
+    if unknown := [name for name in given if name not in known]:
+        raise OptionError(f"there is no option {quoted(unknown[0])} of tables; they are {', '.join(known)}")
     return replace(recipe, options=replace(recipe.options, **given))
 
 
@@ -139,10 +137,8 @@ def _recognises(path: Path, _: bytes) -> bool:
 
 
 def _candidates(folder: Path, table: str) -> list[Path]:
-    names = _NAMES.get(table, (table,))
-    return sorted(
-        path for path in folder.iterdir() if path.stem.lower() in names and path.suffix.lower() in (*TEXT, *PARQUET)
-    )
+    names, endings = _NAMES.get(table, (table,)), (*TEXT, *PARQUET)
+    return sorted(path for path in folder.iterdir() if path.stem.lower() in names and path.suffix.lower() in endings)
 
 
 def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:
@@ -157,11 +153,8 @@ def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:
         paths = [folder / named] if named else _candidates(folder, table)
         if len(paths) > 1:
             names = " and ".join(path.name for path in paths[:2])
-            raise FormatError(
-                folder,
-                None,
-                f"{names} could both hold {holds}; name one in {RECIPE}, as in [{table}] file = {paths[0].name!r}",
-            )
+            advice = f"name one in {RECIPE}, as in [{table}] file = {paths[0].name!r}"
+            raise FormatError(folder, None, f"{names} could both hold {holds}; {advice}")
         if paths:
             found[table] = paths[0]
         elif table in ("odometry", "sightings"):
@@ -175,28 +168,22 @@ def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:
     return found
 
 
-def drive_of(folder: Path, recipe: Recipe | None = None) -> Drive:
-    """The streams of the tables of a folder.
-
-    Args:
-        folder: with the tables.
-        recipe: units, columns and names; default: that of the folder.
+def drive_of(folder: Path, recipe: Recipe) -> Drive:
+    """The streams of the tables of a folder, with units, columns and names by a recipe.
 
     Raises:
         LogError: a file is missing, or breaks a rule of its table.
     """
-    recipe = recipe_of(folder) if recipe is None else recipe
     tables: dict[str, Any] = dict(find_tables(folder, recipe))
     return read_drive(**tables, options=recipe.options)
 
 
-def recipe_of(folder: Path) -> Recipe:
-    """The recipe in a folder, or an empty one.
+def recipe_if_any(path: Path) -> Recipe:
+    """The recipe with this path, or an empty one where there is no such file.
 
     Raises:
         FormatError: it has a mistake.
     """
-    path = folder / RECIPE
     return read_recipe(path) if path.is_file() else Recipe()
 
 
@@ -204,7 +191,8 @@ def _read(folder: Path, options: ReadOptions) -> Log:
     if not folder.is_dir():
         raise FormatError(folder, None, "a log of tables is a folder with odometry.csv and sightings.csv, not a file")
     with errors_name(folder):
-        return drive_of(folder, recipe_of(folder).strictly(options.strict)).log(options, folder.resolve().name)
+        recipe = recipe_if_any(folder / RECIPE).strictly(options.strict)
+        return drive_of(folder, recipe).log(options, folder.resolve().name)
 
 
 FORMAT = Format("tables", _recognises, _read, separate_times=True)

@@ -256,7 +256,8 @@ def analyze(
     Args:
         indptr: (n+1,) column pointers of the upper triangle in block-CSC.
         indices: (nnzb,) row nodes i <= j, ascending in each column j, the diagonal last.
-        ordering: an elimination order (n,); default: that of `fill_reducing`.
+        ordering: an elimination order (n,); default: approximate minimum degree (Amestoy, Davis & Duff 1996), or nested
+            dissection if it is better (``engine/include/vmslam/sparse``).
         points: the nodes whose third row and column are those of the identity, such as landmarks without heading. The
             factor leaves them out: solutions are zero there.
         check: whether the pattern is checked, which the engine trusts; not needed for one that the engine has made.
@@ -264,7 +265,7 @@ def analyze(
     Raises:
         ValueError: malformed pattern or order.
     """
-    indptr, indices = _pattern(indptr, indices)
+    indptr, indices = np.ascontiguousarray(indptr, dtype=np.int64), np.ascontiguousarray(indices, dtype=np.int32)
     n = indptr.size - 1
     if check:
         # rows must ascend in each column, so that (column, row) ascends as a whole
@@ -279,43 +280,6 @@ def analyze(
             raise ValueError(f"ordering must be a permutation of {n} nodes")
     structure = engine.analyze(indptr, indices, order, available_threads(), points)
     return Symbolic(indptr, indices, structure)
-
-
-def _pattern(indptr: NDArray[Any], indices: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    return np.ascontiguousarray(indptr, dtype=np.int64), np.ascontiguousarray(indices, dtype=np.int32)
-
-
-def amd(indptr: NDArray[Any], indices: NDArray[Any], *, dense: float = 10.0) -> NDArray[np.int32]:
-    """Approximate minimum degree ordering of a symmetric pattern (Amestoy, Davis & Duff 1996).
-
-    Nodes with more than ``max(16, dense * sqrt(n))`` neighbours, such as a landmark seen from every pose, are put last.
-
-    Args:
-        indptr: (n+1,) column pointers of the upper triangle.
-        indices: (nnzb,) row nodes.
-        dense: factor of the dense-row rule; negative switches the rule off.
-
-    Returns:
-        (n,) elimination order: ``order[k]`` is the node eliminated k-th.
-    """
-    return engine.minimum_degree(*_pattern(indptr, indices), dense)
-
-
-def fill_reducing(
-    indptr: NDArray[Any], indices: NDArray[Any], *, smallest: int = 5_000, worth: float = 10_000.0
-) -> NDArray[np.int32]:
-    """An elimination order (n,) for the pattern of `amd`: approximate minimum degree, or nested dissection if it is better.
-
-    Both begin with the nodes of degree two and less. The parts of a dissection are ordered by minimum degree together with
-    the separators around them, and each separator likewise. Which is better is counted on the structure of L.
-
-    Args:
-        indptr: (n+1,) column pointers of the upper triangle.
-        indices: (nnzb,) row nodes.
-        smallest: dissection is tried in graphs of at least so many nodes,
-        worth: whose order by minimum degree takes at least so many flops for each node and adjacency entry.
-    """
-    return engine.fill_reducing(*_pattern(indptr, indices), smallest, worth)
 
 
 class Bordered:

@@ -53,7 +53,9 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
         if (dates := _of_dates(table, column)) is not None:
             return dates
         word = str(table.words(column)[0])
-        if _is_number(word):
+        with suppress(ValueError):
+            # the first time is a number, so that a later one is the mistake
+            float(word)
             raise
         message = "should be a number, or a date with the time of day as in 2026-11-22T10:00:00.5Z"
         raise table.error(0, f"the time {table.title(column)} {message}, not {quoted(word)}") from None
@@ -117,9 +119,8 @@ def _of_dates(table: Table, column: int) -> np.ndarray | None:
         if (match := _DATE.fullmatch(word)) is None:
             if row == 0:
                 return None
-            raise table.error(
-                row, f"{table.title(column)} should be a date and time as in the rows above, not {quoted(word)}"
-            )
+            message = f"{table.title(column)} should be a date and time as in the rows above, not {quoted(word)}"
+            raise table.error(row, message)
         day, clock, hours, minutes = match.groups()
         try:
             whole, _, fraction = clock.replace(",", ".").partition(".")
@@ -158,14 +159,6 @@ def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int) 
     if np.ptp(total) >= _LARGEST:
         raise table.error(int(np.argmax(total)), f"the times {table.title(column)} are more than 292 years apart")
     return times + more
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def by_size(values: np.ndarray) -> str:
@@ -335,14 +328,8 @@ def _numbers(names: list[str | int]) -> np.ndarray | None:
 _LENGTH, _TILT = 0.02, np.deg2rad(45)
 
 
-def heading(quaternions: Array) -> Array:
-    """The direction of the x axis in the plane (N,) [rad] of quaternions (N, 4), x, y, z, w."""
-    x, y, z, w = quaternions.T
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
 def checked_heading(table: Table, quaternions: Array) -> Array:
-    """The headings (N,) of the quaternions (N, 4) of a table, of a robot that stands on the ground.
+    """The headings (N,) of the quaternions (N, 4) of a table, x, y, z, w, of a robot that stands on the ground.
 
     Raises:
         LogError: a quaternion is not of length 1, or tilts the robot.
@@ -354,10 +341,11 @@ def checked_heading(table: Table, quaternions: Array) -> Array:
     x, y, _, _ = (quaternions / length[:, None]).T
     if (k := first(1 - 2 * (x * x + y * y) < np.cos(_TILT))) is not None:
         tilt = np.rad2deg(np.arccos(np.clip(1 - 2 * (x[k] ** 2 + y[k] ** 2), -1, 1)))
-        raise table.error(
-            k, f"the quaternion tilts the robot by {tilt:.0f} degrees: are its columns x, y, z, w in this order?"
-        )
-    return heading(quaternions)
+        message = f"the quaternion tilts the robot by {tilt:.0f} degrees: are its columns x, y, z, w in this order?"
+        raise table.error(k, message)
+    # the direction of the x axis in the plane
+    x, y, z, w = quaternions.T
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def controls_between(poses: Array, dt: Array) -> tuple[Array, float]:
@@ -472,9 +460,8 @@ def repeated_sightings(
     other = same & ~twice & (ids[1:] != UNIDENTIFIED)
     if np.sum(other) > _SHARE * len(ns) and np.ptp(ids) > 0:
         later = np.maximum(numbers[1:], numbers[:-1])[other]
-        which = (
-            f"{_first(table, later, 'sighting')} (of {len(ns)}) with the time and id of another row and other numbers"
-        )
+        which = f"{_first(table, later, 'sighting')} (of {len(ns)})"
+        which += " with the time and id of another row and other numbers"
         cause = "several objects have one id, or the times were rounded"
         if rounded := _rounded(ns):
             cause = f"the times were probably rounded{rounded}, or several objects have one id"

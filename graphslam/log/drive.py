@@ -471,9 +471,8 @@ def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None 
     found = ids_of(table, column, names)
     ids = found.numbers
     if (k := first(ids == UNIDENTIFIED)) is not None:
-        raise table.error(
-            k, f"the id {table.title(column)} is empty or -1, which means no id; each landmark of the map needs one"
-        )
+        message = f"the id {table.title(column)} is empty or -1, which means no id; each landmark of the map needs one"
+        raise table.error(k, message)
     if names is None and found.names:
         raise table.error(
             None,

@@ -57,6 +57,10 @@ def datum_note(datum: Array, source: str) -> str:
 
 #: the coordinates of the noise
 _AXES = ("x", "y", "theta")
+_COUNTS_STEPS = (
+    " counts steps, which tables do not have: poses are at the times of what was measured, so give the time of both "
+    "poses"
+)
 
 
 def relations_of(table: Table, options: TableOptions) -> Timed:
@@ -67,29 +71,19 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
     """
     reader = Reader("relations", table, options)
     steps = [name for name in table.names if name.lower() in ("step", "steps", "first", "second", "step1", "step2")]
-    reader.need("t1", instead=_no_steps(steps))
+    reader.need("t1", instead=f", and {steps[0]!r}{_COUNTS_STEPS}" if steps else "")
     reader.need("t2", "dx", "dy", "dtheta")
     table = reader.leave_out("t1", "t2", "dx", "dy")
     ns, ends = reader.times("t1"), reader.times("t2")
     if (k := first(ns == ends)) is not None:
-        raise table.error(
-            k, f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it needs two different times"
-        )
+        message = f"the relation goes from {ns[k] / 1e9:.3f} s to the same time; it needs two different times"
+        raise table.error(k, message)
     # an empty cell: the heading is not known there
     motions = np.column_stack([reader.numbers("dx", "dy"), reader.numbers("dtheta", finite=False)])
     reader.refuse("dtheta", motions[:, 2], WHOLE_TURN, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
     rows = np.column_stack([motions, _noise(reader, np.isfinite(motions[:, 2])).reshape(-1, 9)])
     order = np.argsort(ns, kind="stable")
     return Timed(table, ns[order], rows[order], reader.described(), ends=ends[order])
-
-
-def _no_steps(steps: list[str]) -> str:
-    if not steps:
-        return ""
-    return (
-        f", and {steps[0]!r} counts steps, which tables do not have: poses are at the times of what was measured, so give "
-        "the time of both poses"
-    )
 
 
 def positions_of(table: Table, options: TableOptions) -> Timed:
@@ -236,9 +230,8 @@ def read_drive(
     options = options or TableOptions()
     moved = odometry_of(table_of(odometry, "odometry"), options)
     seen = sightings_of(table_of(sightings, "sightings"), options)
-    read: dict[str, Any] = {
-        kind: READERS[kind](table_of(table, kind), options) for kind, table in others.items() if table is not None
-    }
+    given = ((kind, table_of(table, kind)) for kind, table in others.items() if table is not None)
+    read: dict[str, Any] = {kind: READERS[kind](table, options) for kind, table in given}
     landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
     return Drive(
         moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read
@@ -308,9 +301,8 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
     if len(odometry.times) == 1:
         raise odometry.table.error(None, "there is one row, but motion takes two")
     if begin == end:
-        raise odometry.table.error(
-            None, f"all {len(odometry.times)} rows have the time {begin / 1e9:.3f} s: are times in another column?"
-        )
+        message = f"all {len(odometry.times)} rows have the time {begin / 1e9:.3f} s: are times in another column?"
+        raise odometry.table.error(None, message)
     if first <= end and last >= begin:
         inside = int(np.sum((other.times >= begin) & (other.times <= end)))
         longer = (last - first) / (end - begin)
@@ -323,12 +315,13 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
         return
     offset = (begin - first) / 1e9
     hours = offset / 3600
+    ratio = max(end - begin, last - first) / max(1, min(end - begin, last - first))
     if abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
         cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
     elif min(begin, first) < 1e16 < max(begin, first):
         cause = "one counts from 1970 and the other from its own start"
-    elif (ratio := _unit_ratio(end - begin, last - first)) is not None:
-        cause = f"one seems to be in units {ratio} times as large"
+    elif unit := next((unit for unit in (1000, 10**6, 10**9) if 0.5 < ratio / unit < 2), None):
+        cause = f"one seems to be in units {unit} times as large"
     else:
         cause = "they are of different drives, or one clock was not set"
     text = f"{offset:.3f}".rstrip("0").rstrip(".")
@@ -340,12 +333,6 @@ def _name(stream: Timed) -> str:
     """The table without its folder: a sentence with two paths is hard to read."""
     path, colon, topic = stream.table.source.partition(": ")
     return f"{Path(path).name}{colon}{topic}"
-
-
-def _unit_ratio(one: int, other: int) -> int | None:
-    """The factor between the units of two spans, a power of 1000."""
-    ratio = max(one, other) / max(1, min(one, other))
-    return next((unit for unit in (1000, 10**6, 10**9) if 0.5 < ratio / unit < 2), None)
 
 
 def _interval(begin: int, end: int) -> str:
@@ -374,6 +361,7 @@ def end_to_end(first: Log, second: Log) -> Log:
             return None
         return np.concatenate([np.full((n, 3), np.nan) if each is None else each for each, n in zip(rows, sizes)])
 
+    moved = {name: each.moved(lambda steps: steps + poses) for name, each in b.measured.items()}
     recorded = [each.dt if each.recorded_dt is None else each.recorded_dt for each in (a, b)]
     # where one of them has true poses and no path, there is none of both
     has_path = all(each.true_path is not None for each in (a, b) if each.true_poses is not None)
@@ -391,7 +379,7 @@ def end_to_end(first: Log, second: Log) -> Log:
         true_poses=with_unknown("true_poses", (poses, b.num_poses)),
         true_path=with_unknown("true_path", (pieces, len(b.controls) + 1)) if has_path else None,
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
-        **{name: _shifted(getattr(a, name), getattr(b, name), poses) for name in MEASURED},
+        **{name: joined_rows(getattr(a, name), moved.get(name)) for name in MEASURED},
         notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
         doubts=(*a.doubts, *b.doubts),
         sessions=(*_sessions(a), *(replace(each, start=poses + each.start) for each in _sessions(b))),
@@ -414,10 +402,3 @@ def _sessions(log: Log) -> tuple[Session, ...]:
 def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
     """Remarks about a log, with its name; those about logs that were joined have it already."""
     yield from remarks if log.sessions else (f"{log.name}: {remark}" for remark in remarks)
-
-
-def _shifted(first: Measured | None, second: Measured | None, poses: int) -> Measured | None:
-    """The measurements of two logs, the steps of the second counted from ``poses`` on."""
-    if second is not None:
-        second = second.moved(lambda steps: steps + poses)
-    return joined_rows(first, second)

@@ -210,9 +210,8 @@ class Log:
         if (k := first((steps < 0) | (steps >= poses))) is not None:
             raise LogError(f"sighting {k} belongs to step {steps[k]}, but the log has steps 0 to {poses - 1}")
         if (k := first(np.diff(steps) < 0)) is not None:
-            raise LogError(
-                f"sighting {k + 1} runs backwards, from step {steps[k]} to {steps[k + 1]}: sort sightings by step"
-            )
+            message = f"sighting {k + 1} runs backwards, from step {steps[k]} to {steps[k + 1]}: sort sightings by step"
+            raise LogError(message)
         if note := without_no_id(landmarks, "sighting"):
             object.__setattr__(self, "notes", (*self.notes, *note))
         classes = None if self.classes is None else checked_classes(self.classes, len(sightings))

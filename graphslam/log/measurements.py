@@ -30,14 +30,19 @@ def length_of(value: Any) -> int | None:
         return None
 
 
+def _array_or_none(value: Any) -> np.ndarray | None:
+    """A value as an array of any type; None for rows of different lengths."""
+    try:
+        return np.asarray(value)
+    except ValueError:
+        return None
+
+
 def checked_starts(value: np.ndarray, controls: int) -> np.ndarray:
     """The first control of each motion, and the number of controls, (T+1,)."""
-    try:
-        starts = np.array(value)
-    except ValueError:  # rows of different lengths
-        starts = np.empty(0)
-    whole = starts.ndim == 1 and len(starts) > 0 and starts.dtype.kind in "iu"
-    if not whole or starts[0] != 0 or starts[-1] != controls or np.any(np.diff(starts) <= 0):
+    starts = _array_or_none(value)
+    whole = starts is not None and starts.ndim == 1 and len(starts) > 0 and starts.dtype.kind in "iu"
+    if starts is None or not whole or starts[0] != 0 or starts[-1] != controls or np.any(np.diff(starts) <= 0):
         raise LogError(
             f"control_starts must be whole numbers, one per pose, that increase from 0 to the number of controls, {controls}"
         )
@@ -58,14 +63,11 @@ def checked_truth(value: ArrayLike, shape: tuple[int, ...], name: str = "true_po
 
 def checked_classes(value: ArrayLike, length: int) -> np.ndarray:
     """Classes as words, or as whole numbers."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        raise LogError(f"classes must be words, or whole numbers, one per sighting, not {quoted(value)}") from None
-    if array.dtype.kind == "O" and all(isinstance(each, str) for each in array.flat):
+    array = _array_or_none(value)
+    if array is not None and array.dtype.kind == "O" and all(isinstance(each, str) for each in array.flat):
         array = array.astype(str)
-    if array.dtype.kind != "U":
-        return whole_numbers("classes", array, length, "words, or whole numbers")
+    if array is None or array.dtype.kind != "U":
+        return whole_numbers("classes", value, length, "words, or whole numbers")
     if array.shape != (length,):
         raise LogError(f"classes must have one entry per sighting, shape ({length},), not {array.shape}")
     return np.char.strip(array)
@@ -112,10 +114,8 @@ def whole_numbers(
     name: str, value: ArrayLike, length: int, wanted: str = "whole numbers", noun: str = "sighting"
 ) -> np.ndarray:
     """A copy of an array (length,) of whole numbers of 64 bits, one for each ``noun``."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        raise LogError(f"{name} must be {wanted}, one per {noun}, not {quoted(value)}") from None
+    if (array := _array_or_none(value)) is None:
+        raise LogError(f"{name} must be {wanted}, one per {noun}, not {quoted(value)}")
     if array.size == 0:
         array = array.astype(np.int64).reshape(-1)
     if array.shape != (length,):
@@ -286,9 +286,8 @@ class AbsolutePositions(_Records):
         if measured.any() and d == 2:
             raise LogError("positions with headings need covariances (N, 3, 3), of x, y and heading")
         if shape not in ((d, d), (count, d, d)):
-            raise LogError(
-                f"the covariances of positions must have shape ({count}, 2, 2) or ({count}, 3, 3), not {shape}"
-            )
+            message = f"the covariances of positions must have shape ({count}, 2, 2) or ({count}, 3, 3), not {shape}"
+            raise LogError(message)
         all_of_them = np.broadcast_to(self.covariances, (count, d, d))
         for rows, size in ((np.flatnonzero(~measured), 2), (np.flatnonzero(measured), 3)):
             if len(rows):
@@ -348,9 +347,8 @@ class PartialSightings(_Records):
             for name in ("steps", "landmarks")
         )
         if (k := first(np.isin(landmarks, (UNIDENTIFIED, NO_ID)))) is not None:
-            raise LogError(
-                f"partial sighting {k} has no id; ranges and bearings alone need ids: leave out those without one"
-            )
+            message = f"partial sighting {k} has no id; ranges and bearings alone need ids: leave out those without one"
+            raise LogError(message)
         self._set(steps=steps, landmarks=landmarks, ranges=ranges, bearings=bearings)
 
     @property
@@ -450,10 +448,7 @@ def checked_sightings(ids: Any, sightings: Any, refused: Collection[int], advice
     z = array_or_none(sightings)
     if ids is None:
         ids = np.full(len(z) if z is not None and z.ndim else 0, UNIDENTIFIED)
-    try:
-        numbers = np.atleast_1d(np.asarray(ids))
-    except ValueError:  # lists of different lengths
-        numbers = np.zeros((0, 0))
+    numbers = np.zeros((0, 0)) if (given := _array_or_none(ids)) is None else np.atleast_1d(given)
     if z is not None and z.size == numbers.size == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
@@ -470,9 +465,8 @@ def checked_sightings(ids: Any, sightings: Any, refused: Collection[int], advice
         )
     check_sighted("sightings", (np.nanmin(z[:, 1:], initial=0.0), np.nanmax(z[:, 1:], initial=0.0)))
     if len(z) != len(numbers):
-        raise OptionError(
-            f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
-        )
+        message = f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"
+        raise OptionError(message)
     return numbers, z.copy()
 
 

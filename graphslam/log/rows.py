@@ -296,9 +296,8 @@ class TableOptions:
             check_table("columns", table, TABLES)
             for role, column in columns.items():
                 if type(column) not in (str, int):
-                    raise OptionError(
-                        f"columns: {table}.{role} should be a name or a number from 1, not {quoted(column)}"
-                    )
+                    message = f"columns: {table}.{role} should be a name or a number from 1, not {quoted(column)}"
+                    raise OptionError(message)
         return entries
 
 

@@ -87,9 +87,8 @@ def divide(odometry: Stream, times: Array) -> tuple[Array, Array, Array, np.ndar
     lasting = np.diff(cuts)
     bridged = silent(silence, odometry.times)
     gaps = silence[bridged][np.unique(row[bridged], return_index=True)[1]].tolist()
-    controls, variances = bridge(
-        odometry.rows[row], cuts[:-1] - odometry.times[row], lasting, silence, bridged, odometry.rows
-    )
+    begin = cuts[:-1] - odometry.times[row]
+    controls, variances = bridge(odometry.rows[row], begin, lasting, silence, bridged, odometry.rows)
     return controls, lasting, silence, np.searchsorted(cuts, times), variances, gaps
 
 
@@ -259,15 +258,13 @@ def synchronize(
     inside = _inside("sightings", odometry, remarks, sightings.times)
     seen = sightings.times[inside]
     measured: dict[str, Stream] = {}
-    if relations is not None:
-        kept = _inside("relations", odometry, remarks, relations.times, relations.rows[:, 0])
-        measured["relations"] = Stream(relations.times[kept], relations.rows[kept])
-    if positions is not None:
-        kept = _inside("positions", odometry, remarks, positions.times)
-        measured["positions"] = Stream(positions.times[kept], positions.rows[kept])
-    others = [each.times for each in measured.values()]
-    if relations is not None:
-        others.append(measured["relations"].rows[:, 0])
+    others: list[Array] = []
+    for what, stream in (("relations", relations), ("positions", positions)):
+        if stream is not None:
+            at = [stream.times, stream.rows[:, 0]] if what == "relations" else [stream.times]
+            kept = _inside(what, odometry, remarks, *at)
+            measured[what] = Stream(stream.times[kept], stream.rows[kept])
+            others += [each[kept] for each in at]
     times = distinct(np.sort(np.concatenate([seen, *others]), kind="stable"))
     if options is not None and options.keep_every is not None:
         times = filled(times, options.keep_every)
@@ -304,11 +301,9 @@ def synchronize(
         nameless = alone & np.isin(ids, (NO_ID, UNIDENTIFIED))
         if nameless.any():
             remarks.append(f"{np.sum(nameless)} of these {np.sum(alone)} have no id, which they need, and are left out")
-            kept, alone = ~nameless, (alone & ~nameless)[~nameless]
-            steps, ids, rows = steps[kept], ids[kept], rows[kept]
-            classes = None if classes is None else classes[kept]
+        kept = alone & ~nameless
         models["partial_sightings"] = PartialSightings(
-            steps=steps[alone], landmarks=ids[alone], ranges=rows[alone, 0], bearings=rows[alone, 1]
+            steps=steps[kept], landmarks=ids[kept], ranges=rows[kept, 0], bearings=rows[kept, 1]
         )
         steps, ids, rows = steps[~alone], ids[~alone], rows[~alone]
         classes = None if classes is None else classes[~alone]

@@ -318,9 +318,8 @@ def _stated(table: Table, role: str, column: str | int) -> Chosen:
         return Chosen(number - 1, plain(table.names[number - 1])[1] if table.names else None)
     if column not in table.names:
         known = f"its columns are {named(table.names)}" if table.names else "its columns have no names: give numbers"
-        raise table.error(
-            None, f"there is no column {quoted(column)} for {role}{suggestion(column, table.names) or f'; {known}'}"
-        )
+        message = f"there is no column {quoted(column)} for {role}{suggestion(column, table.names) or f'; {known}'}"
+        raise table.error(None, message)
     return Chosen(table.names.index(column), plain(column)[1])
 
 
@@ -347,17 +346,12 @@ def ordered(
     jumps = np.flatnonzero(np.diff(ns) < -1_000_000_000) + 1
     if restarts.any() or _set_back(ns, jumps):
         k = int(np.argmax(restarts)) if restarts.any() else int(jumps[0])
-        if (times_back := len(jumps)) > 2:
-            raise table.error(
-                int(rows[k]),
-                f"the time goes back {times_back} times: sort the rows by their time if they are of one drive, or import "
-                "each drive alone",
-            )
-        raise table.error(
-            int(rows[k]),
-            f"the time goes back by {(reached[k] - ns[k]) / 1e9:.3g} s: does the table hold two drives, or a clock that "
-            "was set? Import each part alone",
-        )
+        cause = "does the table hold two drives, or a clock that was set? Import each part alone"
+        how = f"by {(reached[k] - ns[k]) / 1e9:.3g} s: {cause}"
+        if len(jumps) > 2:
+            cause = "sort the rows by their time if they are of one drive, or import each drive alone"
+            how = f"{len(jumps)} times: {cause}"
+        raise table.error(int(rows[k]), f"the time goes back {how}")
     note = f"{table.place(int(rows[k + 1]))}: time runs backwards ({times}); the rows were sorted"
     order = np.argsort(ns, kind="stable")
     return ns[order], order, (note,)

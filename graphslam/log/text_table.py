@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -123,9 +124,8 @@ class TextTable(Table):
         # every row of an array of text takes as much memory as the longest one
         for row, line in enumerate(self._rows):
             if len(line) > _LONGEST and len(cells := self._cells(line)) > column and len(cells[column]) > _LONGEST:
-                raise self.error(
-                    row, f"{self.title(column)} has {len(cells[column]):,} letters; a word has at most {_LONGEST}"
-                )
+                message = f"{self.title(column)} has {len(cells[column]):,} letters; a word has at most {_LONGEST}"
+                raise self.error(row, message)
         return np.char.strip(self._loaded(column, str))
 
     def texts(self, column: int) -> np.ndarray:
@@ -136,7 +136,6 @@ class TextTable(Table):
 
     def _check_quotes(self) -> None:
         """Raise `FormatError` for the first row in which a text in quotation marks does not end."""
-        import csv
 
         for row, line in enumerate(self._rows):
             if '"' in line:
@@ -144,9 +143,8 @@ class TextTable(Table):
                 next(reader)
                 # it has read on
                 if reader.line_num > 1:
-                    raise self.error(
-                        row, "a quotation mark is opened and not closed in this line; each row is one line"
-                    )
+                    message = "a quotation mark is opened and not closed in this line; each row is one line"
+                    raise self.error(row, message)
 
     def _line(self, row: int) -> int:
         """The line, counted from 1, of a row."""
@@ -205,8 +203,6 @@ def _check_length(path: Path, text: str) -> None:
 
 def _split(line: str, separator: str | None) -> list[str]:
     if '"' in line:
-        import csv
-
         return [cell.strip() for cell in next(csv.reader([line], delimiter=separator or " "))]
     return [cell.strip() for cell in line.split(separator)]
 
@@ -250,9 +246,8 @@ def _form(path: Path, head: list[str]) -> tuple[str | None, bool]:
             if score > best[0] + 1e-9:
                 best = (score, separator, comma)
     if best[0] == 0.0:
-        raise FormatError(
-            path, None, f"cannot find columns in {quoted(head[0])}; separate them by commas, semicolons, tabs or spaces"
-        )
+        message = f"cannot find columns in {quoted(head[0])}; separate them by commas, semicolons, tabs or spaces"
+        raise FormatError(path, None, message)
     return best[1], best[2]
 
 

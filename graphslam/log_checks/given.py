@@ -168,10 +168,8 @@ def against_map(log: Log, found: Distances, *, trusted: bool) -> Iterator[Findin
             f"(median); {cause}",
         )
     elif _map_is_mirrored(log, places):
-        yield Finding(
-            "map mirrored",
-            "the true map is the mirror image of what is seen: x and y may be swapped, or one have the wrong sign",
-        )
+        message = "the true map is the mirror image of what is seen: x and y may be swapped, or one have the wrong sign"
+        yield Finding("map mirrored", message)
     elif trusted and (off := _seen_from_truth(log)) > _WRONG:
         yield Finding(
             "map",

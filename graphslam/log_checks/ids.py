@@ -159,13 +159,11 @@ def ids_of(log: Log) -> Iterator[Finding]:
         which = f"the only sighting is of landmark {names[0]}"
         if len(known) > 1:
             which = f"the {len(known)} sightings are of {len(known)} landmarks"
-        yield Finding(
-            "seen once", f"{which}, so that nothing corrects the odometry; rows may be missing, or clocks differ"
-        )
+        message = f"{which}, so that nothing corrects the odometry; rows may be missing, or clocks differ"
+        yield Finding("seen once", message)
     elif len(names) == 1:
-        yield Finding(
-            "one landmark", f"all {len(known)} sightings are of one landmark, {names[0]}; ids may be in another column"
-        )
+        message = f"all {len(known)} sightings are of one landmark, {names[0]}; ids may be in another column"
+        yield Finding("one landmark", message)
     elif len(known) > _FEWEST and np.mean(counts) < 1.5:
         yield Finding(
             "ids jump",

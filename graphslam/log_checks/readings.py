@@ -67,9 +67,8 @@ def readings_of(log: Log) -> Iterator[Finding]:
     if (pairs := comparable(log)) is None:
         return
     readings = pairs.readings()
-    likely = [
-        each for each in readings if each.given > _WRONG and each.error < _BETTER * each.given and each.share > _SHARE
-    ]
+    wrong = [each for each in readings if each.given > _WRONG]
+    likely = [each for each in wrong if each.error < _BETTER * each.given and each.share > _SHARE]
     given = max(each.given for each in readings)
     if likely:
         least = min(reading.error for reading in likely)

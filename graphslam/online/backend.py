@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ RELEASED_START = (1e8, 1e8, 1e2)
 Relation = tuple[int, int, Array, Array]
 
 
-class Backend(ABC):
+class Backend(Protocol):
     """Poses, landmarks and edges, with the estimate after each change; its methods take checked numbers.
 
     Attributes:
@@ -34,34 +34,28 @@ class Backend(ABC):
         notes: what contradicts the map, one sentence each.
     """
 
-    num_final = 0
+    num_final: int = 0
     tracker: Tracker | None = None
     notes: Sequence[str] = ()
     columns: int | None
 
     @property
-    @abstractmethod
     def num_poses(self) -> int:
         """The number of poses so far."""
 
     @property
-    @abstractmethod
     def landmark_ids(self) -> Sequence[int]:
         """The ids of the landmarks that are nodes."""
 
-    @abstractmethod
     def relate(self, *relations: Relation) -> None:
         """Add relations between two poses each, and solve once; one of all poses may be the next, new one."""
 
-    @abstractmethod
     def observe(self, pose: int, ids: Sequence[int], sightings: Array) -> None:
         """Add sightings (K, 2 or 3) of landmarks from a pose; of (range, bearing) one may be NaN."""
 
-    @abstractmethod
     def locate(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
         """Add an absolute position of a point of the robot; see `OnlineSolver.locate`."""
 
-    @abstractmethod
     def release(self, motion: Array, position: Callable[[], None]) -> None:
         """Let the first absolute position say where the world is: the first pose was anchored for want of anything better.
 
@@ -71,47 +65,38 @@ class Backend(ABC):
         """
 
     @property
-    @abstractmethod
     def waiting(self) -> dict[int, tuple[NumberRow, ...]]:
         """The ranges or bearings alone of each landmark that waits for a place."""
 
-    @abstractmethod
     def place(self, landmark: int, place: Array) -> None:
         """Put a landmark that has been waiting at a place (2,)."""
 
-    def look_again(self) -> None:  # noqa: B027
+    def look_again(self) -> None:
         """Try other places of landmarks that single numbers have placed, and take the lowest J; ISAM2 does not."""
 
-    @abstractmethod
     def relinearize(self) -> None:
         """Linearise all edges at the estimate, and solve again."""
 
     @property
-    @abstractmethod
     def converged(self) -> bool:
         """Whether the last update ended at the minimum."""
 
     @property
-    @abstractmethod
     def cost(self) -> float:
         """J without the anchor."""
 
     @property
-    @abstractmethod
     def pose(self) -> Array:
         """The newest pose (3,)."""
 
     @property
-    @abstractmethod
     def poses(self) -> Array:
         """All poses so far (t+1, 3)."""
 
     @property
-    @abstractmethod
     def landmarks(self) -> dict[int, Array]:
         """{id: (2,) or (3,)} of the landmarks that are nodes."""
 
-    @abstractmethod
     def covariance(self, poses: Sequence[int], landmarks: Sequence[int]) -> Array:
         """The joint covariance of poses (3 rows each), then landmarks (2 or 3 rows each), in world axes.
 

@@ -141,13 +141,17 @@ class Isam2Backend(Backend):
         with self._all_or_nothing():
             values, before, moved = gtsam.Values(), self._isam.calculateEstimate(), gtsam.Pose2(*motion)
             for key in before.keys():  # noqa: SIM118
-                if chr(gtsam.symbolChr(key)) == "m" and self.columns == 2:
+                if self._is_point(key):
                     values.insert(key, moved.transformFrom(before.atPoint2(key)))
                 else:
                     values.insert(key, moved.compose(before.atPose2(key)))
             self._hold_first(values, None)
             position()
             self._hold_first(self._isam.calculateEstimate(), np.diag(1 / np.array(RELEASED_START)))
+
+    def _is_point(self, key: int) -> bool:
+        """Whether the value at a key is a landmark without a heading."""
+        return chr(gtsam.symbolChr(key)) == "m" and self.columns == 2
 
     def _hold_first(self, values: gtsam.Values, information: Array | None) -> None:
         """Begin anew at values, with the first pose anchored there with other information."""
@@ -209,9 +213,8 @@ class Isam2Backend(Backend):
                     self._nodes[landmark] = M(len(self._nodes))
                     y = self._sensor.h_inverse(self._value(pose), z)
                     self._values.insert(self._nodes[landmark], gtsam.Pose2(*y) if len(z) == 3 else gtsam.Point2(*y))
-                factor = ObservationFactor(
-                    X(pose), self._nodes[landmark], z, self._sensor, residual=self._residual, kernel=self._kernel
-                )
+                options: dict[str, Any] = {"residual": self._residual, "kernel": self._kernel}
+                factor = ObservationFactor(X(pose), self._nodes[landmark], z, self._sensor, **options)
                 self._factors.add(factor.fastest())
             self._add_numbers(landmark, waiting)
             keys, seen = self._sightings.setdefault(landmark, ([], []))
@@ -223,14 +226,13 @@ class Isam2Backend(Backend):
         """A range or a bearing alone; those of a landmark without a place wait until they leave one place for it."""
         if not self._edges.startswith("landmark"):
             raise GraphError("ranges and bearings alone need landmarks as nodes: use edges='landmark+motion'")
-        rows: tuple[NumberRow, ...] = ((pose, *z.tolist()),)
-        if landmark not in self._nodes:
-            place = self._waiting.add(landmark, rows[0], lambda: np.array([*map(self._value, range(self._num_poses))]))
-            if place is None:
-                return
+        row: NumberRow = (pose, *z.tolist())
+        if landmark in self._nodes:
+            self._add_numbers(landmark, (row,))
+            return
+        place = self._waiting.add(landmark, row, lambda: np.array([*map(self._value, range(self._num_poses))]))
+        if place is not None:
             self._put(landmark, place)
-        else:
-            self._add_numbers(landmark, rows)
 
     def place(self, landmark: int, place: Array) -> None:
         self._put(landmark, place)
@@ -344,10 +346,7 @@ class Isam2Backend(Backend):
         except RuntimeError as error:
             raise GraphError(f"there is no covariance: {str(error).strip().splitlines()[0]}") from None
         # GTSAM's are in the axes of each pose
-        turns = []
-        for key in keys:
-            is_point = chr(gtsam.symbolChr(key)) == "m" and self.columns == 2
-            turns.append(np.eye(2) if is_point else turn_matrix(np.array([values.atPose2(key).theta()]))[0])
+        turns = [np.eye(2) if self._is_point(k) else turn_matrix(values.atPose2(k).theta()) for k in keys]
         return np.block([[A @ found.at(a, b) @ B.T for b, B in zip(keys, turns)] for a, A in zip(keys, turns)])
 
 

@@ -22,7 +22,7 @@ from ..edges.robust import Kernel
 from ..graph.defaults import into_world
 from ..graph.trilateration import MIN_GAP, MORE, NumberRow, WaitingNumbers, edges_of_rows, other_places, places_of_rows
 from ..models import SensorModel
-from ..se2 import Array, between, compose, wrap
+from ..se2 import Array, between, compose, difference, wrap
 
 #: the way is tried where its positions put it when that turns it by more than this [rad]
 TURNED = 0.1
@@ -64,15 +64,8 @@ class OtherEnds:
             if landmark in self.numbers:
                 self.numbers[landmark].append(row)
 
-    def located(self, pose: int, measured: Array, information: Array, lever: Array) -> None:
-        """Note a position of a pose."""
-        self.positions.append((pose, measured, information, lever))
-
     def doubts(
-        self,
-        rows: Sequence[tuple[int, NumberRow]],
-        poses: Callable[[], Array],
-        place: Callable[[int], Array],
+        self, rows: Sequence[tuple[int, NumberRow]], poses: Callable[[], Array], place: Callable[[int], Array]
     ) -> list[int]:
         """The landmarks whose other places are to be tried: all where a number surprises, or those with many more numbers."""
         rows = [(id, row) for id, row in rows if id in self.numbers]
@@ -134,10 +127,8 @@ class LatestSightings:
     def add(self, landmarks: Sequence[int], sightings: Sequence[Row]) -> None:
         """Note the sightings of landmarks."""
         for id, row in zip(landmarks, sightings):
-            if id not in self.rows:
-                self.rows[id], self.counts[id] = deque(maxlen=LATEST), 0
-            self.rows[id].append(row)
-            self.counts[id] += 1
+            self.rows.setdefault(id, deque(maxlen=LATEST)).append(row)
+            self.counts[id] = self.counts.get(id, 0) + 1
 
     def contradicted(
         self, landmarks: Sequence[int], sightings: Sequence[Row], nodes: list[Sequence[float]]
@@ -166,10 +157,6 @@ class LatestSightings:
         best = int(np.argmin(costs))
         return places[best] if costs[best] < costs[-1] else None
 
-    def failed(self, landmark: int) -> None:
-        """J is not lower where the landmark was tried."""
-        self.tried[landmark] = self.counts[landmark]
-
 
 def _dimension(numbers: int) -> int:
     """d of d + d² numbers."""
@@ -189,8 +176,6 @@ def _square(pose: Sequence[float], place: Sequence[float], row: Row) -> float:
 def _squares(poses: Array, places: Array, sightings: Array) -> Array:
     """r² (P, K) of sightings (K, d + d²) of places (P, 1, 3) from poses (K, 3)."""
     d = _dimension(sightings.shape[1])
-    e = between(poses, places)[..., :d] - sightings[:, :d]
-    if d == 3:
-        e[..., 2] = wrap(e[..., 2])
+    e = difference(between(poses, places)[..., :d], sightings[:, :d])
     omega = sightings[:, d:].reshape(-1, d, d)
     return np.asarray(((e[..., None, :] @ omega)[..., 0, :] * e).sum(axis=-1))

@@ -23,7 +23,7 @@ from ..graph.landmark_map import HELD_STD, LandmarkMap, as_map
 from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..linear.precision import inverses
 from ..models import SensorModel
-from ..se2 import Array, compose, inverse, wrap
+from ..se2 import Array, compose, difference, inverse
 from .backend import RELEASED_START, Backend, Relation, information_of
 from .other_ends import LatestSightings, OtherEnds
 
@@ -239,7 +239,7 @@ class OwnBackend(Backend):
         added.add(Kind.position, ends, measured[None], information[None], lever[None], doubted)
         if not system.add(system.num_nodes, added, self._poses[-1:]):
             raise GraphError("with this position the graph is not determined, so that nothing was added")
-        self._others.located(pose, measured, information, lever)
+        self._others.positions.append((pose, measured, information, lever))
         if self.lag is None:
             nodes = [*self._poses, *self._landmarks.values()]
             moved = self._others.turned(system.values(nodes), len(self._poses))
@@ -278,7 +278,7 @@ class OwnBackend(Backend):
             seen_from = self.system.places([*map(self._node, latest.steps(id, first)), node])
             place = latest.elsewhere(id, first, seen_from)
             if place is not None and not self._try([node], place[None]):
-                latest.failed(id)
+                latest.tried[id] = latest.counts[id]
 
     def _place(self, landmark: int) -> Array:
         return np.asarray(self.system.values([self._landmarks[landmark]])[0])
@@ -314,15 +314,13 @@ class OwnBackend(Backend):
             raise
         self._final[: self.num_final] = compose(motion, self._final[: self.num_final])
         free = np.diag(1 / np.array(RELEASED_START))
-        self._hold_first(self.system.values(nodes[:1])[0], free if information is None else free + information)
+        first = self.system.values(nodes[:1])[0]
+        self._hold_first(first, free if information is None else free + information, [], np.zeros((0, 3)))
 
-    def _hold_first(
-        self, place: Array, information: Array, nodes: Sequence[int] = (), values: Array | None = None
-    ) -> None:
+    def _hold_first(self, place: Array, information: Array, nodes: Sequence[int], values: Array) -> None:
         """Give the first pose another prior, put nodes at values, and solve."""
         self._start = (place, information)
         self.system.loosen(place, np.ascontiguousarray(information))
-        values = np.zeros((0, 3)) if values is None else values
         self.system.solve_from(list(nodes), np.ascontiguousarray(values), self._poses[-1:])
 
     def _add_numbers(self, added: Any, landmark: int, rows: tuple[NumberRow, ...]) -> None:
@@ -387,8 +385,7 @@ class OwnBackend(Backend):
         if not self._in_map or self.lag is not None:
             return float(self.system.cost())
         start, information = self._start
-        off = self.system.values(self._poses[:1])[0] - start
-        off[2] = wrap(off[2])
+        off = difference(self.system.values(self._poses[:1])[0], start)
         return float(self.system.cost_with_priors() - off @ information @ off)
 
     @property

@@ -174,7 +174,8 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
             )
         backend.begin_with(known.among(graph.landmark_ids.tolist()), d)
     if sighted is None:
-        sighted = _no_sightings(graph, d)
+        none = np.zeros(0, dtype=np.int64)
+        sighted = CartesianObservationEdges(none, none, np.zeros((0, d)), graph.sensor or SensorModel())
     ids = graph.landmark_ids[sighted.second - total]
     seen = sighted.relative
 
@@ -206,10 +207,8 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
             if len(now) and log is not None:
                 tracker.see(step, now, ids[now], log.sightings[graph.sighting_rows[now]])
         whole = ids[now].tolist(), seen.measured[now], seen.information[now]
-        doubted = [kernel is not None for _, kernel in arriving]
-        follow = partial(
-            backend.update, [relation for relation, _ in arriving], step, *whole, numbers[step], doubted=doubted
-        )
+        related, doubted = [relation for relation, _ in arriving], [kernel is not None for _, kernel in arriving]
+        follow = partial(backend.update, related, step, *whole, numbers[step], doubted=doubted)
         put(follow, known is not None and any(id in known for id in [*whole[0], *(id for id, _ in numbers[step])]))
         for z, kernel in positions[step]:
             put(partial(backend.locate, step, *z, doubted=kernel is not None), True)
@@ -260,20 +259,13 @@ def _single_numbers(graph: Graph) -> dict[int, list[tuple[int, Array]]]:
     return found
 
 
-def _no_sightings(graph: Graph, dimension: int) -> CartesianObservationEdges:
-    none = np.zeros(0, dtype=np.int64)
-    sensor = graph.sensor or SensorModel()
-    return CartesianObservationEdges(none, none, np.zeros((0, max(dimension, 2))), sensor)
-
-
 def _kernel_of(graph: Graph) -> tuple[Graph, Kernel | None]:
     """The kernel of the sightings, or else of what may be wrong, and the graph without other kernels."""
     doubted = [f for f in graph.families if isinstance(f, DoubtedEdges)]
     seen = [f for f in doubted if isinstance(f, SightingEdges | PartialEdges)]
     kernel = next((_without_width(f) for f in seen or doubted if f.kernel is not None), None)
-    other = [
-        f for f in doubted if f.kernel is not None and (kernel is None or f.kernel != kernel.of_dimension(f.dimension))
-    ]
+    robust = [f for f in doubted if f.kernel is not None]
+    other = [f for f in robust if kernel is None or f.kernel != kernel.of_dimension(f.dimension)]
     if not other:
         return graph, kernel
     note = "step by step, relations and positions count without a robust kernel that is not that of the sightings"

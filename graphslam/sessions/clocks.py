@@ -89,15 +89,12 @@ class ClockOffsets:
     @property
     def sentence(self) -> str:
         """The offsets in words."""
-        others = list(self.seconds)[1:]
-        each = ", ".join(
-            f"{self.seconds[n]:+.3f} s for robot {n} (standard error {self.deviations[n]:.3f} s)" for n in others
-        )
+        first, *others = self.seconds
+        offset = "{:+.3f} s for robot {} (standard error {:.3f} s)"
+        each = ", ".join(offset.format(self.seconds[n], n, self.deviations[n]) for n in others)
         if not self.differ:
             return f"the clocks of the robots do not surely differ: the offsets are {each}, and not used"
-        return (
-            f"to the times of the robots is added, so that they are those of robot {next(iter(self.seconds))}: {each}"
-        )
+        return f"to the times of the robots is added, so that they are those of robot {first}: {each}"
 
 
 def clock_offsets(robots: Mapping[int, Log]) -> ClockOffsets:
@@ -146,27 +143,23 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
             inside = (at >= path.times[0]) & (at <= path.times[-1])
             passed = [np.interp(at, path.times, along[:, k]) for k in (0, 1)]
             # sightings of a robot that stands all the time cost the same at every offset
-            telling = sum(np.ptp(each, axis=1) ** 2 for each in passed) > np.trace(
-                covariances[:, :2, :2], axis1=1, axis2=2
-            )
+            spread = np.trace(covariances[:, :2, :2], axis1=1, axis2=2)
+            telling = sum(np.ptp(each, axis=1) ** 2 for each in passed) > spread
+            pair = (min(a, b), max(a, b))
             if not telling.any():
-                pair = (min(a, b), max(a, b))
                 counts[pair] = counts.get(pair, 0) + (len(rows) if inside.any() else 0)
                 continue
-            rows, inside, covariances, places = rows[telling], inside[telling], covariances[telling], places[telling]
-            apart = [passed[k][telling] - places[:, k, None] for k in (0, 1)]
-            scale = np.trace(covariances[:, :2, :2], axis1=1, axis2=2)[:, None] + np.median(
-                np.min(np.where(inside, apart[0] ** 2 + apart[1] ** 2, np.inf), axis=1)
-            )
-            each = np.where(inside, np.log1p((apart[0] ** 2 + apart[1] ** 2) / scale), 0.0)
+            rows, inside, spread, places = rows[telling], inside[telling], spread[telling], places[telling]
+            squares = sum((passed[k][telling] - places[:, k, None]) ** 2 for k in (0, 1))
+            scale = spread[:, None] + np.median(np.min(np.where(inside, squares, np.inf), axis=1))
+            each = np.where(inside, np.log1p(squares / scale), 0.0)
             seen = inside.sum(axis=0)
             # offsets that leave most sightings without a pose say nothing
             if not np.any(seen > 0.5 * len(rows)):
                 continue
             cost = np.where(seen > 0.5 * len(rows), each.sum(axis=0) / np.maximum(seen, 1), each.max()) * len(rows)
             # by d_b - d_a: the time of b is t_a + d_a - d_b
-            pair, turned = ((a, b), cost[::-1]) if a < b else ((b, a), cost)
-            costs[pair] = costs.get(pair, 0.0) + turned
+            costs[pair] = costs.get(pair, 0.0) + (cost[::-1] if a < b else cost)
             counts[pair] = counts.get(pair, 0) + len(rows)
     first = next(iter(logs))
     found = {first: 0.0}
@@ -243,8 +236,8 @@ def _step(logs: Mapping[int, Log]) -> tuple[Array, Array, int]:
     robot = np.searchsorted(joined.starts, np.arange(log.num_poses), side="right") - 1
     assert log.controls is not None
     # the control that begins at a pose; the last pose has that which ends there
-    control = log.controls[np.minimum(log.control_starts, len(log.controls) - 1)]
-    control[np.array(joined.starts[1:]) - 1] = log.controls[log.control_starts[np.array(joined.starts[1:]) - 1] - 1]
+    control, last = log.controls[np.minimum(log.control_starts, len(log.controls) - 1)], np.array(joined.starts[1:]) - 1
+    control[last] = log.controls[log.control_starts[last] - 1]
     heading = solution.poses[:, 2]
     v = np.column_stack([control[:, 0] * np.cos(heading), control[:, 0] * np.sin(heading), control[:, 1]])
     moved = (B @ v[family.second][:, :, None])[:, :, 0]

@@ -5,7 +5,7 @@ anywhere. The log has a control there that says nothing, with the variances `ANY
 checks take it like any other log, and it knows its `Log.sessions`. The start values matter: each drive is put where its first
 sightings fit the map of those before (`first_fix`).
 
-Where sightings have no ids, each log is associated alone, and their maps are matched (`joined_without_ids`):
+**Without ids.** Each log is associated alone, and their maps are matched:
 
 1. Each log gets ids, a trajectory and a map of its own (`associate_from`).
 2. The map of each log is a constellation that is looked for in the map of those before (`graph.constellation.match`), and the
@@ -33,11 +33,9 @@ from typing import Any
 
 import numpy as np
 
-from ..association import known_noise
+from ..association import AssociationOptions, associate_from, known_noise
 from ..association.assignment import evidence
-from ..association.associate import associate_from
 from ..association.map_solution import Problem
-from ..association.problem import AssociationOptions
 from ..association.refining import refine
 from ..errors import GraphError, LogError, OptionError, named
 from ..graph import Graph
@@ -82,7 +80,7 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
 
     Args:
         logs: with controls, and ids that mean the same landmarks in all of them. Where one has sightings without ids, each
-            log is associated, and their maps are matched (`joined_without_ids`). Noise models must be the same in all,
+            log is associated, and their maps are matched. Noise models must be the same in all,
             or be given to `Graph.from_log`. Their ground truth is in one frame, and unknown where a log has none.
         mean_noise: the noise of each log is found by `known_noise`, and all get the means (`with_common_noise`).
         placed: the initial poses of all are in one frame already, so that none is looked for.
@@ -139,21 +137,18 @@ def with_common_noise(logs: Sequence[Log]) -> list[Log]:
     if len(set(motions)) == len(set(sensors)) == 1 and all(each == taken_out[0] for each in taken_out):
         return list(logs)
 
-    def squares(models: Sequence[MotionModel | SensorModel]) -> dict[str, float]:
-        rows = [vars(each) for each in models]
-        geometry = (*SensorModel.GEOMETRY, "epsilon")
-        return {
-            name: float(np.sqrt(np.mean([row[name] ** 2 for row in rows]))) for name in rows[0] if name not in geometry
-        }
+    def squares(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
+        """The square roots of the means of all variances, which are zero where a row has none."""
+        names = dict.fromkeys(name for row in rows for name in row if name not in (*SensorModel.GEOMETRY, "epsilon"))
+        return {name: float(np.sqrt(np.mean([row.get(name, 0.0) ** 2 for row in rows]))) for name in names}
 
-    motion = MotionModel(**squares(motions), epsilon=float(np.mean([each.epsilon for each in motions])))
+    epsilon = float(np.mean([each.epsilon for each in motions]))
+    motion = MotionModel(**squares([*map(vars, motions)]), epsilon=epsilon)
     ahead, left = np.mean([each.offset for each in sensors], axis=0).tolist()
     least, most, views = zip(*(each.limits for each in sensors))
-    sensor = SensorModel(**squares(sensors), offset=(ahead, left)).with_limits(min(least), max(most), max(views))
-    uncertain = {
-        name: float(np.sqrt(np.mean([each.get(name, 0.0) ** 2 for each in taken_out])))
-        for name in dict.fromkeys(name for each in taken_out for name in each)
-    }
+    sensor = SensorModel(**squares([*map(vars, sensors)]), offset=(ahead, left))
+    sensor = sensor.with_limits(min(least), max(most), max(views))
+    uncertain = squares(taken_out)
     mean, common = f"its noise models are the means of those of {len(logs)} logs", []
     for log, own in zip(logs, sensors):
         robot = np.zeros((len(log.sightings), 3))
@@ -205,6 +200,110 @@ def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -
     return log.replace(initial_poses=begun_at(fix.pose, log.initial_poses), notes=notes)
 
 
+#: the fewest landmarks of two maps that have to agree
+FEWEST_SHARED = 5
+
+
+def joined_without_ids(logs: Sequence[Log]) -> tuple[Log, list[int]]:
+    """The log of all, with ids and without clutter, in the frame of the first, and the first step of each.
+
+    Args:
+        logs: with controls and the same noise models. Ids that a log has are used within this log.
+
+    Raises:
+        GraphError: a log has no landmarks that were seen twice, or its map surely is at no place in that of those before.
+    """
+    models: dict[str, Any] = {"motion": logs[0].motion or MotionModel(), "sensor": logs[0].sensor or SensorModel()}
+    joined, starts = _associated(logs[0], models), [0]
+    for each in logs[1:]:
+        starts.append(joined.num_poses)
+        ends = []
+        for placed in _in_map_of(joined, _associated(each, models), models):
+            both = end_to_end(joined, placed)
+            ends.append(_refined(both.replace(initial_poses=solve(_graph(both, models)).poses), models))
+        joined = max(ends, key=lambda end: end[1])[0]
+    clutter = joined.landmarks == UNIDENTIFIED
+    note = f"{len(joined.landmark_ids)} landmarks were found in all logs together, and {clutter.sum()} sightings are clutter"
+    return joined.with_sightings(~clutter, notes=(*joined.notes, note)), starts
+
+
+def _associated(log: Log, models: dict[str, Any]) -> Log:
+    """The log with ids, `UNIDENTIFIED` for clutter, and its trajectory."""
+    if log.identified:
+        return log.replace(initial_poses=solve(_graph(log, models)).poses)
+    found = associate_from(log, **models)
+    return log.replace(landmarks=found.ids, initial_poses=found.poses, notes=(*log.notes, *found.notes))
+
+
+def _graph(log: Log, models: dict[str, Any]) -> Graph:
+    return Graph.from_log(log.with_sightings(log.landmarks != UNIDENTIFIED), edges="landmark+motion", **models)
+
+
+def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
+    """The log with initial poses in the frame of those before and with their ids, by its map and by following it.
+
+    Raises:
+        GraphError: its map surely is at no place in that of those before, and neither are its sightings.
+    """
+    known, own = solve(_graph(before, models)).map, solve(_graph(log, models)).map
+    reach = float(np.quantile(np.concatenate([before.sightings[:, 0], log.sightings[:, 0]]), 0.98))
+    fresh = max(known, default=-1) + 1
+    names = {j: fresh + k for k, j in enumerate(own)} | {UNIDENTIFIED: UNIDENTIFIED}
+    ways = list[Log]()
+    counts = np.array([np.count_nonzero(log.landmarks == j) for j in own])
+    found = match(Merged(*own.arrays(own), counts, np.zeros(0, dtype=int)), Constellations.of(known, reach))
+    if found and odds_of([each for each, _ in found]) > SURE and np.sum(found[0][0].agree) >= FEWEST_SHARED:
+        best, where = found[0]
+        ids = np.array(list(known))
+        partners = {j: int(ids[where[k]]) for k, j in enumerate(own) if best.agree[k]}
+        how = f"its map has {len(partners)} landmarks of those before"
+        ids = np.array([partners.get(j, names[j]) for j in log.landmarks.tolist()])
+        ways.append(_in_frame(log, ids, best.pose, how))
+    try:
+        along = follow(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)), known, **models)
+    except GraphError:
+        if not ways:
+            raise
+        return ways
+    seen = np.isin(along.landmarks, list(known))
+    if along.lifted or len(np.unique(along.landmarks[seen])) < FEWEST_SHARED:
+        if not ways:
+            earlier = " and ".join(each.name for each in before.sessions) or before.name
+            shared = f"no {FEWEST_SHARED} landmarks in common"
+            raise GraphError(f"{log.name} and {earlier} have {shared}: are they logs of one place?")
+        return ways
+    # what the map does not have keeps its own id, where most sightings of that are not in the map
+    mostly = {j: 2 * np.sum(seen[log.landmarks == j]) > np.sum(log.landmarks == j) for j in own}
+    others = [UNIDENTIFIED if mostly.get(j, True) else names[j] for j in log.landmarks.tolist()]
+    fix = along.fixes[0]
+    frame = compose(fix.pose, between(log.initial_poses[0], np.zeros(3)))
+    how = f"it was followed through their map, where {fix.sentence}"
+    return [*ways, _in_frame(log, np.where(seen, along.landmarks, others), frame, how)]
+
+
+def _in_frame(log: Log, ids: np.ndarray, frame: Array, how: str) -> Log:
+    """The log with ids, and initial poses in another frame."""
+    return log.replace(
+        landmarks=ids,
+        initial_poses=in_frame(frame, log.initial_poses),
+        notes=(*log.notes, f"joined without ids: {how}"),
+    )
+
+
+def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
+    """The joined log after association and solving in turn, and its evidence."""
+    bare = joined.replace(landmarks=np.full(len(joined.steps), UNIDENTIFIED), relations=None, positions=None)
+    _, labels = np.unique(joined.landmarks, return_inverse=True)
+    # the smallest name is that of clutter
+    labels = labels - int(np.any(joined.landmarks == UNIDENTIFIED))
+    problem = Problem.of(bare, models["motion"], models["sensor"], AssociationOptions())
+    found = refine(problem, labels, joined.initial_poses)
+    if found is None:
+        return joined, -np.inf
+    ids = np.where(found.labels < 0, UNIDENTIFIED, found.labels)
+    return joined.replace(landmarks=ids, initial_poses=found.solution.poses), evidence(problem, found.solution)
+
+
 def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
     """One log of several robots with a common clock, which see landmarks and each other.
 
@@ -251,9 +350,8 @@ def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
     notes = [f"{len(first):,} sightings of other robots are relations between two poses of one instant"]
     others = sum(len(meetings(logs[a], b)) for a in logs for b in logs if a != b) - len(first)
     if others:
-        notes.append(
-            f"{others:,} sightings of other robots are from times at which these did not drive, and are not used"
-        )
+        when = "from times at which these did not drive"
+        notes.append(f"{others:,} sightings of other robots are {when}, and are not used")
     log = joined.log
     return replace(joined, log=log.replace(relations=joined_rows(log.relations, relations), notes=(*log.notes, *notes)))
 
@@ -316,120 +414,3 @@ def _never(logs: Mapping[int, Log]) -> str:
         if log.times is not None
     )
     return f"the clocks of the robots do not overlap where they see each other: {spans}; are they in one time?"
-
-
-#: the fewest landmarks of two maps that have to agree
-FEWEST = 5
-
-
-def joined_without_ids(logs: Sequence[Log]) -> tuple[Log, list[int]]:
-    """The log of all, with ids and without clutter, in the frame of the first, and the first step of each.
-
-    Args:
-        logs: with controls and the same noise models. Ids that a log has are used within this log.
-
-    Raises:
-        GraphError: a log has no landmarks that were seen twice, or its map surely is at no place in that of those before.
-    """
-    models: dict[str, Any] = {"motion": logs[0].motion or MotionModel(), "sensor": logs[0].sensor or SensorModel()}
-    joined, starts = _associated(logs[0], models), [0]
-    for each in logs[1:]:
-        starts.append(joined.num_poses)
-        ends = []
-        for placed in _in_map_of(joined, _associated(each, models), models):
-            both = end_to_end(joined, placed)
-            ends.append(_refined(both.replace(initial_poses=solve(_graph(both, models)).poses), models))
-        joined = max(ends, key=lambda end: end[1])[0]
-    clutter = joined.landmarks == UNIDENTIFIED
-    note = f"{len(joined.landmark_ids)} landmarks were found in all logs together, and {clutter.sum()} sightings are clutter"
-    return joined.with_sightings(~clutter, notes=(*joined.notes, note)), starts
-
-
-def _associated(log: Log, models: dict[str, Any]) -> Log:
-    """The log with ids, `UNIDENTIFIED` for clutter, and its trajectory."""
-    if log.identified:
-        return log.replace(initial_poses=solve(_graph(log, models)).poses)
-    found = associate_from(log, **models)
-    return log.replace(landmarks=found.ids, initial_poses=found.poses, notes=(*log.notes, *found.notes))
-
-
-def _graph(log: Log, models: dict[str, Any]) -> Graph:
-    return Graph.from_log(log.with_sightings(log.landmarks != UNIDENTIFIED), edges="landmark+motion", **models)
-
-
-def _in_map_of(before: Log, log: Log, models: dict[str, Any]) -> list[Log]:
-    """The log with initial poses in the frame of those before and with their ids, by its map and by following it.
-
-    Raises:
-        GraphError: its map surely is at no place in that of those before, and neither are its sightings.
-    """
-    known, own = solve(_graph(before, models)).map, solve(_graph(log, models)).map
-    reach = float(np.quantile(np.concatenate([before.sightings[:, 0], log.sightings[:, 0]]), 0.98))
-    fresh = max(known, default=-1) + 1
-    names = {j: fresh + k for k, j in enumerate(own)} | {UNIDENTIFIED: UNIDENTIFIED}
-    ways = list[Log]()
-    found = match(_merged(own, log), Constellations.of(known, reach))
-    if found and odds_of([each for each, _ in found]) > SURE and np.sum(found[0][0].agree) >= FEWEST:
-        best, where = found[0]
-        ids = np.array(list(known))
-        partners = {j: int(ids[where[k]]) for k, j in enumerate(own) if best.agree[k]}
-        how = f"its map has {len(partners)} landmarks of those before"
-        ids = np.array([partners.get(j, names[j]) for j in log.landmarks.tolist()])
-        ways.append(_with_ids(log, ids, best.pose, how))
-    try:
-        along = follow(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)), known, **models)
-    except GraphError:
-        if not ways:
-            raise
-        return ways
-    seen = np.isin(along.landmarks, list(known))
-    if along.lifted or len(np.unique(along.landmarks[seen])) < FEWEST:
-        if not ways:
-            raise GraphError(
-                f"{log.name} and {_names(before)} have no {FEWEST} landmarks in common: are they logs of one place?"
-            )
-        return ways
-    # what the map does not have keeps its own id, where most sightings of that are not in the map
-    mostly = {j: 2 * np.sum(seen[log.landmarks == j]) > np.sum(log.landmarks == j) for j in own}
-    others = [UNIDENTIFIED if mostly.get(j, True) else names[j] for j in log.landmarks.tolist()]
-    fix = along.fixes[0]
-    frame = compose(fix.pose, between(log.initial_poses[0], np.zeros(3)))
-    how = f"it was followed through their map, where {fix.sentence}"
-    return [*ways, _with_ids(log, np.where(seen, along.landmarks, others), frame, how)]
-
-
-def _with_ids(log: Log, ids: np.ndarray, frame: Array, how: str) -> Log:
-    """The log with ids, and initial poses in another frame."""
-    return log.replace(
-        landmarks=ids,
-        initial_poses=in_frame(frame, log.initial_poses),
-        notes=(*log.notes, f"joined without ids: {how}"),
-    )
-
-
-def _merged(own: LandmarkMap, log: Log) -> Merged:
-    """The landmarks of a map as a constellation."""
-    places, covariances = np.full((len(own), 3), np.nan), np.zeros((len(own), 3, 3))
-    for k, (j, place) in enumerate(own.items()):
-        d = len(place)
-        places[k, :d], covariances[k, :d, :d] = place, own.covariances[j]
-    counts = np.array([np.count_nonzero(log.landmarks == j) for j in own])
-    return Merged(places, covariances, counts, np.zeros(0, dtype=int))
-
-
-def _names(log: Log) -> str:
-    return " and ".join(each.name for each in log.sessions) or log.name
-
-
-def _refined(joined: Log, models: dict[str, Any]) -> tuple[Log, float]:
-    """The joined log after association and solving in turn, and its evidence."""
-    bare = joined.replace(landmarks=np.full(len(joined.steps), UNIDENTIFIED), relations=None, positions=None)
-    _, labels = np.unique(joined.landmarks, return_inverse=True)
-    # the smallest name is that of clutter
-    labels = labels - int(np.any(joined.landmarks == UNIDENTIFIED))
-    problem = Problem.of(bare, models["motion"], models["sensor"], AssociationOptions())
-    found = refine(problem, labels, joined.initial_poses)
-    if found is None:
-        return joined, -np.inf
-    ids = np.where(found.labels < 0, UNIDENTIFIED, found.labels)
-    return joined.replace(landmarks=ids, initial_poses=found.solution.poses), evidence(problem, found.solution)

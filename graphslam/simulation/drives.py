@@ -233,9 +233,8 @@ class Drive:
         at, seen = at[inside], seen[inside]
         exact = ideal.h(eyes[at], place.landmarks[seen])
         deviations = np.sqrt(np.diagonal(ideal.Q(exact), axis1=1, axis2=2))
-        z = exact + deviations * correlated_errors(
-            scans[at], seen, self.correlated, self.correlation / self.sensor_rate, rng
-        )
+        lasting = self.correlation / self.sensor_rate
+        z = exact + deviations * correlated_errors(scans[at], seen, self.correlated, lasting, rng)
         z[:, 0] = p["range_scale"] * z[:, 0] + p["range_bias"]
         z[:, 1] += p["bearing_bias"]
         # clutter anywhere in view, even in area
@@ -291,12 +290,10 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
 
 def _noise_of_sensor(kind: str, rng: np.random.Generator) -> SensorModel:
     """The noise of a sensor, over more than a decade; one in ten is almost perfect."""
-    typical, best = SENSORS[kind], rng.random() < 0.1
-    numbers = {}
-    for name in typical.NOISE:
-        factor = _between(rng, 0.3, 3.0) * (0.1 if best else 1.0)
-        numbers[name] = getattr(typical, name) * factor
-    return replace(typical, **numbers)
+    typical, part = SENSORS[kind], 0.1 if rng.random() < 0.1 else 1.0
+    return replace(
+        typical, **{name: getattr(typical, name) * (_between(rng, 0.3, 3.0) * part) for name in typical.NOISE}
+    )
 
 
 def _noise_of_wheels(rate: float, rng: np.random.Generator) -> tuple[MotionModel, bool]:
@@ -327,10 +324,7 @@ def _biases(rng: np.random.Generator, precise: bool, gyroscope: bool) -> dict[st
     p, fine = {}, 0.03 if precise else 1.0
     p["wheel_scale"] = 1 + fine * rng.uniform(-0.04, 0.04)
     p["turn_scale"] = 1 + fine * rng.uniform(-0.01, 0.01) * (1 if gyroscope else 3)
-    if gyroscope:
-        p["turn_rate_bias"] = fine * rng.uniform(-0.008, 0.008)
-    else:
-        p["curvature_bias"] = fine * rng.uniform(-0.008, 0.008)
+    p["turn_rate_bias" if gyroscope else "curvature_bias"] = fine * rng.uniform(-0.008, 0.008)
     p["sensor_delay"] = rng.uniform(0.0, 0.06) if rng.random() < 0.7 else 0.0
     wrong = rng.random(3) < [0.4, 0.5, 0.5]
     p["range_bias"] = wrong[0] * rng.uniform(-0.05, 0.05)

@@ -295,7 +295,7 @@ def _measured(
     sightings = exact + noise + bias
     sightings[:, 0] = exact[:, 0] * (1 + noise[:, 0] + bias[0])
     overlooked = rng.random(count) < faults.oversight
-    biases = {"range": 1 + float(bias[0]), "bearing": float(bias[1])} | (
-        {"psi": float(bias[2])} if world.orientation else {}
-    )
+    biases = {"range": 1 + float(bias[0]), "bearing": float(bias[1])}
+    if world.orientation:
+        biases["psi"] = float(bias[2])
     return sightings, ~overlooked & (sightings[:, 0] > 0), biases

@@ -97,7 +97,7 @@ def grown_trust(graph: Graph, edges: RelationEdges, limit: float, max_rounds: in
         trusting = graph.with_trust(trusted.astype(float))
         if bent:
             # what was wrong may have left bends that other starts do not have
-            state = minimize(trusting, tolerance=rough(graph), initialize=initialize).state
+            state = minimize(trusting, initialize, rough(graph)).state
         else:
             state = end_of(levenberg_marquardt, trusting, state, max_iterations=STEPS)
         linear = edges.linearize(state, state)

@@ -22,15 +22,8 @@ from ..errors import GraphError
 from ..graph import Graph
 from ..se2 import Array
 from .certificate import GLOBAL, Certificate, prove
-from .initialize import (
-    GROWING,
-    descents,
-    lower_by_halves,
-    lower_by_turns,
-    starting_state,
-    starts_of_auto,
-)
-from .iteration import Run, end_of, factorized, gauss_newton, levenberg_marquardt, rounding
+from .initialize import GROWING, descents, lower_by_halves, lower_by_turns, starting_state, starts_of_auto
+from .iteration import METHODS, Run, end_of, factorized, gauss_newton, rounding
 
 DAMPED = "levenberg-marquardt"
 #: graphs of at most so many nodes are always run from a second start: that takes milliseconds
@@ -263,12 +256,10 @@ def _with_turns(
     Args:
         ends: those until the last one; the first ``tried`` of them are those of earlier starts.
     """
-    if len(ends) == tried:
+    earlier = [other.cost for other in ends[:tried] if other.run.converged]
+    if len(ends) == tried or any(abs(cost - ends[-1].cost) <= SAME * ends[-1].cost for cost in earlier):
         return []
-    end = ends[-1]
-    if any(abs(other.cost - end.cost) <= SAME * end.cost for other in ends[:tried] if other.run.converged):
-        return []
-    return _lower(graph, run_from, end, lower_by_turns, f"{started}, other turns", ends, effort)
+    return _lower(graph, run_from, ends[-1], lower_by_turns, f"{started}, other turns", ends, effort)
 
 
 def _lower(
@@ -372,11 +363,10 @@ def _starts_of_kernel(graph: Graph, ends: list[End]) -> Iterator[tuple[str, Arra
 
 def _runs(graph: Graph) -> Callable[..., Run]:
     """Runs of the hand-written solver on a graph, to a tolerance that is enough for a start and a proof."""
-    search: dict[str, Callable[[Graph, Run], object]] = {"gauss-newton": gauss_newton, DAMPED: levenberg_marquardt}
 
     def run_from(start: Array, method: str, descend: bool = False) -> Run:
         run = Run(start.copy(), tolerance=1e-6 * graph.num_nodes**0.5, descend=descend)
-        search[method](graph, run)
+        METHODS[method](graph, run)
         return run
 
     return run_from

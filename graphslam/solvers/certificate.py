@@ -21,12 +21,9 @@ from ..linear.information import Structure
 from ..se2 import Array, difference
 
 GLOBAL, NOT_PROVEN, NOT_APPLICABLE = "global", "not proven", "not applicable"
-#: a global minimum of the cost with the weights of a robust kernel held at those of the state, ...
-GLOBAL_WEIGHTS = "global for its weights"
-#: ... with the parameters of the graph held at their values, ...
-GLOBAL_HELD = "global with the parameters held"
-#: ... and with both held
-GLOBAL_WEIGHTS_HELD = "global for its weights with the parameters held"
+#: what the first one ends with where the minimum is that of the cost with the weights of a robust kernel held at those of
+#: the state, and with the parameters of the graph held at their values
+FOR_WEIGHTS, WITH_PARAMETERS = " for its weights", " with the parameters held"
 #: the relative gap up to which a state counts as a global minimum, and J itself where all residuals are zero to rounding
 PROVEN = 1e-6
 
@@ -63,7 +60,7 @@ class Certificate:
     @property
     def proven(self) -> bool:
         """Whether the global minimum is proven; the status names what is held fixed for that."""
-        return self.status in (GLOBAL, GLOBAL_WEIGHTS, GLOBAL_HELD, GLOBAL_WEIGHTS_HELD)
+        return self.status.startswith(GLOBAL)
 
     @property
     def applicable(self) -> bool:
@@ -119,11 +116,12 @@ def prove(graph: Graph, state: Array, *, cost: float | None = None, thorough: bo
     else:
         outcome = _outcome(lambda: _problem(graph.families, state, graph.fixed, graph.system.structure), cost, thorough)
     status, bound, reason, direction = outcome
+    proven = status == GLOBAL
     # at residuals of zero the kernel's cost is zero, too, and no cost is lower
-    if graph.reweighted and status != NOT_APPLICABLE and not (status == GLOBAL and bound == 0):
-        status, reason = _WITH_WEIGHTS.get(status, status), f"with the weights of the kernel held, {reason}"
-    if graph.parameters is not None and status in _WITH_PARAMETERS:
-        status, reason = _WITH_PARAMETERS[status], f"with the parameters held at their values, {reason}"
+    if graph.reweighted and status != NOT_APPLICABLE and not (proven and bound == 0):
+        status, reason = status + FOR_WEIGHTS * proven, f"with the weights of the kernel held, {reason}"
+    if graph.parameters is not None and proven:
+        status, reason = status + WITH_PARAMETERS, f"with the parameters held at their values, {reason}"
     return _certificate((status, bound + constant, reason, direction), cost + constant, begin, graph.reweighted)
 
 
@@ -134,11 +132,6 @@ def _put_back(graph: Graph, state: Array) -> np.ndarray:
         return graph.fixed[:0]
     state[graph.fixed] = given
     return graph.fixed[np.any(np.abs(difference(there, given)) > HELD * (1 + np.abs(given)), axis=1)]
-
-
-#: the status of a proof that holds the weights of a kernel, and of one that holds the parameters
-_WITH_WEIGHTS = {GLOBAL: GLOBAL_WEIGHTS}
-_WITH_PARAMETERS = {GLOBAL: GLOBAL_HELD, GLOBAL_WEIGHTS: GLOBAL_WEIGHTS_HELD}
 
 
 def prove_edges(edges: Sequence[EdgeFamily], state: Array, fixed: np.ndarray, cost: float) -> Certificate:
@@ -161,11 +154,9 @@ _Outcome: TypeAlias = tuple[str, float, str, Array | None]
 def _certificate(outcome: _Outcome, cost: float, begin: float, weighted: bool = False) -> Certificate:
     """The certificate of an outcome; ``weighted`` if cost and bound are those of the weights of a kernel, not of J."""
     status, bound, reason, direction = outcome
-    if bound > 0:
-        gap = (cost - bound) / cost
-    else:
-        # a state of cost zero, also up to rounding, is proven with the bound 0
-        gap = np.nan if status in (NOT_PROVEN, NOT_APPLICABLE) else 0.0
+    # a state of cost zero, also up to rounding, is proven with the bound 0
+    without = np.nan if status in (NOT_PROVEN, NOT_APPLICABLE) else 0.0
+    gap = (cost - bound) / cost if bound > 0 else without
     if weighted and status != NOT_APPLICABLE:
         bound = 0.0
     return Certificate(status, float(bound), float(gap), reason, time.perf_counter() - begin, direction)
@@ -204,10 +195,8 @@ def _judged(problem: _Problem, cost: float, thorough: bool) -> _Outcome:
         case Finding.unsplit:
             reason = f"{unsplit} edges have a heading residual near half a turn, or singular information"
         case Finding.not_stationary:
-            lower = cost - best
-            reason = (
-                f"the state is not a stationary point of J: a step from it promises to lower J by up to {lower:.2g}"
-            )
+            promise = f"a step from it promises to lower J by up to {cost - best:.2g}"
+            reason = f"the state is not a stationary point of J: {promise}"
         case Finding.negative:
             reason = "the matrix S has a negative direction, so that there may be a lower minimum"
     return NOT_PROVEN, best, reason, None if direction is None else direction[: problem.given]

@@ -48,13 +48,14 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import EdgeFamily, LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
+from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.localization import SURE
+from ..graph.tracker import middle_misfit
 from ..linear.cholesky import Bordered, FactorizationError
-from ..se2 import Array, between, turn_matrix, wrap
+from ..se2 import Array, between, difference, turn_matrix
 from .iteration import end_of, levenberg_marquardt
 from .joint import JointFactor, JointGraph, motion_edges, times
 from .map_errors import likeliest_deviation
@@ -162,10 +163,7 @@ def _misfit(g: Array, S: Array, alone: Array) -> tuple[float, float]:
     ``alone`` is d' H d. With few landmarks the median is the lower one of two.
     """
     q, size, determined = _displacements(g, S, alone)
-    if determined.sum() < FEWEST:
-        return 0.0, 0.0
-    middle = (determined.sum() - 1) // 2
-    return float(np.sqrt(np.sort(q)[middle] / (2 * np.log(2)))), float(np.sort(size)[middle])
+    return (0.0, 0.0) if determined.sum() < FEWEST else middle_misfit(q, size)
 
 
 def _displacements(g: Array, S: Array, alone: Array) -> tuple[Array, Array, np.ndarray]:
@@ -202,14 +200,11 @@ def _moved(graph: Graph, tested: np.ndarray, g: Array, S: Array, alone: Array, r
 def _unbiased(graph: Graph, state: Array) -> Graph:
     """The graph with polar residuals, and the noise at the ranges that the state predicts."""
 
-    def changed(f: EdgeFamily) -> EdgeFamily:
-        if not isinstance(f, ObservationEdges):
-            return f
-        ends = f.first, f.second
-        polar = PolarObservationEdges(*ends, f.sightings, f.sensor, kernel=f.kernel, trust=f.trust)
+    def changed(f: ObservationEdges) -> PolarObservationEdges:
+        polar = PolarObservationEdges(f.first, f.second, f.sightings, f.sensor, kernel=f.kernel, trust=f.trust)
         return polar.with_noise_at(f.predicted(state))
 
-    return graph.with_families(changed(f) for f in graph.families)
+    return graph.with_changed(ObservationEdges, changed)
 
 
 def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array, Array]:
@@ -286,11 +281,12 @@ def _lever_followed(graph: Graph, state: Array, lever: Array) -> tuple[Array, Ar
         FactorizationError, GraphError: the edges do not determine the nodes.
     """
     total = lever
+
+    def moved(edges: PositionEdges) -> PositionEdges:
+        return replace(edges, levers=edges.levers + total)
+
     for _ in range(ROUNDS):
-        other = graph.with_families(
-            replace(each, levers=each.levers + total) if isinstance(each, PositionEdges) else each
-            for each in graph.families
-        )
+        other = graph.with_changed(PositionEdges, moved)
         state = end_of(levenberg_marquardt, other, state, max_iterations=STEPS)
         families = [each for each in other.families if isinstance(each, PositionEdges)]
         step, S = _lever_step(other, families, state)
@@ -346,8 +342,7 @@ def _motion_errors(graph: Graph, state: Array) -> tuple[Any, Array, Array] | Non
     edges, log = motion_edges(graph), graph.log
     if edges is None or log is None or log.times is None or edges.count < FEWEST_MOTIONS:
         return None
-    errors = between(state[edges.first], state[edges.second]) - edges.measured
-    errors[:, 2] = wrap(errors[:, 2])
+    errors = difference(between(state[edges.first], state[edges.second]), edges.measured)
     try:
         return edges, errors, np.linalg.inv(edges.information)
     except np.linalg.LinAlgError:

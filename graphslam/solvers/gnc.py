@@ -47,8 +47,8 @@ from ..se2 import Array
 from .agreement import Trusted, grown_trust
 from .initialize import partial_edges, place_landmarks
 from .iteration import refuse, rough
-from .joint import corrected, sighted_edges
-from .minimize import minimize, without_parameters
+from .joint import corrected
+from .minimize import minimize
 from .solution import Solution
 
 #: the most damped steps in a round: the next one changes the problem anyway
@@ -61,7 +61,7 @@ PAIRS = 5_000
 REJECTED = 0.5
 
 
-def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, probability: float) -> Solution:
+def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: int, probability: float) -> Solution:
     """`solve` with the method "gnc": c² is the quantile of ``probability``, and ``max_rounds`` the most values of mu.
 
     Motion edges and anchors are always trusted.
@@ -78,7 +78,7 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
         graph = _at_robust_parameters(graph, initialize)
     if graph.measurements == 0:
         raise GraphError("graduated non-convexity needs sightings, relations or positions, and this graph has none")
-    nodes, order = _by_landmark(without_parameters(graph))
+    nodes, order = _by_landmark(replace(graph, parameters=None))
     best = _best_sequence(nodes, probability, max_rounds, initialize)
     trust = np.empty(len(order))
     trust[order] = best.trust
@@ -87,11 +87,10 @@ def solve_gnc(graph: Graph, tolerance: float, max_rounds: int, initialize: str, 
         # landmarks that were seen by single numbers alone have no other place
         weighted = weighted.with_initial(best.state)
     start = weighted.with_initial(place_landmarks(weighted, best.state[: len(graph.steps)]))
-    solution = minimize(start, tolerance=tolerance, initialize="given")
+    solution = minimize(start, "given", tolerance)
     found = _trust_by_kind(weighted)
-    which = " and ".join(
-        f"{np.count_nonzero(each < REJECTED)} of {len(each)} {kind}" for kind, each in found.items() if len(each)
-    )
+    known = {kind: each for kind, each in found.items() if len(each)}
+    which = " and ".join(f"{np.count_nonzero(each < REJECTED)} of {len(each)} {kind}" for kind, each in known.items())
     note = f"graduated non-convexity rejected {which} in {best.rounds} rounds"
     in_sightings: Array | None = found.pop("sightings", None)
     if graph.log is not None and in_sightings is not None:
@@ -135,10 +134,8 @@ def _trust_by_kind(graph: Graph) -> dict[str, Array]:
 
 def _at_robust_parameters(graph: Graph, initialize: str) -> Graph:
     """The graph at parameters that a robust kernel finds: at wrong parameters correct sightings would be rejected."""
-    seen = sighted_edges(graph)
-    robust = replace(seen, kernel=Cauchy())
-    families = tuple(robust if family is seen else family for family in graph.families)
-    found = minimize(replace(graph, families=families), tolerance=rough(graph), initialize=initialize)
+    robust = graph.with_changed(SightingEdges, lambda f: replace(f, kernel=Cauchy()))
+    found = minimize(robust, initialize, rough(graph))
     assert found.graph is not None
     return corrected(graph, found.graph.estimated.values, found.state).with_initial(found.state)
 
@@ -260,7 +257,7 @@ def _of_relations(doubts: _Doubts, max_rounds: int, initialize: str) -> Trusted:
 
 def _sequence(doubts: _Doubts, max_rounds: int, initialize: str, steps: int = STEPS) -> Trusted:
     """The sequence from plain squares to squares truncated at c²."""
-    start = minimize(doubts.graph, tolerance=rough(doubts.graph), initialize=initialize).state
+    start = minimize(doubts.graph, initialize, rough(doubts.graph)).state
     rounds = doubts.rounds(start, steps=steps)
     rounds.graduate(max_rounds)
     return doubts.after(rounds)
@@ -271,9 +268,8 @@ def _from_kernel(doubts: _Doubts, initialize: str) -> Trusted:
 
     Plain squares put their landmarks so far from where they are that the sequence from there rejects most of them.
     """
-    graph = doubts.graph
-    robust = tuple(replace(f, kernel=Cauchy()) if isinstance(f, DoubtedEdges) else f for f in graph.families)
-    start = minimize(replace(graph, families=robust), tolerance=rough(graph), initialize=initialize).state
+    robust = doubts.graph.with_changed(DoubtedEdges, lambda f: replace(f, kernel=Cauchy()))
+    start = minimize(robust, initialize, rough(robust)).state
     rounds = doubts.rounds(start)
     rounds.judge(np.inf)
     rounds.settle()

@@ -7,7 +7,7 @@ optimiser. Therefore edges that share nodes share factors where that leaves the 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import gtsam
 import numpy as np
@@ -49,18 +49,8 @@ def to_gtsam(graph: Graph, reference: Array | None = None, *, factors: str = "fa
     reference = graph.initial if reference is None else reference
     made = gtsam.NonlinearFactorGraph()
     joined, families = _joined(graph, reference) if factors == "fastest" else ([], graph.families)
-    for family in families:
-        if isinstance(family, edges.PriorEdges):
-            made.add(_prior_factor(graph, family.nodes, family.values, family.information, family.pivot))
-            continue
-        if isinstance(family, edges.LandmarkPriors):
-            for k in range(family.count):
-                one = slice(k, k + 1)
-                made.add(_prior_factor(graph, family.nodes[one], family.values[one], family.information[k]))
-            continue
-        for factor in _factors_of(family, reference, graph.num_nodes, factors):
-            made.add(factor)
-    for factor in joined:
+    each = (_factors_of(family, graph, reference, factors) for family in families)
+    for factor in chain(*each, joined):
         made.add(factor)
     for node in graph.fixed.tolist():
         if node in graph.without_heading:
@@ -131,9 +121,8 @@ def _stacked(
     parts: list[_Part], graph: Graph, reference: Array, frame: str, kernel: Kernel | None
 ) -> Iterator[factor_types.RelativeEdgesFactor]:
     """The edges of several families, those from `TOGETHER` consecutive poses in one factor each."""
-    first, second, robust = (
-        np.concatenate(column) for column in zip(*((f.first, f.second, robust) for f, robust in parts))
-    )
+    columns = zip(*((f.first, f.second, robust) for f, robust in parts))
+    first, second, robust = map(np.concatenate, columns)
     measured, information = np.zeros((len(first), 3)), np.tile(np.eye(3), (len(first), 1, 1))
     start = 0
     for f, _ in parts:
@@ -153,9 +142,14 @@ def _stacked(
 
 
 def _factors_of(
-    family: edges.EdgeFamily, reference: Array, num_nodes: int, factors: str
+    family: edges.EdgeFamily, graph: Graph, reference: Array, factors: str
 ) -> Iterator[gtsam.NonlinearFactor]:
-    if isinstance(family, edges.AnchorEdges):
+    if isinstance(family, edges.PriorEdges):
+        yield _prior_factor(graph, family.nodes, family.values, family.information, family.pivot)
+    elif isinstance(family, edges.LandmarkPriors):
+        for node, value, information in zip(family.nodes[:, None], family.values[:, None], family.information):
+            yield _prior_factor(graph, node, value, information)
+    elif isinstance(family, edges.AnchorEdges):
         for i, x, information in _rows(family.nodes, family.values, family.information):
             if information[:2].any():
                 yield factor_types.AnchorFactor(i, x, information)
@@ -171,10 +165,8 @@ def _factors_of(
         yield from factors_of_single_numbers(family)
     elif isinstance(family, edges.RelativePoseEdges):
         kernel = getattr(family, "kernel", None)
-        for i, j, z, information in _rows(family.first, family.second, family.measured, family.weighed):
-            yield factor_types.RelativePoseFactor(
-                i, j, z, information, frame=family.frame, at=reference[i], kernel=kernel
-            )
+        for i, j, z, omega in _rows(family.first, family.second, family.measured, family.weighed):
+            yield factor_types.RelativePoseFactor(i, j, z, omega, frame=family.frame, at=reference[i], kernel=kernel)
     elif isinstance(family, edges.RelativePointEdges):
         for i, j, z, information in _rows(family.first, family.second, family.measured, family.information):
             yield factor_types.RelativePointFactor(i, j, z, information)
@@ -187,7 +179,7 @@ def _factors_of(
             )
             yield factor.fastest()
     elif isinstance(family, edges.MarginalEdges) and family.kernel is not None:
-        yield from _inverse_observations(family, family.nodes, num_nodes + family.group, reference)
+        yield from _inverse_observations(family, family.nodes, graph.num_nodes + family.group, reference)
     elif isinstance(family, edges.MarginalEdges):
         yield from _landmark_factors(family, reference, "marginal")
     elif isinstance(family, edges.VirtualMotionEdges) and family.kernel is None and factors == "fastest":
@@ -255,12 +247,9 @@ def factors_of_single_numbers(family: edges.PartialEdges) -> Iterator[gtsam.Nonl
             else:
                 yield gtsam.BearingFactor2D(i, j, gtsam.Rot2(z[0]), noise)
         else:
-            one = type(family)(
-                np.array([0]), np.array([1]), family.measured[k : k + 1], information[None], family.offset
-            )
-            yield factor_types.ResidualFactor(
-                [i, j], _residual(one), information, kinds=["pose", "point"], kernel=family.kernel
-            )
+            ends, kinds = (np.array([0]), np.array([1])), ["pose", "point"]
+            one = type(family)(*ends, family.measured[k : k + 1], information[None], family.offset)
+            yield factor_types.ResidualFactor([i, j], _residual(one), information, kinds=kinds, kernel=family.kernel)
 
 
 def _residual(edge: edges.PartialEdges) -> Callable[[Array, Array], tuple[Array, list[Array]]]:

@@ -68,7 +68,7 @@ def solve_jointly_with_gtsam(joint: JointGraph, run: Run) -> None:
 
 def _minimum(joint: JointGraph, state: Array, tolerance: float) -> Array:
     """The minimum of the graph frozen at a state (n + r, 3), as such a state."""
-    graph, (nodes, values) = joint.at(state), joint.parted(state)
+    (graph, nodes, _), (_, values) = joint.at(state), joint.parted(state)
     key = 2 * graph.num_nodes + len(graph.sighting_rows)
     made, start = _factors(graph, nodes, key), to_values(graph, nodes)
     start.insert(eliminated_landmarks(graph, nodes, always=True))
@@ -275,10 +275,8 @@ def _solved(graph: Graph, initialize: str, tolerance: float, *, factors: str, ma
 
 def _contents(factors: gtsam.NonlinearFactorGraph) -> str:
     """The number of factors of each type, as a note of a solution."""
-    each = [factors.at(k) for k in range(factors.size())]
-    kinds = Counter(
-        factor_types.describe(f).kind if isinstance(f, gtsam.CustomFactor) else type(f).__name__ for f in each
-    )
+    each, ours = map(factors.at, range(factors.size())), gtsam.CustomFactor
+    kinds = Counter(factor_types.describe(f).kind if isinstance(f, ours) else type(f).__name__ for f in each)
     return "graph: " + ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in kinds.items())
 
 
@@ -330,11 +328,7 @@ def _undamped(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsa
 
 
 def _promises_little(
-    graph: Graph,
-    state: Array,
-    factors: gtsam.NonlinearFactorGraph,
-    optimizer: gtsam.NonlinearOptimizer,
-    part: float,
+    graph: Graph, state: Array, factors: gtsam.NonlinearFactorGraph, optimizer: gtsam.NonlinearOptimizer, part: float
 ) -> bool:
     """Whether an undamped step from the optimizer's values, a state (n, 3), promises a negligible decrease of J.
 

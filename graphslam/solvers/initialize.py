@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
+from itertools import product
 from operator import attrgetter
 from typing import Any
 
@@ -256,20 +257,18 @@ def descents(graph: Graph, state: Array, direction: Array) -> Iterator[Array]:
     poses = len(graph.steps)
     z, t = np.exp(1j * state[:poses, 2]), state[:, 0] + 1j * state[:, 1]
     turned = direction[:poses, 0] * np.conj(z)
-    largest = np.abs(turned).max(initial=0.0)
-    if largest == 0:
+    if (largest := np.abs(turned).max(initial=0.0)) == 0:
         return
     # exp(i phase) makes the squares of the turns as negative as possible: the changes are imaginary, along the circle
     phase = (np.pi - np.angle(np.sum(turned**2))) / 2
     step = direction * np.exp(1j * phase) / largest
-    for length in CHANGES:
-        for sign in (1.0, -1.0):
-            moved = state.copy()
-            place = t + sign * length * step[:, 1]
-            moved[:, 0], moved[:, 1] = place.real, place.imag
-            moved[:poses, 2] = np.angle(z + sign * length * step[:poses, 0])
-            moved[graph.fixed] = state[graph.fixed]
-            yield moved
+    for length, sign in product(CHANGES, (1.0, -1.0)):
+        moved = state.copy()
+        place = t + sign * length * step[:, 1]
+        moved[:, 0], moved[:, 1] = place.real, place.imag
+        moved[:poses, 2] = np.angle(z + sign * length * step[:poses, 0])
+        moved[graph.fixed] = state[graph.fixed]
+        yield moved
 
 
 #: places whose J differs by less than this from the lowest are named: the odds are below 1000
@@ -298,12 +297,10 @@ def grown_from_single_numbers(graph: Graph) -> Array:
     """
     if not partial_edges(graph):
         raise GraphError("there are no ranges or bearings alone")
-    motions = next(
-        (f for f in graph.families if type(f) is RelativePoseEdges and f.count == len(graph.steps) - 1), None
-    )
-    if motions is None:
-        raise GraphError("ranges and bearings alone need motion edges from every pose to the next")
     poses, state = len(graph.steps), graph.initial.copy()
+    chains = (family for family in graph.families if type(family) is RelativePoseEdges and family.count == poses - 1)
+    if (motions := next(chains, None)) is None:
+        raise GraphError("ranges and bearings alone need motion edges from every pose to the next")
     placed = set(_seen_whole(graph))
     count = min(FIRST, poses)
     while True:

@@ -209,3 +209,10 @@ def levenberg_marquardt(graph: Graph, run: Run) -> None:
         engine.levenberg_marquardt(objective, inside, run.max_iterations)
 
     iterate(graph, run, search, 0.0)
+
+
+#: the names of the methods
+METHODS: dict[str, Callable[[Any, Run], Any]] = {
+    "gauss-newton": gauss_newton,
+    "levenberg-marquardt": levenberg_marquardt,
+}

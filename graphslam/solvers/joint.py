@@ -237,23 +237,20 @@ class JointGraph:
         count = self.graph.num_nodes
         return state[:count], state[count:].ravel()[: len(self.parameters)]
 
-    def at(self, state: Array, reference: Array | None = None) -> Graph:
-        """The graph at the parameters of a state, its noise at those of a reference state."""
-        _, values = self.parted(state)
-        nodes, at = self.parted(state if reference is None else reference)
-        return corrected(self.graph, values, nodes, at)
+    def at(self, state: Array, reference: Array | None = None) -> tuple[Graph, Array, Array]:
+        """The graph at the parameters of a state, its noise at those of a reference state, and the nodes of both."""
+        nodes, values = self.parted(state)
+        held, at = self.parted(state if reference is None else reference)
+        return corrected(self.graph, values, held, at), nodes, held
 
     def cost(self, state: Array, reference: Array | None = None) -> float:
         """J and the cost of the priors."""
-        nodes, _ = self.parted(state)
-        held = nodes if reference is None else self.parted(reference)[0]
-        return self.at(state, reference).cost(nodes, held)
+        graph, nodes, held = self.at(state, reference)
+        return graph.cost(nodes, held)
 
     def linearize(self, state: Array, reference: Array | None = None) -> float:
         """Evaluate the system at a state, and return the cost there."""
-        self._nodes, _ = self.parted(state)
-        held = self._nodes if reference is None else self.parted(reference)[0]
-        self._here = self.at(state, reference)
+        self._here, self._nodes, held = self.at(state, reference)
         _, cost = self._here.linearize(self._nodes, held)
         self._border = self.border(self._here, self._nodes, held)
         return cost
@@ -300,10 +297,8 @@ class JointGraph:
         if driven is not None:
             _, slopes = motion_slopes(parameters, corrected_controls(parameters))
             border += Border.of_motions(driven, nodes, held, slopes)
-        priors = parameters.weights
-        return border + Border(
-            np.zeros_like(border.mixed), np.diag(priors), -priors * (parameters.values - parameters.means)
-        )
+        priors, pulled = parameters.weights, parameters.values - parameters.means
+        return border + Border(np.zeros_like(border.mixed), np.diag(priors), -priors * pulled)
 
     @cached_property
     def _copies(self) -> BlockSystem:
@@ -395,9 +390,8 @@ def times(system: BlockSystem, right: Array) -> Array:
     n, _, K = right.shape
     flat = right.reshape(3 * n, K)
     # the blocks of the upper triangle by columns are, transposed, those of the lower one by rows
-    lower = bsr_matrix(
-        (np.ascontiguousarray(np.swapaxes(system.values, 1, 2)), system.indices, system.indptr), shape=(3 * n, 3 * n)
-    )
+    blocks = np.ascontiguousarray(np.swapaxes(system.values, 1, 2))
+    lower = bsr_matrix((blocks, system.indices, system.indptr), shape=(3 * n, 3 * n))
     product = (lower @ flat + lower.T @ flat).reshape(n, 3, K)
     return np.asarray(product - system.values[system.diagonal_slots] @ right)
 

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from math import isfinite
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from ..graph import Graph
 from ..se2 import Array, difference, wrap
 from .auto import best_end
 from .initialize import image_notes, partial_edges, starting_state
-from .iteration import Iteration, Run, gauss_newton, levenberg_marquardt
+from .iteration import METHODS, Iteration, Run
 from .joint import JointGraph, check_observable, corrected, finished, negative_information
 from .solution import Solution, make_solution
 
@@ -30,11 +29,6 @@ FIRST = 1e-4
 ANGLES, TURNS = ("bearing_bias",), (np.pi, np.pi / 2, -np.pi / 2)
 #: the further ones where J is beyond so many times the expected one with all of these
 OBLIQUE, DOUBTFUL = (np.pi / 4, -np.pi / 4, 3 * np.pi / 4, -3 * np.pi / 4), 3.0
-
-
-def without_parameters(graph: Graph) -> Graph:
-    """The same graph with its parameters held at their values."""
-    return replace(graph, parameters=None)
 
 
 def best_of_starts(
@@ -55,7 +49,7 @@ def best_of_starts(
         GraphError: the log does not determine the nodes or the parameters.
     """
     names, values = graph.estimated.names, graph.estimated.values
-    first = solved(without_parameters(graph))
+    first = solved(replace(graph, parameters=None))
     starts = [(graph, first)]
     lowest = graph.cost(first)
     for name, turn in product(ANGLES, (*TURNS, *OBLIQUE)):
@@ -65,7 +59,7 @@ def best_of_starts(
         changed[names.index(name)] = wrap(changed[names.index(name)] + turn)
         there = corrected(graph, changed, first)
         try:
-            nodes = solved(without_parameters(there))
+            nodes = solved(replace(there, parameters=None))
         except GraphError:
             continue
         if (cost := there.cost(nodes)) < lowest:
@@ -165,24 +159,17 @@ def at_estimated_ranges(
     reason = f"the noise of the ranges still moved the solution by {moved:.1g} after {PASSES} passes"
     if required:
         return replace(solution, seconds=seconds, converged=False, reason=reason)
-    return replace(
-        first, seconds=seconds, notes=(*first.notes, f"{reason}, so that it is taken at the measured ranges")
-    )
-
-
-METHODS: dict[str, Callable[[Any, Run], Any]] = {
-    "gauss-newton": gauss_newton,
-    "levenberg-marquardt": levenberg_marquardt,
-}
+    note = f"{reason}, so that it is taken at the measured ranges"
+    return replace(first, seconds=seconds, notes=(*first.notes, note))
 
 
 def minimize(
     graph: Graph,
+    initialize: str,
+    tolerance: float,
     *,
     method: str = "gauss-newton",
-    tolerance: float = 1e-9,
     max_iterations: int = 100,
-    initialize: str = "auto",
     callback: Callable[[Iteration], None] | None = None,
     cost_tolerance: float = 0.0,
 ) -> Solution:
@@ -199,7 +186,7 @@ def minimize(
     if graph.parameters is not None:
 
         def solved(nodes: Graph) -> Array:
-            return minimize(nodes, method=method, tolerance=max(FIRST, tolerance), initialize=initialize).state
+            return minimize(nodes, initialize, max(FIRST, tolerance), method=method).state
 
         def begun() -> Run:
             run = Run(graph.initial, tolerance, max_iterations, cost_tolerance)

@@ -416,8 +416,7 @@ def make_solution(
     landmarks: dict[int, Array] = {}
     if len(graph.landmark_ids):
         nodes = state[len(graph.steps) :, : graph.landmark_dimension].copy()
-        if graph.landmark_dimension == 3:
-            nodes[:, 2] = wrap(nodes[:, 2])
+        nodes[:, 2:] = wrap(nodes[:, 2:])
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)
@@ -452,8 +451,8 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
             graph = solution.graph or graph
         notes.append(found)
     common, of_scans = errors_of_scans(graph, solution.state)
-    doubts_of_state = doubt_of_positions(graph, solution.state), doubt_of_odometry(graph, solution.state), of_scans
-    notes += [each for each in doubts_of_state if each]
+    doubts_of = doubt_of_positions(graph, solution.state), doubt_of_odometry(graph, solution.state), of_scans
+    notes += filter(None, doubts_of)
     # families with edges that do not say how many numbers they measure leave the expected cost open
     counted = all(
         family.numbers[0] or isinstance(family, AnchorEdges) or not len(family.cliques()[1])

@@ -19,8 +19,8 @@ from ..graph import Graph, check_graph
 from ..models import RANGE_NOISES
 from . import INITIALIZE
 from .gnc import solve_gnc
-from .iteration import Iteration
-from .minimize import METHODS, at_estimated_ranges, minimize, takes_estimated_ranges
+from .iteration import METHODS, Iteration
+from .minimize import at_estimated_ranges, minimize, takes_estimated_ranges
 from .solution import Solution, doubted
 
 GNC = "gnc"
@@ -95,19 +95,13 @@ def solve(
     numbers = count(1)
     counted = None if callback is None else lambda step: callback(replace(step, number=next(numbers)))
 
-    def solved(graph: Graph, initialize: str, tolerance: float) -> Solution:
-        if method == GNC:
-            return solve_gnc(graph, tolerance, max_iterations, initialize, probability)
-        return minimize(
-            graph,
-            method=method,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            initialize=initialize,
-            callback=counted,
-            cost_tolerance=cost_tolerance,
+    solved: Callable[[Graph, str, float], Solution]
+    if method == GNC:
+        solved = partial(solve_gnc, max_rounds=max_iterations, probability=probability)
+    else:
+        solved = partial(
+            minimize, method=method, max_iterations=max_iterations, callback=counted, cost_tolerance=cost_tolerance
         )
-
     # the sightings that gnc trusts may change from pass to pass
     again = takes_estimated_ranges(graph, range_noise) and (method != GNC or range_noise == "estimated")
     required = range_noise == "estimated"

@@ -6,7 +6,10 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import maximum_flow
 
 from graphslam.engine import engine
-from graphslam.linear.cholesky import amd, fill_reducing
+
+#: graphs of so many nodes, whose order by minimum degree takes so many flops for each node and entry, are dissected; nodes
+#: with more than so many times the root of all as neighbours come last
+LIMITS, DENSE = (5_000, 10_000.0), 10.0
 
 
 def adjacency(n, first, second):
@@ -81,9 +84,9 @@ def test_the_separators_of_a_grid_separate():
 
 def test_dissection_saves_flops_in_a_large_field():
     n, pattern = 200 * 200, upper(200 * 200, *grid(200, 200))
-    order = fill_reducing(*pattern)
+    order = engine.fill_reducing(*pattern, *LIMITS)
     assert np.array_equal(np.sort(order), np.arange(n))
-    assert engine.flops_of(*pattern, order) < 0.75 * engine.flops_of(*pattern, amd(*pattern))
+    assert engine.flops_of(*pattern, order) < 0.75 * engine.flops_of(*pattern, engine.minimum_degree(*pattern, DENSE))
 
 
 @pytest.mark.parametrize("shape", ["path", "hub", "clique", "pieces", "two nodes"])
@@ -100,12 +103,12 @@ def test_unusual_graphs_are_ordered(shape):
             np.r_[a + 1, b] for a, b in zip(grid(59, 100), (np.zeros(5900, int), np.arange(1, 5901)), strict=True)
         )
     pattern = upper(n, first, second)
-    order = fill_reducing(*pattern, smallest=0, worth=0.0)
+    order = engine.fill_reducing(*pattern, 0, 0.0)
     assert np.array_equal(np.sort(order), np.arange(n))
-    assert engine.flops_of(*pattern, order) <= engine.flops_of(*pattern, amd(*pattern))
+    assert engine.flops_of(*pattern, order) <= engine.flops_of(*pattern, engine.minimum_degree(*pattern, DENSE))
 
 
 def test_dissection_is_tried_only_where_it_may_pay():
-    # a strip is cheap by minimum degree; the order is then that of `amd`
+    # a strip is cheap by minimum degree; the order is then that of minimum degree
     pattern = upper(8000, *grid(10, 800))
-    assert np.array_equal(fill_reducing(*pattern), amd(*pattern))
+    assert np.array_equal(engine.fill_reducing(*pattern, *LIMITS), engine.minimum_degree(*pattern, DENSE))

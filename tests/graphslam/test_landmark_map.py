@@ -71,7 +71,7 @@ def test_the_joint_information_of_some_landmarks_is_the_schur_complement_of_the_
     whole = np.linalg.inv(joint)
     gone, kept = whole[4:, 4:], whole[:4, :4]
     expected = kept - whole[:4, 4:] @ np.linalg.solve(gone, whole[4:, :4])
-    found = known.joint_information([1, 2], 2)
+    found = known.information([1, 2], 2)
     assert np.allclose(found[np.ix_([0, 1, 3, 4], [0, 1, 3, 4])], expected, rtol=1e-12)
     assert not found[2].any() and not found[:, 5].any()
 

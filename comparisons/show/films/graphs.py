@@ -18,8 +18,7 @@ from graphslam.edges import AnchorEdges, EdgeFamily, MarginalEdges, PositionEdge
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import Array, wrap
 from graphslam.solvers.initialize import starting_state
-from graphslam.solvers.iteration import Iteration
-from graphslam.solvers.minimize import METHODS
+from graphslam.solvers.iteration import METHODS, Iteration
 
 from ...estimators import ESTIMATORS, isam2_options, make_graph, online_keywords
 from ...options import AnimationOptions, RunOptions
