@@ -365,9 +365,13 @@ def evaluate(
     rpe_m, rpe_rad = rpe(true_poses, poses, mask=counted) or (None, None)
     heading_rad = heading_rmse(true_poses, poses, mask=counted)
     return replace(
-        of_map, ate_m=ate(true_poses, poses, mask=counted), rpe_m=rpe_m, rpe_rad=rpe_rad, heading_rad=heading_rad,
+        of_map,
+        ate_m=ate(true_poses, poses, mask=counted),
+        rpe_m=rpe_m,
+        rpe_rad=rpe_rad,
+        heading_rad=heading_rad,
         poses_counted=int(np.count_nonzero(counted)),
-    )  # fmt: skip
+    )
 
 
 def _positions(places: Mapping[int, ArrayLike], ids: list[int]) -> Array:
