@@ -177,7 +177,8 @@ class MotionModel(NoiseModel):
 
     def moved(self, control: Array, dt: float) -> tuple[Array, Array]:
         """`accumulate` for one control (2,), in the engine: where it leads (3,), and the covariance of that (3, 3)."""
-        return engine.moved(tuple(vars(self).values()), control[0], control[1], dt)
+        noise = (self.nn, self.no, self.on, self.oo, self.epsilon, self.sigma_v, self.sigma_omega, self.slip)
+        return engine.moved(noise, control[0], control[1], dt)
 
     def accumulate(
         self, controls: ArrayLike, dt: ArrayLike, starts: np.ndarray, control_variances: ArrayLike | None = None,
