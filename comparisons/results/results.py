@@ -181,13 +181,13 @@ class EstimatorResult:
         With errors d of the poses in world axes, pose k is off by d_k - J d_0, J = [1, 0, -dy; 0, 1, dx; 0, 0, 1], (dx, dy)
         the way from the first pose. So P = P_kk - J P_0k - P_k0 J' + J P_00 J'.
         """
-        if self.graph is None or self.state is None:
+        if self.graph is None or self.state is None or self._solution is None:
             return None
         J = np.broadcast_to(np.eye(3), covariances.shape).copy()
         J[:, 0, 2], J[:, 1, 2] = self.poses[0, 1] - self.poses[:, 1], self.poses[:, 0] - self.poses[0, 0]
         crossed = np.full(covariances.shape, np.nan)
-        steps = self.graph.steps
-        crossed[steps] = Uncertainty(self.graph, self.state).with_node(0)[: len(steps)]
+        uncertainty = Uncertainty(self.graph, self.state, self._solution.scan_errors)
+        crossed[self.graph.steps] = uncertainty.with_pose(0)
         mixed = J @ np.swapaxes(crossed, 1, 2)
         return covariances - mixed - np.swapaxes(mixed, 1, 2) + J @ covariances[0] @ np.swapaxes(J, 1, 2)
 

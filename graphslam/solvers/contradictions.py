@@ -389,12 +389,13 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     if found is None or len(state) == len(graph.steps):
         return nothing, ""
     edges, errors, variances = found
-    joined = edges.second[:-1] == edges.first[1:]
-    deviations = np.sqrt(np.diagonal(variances, axis1=1, axis2=2))
+    variances = np.diagonal(variances, axis1=1, axis2=2)
+    usual, deviations = np.all(_usual(variances), axis=1), np.sqrt(variances)
+    joined = (edges.second[:-1] == edges.first[1:]) & usual[:-1] & usual[1:]
     z = errors / deviations
     far = FAR * np.median(np.abs(z), axis=0)
     z = np.clip(z, -far, far)
-    z -= z.mean(axis=0)
+    z = np.where(usual[:, None], z - z[usual].mean(axis=0), 0.0)
     count, squares = np.count_nonzero(joined), np.sum(z**2, axis=0)
     if count < FEWEST_MOTIONS or not squares.all():
         return nothing, ""
@@ -415,10 +416,15 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     )
 
 
+def _usual(variances: Array) -> np.ndarray:
+    """False for motions (E, ...) of which next to nothing is known, such as those between two drives."""
+    return variances <= UNUSUAL * np.quantile(variances, 0.9, axis=0)
+
+
 def _largest_stretch(errors: Array, variances: Array) -> tuple[float, int, int, float]:
     """The largest abs(z) of all stretches of errors (E,), the first and the last motion of that stretch, and its abs(d)."""
-    # motions of which next to nothing is known, such as those between two drives, tell no bias of the others
-    usual = variances <= UNUSUAL * np.quantile(variances, 0.9)
+    # unusual motions tell no bias of the others
+    usual = _usual(variances)
     errors, variances = np.where(usual, errors, 0.0), np.where(usual, variances, 0.0)
     S, V = (np.concatenate([[0.0], np.cumsum(values)]) for values in (errors, variances))
     best, length = (0.0, 0, 0, 0.0), 1

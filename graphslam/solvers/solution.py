@@ -28,13 +28,13 @@ from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
 from ..log import Log
 from ..metrics import pose_nees
-from ..se2 import Array, difference, turned_by, wrap
+from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
 from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_odometry, doubt_of_positions, errors_of_scans
 from .iteration import Run
 from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
-from .uncertainty import Uncertainty, anchored, doubts, ids_of, shaped
+from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
 MAX_JOINT_NUMBERS = 50_000_000
@@ -199,7 +199,7 @@ class Solution:
         """
         if poses is None and landmarks is None and not joint:
             blocks = np.full((len(self.poses), 3, 3), np.nan)
-            blocks[self.estimated] = self._pose_covariances()
+            blocks[self.estimated] = self._uncertainty.of_poses
             return blocks
         graph = self._solved_graph
         if poses is None and landmarks is None:
@@ -210,7 +210,7 @@ class Solution:
             raise OptionError(f"there is no landmark {unknown[0]} in the solution")
         if not joint:
             of_landmarks = [self.landmark_covariances[id] for id in ids]
-            return shaped(poses, landmarks, list(self._pose_covariances()[nodes]), of_landmarks)
+            return shaped(poses, landmarks, [self._uncertainty.of_poses[node] for node in nodes], of_landmarks)
         if ids and not len(graph.landmark_ids):
             raise OptionError(
                 f"landmark {ids[0]} is no node of this graph; edges='landmark+motion' makes nodes of landmarks"
@@ -219,29 +219,7 @@ class Solution:
         nodes += [first + int(np.searchsorted(graph.landmark_ids, id)) for id in ids]
         different, places = np.unique(nodes, return_inverse=True)
         rows = np.concatenate([3 * place + np.arange(size) for place, size in zip(places, sizes)])
-        whole = self._uncertainty.joint(different)
-        for k, node in enumerate(different[different < first].tolist()):
-            at, block = slice(3 * k, 3 * k + 3), self._pose_covariances()[node]
-            if node in anchored(graph) and self.scan_errors.any():
-                # what other nodes share with it is the error of its scan for the most part
-                whole[:, at] = whole[:, at] @ np.linalg.solve(self._uncertainty.diagonal[node], block)
-                whole[at] = whole[:, at].T
-            whole[at, at] = block
-        return whole[np.ix_(rows, rows)]
-
-    def _pose_covariances(self) -> Array:
-        """The covariances (P, 3, 3) of the poses of the graph, with `scan_errors`.
-
-        A node stands for the pose together with the error b of its scan. At an anchored one the pose itself is known.
-        """
-        graph = self._solved_graph
-        blocks = self._uncertainty.diagonal[: len(graph.steps)]
-        if self.scan_errors.any():
-            of_scans = turned_by(self.scan_errors, self.state[: len(blocks), 2])
-            known = np.isin(np.arange(len(blocks)), anchored(graph))
-            blocks = blocks + np.where(known, -1.0, 1.0)[:, None, None] * of_scans
-            blocks[graph.fixed[graph.fixed < len(blocks)]] = 0.0
-        return blocks
+        return self._uncertainty.joint_of_poses(different)[np.ix_(rows, rows)]
 
     @cached_property
     def landmark_covariances(self) -> dict[int, Array]:
@@ -278,8 +256,8 @@ class Solution:
     def joint_nees(self, true_poses: ArrayLike) -> float:
         """e' Omega e / (3 T) of all poses together but the first, given the first; 1 on average if consistent.
 
-        Landmark nodes and estimated parameters are eliminated, so that their uncertainty counts. The truth must be in the
-        frame of the graph, and known for all its poses.
+        Landmark nodes and estimated parameters are eliminated, so that their uncertainty counts; `scan_errors` do not count.
+        The truth must be in the frame of the graph, and known for all its poses.
         """
         graph = self._solved_graph
         errors = difference(self.state[: len(graph.steps)], np.asarray(true_poses, dtype=float)[graph.steps])

@@ -32,16 +32,22 @@ class Uncertainty:
     robust kernels it is that of their estimate (`Graph.information`). Fixed nodes have covariance zero. The
     uncertainty of parameters, solved for or held, is part of that of the nodes: Omega^-1 + (Omega^-1 C) S^-1 (Omega^-1 C)'.
 
-    Where all sightings of a scan have an error in common (`Solution.scan_errors`), a node of a pose stands for the pose with
-    this error, and an anchor, which holds the pose, is wider by it: the first scan turns and shifts everything else.
+    Where all sightings of a scan have an error b in common (`Solution.scan_errors`), a node stands for the pose with this
+    error, n = x + b, and an anchor, which holds x, is wider by it: the first scan turns and shifts everything else. With the
+    covariance C of b and the information W of the wider anchor of the node, zero without one,
+
+        E[x given n] = K n + const, K = I - C W,    cov(x given n) = C - C W C,
+
+    so that the covariance of a pose is K P K' + C - C W C, and that of two poses K_1 P_12 K_2'.
 
     Raises:
         GraphError: (all methods) the edges do not determine the nodes.
     """
 
     def __init__(self, graph: Graph, state: Array, scan_errors: Array | None = None) -> None:
-        if scan_errors is not None and scan_errors.any():
-            graph = _with_wider_anchors(graph, state, scan_errors)
+        self._scan_errors = np.zeros((3, 3)) if scan_errors is None else scan_errors
+        if self._scan_errors.any():
+            graph = _with_wider_anchors(graph, state, self._scan_errors)
         self._graph, self._state = graph, state
 
     def __getstate__(self) -> dict[str, Any]:
@@ -111,14 +117,50 @@ class Uncertainty:
         blocks[self._graph.fixed] = 0.0
         return blocks
 
-    def with_node(self, j: int) -> Array:
-        """The covariances (n, 3, 3) between every node and node j, by one solution: the columns of node j in Omega^-1."""
+    @cached_property
+    def _from_nodes(self) -> tuple[Array, Array]:
+        """K and the covariance of x given n of each pose, both (P, 3, 3); see the class."""
+        graph, poses = self._graph, len(self._graph.steps)
+        C, W = turned_by(self._scan_errors, self._state[:poses, 2]), np.zeros((graph.num_nodes, 3, 3))
+        for each in graph.families:
+            if type(each) is AnchorEdges:
+                np.add.at(W, each.nodes, each.information)
+        left = C - C @ W[:poses] @ C
+        left[graph.fixed[graph.fixed < poses]] = 0.0
+        return np.eye(3) - C @ W[:poses], left
+
+    @cached_property
+    def of_poses(self) -> Array:
+        """The covariance of every pose, (P, 3, 3), without the error of its scan."""
+        nodes = self.diagonal[: len(self._graph.steps)]
+        if not self._scan_errors.any():
+            return nodes
+        K, left = self._from_nodes
+        return K @ nodes @ np.swapaxes(K, 1, 2) + left
+
+    def joint_of_poses(self, nodes: np.ndarray) -> Array:
+        """The covariance (3k, 3k) of nodes (k,) together, in the place of nodes of poses that of the poses."""
+        whole, poses = self.joint(nodes), len(self._graph.steps)
+        if self._scan_errors.any():
+            for k in np.flatnonzero(nodes < poses).tolist():
+                at, (K, left) = slice(3 * k, 3 * k + 3), (each[nodes[k]] for each in self._from_nodes)
+                whole[at] = K @ whole[at]
+                whole[:, at] = whole[:, at] @ K.T
+                whole[at, at] += left
+        return whole
+
+    def with_pose(self, j: int) -> Array:
+        """The covariances (P, 3, 3) between every pose and pose j, by one solution: the columns of node j in Omega^-1."""
+        poses, columns = len(self._graph.steps), np.zeros((self._graph.num_nodes, 3, 3))
         if j in self._graph.fixed:
-            return np.zeros((self._graph.num_nodes, 3, 3))
-        columns = np.zeros((self._graph.num_nodes, 3, 3))
+            return columns[:poses]
         columns[j] = np.eye(3)
-        blocks = self.solve(columns) + self._spread @ self._spread[j].T
-        blocks[self._graph.fixed] = 0.0
+        blocks = (self.solve(columns) + self._spread @ self._spread[j].T)[:poses]
+        blocks[self._graph.fixed[self._graph.fixed < poses]] = 0.0
+        if self._scan_errors.any():
+            K, left = self._from_nodes
+            blocks = K @ blocks @ K[j].T
+            blocks[j] += left[j]
         return blocks
 
     def joint(self, nodes: np.ndarray) -> Array:
@@ -186,25 +228,20 @@ class Uncertainty:
         return square
 
 
-def anchored(graph: Graph) -> np.ndarray:
-    """The nodes of poses that anchors hold."""
-    return np.concatenate(
-        [np.zeros(0, dtype=int), *(each.nodes for each in graph.families if type(each) is AnchorEdges)]
-    )
-
-
 def _with_wider_anchors(graph: Graph, state: Array, covariance: Array) -> Graph:
-    """The graph with the covariance (3, 3), in the axes of each pose, added to that of each anchor."""
-    families = [
-        replace(
-            each,
-            information=np.linalg.inv(np.linalg.inv(each.information) + turned_by(covariance, state[each.nodes, 2])),
-        )
-        if type(each) is AnchorEdges
-        else each
-        for each in graph.families
-    ]
-    return graph.with_families(tuple(families))
+    """The graph with the covariance C (3, 3), in the axes of each pose, added to that of each anchor.
+
+    The information is then A (I + C A)^-1, which holds where A is singular, too, as that of a heading alone is.
+    """
+
+    def wider(anchor: AnchorEdges) -> AnchorEdges:
+        if type(anchor) is not AnchorEdges:
+            return anchor
+        C = turned_by(covariance, state[anchor.nodes, 2])
+        C[anchor.nodes >= len(graph.steps)] = 0.0
+        return replace(anchor, information=anchor.information @ np.linalg.inv(np.eye(3) + C @ anchor.information))
+
+    return graph.with_changed(AnchorEdges, wider)
 
 
 #: the parameters that are identifiable from turns only: where the robot does not turn, a shift of the sensor moves all

@@ -1,6 +1,7 @@
 """Notes on positions whose lever or covariances are wrong, on wheels that slip, and on noise models that are too narrow."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import pytest
 from comparisons.show.language import translated
 from graphslam import AbsolutePositions, Drive, Graph, MotionModel, SensorModel, join_logs, simulate, solve
 from graphslam.edges import AnchorEdges
-from graphslam.se2 import mounted
+from graphslam.se2 import mounted, turned_by
+from graphslam.solvers.uncertainty import Uncertainty
 
 LEVER, NOISE = "the positions fit better", "the errors of the positions"
 ROBOT = {"motion": MotionModel(nn=0.05, on=0.03, oo=0.05), "sensor": SensorModel(range_rate=0.02, bearing_std=0.02)}
@@ -131,23 +133,66 @@ def test_times_of_scans_that_jitter():
     assert 0.3 < np.mean(nees) < 3.0
 
 
-def test_covariances_with_errors_of_scans():
-    """A pose is its node without the error of its scan; what an anchor holds is the pose."""
-    log = Drive(seed=4, duration=20.0, place="field", landmarks=60, parameters={}, scan_bearing_std=0.03).simulate()[0]
+def shaken_drive(**options):
+    """A drive whose scans have an error of 0.03 rad in common."""
+    options = {"seed": 4, "duration": 20.0, "place": "field", "landmarks": 60, "parameters": {}} | options
+    return Drive(scan_bearing_std=0.03, **options).simulate()[0]
+
+
+def of_poses_and_nodes(graph, state, C):
+    """The covariance of all poses x and landmarks, with nodes n = x + b of both: the other edges measure n, the anchor x."""
+    free, P, n = 1e6, 3 * len(graph.steps), 3 * graph.num_nodes
+    anchor = next(each for each in graph.families if type(each) is AnchorEdges).information[0]
+    measured = graph.information(state).to_sparse().toarray()
+    measured[:3, :3] -= anchor
+    prior = free * np.eye(n)
+    prior[:3, :3] = np.linalg.inv(anchor + np.eye(3) / free)
+    wider = prior.copy()
+    for k, theta in enumerate(state[: P // 3, 2]):
+        wider[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += turned_by(C, theta)
+    follows = prior @ np.linalg.inv(wider)
+    return prior - follows @ prior + follows @ np.linalg.inv(np.linalg.inv(wider) + measured) @ follows.T
+
+
+@pytest.mark.parametrize("position", [None, 0.01, 1e-6])
+def test_covariances_with_errors_of_scans(position):
+    """A pose is its node without the error of its scan; what an anchor holds is the pose, or its heading alone."""
+    log = shaken_drive()
+    if position is not None:
+        log = log.replace(
+            positions=AbsolutePositions(
+                steps=np.array([3]), places=log.true_poses[3:4, :2], covariances=position * np.eye(2)
+            )
+        )
     solution = solve(Graph.from_log(log))
-    steps = solution.graph.steps
-    joint = solution.covariance(poses=steps, joint=True)
+    # the parameters of this robot are known
+    solution = replace(solution, graph=replace(solution.graph, held=None))
+    graph, C = solution.graph, solution.scan_errors
+    steps, marks = graph.steps, list(solution.landmarks)
+    joint = solution.covariance(poses=steps, landmarks=marks, joint=True)
     np.testing.assert_allclose(joint, joint.T, atol=1e-12)
-    assert np.linalg.eigvalsh(joint)[0] > -1e-9
+    assert np.linalg.eigvalsh(joint)[0] > 0
+    expected = of_poses_and_nodes(graph, solution.state, C)
+    of_marks = 3 * (len(steps) + np.arange(len(marks)))[:, None] + np.arange(2)
+    rows = np.concatenate([np.arange(3 * len(steps)), of_marks.ravel()])
+    np.testing.assert_allclose(joint, expected[np.ix_(rows, rows)], rtol=1e-3, atol=1e-6)
     blocks = solution.covariance()[steps]
     at = np.arange(3 * len(steps)).reshape(-1, 3)
     np.testing.assert_allclose(joint[at[:, :, None], at[:, None, :]], blocks, rtol=1e-9, atol=1e-15)
-    anchor = next(each for each in solution.graph.families if type(each) is AnchorEdges)
-    np.testing.assert_allclose(blocks[0], np.linalg.inv(anchor.information[0]), rtol=0.02, atol=1e-12)
+    crossed = Uncertainty(graph, solution.state, C).with_pose(0)
+    np.testing.assert_allclose(crossed, joint[at[:, :, None], at[0]], rtol=1e-6, atol=1e-12)
     # the error of the first scan turns all others together, so that headings share its variance
-    of_scan = solution.scan_errors[2, 2]
-    assert np.all(blocks[1:, 2, 2] > 1.9 * of_scan)
-    assert np.median(joint[at[1:-1, 2], at[2:, 2]]) > 0.9 * of_scan
+    assert np.all(blocks[1:, 2, 2] > 1.9 * C[2, 2])
+    assert np.median(joint[at[1:-1, 2], at[2:, 2]]) > 0.9 * C[2, 2]
+
+
+def test_errors_of_scans_do_not_see_the_way_between_drives():
+    """Nothing is known of the motion from one drive to the next."""
+    log = shaken_drive(duration=80.0, misread=0.0)
+    cuts = np.linspace(0, log.num_poses, 4).astype(int).tolist()
+    joined = join_logs([log.at_steps(np.arange(*ends)) for ends in pairwise(cuts)], placed=True).log
+    one, three = (solve(Graph.from_log(each)).scan_errors for each in (log, joined))
+    np.testing.assert_allclose(three, one, rtol=0.1, atol=0.02 * one[2, 2])
 
 
 def test_a_bias_of_joined_drives_is_no_slip():
