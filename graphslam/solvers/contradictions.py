@@ -85,8 +85,8 @@ TAKEN_FOR_RIGHT = "Poses and their covariances take the map for right"
 #: covariances of positions are doubtful whose roots are wrong by more than this factor
 MISJUDGED = 2.0
 #: errors are clipped to this many times their median; successive ones cancel each other where their correlation is below
-#: the second number and below zero by so many standard errors
-FAR, CANCEL, SURELY = 4.5, -0.2, 3.5
+#: the second number and below zero by so many standard errors, and their variance is not below the last part of the models'
+FAR, CANCEL, SURELY, SMALL = 4.5, -0.2, 3.5, 0.25
 #: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
 #: that is small
 ROUNDS, STEPS, SETTLED = 10, 20, 0.01
@@ -400,7 +400,8 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     if count < FEWEST_MOTIONS or not squares.all():
         return nothing, ""
     correlations = np.sum((z[:-1] * z[1:])[joined], axis=0) / squares
-    cancel = correlations < min(CANCEL, -SURELY / count**0.5)
+    # errors much smaller than the models of the odometry are those of single sightings, which covariances have already
+    cancel = (correlations < min(CANCEL, -SURELY / count**0.5)) & (squares > SMALL * np.count_nonzero(usual))
     if not cancel.any():
         return nothing, ""
     e = np.where(cancel, z * deviations, 0.0)
