@@ -124,6 +124,9 @@ def read_text(path: Path) -> str:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         check_unpacked(path, content)
+        if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+            message = "the text is in UTF-16; save it as UTF-8: iconv -f utf-16 -t utf-8 OLD > NEW"
+            raise FormatError(path, None, message) from None
         raise FormatError(
             path,
             None,

@@ -290,6 +290,12 @@ def between_poses(log: Log, motion: MotionModel | None, points: int = MOST_POINT
     return control_path(log, motion, interval=interval, most_turn=MOST_TURN)
 
 
+def lone(values: Array) -> np.ndarray:
+    """Which numbers (n,) are known while those beside them are not, so that a line does not show them."""
+    known = np.concatenate([[False], np.isfinite(values), [False]])
+    return known[1:-1] & ~known[:-2] & ~known[2:]
+
+
 def true_line(log: Log) -> Array | None:
     """The true path as far as it is known, (n, 3): at the ends of all controls, else at the poses."""
     return log.true_poses if log.true_path is None else log.true_path

@@ -74,11 +74,17 @@ def comparison_figure(comparison: Comparison) -> Figure:
     return figure
 
 
+#: poses of which no line shows, because the truth is not known at those beside them
+LONE: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 2.5}
+
+
 def draw_truth(axes: Axes, path: Array | None, landmarks: Mapping[int, Array] | None) -> list[Array]:
     """Draw the true path (n, 2 or 3) and the true landmarks where they are known; return their positions (k, 2) each."""
     positions = []
     if path is not None:
         axes.plot(*path[:, :2].T, label="ground truth", **canvas.TRUTH)
+        if (single := canvas.lone(path[:, 0])).any():
+            axes.plot(*path[single, :2].T, **canvas.TRUTH | LONE)
         positions.append(path[np.isfinite(path[:, 0]), :2])
     if landmarks:
         places = np.array([place[:2] for place in landmarks.values()])
@@ -176,6 +182,8 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
         # errors cross each other more often than paths do
         thin = {"linewidth": 0.7 * style.get("linewidth", 1.0)}
         axes.plot(parted(elapsed, ends), parted(errors, ends), **style | thin)
+        if (single := canvas.lone(errors)).any() and style["linestyle"] != "none":
+            axes.plot(elapsed[single], errors[single], **style | LONE)
         medians.append(float(np.nanmedian(errors)))
     log_scale_where_apart(axes, medians)
     title = "(b) position error of every pose" + ", log after log" * bool(ends)

@@ -286,8 +286,8 @@ def synchronize(
             true_poses, true_path = at_poses, truth_at(times[0] + np.concatenate([[0.0], np.cumsum(dt)]), truth)
             true_path[starts] = true_poses
         if not covered.all():
-            few = f"{covered.sum()} of {len(covered)} poses" if covered.any() else "no pose" + _why_none(times, truth)
-            remarks.append(f"the truth covers {few}")
+            few = f"{covered.sum()} of {len(covered)} poses" if covered.any() else "no pose"
+            remarks.append(f"the truth covers {few}{_why_few(times, truth)}")
     if start is None:
         start = np.zeros(3)
         if true_poses is not None and not np.isnan(true_poses[0]).any():
@@ -359,12 +359,13 @@ def _positions(stream: Stream, times: Array) -> AbsolutePositions:
 _READERS: dict[str, Callable[[Stream, Array], Any]] = {"relations": _relations, "positions": _positions}
 
 
-def _why_none(times: Array, truth: Stream) -> str:
-    """The cause why `truth_at` finds nothing: rows too far apart, or another time; empty for fewer than two rows."""
+def _why_few(times: Array, truth: Stream) -> str:
+    """The cause why `truth_at` finds little or nothing: rows too far apart, or another time; empty where it is neither."""
     if len(truth) < 2:
         return ""
     at = np.unique(truth.times)
     if len(at) < 2 or at[0] > times[-1] or at[-1] < times[0]:
         return ": its times lie before or after the poses"
-    spacing = float(np.median(np.diff(at)))
+    if (spacing := float(np.median(np.diff(at)))) <= TRUTH_GAP:
+        return ""
     return f": its rows are {spacing:.3g} s apart (median), and it is interpolated between rows at most {TRUTH_GAP:g} s apart"

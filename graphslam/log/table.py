@@ -153,7 +153,10 @@ DEVIATIONS = ("sigma_x", "sigma_y", "sigma_theta")
 COVARIANCES = ("cov_xx", "cov_xy", "cov_xtheta", "cov_yy", "cov_ytheta", "cov_thetatheta")
 #: what a column can be -> the names it has in other people's tables, after `plain`
 NAMES: dict[str, tuple[str, ...]] = {
-    "t": ("t", "time", "timestamp", "stamp", "ts", "seconds", "secs", "sec", "header_stamp", "times", "timestamps"),
+    "t": (
+        "t", "time", "timestamp", "stamp", "ts", "seconds", "secs", "sec", "header_stamp", "times", "timestamps",
+        "datetime", "date_time", "date",
+    ),
     "nanosec": ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"),
     "nu": (
         "nu", "v", "vel", "velocity", "speed", "linear_x", "linear_velocity", "forward_velocity", "forward_speed",

@@ -66,6 +66,13 @@ class TextTable(Table):
         # above the rows a comment with as many words may name the columns, as in the files of TUM
         self.names = tuple(first if self._header else self._titles_in_comments(lines, len(first)))
         self.width = len(first)
+        other = re.search("[;,\t]", first[0]) if self._header and self.width == 1 else None
+        if other is not None:
+            message = (
+                f"the header has {quoted(other[0])} between its columns, and the rows below have not: use one separator in "
+                "all lines, and no commas at the thousands of numbers"
+            )
+            raise FormatError(path, 1, message)
         if self._header:
             _, below, text = text.partition("\n")
             if not below:

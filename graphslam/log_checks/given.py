@@ -30,16 +30,17 @@ def against_truth(log: Log) -> Iterator[Finding]:
     """Odometry against the true poses: the length of the way, the sign of its turns, and where the robot looks."""
     if log.true_poses is None or log.controls is None:
         return
-    placed = log.covered
-    steps = np.flatnonzero(placed[:-1] & placed[1:])
-    if len(steps) < _FEWEST:
+    # a truth with few rows, as of GPS, is known at single poses only
+    placed = np.flatnonzero(log.covered)
+    if len(placed) <= _FEWEST:
         return
+    begin, end = placed[:-1], placed[1:]
     path, truth = log.at_truth(log.dead_reckoning()), log.true_poses
     # over long pieces as well, because noise of true poses that are close to each other makes their path longer
-    lines = np.flatnonzero(placed)[:: max(1, len(steps) // _LINES)]
+    lines = placed[:: max(1, len(begin) // _LINES)]
     lengths = [
         [float(np.sum(np.hypot(*(poses[to, :2] - poses[at, :2]).T))) for poses in (path, truth)]
-        for at, to in ((lines[:-1], lines[1:]), (steps, steps + 1))
+        for at, to in ((lines[:-1], lines[1:]), (begin, end))
     ]
     ours, theirs = lengths[1]
     if all(max(each) > 1 and not 0.5 < each[0] / max(each[1], 1e-9) < 2 for each in lengths):
@@ -48,9 +49,10 @@ def against_truth(log: Log) -> Iterator[Finding]:
             f"the odometry drives {decimals(ours, 1)} m where the truth moves {decimals(theirs, 1)} m; one may be in another "
             "unit",
         )
-    mirrored = _truth_is_mirrored(path, truth, np.flatnonzero(placed))
-    headed = steps[np.isfinite(truth[steps, 2]) & np.isfinite(truth[steps + 1, 2])]
-    if len(headed) < _FEWEST:
+    mirrored = _truth_is_mirrored(path, truth, placed)
+    headed = np.isfinite(truth[begin, 2]) & np.isfinite(truth[end, 2])
+    begin, end = begin[headed], end[headed]
+    if len(begin) < _FEWEST:
         if mirrored:
             yield Finding(
                 "truth mirrored",
@@ -58,7 +60,7 @@ def against_truth(log: Log) -> Iterator[Finding]:
                 "or of the turn rates have the wrong sign",
             )
         return
-    turns, real = path[headed + 1, 2] - path[headed, 2], wrap(truth[headed + 1, 2] - truth[headed, 2])
+    turns, real = path[end, 2] - path[begin, 2], wrap(truth[end, 2] - truth[begin, 2])
     small = np.abs(turns) < np.pi / 2
     product, size = float(np.sum((turns * real)[small])), float(np.sum((turns**2)[small]))
     if np.sum(np.abs(turns[small])) > 1 and product < -0.5 * size:
@@ -67,24 +69,23 @@ def against_truth(log: Log) -> Iterator[Finding]:
         yield Finding("truth sign", message)
         return
     if theirs > 1:
-        yield from _headings(between(truth[headed], truth[headed + 1]), truth[headed], path, headed, mirrored=mirrored)
+        driven = between(path[begin], path[end])
+        yield from _headings(between(truth[begin], truth[end]), truth[begin], driven, mirrored=mirrored)
 
 
-def _headings(motions: Array, truth: Array, path: Array, steps: np.ndarray, *, mirrored: bool) -> Iterator[Finding]:
+def _headings(motions: Array, truth: Array, driven: Array, *, mirrored: bool) -> Iterator[Finding]:
     """Whether the robot looks where it drives; if not, whether it does with x and y read another way.
 
     Args:
         motions: (K, 3) true ones, seen from the poses where they begin.
         truth: (K, 3) where they begin.
-        path: dead reckoning (T+1, 3).
-        steps: (K,) of the motions.
+        driven: (K, 3) the motions of dead reckoning.
         mirrored: whether the true path turns the other way than the odometry.
     """
     far = np.hypot(*motions[:, :2].T) > np.median(np.hypot(*motions[:, :2].T))
     if not far.any():
         return
-    driven = between(path[steps], path[steps + 1])[far]
-    ahead, heading = np.arctan2(driven[:, 1], driven[:, 0]), truth[far, 2]
+    ahead, heading = np.arctan2(driven[far, 1], driven[far, 0]), truth[far, 2]
     seen = np.arctan2(motions[far, 1], motions[far, 0])
     aside = np.mean(np.exp(1j * (seen - ahead)))
     # cos of the angle between where the robot looks and where it drives

@@ -140,8 +140,13 @@ class SightingPairs:
             for degrees in range(-165, 181, 15):
                 if (sign, degrees) != (1, 0):
                     yield *_direction(sign, degrees), poses, z * [1, sign] + [0.0, np.deg2rad(degrees)]
-        slowly = "the turn rates are in degrees per second (--angles odometry=degrees)"
-        yield "turn rate unit", slowly, self._path([1.0, np.pi / 180])[starts], z
+        # no sensor sees three degrees to each side only; slower turns would fit such bearings, too
+        if np.max(np.abs(z[..., 1])) <= np.pi * np.pi / 180:
+            stated = "the bearings are in radians and were read as degrees (--angles sightings=radians)"
+            yield "bearing unit", stated, poses, z * [1.0, 180 / np.pi]
+        else:
+            slowly = "the turn rates are in degrees per second (--angles odometry=degrees)"
+            yield "turn rate unit", slowly, self._path([1.0, np.pi / 180])[starts], z
         swapped = "the columns of speed and turn rate are swapped (--columns)"
         yield "odometry swapped", swapped, self._path([1.0, 1.0], slice(None, None, -1))[starts], z
         for factor, message in (

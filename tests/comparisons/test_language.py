@@ -38,6 +38,8 @@ from comparisons.show.report import charts, page
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults, tracking
 from graphslam.identification.result import RobotEstimate
+from graphslam.log import cells, streams
+from graphslam.log_checks import given, ids, readings
 
 #: the module, whose package has a function of the same name
 verbs = import_module("comparisons.cli.run")
@@ -54,6 +56,10 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, studies.solver_tables, studies.backend_tables,
     log_tables.import_tables, log_tables.overview_tables, log_tables.evaluation_tables, studies.particle_tables,
     studies.consistency_tables, studies.summary_tables, log_tables.survey_tables, log_tables.calibration_tables,
+    readings.readings_of, readings.SightingPairs._others, readings.SightingPairs._clocks, readings._direction, readings.sizes,
+    readings.nothing_measured, given.against_truth, given._headings, given.against_map, ids.misread_ids, ids.ids_of,
+    ids.changed_ids, cells.repeated_times, cells.sideways_poses, cells.sideways_speed, cells.repeated_sightings,
+    streams._why_few,
 )  # fmt: skip
 #: strings of these functions that are no sentences
 NO_SENTENCES = {
@@ -63,6 +69,44 @@ NO_SENTENCES = {
     "too little noise",
     "wrong sightings",
     "unused option",
+    # names of checks
+    "turn rate unit",
+    "bearing unit",
+    "odometry swapped",
+    "bearing sign",
+    "axes swapped",
+    "sensor direction",
+    "time unit",
+    "speed unit",
+    "range unit",
+    "no motion",
+    "range limit",
+    "range without measurement",
+    "truth scale",
+    "truth mirrored",
+    "truth sign",
+    "truth heading",
+    "map ids",
+    "map mirrored",
+    "misread ids",
+    "seen once",
+    "one landmark",
+    "ids jump",
+    "doubled sightings",
+    "duplicate ids",
+    "ids change",
+    "{} repeats",
+    # parts that are put together, whose wholes `test_warnings_of_a_log` translates
+    "{} (--clocks sightings={})",
+    "the clock of the sightings is about {} s {}",
+    "--sensor-yaw {}",
+    "the sensor looks {}{} degrees to the {} ({})",
+    "{} (of {}) with the time",
+    "{} (of {}) with the time, id and numbers of another row",
+    "the odometry turns the other way than the truth; one of them has the wrong sign{}",
+    "{} and numbers of the row before: the rows were probably written twice, or two files joined",
+    "{} of the row before and other numbers: the times were probably rounded{}, and one row per time is used",
+    "the times were probably rounded{}, or several objects have one id",
 }
 
 
@@ -107,6 +151,11 @@ PUT_TOGETHER = {
     "shares only one with the rest", "share only one with the rest", "time %", "norm %", "speed x", "turn rate x",
     "range x", "start J =", "sightings are from before or after the odometry",
     "and they fit each other better with the map at",
+    "there is no noise.toml", "and these are",
+    "the time goes back by", "and no fixed transform in TF leads from there to",
+    "another map that was tried is less likely by a factor of", "degrees to the left", "degrees to the right",
+    "the sensor looks about", "the times were probably rounded to seconds", "with the time and numbers of the row before",
+    "with the time of the row before and other numbers", "the truth covers no pose",
     "but maximum-likelihood where a log has no ids", "a log and a file to write", "give at most a log and a file to write",
 }  # fmt: skip
 
@@ -403,3 +452,44 @@ def test_the_report_is_japanese(tmp_path: Path) -> None:
     assert [
         s for s in shown if re.search("[a-z]{3}", re.sub("graph|fastslam1", "", s)) and not JAPANESE.search(s)
     ] == []
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise): read like this, they fit the "
+        "odometry 23.0 times better",
+        "x and y of the sightings are swapped (--axes left-forward), or bearings count clockwise from the left (--bearings "
+        "clockwise --sensor-yaw 1.5708): read like this, they fit the odometry 3.0 times better",
+        "the sensor looks about 75 degrees to the right (--sensor-yaw -1.3090): read like this, they fit the odometry 16.3 "
+        "times better",
+        "the sensor looks 90 degrees to the left (--sensor-yaw 1.5708): read like this, they fit the odometry infinitely "
+        "many times better",
+        "the ranges are in cm, against the other lengths: read like this, they fit the odometry 18.3 times better",
+        "the clock of the sightings is about 0.5 s fast (--clocks sightings=-0.5): read like this, they fit the odometry 2.3 "
+        "times better",
+        "the odometry turns the other way than the truth; one of them has the wrong sign; or x and y of the truth are "
+        "swapped, with the headings",
+        "none of the 14 landmarks that are seen (1, 2, 3, ...) is among the 9 of the true map (a, b, ...); the ids of one of "
+        "them may be of another list or column",
+        "landmarks have other ids from about 31.0 s after the start on (1 becomes 3, 2 becomes 4); a detector may have "
+        "counted them anew",
+        "wheels.csv:3: the first of 4800 odometry rows (of 9600) with the time and numbers of the row before: the rows were "
+        "probably written twice, or two files joined",
+        "wheels.csv:3: the first of 4560 odometry rows (of 4800) with the time of the row before and other numbers: the "
+        "times were probably rounded to seconds, and one row per time is used",
+        "tags.csv:3: the first of 1269 sightings (of 2538) with the time, id and numbers of another row: the rows were "
+        "probably written twice, or two files joined, and these sightings count twice",
+        "odometry.csv: the robot drives sideways ('vy') for 65% of its way, which controls (nu, omega) leave out: dead "
+        "reckoning is wrong, and estimates rest on the sightings; OnlineSolver.move(motion=..., covariance=...) takes "
+        "motions in any direction",
+        "oo, estimated as 0.37, is more than usual robots have (at most 0.15): perhaps the turn rate has another sign or "
+        "unit, or bearings count clockwise",
+    ],
+    ids=lambda message: message[:30],
+)
+def test_warnings_of_a_log(message: str) -> None:
+    shown = translated(f"WARNING: {message}.", "ja")
+    assert (
+        shown.startswith("警告: ") and shown.endswith("。") and not re.search(r"[a-z]{2,} [a-z]{2,} [a-z]{2,}", shown)
+    )

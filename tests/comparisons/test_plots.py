@@ -219,6 +219,17 @@ def test_poses_outside_the_graph_leave_gaps(log: Log) -> None:
     assert np.array_equal(np.isnan(path), ~outcome["graph"].estimated)
 
 
+def test_a_truth_at_single_poses_is_drawn_as_points(log: Log) -> None:
+    """As of GPS once a second: no line goes through poses whose neighbours have no true one."""
+    truth = log.true_poses.copy()
+    truth[1::2] = np.nan
+    truth[:4] = log.true_poses[:4]
+    figure = comparison_figure(run(log.replace(true_poses=truth), estimators=["dead-reckoning"]))
+    for axes, color in zip(figure.axes, ("black", colour_of("dead-reckoning"))):
+        points = [line for line in axes.lines if line.get_marker() == "." and to_rgb(line.get_color()) == to_rgb(color)]
+        assert [len(line.get_xdata()) for line in points] == [np.sum(np.isfinite(truth[:, 0])) - 5]
+
+
 def test_an_unknown_estimator_gets_a_style_of_its_own() -> None:
     assert style_of("new", 100) == style_of("new", 100)
     assert style_of("new")["linestyle"] not in ("none", "-")

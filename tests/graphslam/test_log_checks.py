@@ -318,6 +318,23 @@ def test_large_errors_among_many_landmarks_are_no_misread_ids(seed):
     assert not checks(simulate(seed=seed, steps=400, landmarks=landmarks, clean=True, orientation=False))
 
 
+def test_bearings_that_are_no_degrees(own):
+    wrong = own.sightings.copy()
+    wrong[:, 1] *= np.pi / 180
+    assert "--angles sightings=radians" in message(own.replace(sightings=wrong), "bearing unit")
+
+
+def test_a_truth_at_every_other_pose_is_compared(own):
+    """As of GPS once a second: no two neighbouring poses have a true one."""
+    for log in (own, simulate(seed=1)):
+        truth = log.true_poses.copy()
+        truth[1::2] = np.nan
+        assert not checks(log.replace(true_poses=truth))
+        # degrees of latitude and longitude, taken for metres
+        assert message(log.replace(true_poses=truth * [1e-5, 1e-5, 1]), "truth scale").startswith("the odometry drives")
+        assert message(log.replace(true_poses=truth[:, [1, 0, 2]]), "truth mirrored").startswith("x and y of the truth")
+
+
 def test_jitter_of_the_true_poses_is_no_other_unit():
     """True poses at 10 Hz with errors of 2 cm move three times as far as a robot with 0.1 m/s, from one to the next."""
     log = simulate(seed=0, steps=800, dt=0.1, speed=0.1, clean=True, motion=MotionModel.constant(0.01, 0.01))

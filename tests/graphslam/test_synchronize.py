@@ -96,6 +96,9 @@ def test_truth_that_ends_early():
         "its rows are 0.97 s apart (median), and it is interpolated between rows at most 0.5 s apart"
         in sparse.notes[-1]
     )
+    # rows a second apart, of which every second pose has one
+    every = joined(0.5, 1.0, 1.5, 2.0, truth=Stream(np.arange(4) * 1.0, np.zeros((4, 3))))
+    assert "the truth covers 2 of 4 poses: its rows are 1 s apart (median), " in " ".join(every.notes)
 
 
 def gapped(length):

@@ -386,3 +386,34 @@ def test_a_recipe_is_checked(tmp_path):
     path.write_text("sensor_offset = [1]\n")
     with pytest.raises(FormatError, match="import.toml:1: sensor_offset should be a list of two numbers"):
         read_recipe(path)
+
+
+def test_columns_of_two_wheels(tmp_path):
+    for left, right in (("v_left", "v_right"), ("Left ticks", "Right ticks"), ("wheel_l [m/s]", "wheel_r [m/s]")):
+        (tmp_path / "odometry.csv").write_text(f"t,{left},{right}\n0,0.5,0.6\n1,0.5,0.6\n")
+        (tmp_path / "sightings.csv").write_text("t,id,range,bearing\n0,1,2,0.1\n1,1,1.5,0.1\n")
+        with pytest.raises(LogError, match=r"odometry.csv: .*right.* wheel.*nu = \(left \+ right\) / 2"):
+            load(tmp_path)
+
+
+def test_a_header_with_another_separator(tmp_path):
+    (tmp_path / "odometry.csv").write_text("t;nu;omega\n" + "".join(f"1,700,000,00{k}.5;0.5;0.1\n" for k in range(9)))
+    (tmp_path / "sightings.csv").write_text("t,id,range,bearing\n1700000001.0,1,2,0.1\n1700000003.3,1,1.5,0.1\n")
+    with pytest.raises(LogError, match="odometry.csv:1: the header has ';' between its columns"):
+        load(tmp_path)
+
+
+def test_text_in_utf_16(tmp_path):
+    (tmp_path / "odometry.csv").write_text("t,nu,omega\n0,0.5,0.1\n1,0.5,0.1\n", encoding="utf-16")
+    (tmp_path / "sightings.csv").write_text("t,id,range,bearing\n0,1,2,0.1\n1,1,1.5,0.1\n")
+    with pytest.raises(LogError, match="odometry.csv: the text is in UTF-16; .*iconv -f utf-16"):
+        load(tmp_path)
+
+
+def test_times_in_a_column_date(tmp_path):
+    rows = "".join(f"2026-11-29T13:00:0{k}+03:00,0.5,0.1\n" for k in range(5))
+    (tmp_path / "odometry.csv").write_text("Date,v,yaw_rate\n" + rows)
+    (tmp_path / "sightings.csv").write_text(
+        "datetime,id,range,bearing\n2026-11-29 10:00:01,1,2,0.1\n2026-11-29 10:00:03,1,1,0.1\n"
+    )
+    assert load(tmp_path).times.tolist() == [1795946401.0, 1795946403.0]
