@@ -44,7 +44,7 @@ from .rows import (
     range_faults,
     sound_rows,
 )
-from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find, ordered, plain
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find, ordered, wheels
 
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
@@ -302,10 +302,10 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     reader = Reader("odometry", table, options)
     reader.need("t")
     driven = reader.has("nu", "omega") or not reader.has("x", "y")
-    if driven and not reader.has("nu", "omega") and (wheels := _wheels(table)):
+    if driven and not reader.has("nu", "omega") and (sides := wheels(table.names)):
         raise table.error(
             None,
-            f"{named(wheels)} seem to be of the left and the right wheel, which are not read: make columns of the speed "
+            f"{named(sides)} seem to be of the left and the right wheel, which are not read: make columns of the speed "
             "nu = (left + right) / 2 [m/s] and the turn rate omega = (right - left) / track [rad/s] of them, with the "
             "distance between the wheels as track; of ticks, take their differences from row to row in metres per second",
         )
@@ -338,13 +338,6 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         reader.refuse_many("nu", speed, FASTEST, "the speed is {:g} m/s: is it in mm/s?")
         reader.refuse_many("omega", turn, QUICKEST, "the turn rate is {:g} rad/s: is it in degrees per second?")
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts + sideways)
-
-
-def _wheels(table: Table) -> list[str]:
-    """The names of columns of a left and a right wheel; empty unless there are both."""
-    words = {name: set(plain(name)[0].split("_")) for name in table.names}
-    sides = [[name for name, parts in words.items() if parts & side] for side in ({"left", "l"}, {"right", "r"})]
-    return [*sides[0], *sides[1]] if all(sides) else []
 
 
 def _sideways_speed(reader: Reader, speed: Array) -> tuple[Doubt, ...]:

@@ -378,3 +378,10 @@ def _set_back(ns: np.ndarray, jumps: np.ndarray) -> bool:
         if again > TWICE * usual * lasting:
             return True
     return False
+
+
+def wheels(names: Sequence[str]) -> list[str]:
+    """The names of columns of a left and a right wheel; empty unless there are both."""
+    words = {name: set(plain(name)[0].split("_")) for name in names}
+    sides = [[name for name, parts in words.items() if parts & side] for side in ({"left", "l"}, {"right", "r"})]
+    return [*sides[0], *sides[1]] if all(sides) else []
