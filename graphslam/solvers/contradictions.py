@@ -48,7 +48,7 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
+from ..edges import LandmarkPriors, MarginalEdges, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
@@ -86,7 +86,7 @@ TAKEN_FOR_RIGHT = "Poses and their covariances take the map for right"
 MISJUDGED = 2.0
 #: errors are clipped to this many times their median; successive ones cancel each other where their correlation is below
 #: the second number and below zero by so many standard errors, and their variance is not below the last part of the models'
-FAR, CANCEL, SURELY, SMALL = 4.5, -0.2, 3.5, 0.25
+FAR, CANCEL, SURELY, SMALL = 4.5, -0.2, 3.0, 0.25
 #: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
 #: that is small
 ROUNDS, STEPS, SETTLED = 10, 20, 0.01
@@ -350,14 +350,19 @@ def _motion_errors(graph: Graph, state: Array) -> tuple[Any, Array, Array] | Non
         return None
 
 
-def doubt_of_odometry(graph: Graph, state: Array) -> str:
-    """A sentence on the stretch where the odometry contradicts the other measurements most clearly; empty where none does."""
+def doubt_of_odometry(graph: Graph, state: Array, of_scans: Array) -> str:
+    """A sentence on the stretch where the odometry contradicts the other measurements most clearly; empty where none does.
+
+    Args:
+        of_scans: (3, 3) the covariance of `errors_of_scans`, which both ends of a stretch have.
+    """
     found = _motion_errors(graph, state)
     if found is None:
         return ""
     edges, errors, variances = found
     z, first, last, error, unit = max(
-        (*_largest_stretch(errors[:, axis], variances[:, axis, axis]), unit) for axis, unit in ((0, "m"), (2, "rad"))
+        (*_largest_stretch(errors[:, axis], variances[:, axis, axis], 2 * of_scans[axis, axis]), unit)
+        for axis, unit in ((0, "m"), (2, "rad"))
     )
     if z < SLIPPED:
         return ""
@@ -381,17 +386,20 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
 
         E[e_t e_(t+1)'] = -E[b_t b_t'] = -C,
 
-    whereas the errors of odometry are independent, and what a solution leaves of these is smooth. Only axes in which errors
-    of successive motions surely cancel each other count.
+    whereas the errors of odometry are independent, and what a solution leaves of these is smooth. Errors of successive
+    motions must surely cancel each other in one axis; the others count from the same correlation on.
     """
     nothing, found = np.zeros((3, 3)), _motion_errors(graph, state)
     # pairs of sightings count these more than once, so that poses follow their errors
-    if found is None or len(state) == len(graph.steps):
+    once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
+    if found is None or not once:
         return nothing, ""
-    edges, errors, variances = found
-    variances = np.diagonal(variances, axis1=1, axis2=2)
-    usual, deviations = np.all(_usual(variances), axis=1), np.sqrt(variances)
+    edges, errors, whole = found
+    variances = np.diagonal(whole, axis1=1, axis2=2)
+    usual = np.all(_usual(variances), axis=1)
     joined = (edges.second[:-1] == edges.first[1:]) & usual[:-1] & usual[1:]
+    # inexact times make motions short, and their errors as large as those of others
+    deviations = np.sqrt(np.maximum(variances, np.median(variances, axis=0)))
     z = errors / deviations
     far = FAR * np.median(np.abs(z), axis=0)
     z = np.clip(z, -far, far)
@@ -401,9 +409,10 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
         return nothing, ""
     correlations = np.sum((z[:-1] * z[1:])[joined], axis=0) / squares
     # errors much smaller than the models of the odometry are those of single sightings, which covariances have already
-    cancel = (correlations < min(CANCEL, -SURELY / count**0.5)) & (squares > SMALL * np.count_nonzero(usual))
-    if not cancel.any():
+    large = squares > SMALL * np.count_nonzero(usual)
+    if not np.any(large & (correlations < min(CANCEL, -SURELY / count**0.5))):
         return nothing, ""
+    cancel = large & (correlations < CANCEL)
     e = np.where(cancel, z * deviations, 0.0)
     C = -(e[:-1][joined].T @ e[1:][joined]) / count
     values, axes = np.linalg.eigh((C + C.T) / 2)
@@ -422,8 +431,11 @@ def _usual(variances: Array) -> np.ndarray:
     return variances <= UNUSUAL * np.quantile(variances, 0.9, axis=0)
 
 
-def _largest_stretch(errors: Array, variances: Array) -> tuple[float, int, int, float]:
-    """The largest abs(z) of all stretches of errors (E,), the first and the last motion of that stretch, and its abs(d)."""
+def _largest_stretch(errors: Array, variances: Array, of_ends: float) -> tuple[float, int, int, float]:
+    """The largest abs(z) of all stretches of errors (E,), the first and the last motion of that stretch, and its abs(d).
+
+    ``of_ends`` is the variance that a stretch of any length has beside those of its motions.
+    """
     # unusual motions tell no bias of the others
     usual = _usual(variances)
     errors, variances = np.where(usual, errors, 0.0), np.where(usual, variances, 0.0)
@@ -436,7 +448,7 @@ def _largest_stretch(errors: Array, variances: Array) -> tuple[float, int, int, 
         known = np.minimum(variance, rest) > LITTLE * V[-1]
         variance, rest = np.where(known, variance, 1.0), np.where(known, rest, 1.0)
         d = within - (S[-1] - within) * variance / rest
-        z = np.where(known, np.abs(d) / np.sqrt(variance * (1 + variance / rest)), 0.0)
+        z = np.where(known, np.abs(d) / np.sqrt(variance * (1 + variance / rest) + of_ends), 0.0)
         z /= max(1.0, float(np.median(z)) / MEDIAN)
         k = int(np.argmax(z))
         best = max(best, (float(z[k]), k, k + length - 1, abs(float(d[k]))))

@@ -429,8 +429,8 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
             graph = solution.graph or graph
         notes.append(found)
     common, of_scans = errors_of_scans(graph, solution.state)
-    doubts_of = doubt_of_positions(graph, solution.state), doubt_of_odometry(graph, solution.state), of_scans
-    notes += filter(None, doubts_of)
+    of_odometry = doubt_of_odometry(graph, solution.state, common)
+    notes += filter(None, (doubt_of_positions(graph, solution.state), of_odometry, of_scans))
     # families with edges that do not say how many numbers they measure leave the expected cost open
     counted = all(
         family.numbers[0] or isinstance(family, AnchorEdges) or not len(family.cliques()[1])

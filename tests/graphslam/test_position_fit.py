@@ -195,6 +195,34 @@ def test_errors_of_scans_do_not_see_the_way_between_drives():
     np.testing.assert_allclose(three, one, rtol=0.1, atol=0.02 * one[2, 2])
 
 
+def test_errors_of_scans_without_landmark_nodes_and_in_joined_drives():
+    drives = [
+        Drive(
+            seed=4, duration=20.0, place="field", landmarks=60, misread=0.0, parameters={}, scan_bearing_std=0.03
+        ).simulate()[0]
+        for _ in range(2)
+    ]
+    solutions = [
+        solve(Graph.from_log(drives[0], edges=edges, weight="marginal"))
+        for edges in ("landmark+motion", "virtual+motion")
+    ]
+    of_scan = solutions[0].scan_errors
+    assert np.sqrt(of_scan[2, 2]) == pytest.approx(0.03, rel=0.3)
+    np.testing.assert_allclose(solutions[1].scan_errors, of_scan, rtol=0.1, atol=1e-6)
+    # nothing is known of the motion between two drives, so that it says nothing of C
+    joined = solve(Graph.from_log(join_logs(drives, mean_noise=True).log))
+    np.testing.assert_allclose(joined.scan_errors, of_scan, rtol=0.2, atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", [6321, 6331, 6335])
+def test_times_that_make_motions_short(seed):
+    """Where two stamps nearly coincide, the motion between them has little noise, and the same error as others."""
+    log = replace(Drive.random(seed), stamp_std=0.08, duration=60.0, misread=0.0).simulate()[0]
+    solution = solve(Graph.from_log(log))
+    assert solution.scan_errors.any()
+    assert np.nanmean(solution.nees(log.true_poses)) < 2.5
+
+
 def test_a_bias_of_joined_drives_is_no_slip():
     """Nothing is known of the motion between them, and the wheels read a tenth too far all the time."""
     drives = []
