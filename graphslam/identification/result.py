@@ -170,6 +170,8 @@ class RobotEstimate:
         basis: whose noise the result has: that of the estimate, or of one of the other two where this is clearly better.
         on_motion: how many independent numbers show the noise of the motion, if that is typical.
         untested: the biases that were not estimated, because measurements of this kind do not tell them.
+        of_scans: the error that all sightings of a scan have in common along the way [m], which the noise of the sensor
+            contains and that of the odometry does not; 0 where the log shows none.
     """
 
     log: Log
@@ -185,6 +187,7 @@ class RobotEstimate:
     basis: str = ESTIMATE
     on_motion: float = np.inf
     untested: tuple[str, ...] = ()
+    of_scans: float = 0.0
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -203,6 +206,11 @@ class RobotEstimate:
         if self.inflation > 1 and noise:
             lines[0] += (
                 f" (standard deviations; those of the sensor {self.inflation**0.5:.1f} times those of single sightings)"
+            )
+        if self.of_scans:
+            lines.append(
+                f"the sightings of each scan have an error in common of about {self.of_scans:.2g} m along the way, as where "
+                "times are inexact: the noise of the sensor contains it"
             )
         p = self.parameters
         informed = [name for name in p.names if p.deviations[name] < MIN_INFORMATION * p.priors[name][1]]

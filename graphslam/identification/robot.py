@@ -45,8 +45,8 @@ from .result import (
     with_book,
     without_found,
 )
-from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, correlations, inflation, smoothed
-from .unknowns import Unknowns
+from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, common_errors, correlations, inflation, smoothed
+from .unknowns import OF_GAUSSIAN_MOTIONS, Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
 PAUSES = (2.0, 10.0)
@@ -191,11 +191,38 @@ def _estimate(
     motion, seen = last.models
     wider: dict[str, Any] = {name: getattr(seen, name) * factor**0.5 for name in last.sensor_parts}
     seen = replace(seen, **wider)
+    motion, seen, of_scans = _apart_from_scans(last, log, motion, seen)
     corrected, estimate = without_found(last, ids.correct(log), held, motion, seen)
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
-        inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion,
+        inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion, of_scans=of_scans,
     )  # fmt: skip
+
+
+def _apart_from_scans(
+    fitted: Unknowns, log: Log, motion: MotionModel, sensor: SensorModel
+) -> tuple[MotionModel, SensorModel, float]:
+    """The noise models with errors of whole scans as noise of the sensor instead of the odometry, and their size [m].
+
+    Where poses follow such errors, as of inexact times, they look like noise of the odometry. With n sightings a scan of the
+    variance s² + n c² each, their mean has the variance s²/n + c² of one with the common error c. Errors of the bearing alone
+    stay as they are: single bearings would lose what they say of landmarks (docs/decisions.md).
+    """
+    motions = fitted.motions()
+    covariances = fitted.covariances(motions) / OF_GAUSSIAN_MOTIONS
+    found = common_errors(motions.first, motions.second, motions.residuals, covariances)
+    if found is None or found.covariance[0, 0] == 0:
+        return motion, sensor, 0.0
+    ahead, _, turned = np.diag(found.covariance)
+    n, away = len(log.steps) / len(np.unique(log.steps)), float(np.median(log.sightings[:, 0]))
+    axes = {0: ("nn", "no", "sigma_v"), 2: ("on", "oo", "sigma_omega")}
+    less = {name: getattr(motion, name) * found.own[k] ** 0.5 for k, names in axes.items() for name in names}
+    sensor = replace(
+        sensor,
+        range_std=float(np.sqrt(sensor.range_std**2 + n * ahead)),
+        bearing_std=float(np.sqrt(sensor.bearing_std**2 + n * (ahead / away**2 + turned))),
+    )
+    return replace(motion, **less), sensor, float(np.sqrt(ahead))
 
 
 def _known(log: Log, ids: Ids, basis: str, noise: tuple[MotionModel, SensorModel], compared: LeftOut) -> RobotEstimate:

@@ -54,6 +54,7 @@ from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.localization import SURE
 from ..graph.tracker import middle_misfit
+from ..identification.sighting_errors import are_usual, common_errors
 from ..linear.cholesky import Bordered, FactorizationError
 from ..se2 import Array, between, difference, turn_matrix
 from .iteration import end_of, levenberg_marquardt
@@ -84,9 +85,6 @@ OTHER_FRAME = 100.0
 TAKEN_FOR_RIGHT = "Poses and their covariances take the map for right"
 #: covariances of positions are doubtful whose roots are wrong by more than this factor
 MISJUDGED = 2.0
-#: errors are clipped to this many times their median; successive ones cancel each other where their correlation is below
-#: the second number and below zero by so many standard errors, and their variance is not below the last part of the models'
-FAR, CANCEL, SURELY, SMALL = 4.5, -0.2, 3.0, 0.25
 #: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
 #: that is small
 ROUNDS, STEPS, SETTLED = 10, 20, 0.01
@@ -101,8 +99,6 @@ FEWEST_MOTIONS, GROWTH = 20, 1.4
 MEDIAN = 0.6745
 #: a part of the variance of all motions that rounding may leave
 LITTLE = 1e-12
-#: motions with so many times the variance of others are left out
-UNUSUAL = 1e3
 
 
 def doubt_of_map(graph: Graph, state: Array, *, suspected: bool = True) -> tuple[str, float, bool]:
@@ -381,54 +377,22 @@ def doubt_of_odometry(graph: Graph, state: Array, of_scans: Array) -> str:
 def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     """The covariance C (3, 3), in the robot's axes, of the error that all sightings of a scan have in common, and a sentence.
 
-    It is zero, and the sentence empty, where the log does not surely show such errors. An error b_t of the whole scan moves
-    the estimate of that pose: it makes one motion too large and the next one too small by as much, so that
-
-        E[e_t e_(t+1)'] = -E[b_t b_t'] = -C,
-
-    whereas the errors of odometry are independent, and what a solution leaves of these is smooth. Errors of successive
-    motions must surely cancel each other in one axis; the others count from the same correlation on.
+    It is zero, and the sentence empty, where the log does not surely show such errors; see `sighting_errors.common_errors`.
     """
-    nothing, found = np.zeros((3, 3)), _motion_errors(graph, state)
+    motions = _motion_errors(graph, state)
     # pairs of sightings count these more than once, so that poses follow their errors
     once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
-    if found is None or not once:
-        return nothing, ""
-    edges, errors, whole = found
-    variances = np.diagonal(whole, axis1=1, axis2=2)
-    usual = np.all(_usual(variances), axis=1)
-    joined = (edges.second[:-1] == edges.first[1:]) & usual[:-1] & usual[1:]
-    # inexact times make motions short, and their errors as large as those of others
-    deviations = np.sqrt(np.maximum(variances, np.median(variances, axis=0)))
-    z = errors / deviations
-    far = FAR * np.median(np.abs(z), axis=0)
-    z = np.clip(z, -far, far)
-    z = np.where(usual[:, None], z - z[usual].mean(axis=0), 0.0)
-    count, squares = np.count_nonzero(joined), np.sum(z**2, axis=0)
-    if count < FEWEST_MOTIONS or not squares.all():
-        return nothing, ""
-    correlations = np.sum((z[:-1] * z[1:])[joined], axis=0) / squares
-    # errors much smaller than the models of the odometry are those of single sightings, which covariances have already
-    large = squares > SMALL * np.count_nonzero(usual)
-    if not np.any(large & (correlations < min(CANCEL, -SURELY / count**0.5))):
-        return nothing, ""
-    cancel = large & (correlations < CANCEL)
-    e = np.where(cancel, z * deviations, 0.0)
-    C = -(e[:-1][joined].T @ e[1:][joined]) / count
-    values, axes = np.linalg.eigh((C + C.T) / 2)
-    C = (axes * np.maximum(values, 0.0)) @ axes.T
-    sizes = {"m": np.sqrt(C[0, 0] + C[1, 1]), "rad": np.sqrt(C[2, 2])}
-    said = ", ".join(f"{size:.2g} {unit}" for unit, size in sizes.items() if size > 0)
-    return C, (
-        f"the sightings of each scan have an error in common of about {said}, as where the sensor shakes, times are inexact, "
-        "or encoders count coarse ticks: errors of successive motions cancel each other (correlation "
-        f"{correlations.min():.2f}). Covariances contain it"
+    if (
+        motions is None
+        or not once
+        or (found := common_errors(motions[0].first, motions[0].second, *motions[1:])) is None
+    ):
+        return np.zeros((3, 3)), ""
+    return found.covariance, (
+        f"the sightings of each scan have an error in common of about {found.size}, as where the sensor shakes, times are "
+        "inexact, or encoders count coarse ticks: errors of successive motions cancel each other (correlation "
+        f"{found.correlation:.2f}). Covariances contain it"
     )
-
-
-def _usual(variances: Array) -> np.ndarray:
-    """False for motions (E, ...) of which next to nothing is known, such as those between two drives."""
-    return variances <= UNUSUAL * np.quantile(variances, 0.9, axis=0)
 
 
 def _largest_stretch(errors: Array, variances: Array, of_ends: float) -> tuple[float, int, int, float]:
@@ -437,7 +401,7 @@ def _largest_stretch(errors: Array, variances: Array, of_ends: float) -> tuple[f
     ``of_ends`` is the variance that a stretch of any length has beside those of its motions.
     """
     # unusual motions tell no bias of the others
-    usual = _usual(variances)
+    usual = are_usual(variances)
     errors, variances = np.where(usual, errors, 0.0), np.where(usual, variances, 0.0)
     S, V = (np.concatenate([[0.0], np.cumsum(values)]) for values in (errors, variances))
     best, length = (0.0, 0, 0, 0.0), 1
