@@ -124,7 +124,7 @@ def read_text(path: Path) -> str:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         check_unpacked(path, content)
-        if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        if content.startswith((b"\xff\xfe", b"\xfe\xff")) and len(content) % 2 == 0:
             message = "the text is in UTF-16; save it as UTF-8: iconv -f utf-16 -t utf-8 OLD > NEW"
             raise FormatError(path, None, message) from None
         raise FormatError(
