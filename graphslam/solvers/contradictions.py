@@ -382,11 +382,11 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     motions = _motion_errors(graph, state)
     # pairs of sightings count these more than once, so that poses follow their errors
     once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
-    if (
-        motions is None
-        or not once
-        or (found := common_errors(motions[0].first, motions[0].second, *motions[1:])) is None
-    ):
+    if motions is None or not once:
+        return np.zeros((3, 3)), ""
+    edges, errors, covariances = motions
+    found = common_errors(edges.first, edges.second, errors, covariances)
+    if found is None:
         return np.zeros((3, 3)), ""
     return found.covariance, (
         f"the sightings of each scan have an error in common of about {found.size}, as where the sensor shakes, times are "
