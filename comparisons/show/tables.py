@@ -216,7 +216,8 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
         brief: of several logs, only say where the notes about single ones are, if there are many.
     """
     log, remarks = comparison.log, _noise_remarks(comparison)
-    remarks += [f"WARNING: {finding.message}." for finding in comparison.findings]
+    warnings = [finding.message for finding in comparison.findings]
+    remarks += [f"WARNING: {message}." for message in warnings]
     if any(value is not None for value in comparison.nees.values()):
         remarks.append("NEES: 1 means consistent covariances, above 1 overconfident ones.")
     if any(result.integrity_risk is not None for result in comparison.results):
@@ -259,7 +260,9 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
         )
     for result in comparison.results:
         for note in comparison.notes_of(result):
-            notes.setdefault(note, []).append(result.name)
+            # solutions repeat what is wrong with their log, for those who have nothing else
+            if note not in warnings:
+                notes.setdefault(note, []).append(result.name)
     remarks += [f"{', '.join(names)}: {note}." for note, names in notes.items()]
     others = [session_table(comparison), state_table(comparison)]
     return [*result_tables(comparison.table)[0], *(table for table in others if table is not None)], remarks

@@ -217,12 +217,10 @@ def _apart_from_scans(
     n, away = len(log.steps) / len(np.unique(log.steps)), float(np.median(log.sightings[:, 0]))
     axes = {0: ("nn", "no", "sigma_v"), 2: ("on", "oo", "sigma_omega")}
     less = {name: getattr(motion, name) * found.own[k] ** 0.5 for k, names in axes.items() for name in names}
-    sensor = replace(
-        sensor,
-        range_std=float(np.sqrt(sensor.range_std**2 + n * ahead)),
-        bearing_std=float(np.sqrt(sensor.bearing_std**2 + n * (ahead / away**2 + turned))),
-    )
-    return replace(motion, **less), sensor, float(np.sqrt(ahead))
+    _, along, across, _ = SensorModel.NOISE
+    more = {along: n * ahead, across: n * (ahead / away**2 + turned)}
+    larger = {name: float(np.sqrt(getattr(sensor, name) ** 2 + variance)) for name, variance in more.items()}
+    return replace(motion, **less), replace(sensor, **larger), float(np.sqrt(ahead))
 
 
 def _known(log: Log, ids: Ids, basis: str, noise: tuple[MotionModel, SensorModel], compared: LeftOut) -> RobotEstimate:

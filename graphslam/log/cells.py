@@ -30,17 +30,20 @@ _RESOLVED = 2.0**51
 _LARGEST = 2.0**63
 #: date and time of day as in ISO 8601, with the hours and minutes by which it is ahead of UTC
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d(?:[.,]\d{1,9})?) ?(?:Z|UTC|([+-]\d\d):?(\d\d))?")
+#: the time of day, where the date has a column of its own
+_DAY_TIME = re.compile(r"\d\d:\d\d:\d\d.*")
 #: a single time this far [s] outside those of both neighbours is wrong
 STRAY = 10
 
 
-def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
+def nanoseconds(table: Table, column: int, unit: str | None, day: int | None = None) -> np.ndarray:
     """A column of times (N,) as whole nanoseconds.
 
     Args:
         table: whose column it is.
         column: its number.
         unit: "s", "ms", "us" or "ns"; None: by the size of the numbers, which is certain for times since 1970, else s.
+        day: the number of the column of the date, where the table has one; it counts where the times are times of day.
 
     Dates with the time of day (ISO 8601, "2026-11-22T10:00:00.5Z") are counted from 1970, in UTC where they name no zone.
 
@@ -50,14 +53,14 @@ def nanoseconds(table: Table, column: int, unit: str | None) -> np.ndarray:
     try:
         values = table.numbers([column])[:, 0]
     except LogError:
-        if (dates := _of_dates(table, column)) is not None:
+        if (dates := _of_dates(table, column, day)) is not None:
             return dates
         word = str(table.words(column)[0])
         with suppress(ValueError):
             # the first time is a number, so that a later one is the mistake
             float(word)
             raise
-        message = "should be a number, or a date with the time of day as in 2026-11-22T10:00:00.5Z"
+        message = "should be a number, or a date with the time of day as in 2026-11-22T10:00:00.5Z (or in two columns, date and time)"
         raise table.error(0, f"the time {table.title(column)} {message}, not {quoted(word)}") from None
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
         raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
@@ -112,10 +115,13 @@ def time_faults(values: np.ndarray, title: str, unit: str | None, stray: float =
     ]  # fmt: skip
 
 
-def _of_dates(table: Table, column: int) -> np.ndarray | None:
-    """Times (N,) of dates; None where the first is none."""
+def _of_dates(table: Table, column: int, day_column: int | None) -> np.ndarray | None:
+    """Times (N,) of dates, or of dates and times of day in two columns; None where the first is none."""
     ns = np.empty(len(table), np.int64)
-    for row, word in enumerate(map(str, table.words(column))):
+    words = [str(word) for word in table.words(column)]
+    if day_column is not None and words and _DAY_TIME.fullmatch(words[0]):
+        words = [f"{date} {word}" for date, word in zip(table.words(day_column), words)]
+    for row, word in enumerate(words):
         if (match := _DATE.fullmatch(word)) is None:
             if row == 0:
                 return None

@@ -49,13 +49,13 @@ from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, 
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
-    "odometry": ("t", "nanosec", "nu", "vy", "omega", *_POSE),
-    "sightings": ("t", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
-    "truth": ("t", "nanosec", *_POSE),
+    "odometry": ("t", "date", "nanosec", "nu", "vy", "omega", *_POSE),
+    "sightings": ("t", "date", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
+    "truth": ("t", "date", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
     "relations": ("t1", "t2", "dx", "dy", "dtheta", *DEVIATIONS, *COVARIANCES),
     "positions": (
-        *("t", "nanosec", "x", "y", "theta", "latitude", "longitude"),
+        *("t", "date", "nanosec", "x", "y", "theta", "latitude", "longitude"),
         *("sigma", *DEVIATIONS, *COVARIANCES, "lever_x", "lever_y"),
     ),
 }
@@ -223,7 +223,8 @@ class Reader:
         """The times (N,) of a column in nanoseconds, by the clock of the table."""
         self.need(role)
         column = self.found[role].column
-        ns = nanoseconds(self.table, column, self._unit(role))
+        day = self.found["date"].column if self.has("date") else None
+        ns = nanoseconds(self.table, column, self._unit(role), day)
         if self.has("nanosec"):
             self.need("nanosec")
             ns = added(self.table, column, ns, nanoseconds(self.table, self.found["nanosec"].column, "ns"))

@@ -157,6 +157,7 @@ NAMES: dict[str, tuple[str, ...]] = {
         "t", "time", "timestamp", "stamp", "ts", "seconds", "secs", "sec", "header_stamp", "times", "timestamps",
         "datetime", "date_time", "date",
     ),
+    "date": ("date", "day"),
     "nanosec": ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"),
     "nu": (
         "nu", "v", "vel", "velocity", "speed", "linear_x", "linear_velocity", "forward_velocity", "forward_speed",

@@ -251,6 +251,14 @@ def test_remarks(log: Log) -> None:
     ]
 
 
+def test_a_warning_that_solutions_repeat_is_shown_once(log: Log) -> None:
+    doubt = "all sightings are of one landmark"
+    doubted = log.replace(doubts=(("one landmark", doubt),))
+    shown = tables_of(Comparison(doubted, (result(log, "graph", notes=(doubt, "the kernel rejects 3 sightings")),)))[1]
+    assert [each for each in shown if doubt in each] == [f"WARNING: {doubt}."]
+    assert "graph: the kernel rejects 3 sightings." in shown
+
+
 def test_solvers_table_and_remarks() -> None:
     good = VariantResult("a body", 1e-9, 1e-12, 5.0, 9, 10, 0.01, 1.2, True, True)
     bad = VariantResult("b world", 1e-3, 1e-12, 5.0, 9, 10, 0.01, 1.2, True, True)

@@ -37,6 +37,17 @@ def test_dates_are_seconds(tmp_path):
         np.testing.assert_allclose(dated.controls, plain.controls, rtol=1e-15)
 
 
+def test_dates_and_times_of_day_may_be_two_columns(tmp_path):
+    expected = read(tmp_path, odometry("2026-11-22T10:00:{:02}.125Z"), seen("2026-11-22T10:00:{:02}.25Z"))
+    controls = odometry("2026-11-22,10:00:{:02}.125").replace("t,", "date,time,")
+    sightings = seen("10:00:{:02}.25,2026-11-22").replace("t,id", "Time,Date,id")
+    found = read(tmp_path, controls, sightings)
+    np.testing.assert_array_equal(found.steps, expected.steps)
+    np.testing.assert_array_equal(found.dt, expected.dt)
+    with pytest.raises(LogError, match=r"odometry\.csv:12: 'time' should be a date and time .* not '2026-11-22 noon'"):
+        read(tmp_path, controls.replace("10:00:10.125", "noon"), sightings)
+
+
 def test_a_wrong_date_is_named(tmp_path):
     wrong = odometry("2026-11-22T10:00:{:02}Z")
     with pytest.raises(LogError, match=r"odometry\.csv:12: 't' should be a date and time .* not 'noon'"):
