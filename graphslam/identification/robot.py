@@ -219,7 +219,7 @@ def _apart_from_scans(
     less = {name: getattr(motion, name) * found.own[k] ** 0.5 for k, names in axes.items() for name in names}
     _, along, across, _ = SensorModel.NOISE
     more = {along: n * ahead, across: n * (ahead / away**2 + turned)}
-    larger = {name: float(np.sqrt(getattr(sensor, name) ** 2 + variance)) for name, variance in more.items()}
+    larger = {name: np.sqrt(getattr(sensor, name) ** 2 + variance).item() for name, variance in more.items()}
     return replace(motion, **less), replace(sensor, **larger), float(np.sqrt(ahead))
 
 

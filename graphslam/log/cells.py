@@ -60,7 +60,10 @@ def nanoseconds(table: Table, column: int, unit: str | None, day: int | None = N
             # the first time is a number, so that a later one is the mistake
             float(word)
             raise
-        message = "should be a number, or a date with the time of day as in 2026-11-22T10:00:00.5Z (or in two columns, date and time)"
+        message = (
+            "should be a number, or a date with the time of day as in 2026-11-22T10:00:00.5Z (or in two columns, date and "
+            "time)"
+        )
         raise table.error(0, f"the time {table.title(column)} {message}, not {quoted(word)}") from None
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
         raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
