@@ -109,7 +109,7 @@ def prepare(
     in_map: dict[str, Any] = {}
     if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
         landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)
-        data, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
+        data, landmark_map, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
         in_map = {"landmark_map": landmark_map}
         remarks = list(notes)
         with noted(remarks, "whether landmarks of the map have moved is not known"):

@@ -186,7 +186,7 @@ class Graph:
             log = in_frame_of_positions(log)
         else:
             options = replace(options, edges=edges_for_map(log, edges))
-            log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
+            log, known_map, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
             notes += found
         options = replace(options, edges=options.edges or suitable_edges(log, motion, sensor))
         kernel = suitable_kernel(log) if kernel is None else kernel
