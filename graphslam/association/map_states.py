@@ -181,7 +181,13 @@ def map_states(
     for _ in range(MAX_SOLVES):
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
-        solution = solve(Graph.from_log(renamed, map=used, **options))
+        graph = Graph.from_log(renamed, map=used, **options)
+        assert graph.map is not None
+        if left_out := set(used) - set(graph.map):
+            # the first fix showed already that they have moved
+            away = away | left_out
+            continue
+        solution = solve(graph)
         found = _shifts(solution, used, fresh, prior)
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)

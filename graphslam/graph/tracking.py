@@ -5,10 +5,10 @@ reaches `DOUBT`, the sightings since it left 0 are given a fix of their own. If 
 robot was lifted and put down there (*kidnapped*): the control before says nothing about this, and what follows begins at the
 new fix.
 
-**Moved landmarks.** Landmarks that were moved together look like a lift as long as no others are seen, and where the log begins
-among them, its first fix is wrong. So the robot is followed twice from the doubt on to the end of the log, from the new fix
-and from where it was believed to be, and those landmarks are counted whose sightings agree with only one of both. After a lift
-hardly any of them agree with the old place. Otherwise the fewer of both sets have moved: the log is followed again without them.
+**Moved landmarks.** Landmarks that were moved together look like a lift as long as no others are seen, and where the log
+begins among them, its first fix is wrong. So the robot is followed twice from the doubt on to the end of the log, from the
+new fix and from where it was believed to be. Landmarks count whose sightings agree with only one of both. After a lift hardly
+any of them agree with the old place. Otherwise the fewer have moved: the log is followed again without them.
 
 Source: Thrun, Burgard and Fox, *Probabilistic Robotics*, 2005, section 7.1 (kidnapping).
 """
@@ -65,8 +65,9 @@ class Followed:
 def in_frame_of(
     log: Log, landmarks: LandmarkMap, *, motion: MotionModel | None = None, sensor: SensorModel | None = None
 ) -> tuple[Log, LandmarkMap, tuple[str, ...]]:
-    """The log with its initial poses in the frame of a map, the map without landmarks that have moved, and notes, one sentence
-    each; see `first_fix` and the module.
+    """The log with its initial poses in the frame of a map, the map without landmarks that have moved, and notes.
+
+    Each note is one sentence; see `first_fix` and the module.
 
     Sightings without ids get those of the map; landmarks that it lacks get new ones, and what is neither is left out. Where
     the robot was lifted, the control says nothing. The log has no psi where a landmark that is seen and exact in the map has
@@ -86,8 +87,8 @@ def in_frame_of(
     if found.moved:
         landmarks = landmarks.among(set(landmarks) - set(found.moved))
         notes.append(
-            f"{listed('landmark', found.moved)} {'has' if len(found.moved) == 1 else 'have'} moved since the map was made, as "
-            "what the others say of the robot shows; the map is used without"
+            f"{listed('landmark', found.moved)} {'has' if len(found.moved) == 1 else 'have'} moved since the map was made, "
+            "as the others show; the map is used without what has moved"
         )
     log = log.replace(initial_poses=placed, **_freed(log, found.lifted))
     if not log.identified:
@@ -218,11 +219,11 @@ def elsewhere(
 
 
 def voters(drive: Stretch, there: Tracker, later: int, stayed: Tracker) -> Counter[int]:
-    """Of each landmark the sightings that agree only with a robot put down at step ``later``, less those only with one that was not.
+    """Of each landmark the sightings that agree only with a robot put down, less those that agree only with one that was not.
 
     Args:
         drive: until its end, an unknown motion, or `DECIDE` more landmarks of one kind are looked at.
-        there, stayed: trackers of both, at step ``later`` and at step 0.
+        there, stayed: trackers of both, at step ``later``, where it was put down, and at step 0.
     """
     count, rows_at = Counter[int](), drive.rows_at
     for step in range(drive.num_poses):
