@@ -41,6 +41,8 @@ SHOW, LIFTS = 3, 6
 #: landmarks have moved where so many more agree with the other place, of those with so many more sightings of their own; how
 #: many more landmarks end the count
 MORE, OFTEN, DECIDE = 2, 3, 15
+#: where so few landmarks agreed since the last fix, and the other place is nearer than this [m], they moved together
+GROUP, NEARBY = 4, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +89,8 @@ def in_frame_of(
     if found.moved:
         landmarks = landmarks.among(set(landmarks) - set(found.moved))
         notes.append(
-            f"{listed('landmark', found.moved)} {'has' if len(found.moved) == 1 else 'have'} moved since the map was made, "
-            "as the others show; the map is used without what has moved"
+            f"some landmarks have moved since the map was made, as the others show: {listed('landmark', found.moved)}; the map is "
+            "used without them"
         )
     log = log.replace(initial_poses=placed, **_freed(log, found.lifted))
     if not log.identified:
@@ -154,6 +156,10 @@ def _followed(log: Log, drive: Stretch, landmarks: LandmarkMap, leave_out: bool)
                     return moved
                 if put_down is not None:
                     since, found, way = put_down
+                    so_far = (log.steps >= max(result.fixes)) & (log.steps < since) & result.agree
+                    few = set(named[so_far].tolist())
+                    if leave_out and log.identified and len(few) <= GROUP and way < NEARBY:
+                        return few
                     result.fixes[since] = found
                     result.lifted[since] = min(last, since - 1), way
                     tracker.place(found.pose, found.covariance)
