@@ -8,7 +8,8 @@ new fix.
 **Moved landmarks.** Landmarks that were moved together look like a lift as long as no others are seen, and where the log
 begins among them, its first fix is wrong. So the robot is followed twice from the doubt on to the end of the log, from the
 new fix and from where it was believed to be. Landmarks count whose sightings agree with only one of both. After a lift hardly
-any of them agree with the old place. Otherwise the fewer have moved: the log is followed again without them.
+any of them agree with the old place. Otherwise the fewer have moved: the log is followed again without them. Landmarks that
+were all that agreed so far have moved, too, if they are few and the new place is nearby.
 
 Source: Thrun, Burgard and Fox, *Probabilistic Robotics*, 2005, section 7.1 (kidnapping).
 """
@@ -89,8 +90,8 @@ def in_frame_of(
     if found.moved:
         landmarks = landmarks.among(set(landmarks) - set(found.moved))
         notes.append(
-            f"some landmarks have moved since the map was made, as the others show: {listed('landmark', found.moved)}; the map is "
-            "used without them"
+            f"some landmarks have moved since the map was made, as the others show: {listed('landmark', found.moved)}; "
+            "the map is used without them"
         )
     log = log.replace(initial_poses=placed, **_freed(log, found.lifted))
     if not log.identified:
