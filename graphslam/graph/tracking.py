@@ -90,7 +90,7 @@ def in_frame_of(
     if found.moved:
         landmarks = landmarks.among(set(landmarks) - set(found.moved))
         notes.append(
-            f"some landmarks have moved since the map was made, as the others show: {listed('landmark', found.moved)}; "
+            f"some landmarks have moved since the map was made, as the others show: {listed('landmark', list(found.moved))}; "
             "the map is used without them"
         )
     log = log.replace(initial_poses=placed, **_freed(log, found.lifted))

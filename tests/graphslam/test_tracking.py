@@ -15,6 +15,7 @@ from graphslam import (
     simulate,
     solve,
 )
+from graphslam.association.map_states import map_states
 from graphslam.graph.constellation import Constellations, match, merged
 from graphslam.graph.localization import possible_fixes
 from graphslam.graph.tracking import follow
@@ -161,6 +162,8 @@ def test_landmarks_that_moved_together_are_no_kidnapping(seed, step):
     graph = Graph.from_log(log, map=known, **MODELS)
     assert any("moved since the map was made" in note for note in graph.notes)
     assert set(graph.map) == set(TRUE) - set(found.moved)
+    states = map_states(log, known, **MODELS)
+    assert set(found.moved) <= set(states.of("moved")) <= near and not states.of("new")
 
 
 def test_a_lift_in_a_map_with_moved_landmarks_is_noticed():
