@@ -186,6 +186,8 @@ def map_states(
         if left_out := set(used) - set(graph.map):
             # the first fix showed already that they have moved
             away = away | left_out
+            if away in tried:
+                break
             continue
         solution = solve(graph)
         found = _shifts(solution, used, fresh, prior)
@@ -313,7 +315,7 @@ def _next(solution: Solution, found: dict[int, tuple[Array, float, float]], away
     rest = {j: square for j, (_, square, p) in found.items() if j not in away and p > 0.5}
     if first:
         # a robust kernel hides the shift of landmarks whose sightings it leaves out
-        away = away | _weighed_down(solution, set(found))
+        away = away | _weighed_down(solution, set(found) - away)
     if not rest:
         return away
     # the largest first: it may have pulled the others
