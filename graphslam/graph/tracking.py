@@ -153,13 +153,13 @@ def _followed(log: Log, drive: Stretch, landmarks: LandmarkMap, leave_out: bool)
             if tracker.doubt >= tried and tracker.since > 0:
                 tried = 2 * tracker.doubt
                 put_down, moved = elsewhere(drive, tracker, landmarks)
-                if moved and leave_out and log.identified:
+                if moved and leave_out:
                     return moved
                 if put_down is not None:
                     since, found, way = put_down
                     so_far = (log.steps >= max(result.fixes)) & (log.steps < since) & result.agree
                     few = set(named[so_far].tolist())
-                    if leave_out and log.identified and len(few) <= GROUP and way < NEARBY:
+                    if leave_out and drive.identified and len(few) <= GROUP and way < NEARBY:
                         return few
                     result.fixes[since] = found
                     result.lifted[since] = min(last, since - 1), way
@@ -216,6 +216,9 @@ def elsewhere(
     way = difference(fix.pose, x)
     if float(way @ np.linalg.solve(fix.covariance + P, way)) < ELSEWHERE:
         return None, set()
+    if not drive.identified:
+        # too many sightings agree with the old place by chance
+        return (since + later, fix, float(np.hypot(*way[:2]))), set()
     there, stayed = (Tracker(landmarks, drive.sensor, *at) for at in ((fix.pose, fix.covariance), tracker.expected))
     votes = voters(after, there, later, stayed)
     new, old = ({j for j, n in votes.items() if sign * n > 0} for sign in (1, -1))
