@@ -144,7 +144,7 @@ CAUSES = {
     "turn_scale": "is the odometry in radians per second? Noise in recorded turns makes the scale too large.",
     "turn_rate_bias": "is the gyroscope calibrated?",
     "curvature_bias": "does one wheel have another radius?",
-    "range_bias": "do ranges count from another point of the sensor?",
+    "range_bias": "do ranges count from another point of the sensor, or are landmarks above or below it?",
     "bearing_bias": "is the sensor mounted straight?",
     "sensor_ahead": "is the place of the sensor right (sensor offset)?",
     "sensor_left": "is the place of the sensor right (sensor offset)?",
