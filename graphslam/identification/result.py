@@ -139,6 +139,8 @@ MIN_INFORMATION = 0.7
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
 #: fewer numbers that show the noise of the motion are a doubt (docs/decisions.md)
 HARDLY_SHOWN = 12.0
+#: sightings that are earlier than the odometry by more than this [s] have a remark: sensors are late
+EARLY = 0.03
 CAUSES = {
     "wheel_scale": "are odometry and ranges in metres? A log tells only the quotient of their scales.",
     "turn_scale": "is the odometry in radians per second? Noise in recorded turns makes the scale too large.",
@@ -277,6 +279,13 @@ class RobotEstimate:
         if self.untested:
             which = ", ".join(self.untested)
             lines.append(f"not estimated from these ranges and bearings alone: {which} keep their ideal values")
+        delay = dict(zip(self.parameters.names, self.parameters.values.tolist())).get("sensor_delay", 0.0)
+        if delay < -EARLY:
+            lines.append(
+                f"the times of the sightings are {-delay:.2g} s before those of the odometry, and the poses have the times "
+                "of the odometry: does each row of it hold from its time to that of the next row, or are its times those of "
+                f"the ends? In the second case, or where its clock is late, state --clocks odometry={delay:.2g}"
+            )
         if self.left_out.sentence is not None:
             lines.append(self.left_out.sentence)
         if self.basis == DEAD_RECKONING:
