@@ -1,0 +1,141 @@
+"""The error that all sightings of a scan have in common, as of a sensor that shakes or of inexact time stamps.
+
+The noise models have independent errors of single sightings. `errors_of_scans` finds the covariance C of an error b_t of the
+whole scan t, and `Solution.covariance` adds what it does to the solution. With residuals e of the sightings and motions,
+whitened, their Jacobian B, and Omega = B'B + the information of all other edges, a drive with errors of several kinds p,
+
+    e = sum over p of A_p n_p - B Omega^-1 B' (...),   n_p independent with the variances theta_p,
+
+gives q_p = abs(A_p' e)² the expected values sum over r of S_pr theta_r, where S_pr is abs(A_p' M A_r n)², M = I - B Omega^-1 B',
+averaged over random signs n. S theta = q then gives the variances, whatever the scale of the noise models is: kinds are the noise of
+the sensor, that of the motion along its axes, errors of the scan along and in the heading, and such errors that last over
+several scans. These last ones are those of a biased robot or of wrong ids and no errors of single scans. The covariance of
+theta is 2 S^-1 where the noise is that of the models.
+
+Different sightings of the same scan have residuals with a correlation where poses do not follow the scans, and errors of successive
+motions cancel each other where they do, as with estimated noise. Both are in q.
+
+A robust kernel takes errors of scans for outliers, so that the first C is too small. Its weights count C in the next rounds.
+
+Sources: Rao, *Estimation of variance and covariance components: MINQUE theory*, 1971.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..edges import MarginalEdges, SightingEdges
+from ..errors import GraphError
+from ..graph import Graph
+from ..linear.cholesky import FactorizationError
+from ..se2 import Array, turn_matrix
+from .joint import motion_edges, sighted_edges
+
+#: the axes of the robot along which scans and motions have errors: ahead, and the heading
+AXES = (0, 2)
+#: C is believed whose variances are so many standard errors above zero, and explain this part of their q
+SURELY, SHARE = 5.0, 1 / 3
+#: the rounds in which the weights of the kernel follow C, and the number of scans over which other errors last
+ROUNDS, LASTING = 4, 9
+#: the fewest scans and motions that say something; the most samples, and their number times that of the poses
+FEWEST, MOST, SAMPLES = 20, 24, 20_000
+
+
+def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
+    """The covariance C (3, 3), in the robot's axes, of the error that all sightings of a scan have in common, and a sentence.
+
+    It is zero, and the sentence empty, where the log does not surely show such errors.
+    """
+    C, sure = np.zeros((3, 3)), np.zeros(len(AXES), dtype=bool)
+    moved, log = motion_edges(graph), graph.log
+    # pairs of sightings count these more than once, so that poses follow their errors
+    once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
+    seen = any(isinstance(family, SightingEdges) and family.count for family in graph.families)
+    if moved is None or log is None or log.times is None or not (once and seen) or moved.count < FEWEST:
+        return C, ""
+    try:
+        for k in range(ROUNDS):
+            theta, z, share = _variances(graph, state, C)
+            if k == 0:
+                sure = (z > SURELY) & (share > SHARE)
+            if not sure.any():
+                return C, ""
+            C[AXES, AXES] = np.where(sure, np.maximum(theta, 0.0), 0.0)
+    except (FactorizationError, GraphError, np.linalg.LinAlgError):
+        return np.zeros((3, 3)), ""
+    sizes = {"m": C[0, 0] ** 0.5, "rad": C[2, 2] ** 0.5}
+    size = ", ".join(f"{value:.2g} {unit}" for unit, value in sizes.items() if value > 0)
+    return C, (
+        f"the sightings of each scan have an error in common of about {size}, as where the sensor shakes, times are inexact, "
+        "or encoders count coarse ticks. Covariances contain it. Fasten the sensor, record the times at which it measured, or "
+        "give scans less weight: more noise of the sensor in the models"
+    )
+
+
+def _variances(graph: Graph, state: Array, C: Array) -> tuple[Array, Array, Array]:
+    """theta of errors of scans along `AXES`, over their standard errors, and the part of q that they explain."""
+    from scipy.sparse import csr_matrix, diags, eye
+    from scipy.sparse.linalg import splu
+
+    moved, seen, poses = motion_edges(graph), sighted_edges(graph), len(graph.steps)
+    assert moved is not None
+    plain = replace(seen, kernel=None).linearize(state, state)
+    steps = plain.nodes[0]
+    at_scan = plain.jacobians[0] @ turn_matrix(state[steps, 2])
+    weights = np.ones(len(steps))
+    if seen.kernel is not None:
+        # that of sightings which have errors of scans
+        wide = np.linalg.inv(plain.information) + at_scan @ C @ np.swapaxes(at_scan, 1, 2)
+        solved = np.linalg.solve(wide, plain.residuals[:, :, None])[:, :, 0]
+        weights = seen.kernel.weight(np.einsum("ei,ei->e", plain.residuals, solved))
+    weighted = replace(seen, kernel=None, trust=seen.trusted * weights)
+    factor = graph.with_families(weighted if f is seen else f for f in graph.families).linearize(state)[0].own_factor()
+    edges = [weighted.linearize(state, state), replace(moved, frame="body").linearize(state, state)]
+    roots = [np.swapaxes(np.linalg.cholesky(each.information), 1, 2) for each in edges]
+    first = np.cumsum([0, *(each.residuals.size for each in edges)]).tolist()
+
+    def rows(k: int, blocks: Array, columns: np.ndarray, width: int) -> Any:
+        """Blocks (E, d, m) of the edges k, whitened, in columns (E,) of m numbers each."""
+        blocks = roots[k] @ blocks
+        row = first[k] + np.arange(blocks[:, :, 0].size).reshape(*blocks.shape[:2], 1) + np.zeros(blocks.shape, dtype=int)
+        column = columns[:, None, None] * blocks.shape[2] + np.arange(blocks.shape[2]) + np.zeros(blocks.shape, dtype=int)
+        return csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(first[-1], blocks.shape[2] * width))
+
+    free = np.ones((graph.num_nodes, 3))
+    free[graph.fixed] = 0.0
+    ends = [(k, J, nodes) for k, each in enumerate(edges) for J, nodes in zip(each.jacobians, each.nodes)]
+    B = sum(rows(k, J, nodes, graph.num_nodes) for k, J, nodes in ends) @ diags(free.ravel())
+    deviations = np.sqrt(np.diagonal(np.linalg.inv(edges[1].information), axis1=1, axis2=2))[:, :, None] * np.eye(3)
+    scans = [rows(0, at_scan[:, :, a : a + 1], steps, poses) for a in AXES]
+    lasting = diags([LASTING**-0.5] * LASTING, list(range(-(LASTING // 2), LASTING // 2 + 1)), shape=(poses, poses))
+    kinds = [*scans, *(A @ lasting for A in scans), eye(first[-1], first[1], format="csr")]
+    kinds += [rows(1, deviations[:, :, a : a + 1], np.arange(moved.count), moved.count) for a in AXES]
+    if isinstance(seen, MarginalEdges):
+        by_landmark = rows(0, np.zeros((len(steps), 1, 1)) + np.eye(seen.dimension), seen.group, len(seen.starts) - 1)
+        of_landmarks = splu((by_landmark.T @ by_landmark).tocsc())
+
+    def left(errors: Array) -> Array:
+        """M times errors (N, K)."""
+        if isinstance(seen, MarginalEdges):
+            errors = errors - by_landmark @ of_landmarks.solve(by_landmark.T @ errors)
+        moves = factor.solve((B.T @ errors).reshape(graph.num_nodes, 3, -1)).reshape(3 * graph.num_nodes, -1)
+        errors = errors - B @ moves
+        if isinstance(seen, MarginalEdges):
+            errors = errors - by_landmark @ of_landmarks.solve(by_landmark.T @ errors)
+        return errors
+
+    def squares(errors: Array) -> Array:
+        return np.array([np.mean(np.sum((A.T @ errors) ** 2, axis=0)) for A in kinds])
+
+    rng, count = np.random.default_rng(0), int(np.clip(SAMPLES / poses, 4, MOST))
+    q = squares(left(np.concatenate([(R @ each.residuals[:, :, None]).reshape(-1, 1) for R, each in zip(roots, edges)])))
+    S = np.stack([squares(left(A @ rng.choice([-1.0, 1.0], (A.shape[1], count)))) for A in kinds], axis=1)
+    size = np.sqrt(np.diag(S))
+    scaled = S / size[:, None] / size
+    scaled = (scaled + scaled.T) / 2
+    theta = np.linalg.solve(scaled, q / size) / size
+    errors = np.sqrt(2 * np.diag(np.linalg.inv(scaled))) / size
+    return tuple(each[: len(AXES)] for each in (theta, theta / errors, np.diag(S) * theta / q))
