@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import MarginalEdges, SightingEdges
+from ..edges import MarginalEdges, PositionEdges, SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
 from ..linear.cholesky import FactorizationError
@@ -93,7 +93,11 @@ def _variances(graph: Graph, state: Array, C: Array) -> tuple[Array, Array, Arra
         weights = seen.kernel.weight(np.einsum("ei,ei->e", plain.residuals, solved))
     weighted = replace(seen, kernel=None, trust=seen.trusted * weights)
     factor = graph.with_families(weighted if f is seen else f for f in graph.families).linearize(state)[0].own_factor()
-    edges = [weighted.linearize(state, state), replace(moved, frame="body").linearize(state, state)]
+    # poses follow the noise of positions, too
+    positions = [family for family in graph.families if isinstance(family, PositionEdges) and family.count]
+    edges = [each.linearize(state, state) for each in (weighted, replace(moved, frame="body"), *positions)]
+    for k, family in enumerate(positions, 2):
+        edges[k] = replace(edges[k], information=edges[k].information * family.kernel_weights(state)[:, None, None])
     roots = [np.swapaxes(np.linalg.cholesky(each.information), 1, 2) for each in edges]
     first = np.cumsum([0, *(each.residuals.size for each in edges)]).tolist()
 
@@ -111,7 +115,8 @@ def _variances(graph: Graph, state: Array, C: Array) -> tuple[Array, Array, Arra
     deviations = np.sqrt(np.diagonal(np.linalg.inv(edges[1].information), axis1=1, axis2=2))[:, :, None] * np.eye(3)
     scans = [rows(0, at_scan[:, :, a : a + 1], steps, poses) for a in AXES]
     lasting = diags([LASTING**-0.5] * LASTING, list(range(-(LASTING // 2), LASTING // 2 + 1)), shape=(poses, poses))
-    kinds = [*scans, *(A @ lasting for A in scans), eye(first[-1], first[1], format="csr")]
+    kinds = [*scans, *(A @ lasting for A in scans)]
+    kinds += [eye(first[-1], edges[k].residuals.size, -first[k], format="csr") for k in range(len(edges)) if k != 1]
     kinds += [rows(1, deviations[:, :, a : a + 1], np.arange(moved.count), moved.count) for a in AXES]
     if isinstance(seen, MarginalEdges):
         by_landmark = rows(0, np.zeros((len(steps), 1, 1)) + np.eye(seen.dimension), seen.group, len(seen.starts) - 1)
