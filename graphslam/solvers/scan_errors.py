@@ -4,16 +4,19 @@ The noise models have independent errors of single sightings. `errors_of_scans` 
 whole scan t, and `Solution.covariance` adds what it does to the solution. With residuals e of the sightings and motions,
 whitened, their Jacobian B, and Omega = B'B + the information of all other edges, a drive with errors of several kinds p,
 
-    e = sum over p of A_p n_p - B Omega^-1 B' (...),   n_p independent with the variances theta_p,
+    e = M sum over p of A_p n_p,   M = I - B Omega^-1 B',   n_p independent with the variances theta_p,
 
-gives q_p = abs(A_p' e)² the expected values sum over r of S_pr theta_r, where S_pr is abs(A_p' M A_r n)², M = I - B Omega^-1 B',
-averaged over random signs n. S theta = q then gives the variances, whatever the scale of the noise models is: kinds are the noise of
-the sensor, that of the motion along its axes, errors of the scan along and in the heading, and such errors that last over
-several scans. These last ones are those of a biased robot or of wrong ids and no errors of single scans. The covariance of
-theta is 2 S^-1 where the noise is that of the models.
+gives q_p = abs(A_p' e)² the expected value sum over r of S_pr theta_r, where S_pr is the mean of abs(A_p' M A_r n)² over
+random signs n. S theta = q then gives the variances, whatever the scale of the noise models is. The
+kinds are the noise of single sightings, of the motion along its axes and of positions, errors of one scan along the way and
+in the heading, and such errors that last over several scans. These last ones come from a biased robot or wrong ids and do
+not count. The covariance of theta is 2 S^-1 where the noise is that of the models.
 
-Different sightings of the same scan have residuals with a correlation where poses do not follow the scans, and errors of successive
+Residuals of different sightings of one scan are correlated where poses do not follow the scans, and errors of successive
 motions cancel each other where they do, as with estimated noise. Both are in q.
+
+Encoders with coarse ticks have the same residuals: the path of the odometry is off by r_t at each scan, so that the pose with
+r_t sees everything with the error -r_t. Only the few values of their speeds tell.
 
 A robust kernel takes errors of scans for outliers, so that the first C is too small. Its weights count C in the next rounds.
 
@@ -40,6 +43,8 @@ AXES = (0, 2)
 SURELY, SHARE = 5.0, 1 / 3
 #: the rounds in which the weights of the kernel follow C, and the number of scans over which other errors last
 ROUNDS, LASTING = 4, 9
+#: ticks of encoders leave at least so many different speeds, and at most this part of the number of controls
+TICKS = 5, 0.05
 #: the fewest scans and motions that say something; the most samples, and their number times that of the poses
 FEWEST, MOST, SAMPLES = 20, 24, 20_000
 
@@ -68,10 +73,18 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
         return np.zeros((3, 3)), ""
     sizes = {"m": C[0, 0] ** 0.5, "rad": C[2, 2] ** 0.5}
     size = ", ".join(f"{value:.2g} {unit}" for unit, value in sizes.items() if value > 0)
+    values = 0 if log.controls is None else len(np.unique(np.round(log.controls[:, 0], 6)))
+    if log.controls is not None and TICKS[0] <= values < TICKS[1] * len(log.controls):
+        # poses that follow the scans are right
+        return np.zeros((3, 3)), (
+            f"the odometry has an error of about {size} at each scan, which it takes back until the next one, and its speeds "
+            f"have {values} values, as where encoders count coarse ticks: estimate the noise (noise='auto'), or record finer "
+            "ticks; covariances by noise models that are given do not contain it"
+        )
     return C, (
-        f"the sightings of each scan have an error in common of about {size}, as where the sensor shakes, times are inexact, "
-        "or encoders count coarse ticks. Covariances contain it. Fasten the sensor, record the times at which it measured, or "
-        "give scans less weight: more noise of the sensor in the models"
+        f"the sightings of each scan have an error in common of about {size}, as where the sensor shakes or times are "
+        "inexact. Covariances contain it; for better poses fasten the sensor, record the time at which it measured, or "
+        "estimate the noise (noise='auto')"
     )
 
 
@@ -104,8 +117,12 @@ def _variances(graph: Graph, state: Array, C: Array) -> tuple[Array, Array, Arra
     def rows(k: int, blocks: Array, columns: np.ndarray, width: int) -> Any:
         """Blocks (E, d, m) of the edges k, whitened, in columns (E,) of m numbers each."""
         blocks = roots[k] @ blocks
-        row = first[k] + np.arange(blocks[:, :, 0].size).reshape(*blocks.shape[:2], 1) + np.zeros(blocks.shape, dtype=int)
-        column = columns[:, None, None] * blocks.shape[2] + np.arange(blocks.shape[2]) + np.zeros(blocks.shape, dtype=int)
+        row = (
+            first[k] + np.arange(blocks[:, :, 0].size).reshape(*blocks.shape[:2], 1) + np.zeros(blocks.shape, dtype=int)
+        )
+        column = (
+            columns[:, None, None] * blocks.shape[2] + np.arange(blocks.shape[2]) + np.zeros(blocks.shape, dtype=int)
+        )
         return csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(first[-1], blocks.shape[2] * width))
 
     free = np.ones((graph.num_nodes, 3))
@@ -136,7 +153,9 @@ def _variances(graph: Graph, state: Array, C: Array) -> tuple[Array, Array, Arra
         return np.array([np.mean(np.sum((A.T @ errors) ** 2, axis=0)) for A in kinds])
 
     rng, count = np.random.default_rng(0), int(np.clip(SAMPLES / poses, 4, MOST))
-    q = squares(left(np.concatenate([(R @ each.residuals[:, :, None]).reshape(-1, 1) for R, each in zip(roots, edges)])))
+    q = squares(
+        left(np.concatenate([(R @ each.residuals[:, :, None]).reshape(-1, 1) for R, each in zip(roots, edges)]))
+    )
     S = np.stack([squares(left(A @ rng.choice([-1.0, 1.0], (A.shape[1], count)))) for A in kinds], axis=1)
     size = np.sqrt(np.diag(S))
     scaled = S / size[:, None] / size

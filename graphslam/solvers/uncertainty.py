@@ -87,7 +87,9 @@ class Uncertainty:
             graph, poses = self._graph, len(self._graph.steps)
             signs = np.random.default_rng(0).choice([-1.0, 1.0], (poses, 3, SAMPLES))
             errors = np.zeros((*self._state.shape, SAMPLES))
-            errors[:poses] = turn_matrix(self._state[:poses, 2]) @ (np.sqrt(np.diag(self._scan_errors))[:, None] * signs)
+            errors[:poses] = turn_matrix(self._state[:poses, 2]) @ (
+                np.sqrt(np.diag(self._scan_errors))[:, None] * signs
+            )
             sighted = graph.with_families(f for f in graph.families if isinstance(f, SightingEdges))
             moved = times(sighted.information(self._state), errors)
             moved[graph.fixed] = 0.0
