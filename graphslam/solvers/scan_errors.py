@@ -63,7 +63,7 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
         return C, ""
     try:
         for k in range(ROUNDS):
-            theta, z, share = _variances(graph, state, C)
+            theta, z, share = _variances(_Whitened(graph, state, C), int(np.clip(SAMPLES / len(graph.steps), 4, MOST)))
             if k == 0:
                 sure = (z > SURELY) & (share > SHARE)
             if not sure.any():
@@ -88,78 +88,101 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     )
 
 
-def _variances(graph: Graph, state: Array, C: Array) -> tuple[Array, Array, Array]:
+def _variances(drive: _Whitened, samples: int) -> tuple[Array, Array, Array]:
     """theta of errors of scans along `AXES`, over their standard errors, and the part of q that they explain."""
-    from scipy.sparse import csr_matrix, diags, eye
-    from scipy.sparse.linalg import splu
-
-    moved, seen, poses = motion_edges(graph), sighted_edges(graph), len(graph.steps)
-    assert moved is not None
-    plain = replace(seen, kernel=None).linearize(state, state)
-    steps = plain.nodes[0]
-    at_scan = plain.jacobians[0] @ turn_matrix(state[steps, 2])
-    weights = np.ones(len(steps))
-    if seen.kernel is not None:
-        # that of sightings which have errors of scans
-        wide = np.linalg.inv(plain.information) + at_scan @ C @ np.swapaxes(at_scan, 1, 2)
-        solved = np.linalg.solve(wide, plain.residuals[:, :, None])[:, :, 0]
-        weights = seen.kernel.weight(np.einsum("ei,ei->e", plain.residuals, solved))
-    weighted = replace(seen, kernel=None, trust=seen.trusted * weights)
-    factor = graph.with_families(weighted if f is seen else f for f in graph.families).linearize(state)[0].own_factor()
-    # poses follow the noise of positions, too
-    positions = [family for family in graph.families if isinstance(family, PositionEdges) and family.count]
-    edges = [each.linearize(state, state) for each in (weighted, replace(moved, frame="body"), *positions)]
-    for k, family in enumerate(positions, 2):
-        edges[k] = replace(edges[k], information=edges[k].information * family.kernel_weights(state)[:, None, None])
-    roots = [np.swapaxes(np.linalg.cholesky(each.information), 1, 2) for each in edges]
-    first = np.cumsum([0, *(each.residuals.size for each in edges)]).tolist()
-
-    def rows(k: int, blocks: Array, columns: np.ndarray, width: int) -> Any:
-        """Blocks (E, d, m) of the edges k, whitened, in columns (E,) of m numbers each."""
-        blocks = roots[k] @ blocks
-        row = (
-            first[k] + np.arange(blocks[:, :, 0].size).reshape(*blocks.shape[:2], 1) + np.zeros(blocks.shape, dtype=int)
-        )
-        column = (
-            columns[:, None, None] * blocks.shape[2] + np.arange(blocks.shape[2]) + np.zeros(blocks.shape, dtype=int)
-        )
-        return csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(first[-1], blocks.shape[2] * width))
-
-    free = np.ones((graph.num_nodes, 3))
-    free[graph.fixed] = 0.0
-    ends = [(k, J, nodes) for k, each in enumerate(edges) for J, nodes in zip(each.jacobians, each.nodes)]
-    B = sum(rows(k, J, nodes, graph.num_nodes) for k, J, nodes in ends) @ diags(free.ravel())
-    deviations = np.sqrt(np.diagonal(np.linalg.inv(edges[1].information), axis1=1, axis2=2))[:, :, None] * np.eye(3)
-    scans = [rows(0, at_scan[:, :, a : a + 1], steps, poses) for a in AXES]
-    lasting = diags([LASTING**-0.5] * LASTING, list(range(-(LASTING // 2), LASTING // 2 + 1)), shape=(poses, poses))
-    kinds = [*scans, *(A @ lasting for A in scans)]
-    kinds += [eye(first[-1], edges[k].residuals.size, -first[k], format="csr") for k in range(len(edges)) if k != 1]
-    kinds += [rows(1, deviations[:, :, a : a + 1], np.arange(moved.count), moved.count) for a in AXES]
-    if isinstance(seen, MarginalEdges):
-        by_landmark = rows(0, np.zeros((len(steps), 1, 1)) + np.eye(seen.dimension), seen.group, len(seen.starts) - 1)
-        of_landmarks = splu((by_landmark.T @ by_landmark).tocsc())
-
-    def left(errors: Array) -> Array:
-        """M times errors (N, K)."""
-        if isinstance(seen, MarginalEdges):
-            errors = errors - by_landmark @ of_landmarks.solve(by_landmark.T @ errors)
-        moves = factor.solve((B.T @ errors).reshape(graph.num_nodes, 3, -1)).reshape(3 * graph.num_nodes, -1)
-        errors = errors - B @ moves
-        if isinstance(seen, MarginalEdges):
-            errors = errors - by_landmark @ of_landmarks.solve(by_landmark.T @ errors)
-        return errors
-
-    def squares(errors: Array) -> Array:
-        return np.array([np.mean(np.sum((A.T @ errors) ** 2, axis=0)) for A in kinds])
-
-    rng, count = np.random.default_rng(0), int(np.clip(SAMPLES / poses, 4, MOST))
-    q = squares(
-        left(np.concatenate([(R @ each.residuals[:, :, None]).reshape(-1, 1) for R, each in zip(roots, edges)]))
-    )
-    S = np.stack([squares(left(A @ rng.choice([-1.0, 1.0], (A.shape[1], count)))) for A in kinds], axis=1)
+    rng, nothing = np.random.default_rng(0), (np.zeros(len(AXES)),) * 3
+    q = drive.squares(drive.residuals)
+    S = np.stack([drive.squares(A @ rng.choice([-1.0, 1.0], (A.shape[1], samples))) for A in drive.kinds], axis=1)
     size = np.sqrt(np.diag(S))
+    if not (size.all() and q.all()):
+        return nothing
     scaled = S / size[:, None] / size
-    scaled = (scaled + scaled.T) / 2
-    theta = np.linalg.solve(scaled, q / size) / size
-    errors = np.sqrt(2 * np.diag(np.linalg.inv(scaled))) / size
-    return tuple(each[: len(AXES)] for each in (theta, theta / errors, np.diag(S) * theta / q))
+    inverse = np.linalg.inv((scaled + scaled.T) / 2)
+    if np.diag(inverse).min() <= 0:
+        return nothing
+    theta, errors = inverse @ (q / size) / size, np.sqrt(2 * np.diag(inverse)) / size
+    first = slice(len(AXES))
+    return theta[first], (theta / errors)[first], (size**2 * theta / q)[first]
+
+
+class _Whitened:
+    """The edges of a graph at a state, whitened; the weights of sightings count the covariance C of errors of scans.
+
+    Attributes:
+        residuals: e (N, 1) of the sightings, the motions and the positions.
+        kinds: A_p, sparse, those of errors of scans first.
+    """
+
+    def __init__(self, graph: Graph, state: Array, C: Array) -> None:
+        from scipy.sparse import diags, eye
+        from scipy.sparse.linalg import splu
+
+        moved, seen, poses = motion_edges(graph), sighted_edges(graph), len(graph.steps)
+        assert moved is not None
+        weighted = _weighted(seen, state, C)
+        changed = graph.with_families(weighted if f is seen else f for f in graph.families)
+        self._factor = changed.linearize(state)[0].own_factor()
+        # poses follow the noise of positions, too
+        positions = [family for family in graph.families if isinstance(family, PositionEdges) and family.count]
+        edges = [each.linearize(state, state) for each in (weighted, replace(moved, frame="body"), *positions)]
+        for k, family in enumerate(positions, 2):
+            edges[k] = replace(edges[k], information=edges[k].information * family.kernel_weights(state)[:, None, None])
+        self._roots = [np.swapaxes(np.linalg.cholesky(each.information), 1, 2) for each in edges]
+        self._first = np.cumsum([0, *(each.residuals.size for each in edges)])
+        white = [root @ each.residuals[:, :, None] for root, each in zip(self._roots, edges)]
+        self.residuals = np.concatenate([each.reshape(-1, 1) for each in white])
+        free = np.ones((graph.num_nodes, 3))
+        free[graph.fixed] = 0.0
+        ends = [(k, J, nodes) for k, each in enumerate(edges) for J, nodes in zip(each.jacobians, each.nodes)]
+        self._by_nodes = sum(self._rows(k, J, nodes, graph.num_nodes) for k, J, nodes in ends) @ diags(free.ravel())
+        steps = edges[0].nodes[0]
+        at_scan = edges[0].jacobians[0] @ turn_matrix(state[steps, 2])
+        of_motion = np.sqrt(np.diagonal(np.linalg.inv(edges[1].information), axis1=1, axis2=2))[:, :, None] * np.eye(3)
+        scans = [self._rows(0, at_scan[:, :, a : a + 1], steps, poses) for a in AXES]
+        lags = range(-(LASTING // 2), LASTING // 2 + 1)
+        lasting = diags([LASTING**-0.5] * LASTING, list(lags), shape=(poses, poses))
+        self.kinds = [*scans, *(A @ lasting for A in scans)]
+        self.kinds += [self._rows(1, of_motion[:, :, a : a + 1], np.arange(moved.count), moved.count) for a in AXES]
+        for k in (0, *range(2, len(edges))):
+            self.kinds.append(eye(self._first[-1], edges[k].residuals.size, -self._first[k], format="csr"))
+        self._of_landmarks = None
+        if isinstance(seen, MarginalEdges):
+            blocks = np.zeros((len(steps), 1, 1)) + np.eye(seen.dimension)
+            by_landmarks = self._rows(0, blocks, seen.group, len(seen.starts) - 1)
+            self._of_landmarks = splu((by_landmarks.T @ by_landmarks).tocsc()), by_landmarks
+
+    def squares(self, errors: Array) -> Array:
+        """abs(A_p' M errors)² of each kind, the mean over the columns of errors (N, K)."""
+        errors = self._without_landmarks(errors)
+        pulls = (self._by_nodes.T @ errors).reshape(-1, 3, errors.shape[1])
+        left = self._without_landmarks(errors - self._by_nodes @ self._factor.solve(pulls).reshape(-1, errors.shape[1]))
+        return np.array([np.mean(np.sum((A.T @ left) ** 2, axis=0)) for A in self.kinds])
+
+    def _without_landmarks(self, errors: Array) -> Array:
+        """What is left of errors (N, K) where landmarks that are no nodes follow them."""
+        if self._of_landmarks is None:
+            return errors
+        factor, by_landmarks = self._of_landmarks
+        return errors - by_landmarks @ factor.solve(by_landmarks.T @ errors)
+
+    def _rows(self, k: int, blocks: Array, columns: np.ndarray, width: int) -> Any:
+        """Blocks (E, d, m) of the edges k, whitened, in columns (E,) of m numbers each, as a sparse matrix (N, m width)."""
+        from scipy.sparse import csr_matrix
+
+        blocks = self._roots[k] @ blocks
+        E, d, m = blocks.shape
+        row = np.broadcast_to(self._first[k] + np.arange(E * d).reshape(E, d, 1), blocks.shape)
+        column = np.broadcast_to(m * columns[:, None, None] + np.arange(m), blocks.shape)
+        return csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(self._first[-1], m * width))
+
+
+def _weighted(seen: SightingEdges, state: Array, C: Array) -> SightingEdges:
+    """The sightings without a kernel, with the weights that it gives them where scans have errors with the covariance C."""
+    plain = replace(seen, kernel=None)  # type: ignore[type-var]
+    if seen.kernel is None:
+        return plain
+    edges = plain.linearize(state, state)
+    at_scan = edges.jacobians[0] @ turn_matrix(state[edges.nodes[0], 2])
+    wide = np.linalg.inv(edges.information) + at_scan @ C @ np.swapaxes(at_scan, 1, 2)
+    solved = np.linalg.solve(wide, edges.residuals[:, :, None])[:, :, 0]
+    return plain.with_trust(seen.trusted * seen.kernel.weight(np.einsum("ei,ei->e", edges.residuals, solved)))
