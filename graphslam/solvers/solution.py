@@ -133,8 +133,8 @@ class Solution:
         other_trust: the same for {"relations": (R,), "positions": (N,)}, as far as the graph has them. In a pose graph the
             relations are its loop closures, in their order.
         graph: the graph that was solved, with the final trust in its sightings.
-        scan_errors: (3, 3) the diagonal covariance, in the robot's axes, of the error that sightings of a scan have in common, as
-            far as the log surely shows one (`solvers.scan_errors`), else zero. The noise models do not have it.
+        scan_errors: (3, 3) the covariance, diagonal, in the robot's axes, of the error that all sightings of a scan have in
+            common, as far as the log surely shows one (`solvers.scan_errors`), else zero. The noise models do not have it.
     """
 
     poses: Array
