@@ -178,7 +178,7 @@ class _Whitened:
 
 def _weighted(seen: SightingEdges, state: Array, C: Array) -> SightingEdges:
     """The sightings without a kernel, with the weights that it gives them where scans have errors with the covariance C."""
-    plain = replace(seen, kernel=None)  # type: ignore[type-var]
+    plain = replace(seen, kernel=None)
     if seen.kernel is None:
         return plain
     edges = plain.linearize(state, state)
