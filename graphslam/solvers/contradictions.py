@@ -33,9 +33,6 @@ the robot drove or turned by d more than the odometry says, beside the constant 
 solution varies less than v_k, so that z of a right model is at most a standard normal number. Where models are too narrow,
 all stretches have large ones: z counts in units of their median over all stretches of the same length.
 
-**Scans.** A sensor that shakes, or times that are inexact, give all sightings of one scan the same error, whereas the noise
-models have independent ones. `errors_of_scans` finds its covariance, which `Solution.covariance` adds.
-
 Sources: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948; Baarda, *A testing
 procedure for use in geodetic networks*, 1968 (the covariance of residuals); Kulldorff, *A spatial scan statistic*, 1997 (the
 largest abs(z) of all stretches).
@@ -48,13 +45,13 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import LandmarkPriors, MarginalEdges, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
+from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.localization import SURE
 from ..graph.tracker import middle_misfit
-from ..identification.sighting_errors import are_usual, common_errors
+from ..identification.sighting_errors import are_usual
 from ..linear.cholesky import Bordered, FactorizationError
 from ..se2 import Array, between, difference, turn_matrix
 from .iteration import end_of, levenberg_marquardt
@@ -350,7 +347,7 @@ def doubt_of_odometry(graph: Graph, state: Array, of_scans: Array) -> str:
     """A sentence on the stretch where the odometry contradicts the other measurements most clearly; empty where none does.
 
     Args:
-        of_scans: (3, 3) the covariance of `errors_of_scans`, which both ends of a stretch have.
+        of_scans: (3, 3) the covariance of `scan_errors.errors_of_scans`, which both ends of a stretch have.
     """
     found = _motion_errors(graph, state)
     if found is None:
@@ -371,27 +368,6 @@ def doubt_of_odometry(graph: Graph, state: Array, of_scans: Array) -> str:
         "or were blocked, the robot was moved, or many ids are wrong. The poses there may be off by as much, those after it "
         "and landmarks, too, and covariances do not contain it. Controls that are wrong need more noise "
         "(Log.control_variances)"
-    )
-
-
-def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
-    """The covariance C (3, 3), in the robot's axes, of the error that all sightings of a scan have in common, and a sentence.
-
-    It is zero, and the sentence empty, where the log does not surely show such errors; see `sighting_errors.common_errors`.
-    """
-    motions = _motion_errors(graph, state)
-    # pairs of sightings count these more than once, so that poses follow their errors
-    once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
-    if motions is None or not once:
-        return np.zeros((3, 3)), ""
-    edges, errors, covariances = motions
-    found = common_errors(edges.first, edges.second, errors, covariances)
-    if found is None:
-        return np.zeros((3, 3)), ""
-    return found.covariance, (
-        f"the sightings of each scan have an error in common of about {found.size}, as where the sensor shakes, times are "
-        "inexact, or encoders count coarse ticks: errors of successive motions cancel each other (correlation "
-        f"{found.correlation:.2f}). Covariances contain it"
     )
 
 

@@ -30,10 +30,11 @@ from ..log import Log
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
-from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_odometry, doubt_of_positions, errors_of_scans
+from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_odometry, doubt_of_positions
 from .iteration import Run
 from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
+from .scan_errors import errors_of_scans
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -132,8 +133,8 @@ class Solution:
         other_trust: the same for {"relations": (R,), "positions": (N,)}, as far as the graph has them. In a pose graph the
             relations are its loop closures, in their order.
         graph: the graph that was solved, with the final trust in its sightings.
-        scan_errors: (3, 3) the covariance, in the robot's axes, of the error that all sightings of a scan have in common, as
-            far as the log surely shows one (`contradictions.errors_of_scans`), else zero. The noise models do not have it.
+        scan_errors: (3, 3) the covariance, diagonal, in the robot's axes, of the error that all sightings of a scan have in
+            common, as far as the log surely shows one (`solvers.scan_errors`), else zero. The noise models do not have it.
     """
 
     poses: Array
@@ -219,7 +220,7 @@ class Solution:
         nodes += [first + int(np.searchsorted(graph.landmark_ids, id)) for id in ids]
         different, places = np.unique(nodes, return_inverse=True)
         rows = np.concatenate([3 * place + np.arange(size) for place, size in zip(places, sizes)])
-        return self._uncertainty.joint_of_poses(different)[np.ix_(rows, rows)]
+        return self._uncertainty.joint(different)[np.ix_(rows, rows)]
 
     @cached_property
     def landmark_covariances(self) -> dict[int, Array]:
@@ -312,8 +313,7 @@ class Solution:
         Raises:
             GraphError: the edges do not determine the poses.
         """
-        of_models = self._uncertainty.expected_ate(len(self._solved_graph.steps))
-        return float(np.sqrt(of_models**2 + np.trace(self.scan_errors[:2, :2])))
+        return self._uncertainty.expected_ate(len(self._solved_graph.steps))
 
     @cached_property
     def parameters(self) -> ParameterEstimate | None:
