@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import MarginalEdges, PositionEdges, SightingEdges
+from ..edges import MarginalEdges, PositionEdges, RelativePoseEdges, SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
 from ..linear.cholesky import FactorizationError
@@ -41,6 +41,9 @@ from .joint import motion_edges, sighted_edges
 AXES = (0, 2)
 #: C is believed whose variances are so many standard errors above zero, and explain this part of their q
 SURELY, SHARE = 5.0, 1 / 3
+#: C is looked for where the products of residuals in a scan, or those of successive motions with the other sign, are more
+#: standard errors above zero than this
+SUSPECTED = 2.0, -2.0
 #: the rounds in which the weights of the kernel follow C, and the number of scans over which other errors last
 ROUNDS, LASTING = 4, 9
 #: ticks of encoders leave at least so many different speeds, and at most this part of the number of controls
@@ -60,6 +63,8 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
     seen = any(isinstance(family, SightingEdges) and family.count for family in graph.families)
     if moved is None or log is None or log.times is None or not (once and seen) or moved.count < FEWEST:
+        return C, ""
+    if not _suspected(graph, moved, state):
         return C, ""
     try:
         for k in range(ROUNDS):
@@ -86,6 +91,25 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
         "inexact. Covariances contain it; for better poses fasten the sensor, record the time at which it measured, or "
         "estimate the noise (noise='auto')"
     )
+
+
+def _suspected(graph: Graph, moved: RelativePoseEdges, state: Array) -> bool:
+    """Whether sightings of one scan have correlated residuals, or the errors of successive motions cancel each other.
+
+    This takes a small part of the time of the estimate. Of drives on which C was found, each has the one above 3.7 standard
+    errors or the other above 0.9; without such errors they are at most 1.8 and -2.9 (docs/decisions.md).
+    """
+    edges = _weighted(sighted_edges(graph), state, np.zeros((3, 3))).linearize(state, state)
+    steps, axes = edges.nodes[0], list(AXES)
+    at_scan = (edges.jacobians[0] @ turn_matrix(state[steps, 2]))[:, :, axes]
+    pulls = np.einsum("eia,eij,ej->ae", at_scan, edges.information, edges.residuals)
+    scans = [np.bincount(steps, pull) ** 2 - np.bincount(steps, pull**2) for pull in pulls]
+    motions = replace(moved, frame="body").linearize(state, state)
+    errors = motions.residuals[np.argsort(motions.nodes[0])][:, axes]
+    errors = errors / np.sqrt(np.diagonal(np.linalg.inv(motions.information), axis1=1, axis2=2))[:, axes]
+    successive = [*-(errors[1:] * errors[:-1]).T]
+    kinds = zip((scans, successive), SUSPECTED)
+    return any(np.sum(each) > limit * np.sqrt(np.sum(each**2)) for products, limit in kinds for each in products)
 
 
 def _variances(drive: _Whitened, samples: int) -> tuple[Array, Array, Array]:
