@@ -215,9 +215,8 @@ class Record:
                 f"smoothing {N:,} particles over {T} steps by {count:,} trajectories needs {need / GIGABYTE:.3g} GB of "
                 f"memory, and {there / GIGABYTE:.2g} GB are available; take fewer particles or trajectories"
             )
-        poses, log_weights, parents = particles.recorded()
         problem = seen.in_engine(np.zeros((T, 3)), np.zeros((T, 6)), seen.C)
-        sampler = engine.BackwardSampler(poses, log_weights, parents, problem, CANDIDATES)
+        sampler = engine.BackwardSampler(particles, problem, CANDIDATES)
         trajectories, maps = np.empty((count, T + 1, 3)), np.empty((count, J, 3))
 
         def draw(s: int, seed: int) -> None:

@@ -120,23 +120,23 @@ void trajectories_are_drawn_backwards(Number candidates) {
     constexpr Number N = 400;
     Bits bits{5};
     Random random(bits.source());
-    Problem problem = straight(false);
-    std::vector<double> poses, log_weights;
-    std::vector<std::int32_t> parents;
-    for (Number t = 0; t < 4; ++t)
-        for (Number i = 0; i < N; ++i) {
-            // a start somewhere, and exact motions
-            const double begin = t == 0 ? 0.3 * random.normal() : poses[3 * i];
-            poses.insert(poses.end(), {begin + static_cast<double>(t), 0.0, 0.0});
-            log_weights.push_back(-std::log(static_cast<double>(N)));
-            parents.push_back(static_cast<std::int32_t>(i));
-        }
-    const RecordedParticles particles{poses, log_weights, parents, N};
-    const BackwardSampler sampler(particles, problem, candidates);
+    using vmslam::particles::Rows;
+    const auto log_weights = std::make_shared<Rows>(1, N);
+    log_weights->fill(-std::log(static_cast<double>(N)));
+    // a start somewhere, and exact motions
+    Rows poses(3, N);
+    poses.fill(0.0);
+    for (Number i = 0; i < N; ++i) poses.row(0)[i] = 0.3 * random.normal();
+    vmslam::particles::Record record(std::make_shared<Rows>(poses), log_weights);
+    for (int t = 1; t < 4; ++t) {
+        for (Number i = 0; i < N; ++i) poses.row(0)[i] += 1.0;
+        record.move(std::make_shared<Rows>(poses), log_weights);
+    }
+    const BackwardSampler sampler(record, straight(false), candidates);
     double mean = 0.0;
     constexpr int draws = 400;
     for (int k = 0; k < draws; ++k) {
-        const Trajectory x = sampler.draw(random);
+        const Trajectory x = sampler.draw(random).first;
         expect(std::abs(x[3].x - x[0].x - 3.0) < 1e-12, "motions are those of the particles", candidates);
         mean += x[0].x / draws;
     }

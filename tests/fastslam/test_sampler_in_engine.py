@@ -97,18 +97,17 @@ def test_chains_take_what_belongs_together(log: Log, target: Target) -> None:
         engine.GibbsChain(bits, x, target.problem.motions[:2])
 
 
-@pytest.mark.parametrize("parent", [-1, 4])
-def test_particles_have_parents(target: Target, parent: int) -> None:
-    poses, weights = np.zeros((6, 4, 3)), np.zeros((6, 4))
-    parents = np.zeros((6, 4), np.int32)
-    engine.BackwardSampler(poses, weights, parents, target.in_engine, 10).draw(np.random.default_rng(0).bit_generator)
+def test_trajectories_are_drawn_from_a_record_of_all_steps(target: Target) -> None:
+    particles = engine.ParticleFilter(np.zeros((4, 3)), 1, True)
+    with pytest.raises(ValueError, match="as many steps"):
+        engine.BackwardSampler(particles, target.in_engine, 10)
+    for step in range(5):
+        particles.move_by_control(step, (1.0, 0.0, 0.1, 0.1, 1.0, 0.0), False)
+    engine.BackwardSampler(particles, target.in_engine, 10).draw(np.random.default_rng(0).bit_generator)
     with pytest.raises(ValueError, match="at least one"):
-        engine.BackwardSampler(poses, weights, parents, target.in_engine, 0)
-    with pytest.raises(ValueError, match="row for each step"):
-        engine.BackwardSampler(poses[:-1], weights, parents, target.in_engine, 10)
-    parents[3, 2] = parent
-    with pytest.raises(ValueError, match="none of the particles"):
-        engine.BackwardSampler(poses, weights, parents, target.in_engine, 10)
+        engine.BackwardSampler(particles, target.in_engine, 0)
+    with pytest.raises(ValueError, match="keeps a record"):
+        engine.BackwardSampler(engine.ParticleFilter(np.zeros((4, 3)), 1, False), target.in_engine, 10)
 
 
 def test_searches_take_what_belongs_together() -> None:

@@ -57,7 +57,7 @@ void merge_pair(Blocks& young, Blocks& old, bool oriented, std::size_t classes, 
 
 }  // namespace
 
-void count_misses(std::span<Blocks* const> landmarks, const Rows& poses, double step, const View& view, std::size_t lo,
+void count_misses(std::span<Blocks* const> landmarks, const Rows& poses, double step, const Limits& view, std::size_t lo,
                   std::size_t hi) {
     for (Blocks* const rows : landmarks) {
         for (std::size_t i = lo; i < hi; i += lanes) {

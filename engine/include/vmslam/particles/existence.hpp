@@ -5,13 +5,13 @@
 
 namespace vmslam::particles {
 
-/// Where a landmark should be seen: smallest and largest range [m], largest bearing [rad].
-struct View {
+/// Limits of range [m] and bearing [rad] within which a sensor sees, or a landmark should be seen.
+struct Limits {
     double least_range, most_range, most_bearing;
 };
 
 /// Lower the evidence for landmarks that were in view in this step without a sighting, except for permanent ones.
-void count_misses(std::span<Blocks* const> landmarks, const Rows& poses, double step, const View& view, std::size_t lo,
+void count_misses(std::span<Blocks* const> landmarks, const Rows& poses, double step, const Limits& view, std::size_t lo,
                   std::size_t hi);
 
 /// How many particles have a landmark, whether any may still drop it, and where it lies: the box holds the means with the
