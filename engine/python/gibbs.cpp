@@ -22,28 +22,23 @@ Out<double> rows_of(const std::vector<std::vector<Vector>>& samples, std::size_t
     return array<double>(std::move(flat), {samples.size(), rows, 3});
 }
 
-Problem problem_of(const In<double>& motions, const In<double>& information, const In<Index>& first, const In<Index>& marks,
-                   const In<double>& y, const In<double>& C, const In<double>& weights, const In<double>& z,
-                   const In<double>& q, Number landmarks, int columns, bool exact, double degrees) {
-    const std::size_t T = motions.size() / 3, K = marks.size();
+/// Motions (T, 9) and sightings (K, 21) are rows of the numbers of `Motion` and `Seen`; `marks` (K,) the landmarks of these.
+Problem problem_of(const In<double>& motions, const In<Index>& first, const In<Index>& marks, const In<double>& sightings,
+                   Number landmarks, int columns, bool exact, double degrees) {
+    const std::size_t T = motions.size() / width<Motion>, K = marks.size();
     require(first.size() == T + 2, "a problem needs the first sighting of every step and of the end");
     const std::span<const Index> starts = span(first);
     require(starts[0] == 0 && starts[T + 1] == Index(K) && std::is_sorted(starts.begin(), starts.end()),
             "the first sightings of the steps must ascend from 0 to the number of sightings");
     require(columns == 2 || columns == 3, "sightings have 2 or 3 columns");
     require(landmarks < (Number{1} << 31), "landmarks are numbered with 31 bits");
-    Problem problem{{}, {}, {starts.begin(), starts.end()}, landmarks, columns == 3, exact, degrees};
-    const std::vector<Vector> means = records<Vector>(motions, T), places = records<Vector>(y, K),
-                              measured = records<Vector>(z, K);
-    const std::vector<Vector> variances = records<Vector>(q, K);
-    const std::vector<Symmetric> W = records<Symmetric>(information, T), spread = records<Symmetric>(C, K),
-                                 weight = records<Symmetric>(weights, K);
-    for (std::size_t t = 0; t < T; ++t) problem.motions.push_back({means[t], W[t]});
+    Problem problem{records<Motion>(motions, T), {}, {starts.begin(), starts.end()}, landmarks, columns == 3, exact, degrees};
+    const std::vector<Seen> seen = records<Seen>(sightings, K);
     for (Number t = 0; t <= T; ++t)
         for (Number k = problem.first[t]; k < problem.first[t + 1]; ++k) {
             const Index mark = marks.data()[k];
             require(mark >= 0 && mark < Index(landmarks), "a sighting names a landmark that is not there");
-            problem.sightings.push_back({t, Number(mark), places[k], spread[k], weight[k], measured[k], variances[k]});
+            problem.sightings.push_back({seen[k], t, Number(mark)});
         }
     return problem;
 }

@@ -62,15 +62,14 @@ void gaussians_are_fused(unsigned seed) {
     Gaussian forward, backward;
     double density_forward = 0.0, density_backward = 0.0;
     for (int k = 0; k < 3; ++k) {
-        density_forward += fuse(forward, {y[k].x, y[k].y, 0.2 * y[k].t}, C[k], true);
-        density_backward += fuse(backward, {y[2 - k].x, y[2 - k].y, 0.2 * y[2 - k].t}, C[2 - k], true);
+        density_forward += fuse(forward, {{y[k].x, y[k].y, 0.2 * y[k].t}, C[k]}, true);
+        density_backward += fuse(backward, {{y[2 - k].x, y[2 - k].y, 0.2 * y[2 - k].t}, C[2 - k]}, true);
     }
     expect(farthest(forward.mean, backward.mean) < 1e-12, "fused in any order", seed);
     expect(std::abs(density_forward - density_backward) < 1e-9, "the density of all is the same", seed);
     const Frame pose({random.normal(), random.normal(), 2.0});
-    Gaussian turned_mark{composed(pose, forward.mean), vmslam::edges::turned(pose.axes, forward.S)};
-    const double here = density(forward, y[0], C[0], true);
-    const double there = density(turned_mark, composed(pose, y[0]), vmslam::edges::turned(pose.axes, C[0]), true);
+    const Gaussian seen{y[0], C[0]};
+    const double here = density(forward, seen, true), there = density(composed(pose, forward), composed(pose, seen), true);
     expect(std::abs(here - there) < 1e-9, "densities do not depend on the axes", seed);
     expect(farthest(relative(pose, composed(pose, y[0])), {y[0].x, y[0].y, wrap_angle(y[0].t)}) < 1e-12, "there and back",
            seed);
@@ -89,7 +88,7 @@ Problem straight(bool exact) {
     const auto add = [&](Number step, const Vector& y) {
         const double range = std::hypot(y.x, y.y), bearing = std::atan2(y.y, y.x);
         problem.sightings.push_back(
-            {step, 0, y, C, weight, {range, bearing, bearing - y.t}, {4e-4, 4e-4 / (range * range), 1e-2}});
+            {{{y, C}, weight, {range, bearing, bearing - y.t}, {4e-4, 4e-4 / (range * range), 1e-2}}, step, 0});
     };
     add(0, {5.0, 0.0, 0.0});
     add(3, {2.06, 0.0, 0.0});

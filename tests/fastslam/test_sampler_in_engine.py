@@ -49,23 +49,17 @@ def test_a_map_is_drawn_with_numpy_s_numbers(log: Log, target: Target) -> None:
         ("first", lambda a: a + 1),
         ("marks", lambda a: a - 1),
         ("marks", lambda a: a + 100),
-        ("y", lambda a: a[:-1]),
-        ("C", lambda a: a[:-1]),
-        ("z", lambda a: a[:, :2].copy()),
+        ("sightings", lambda a: a[:-1]),
+        ("sightings", lambda a: a[:, :20].copy()),
+        ("motions", lambda a: a[:-1]),
         ("columns", lambda a: 2 * a),
     ],
 )
 def test_problems_that_are_none_are_refused(target: Target, name: str, change: Any) -> None:
     p = target.problem
-    given: dict[str, Any] = {"y": p.y, "C": p.C, "weights": p.C, "z": p.z, "q": p.q}
-    arrays = {name: np.ascontiguousarray(part) for name, part in given.items()}
-    given = {
-        "motions": p.motions,
-        "information": np.ascontiguousarray(p.information),
-        "first": p.first,
-        "marks": p.marks,
-    }
-    given |= arrays | {"landmarks": len(p.ids), "columns": p.columns, "exact": False, "degrees": 0.0}
+    given: dict[str, Any] = {"motions": np.hstack([p.motions, p.information]), "first": p.first, "marks": p.marks}
+    given |= {"sightings": np.hstack([p.y, p.C, p.C, p.z, p.q]), "landmarks": len(p.ids), "columns": p.columns}
+    given |= {"exact": False, "degrees": 0.0}
     engine.GibbsProblem(*given.values())
     with pytest.raises((ValueError, TypeError)):
         engine.GibbsProblem(*(given | {name: change(given[name])}).values())

@@ -53,7 +53,7 @@ void BackwardSampler::observe(Number t) {
             event = static_cast<std::int32_t>(events_.size());
             events_.push_back(std::move(marks));
         }
-        for (Number i = 0; i < N; ++i) absorb(events_[event][i], Frame(pose(t, i)), s.y, s.C, problem_.oriented);
+        for (Number i = 0; i < N; ++i) fuse(events_[event][i], composed(Frame(pose(t, i)), s.seen), problem_.oriented);
     }
 }
 
@@ -71,14 +71,13 @@ std::pair<Trajectory, Map> BackwardSampler::draw(Random& random) const {
             shared.clear();
             for (Number j = 0; j < J; ++j) {
                 if (!after[j].seen()) continue;
-                after[j] = {composed(d, after[j].mean), edges::turned(d.axes, after[j].S)};
+                after[j] = composed(d, after[j]);
                 const std::int32_t event = last_event_[t * J + j];
                 if (event >= 0) shared.push_back({&events_[event], slots_.data() + (t * J + j) * N, &after[j]});
             }
             chosen = attach(random, t, ancestor, shared);
         }
-        for (const Sighting& s : seen_at(problem_, problem_.sightings, t, t))
-            fuse(after[s.mark], s.y, s.C, problem_.oriented);
+        for (const Sighting& s : seen_at(problem_, problem_.sightings, t, t)) fuse(after[s.mark], s.seen, problem_.oriented);
     }
     path[0] = pose(0, chosen);
     for (Number t = 1; t <= T; ++t) path[t] = composed(Frame(path[t - 1]), motions[t]);
@@ -117,8 +116,7 @@ void BackwardSampler::add_log_likelihoods(Number t, std::span<const Number> part
     std::vector<LogDensities> densities(particles.size());
     for (const auto& [marks, slots, after] : shared)
         for (std::size_t c = 0; c < particles.size(); ++c)
-            densities[c].add((*marks)[slots[particles[c]]], composed(poses[c], after->mean),
-                             edges::turned(poses[c].axes, after->S), problem_.oriented);
+            densities[c].add((*marks)[slots[particles[c]]], composed(poses[c], *after), problem_.oriented);
     for (std::size_t c = 0; c < particles.size(); ++c) log_weights[c] += densities[c].sum();
 }
 

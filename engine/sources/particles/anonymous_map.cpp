@@ -11,11 +11,6 @@ constexpr double inside = 0.9;
 /// The share of the variances of a single sighting by which landmarks that are one may differ in any case.
 constexpr double correlated = 0.1;
 
-double gate_of(double border, std::size_t classes) {
-    // the class of a sighting is at most n times as likely as for a new landmark
-    return border + 2 * numbers::log(static_cast<double>(std::max<std::size_t>(1, classes)));
-}
-
 }  // namespace
 
 AnonymousMap::AnonymousMap(std::size_t particles, bool oriented, const AnonymousOptions& options, Confusion confusion)
@@ -23,7 +18,8 @@ AnonymousMap::AnonymousMap(std::size_t particles, bool oriented, const Anonymous
       oriented_(oriented),
       options_(options),
       confusion_(std::move(confusion)),
-      gate_(gate_of(options.border, confusion_.classes)),
+      // the class of a sighting is at most n times as likely as for a new landmark
+      gate_(options.border + 2 * numbers::log(static_cast<double>(std::max<std::size_t>(1, confusion_.classes)))),
       limits_{infinity, 0.0, 0.0} {
     enlarge(8);
 }
@@ -88,12 +84,8 @@ void AnonymousMap::end_scan(const AnonymousScan& scan, const Ranges& ranges, His
 void AnonymousMap::end_step(const Rows& poses, std::int64_t step, const Ranges& ranges, History& history) {
     ++steps_;
     const bool merges = options_.merge_interval > 0 && steps_ % options_.merge_interval == 0;
-    const double reach = limits_.most_range;
     Box box;
-    for (std::size_t i = 0; i < particles_; ++i) {
-        box.left = std::min(box.left, poses.row(0)[i] - reach), box.right = std::max(box.right, poses.row(0)[i] + reach);
-        box.low = std::min(box.low, poses.row(1)[i] - reach), box.high = std::max(box.high, poses.row(1)[i] + reach);
-    }
+    for (std::size_t i = 0; i < particles_; ++i) box.include(poses.row(0)[i], poses.row(1)[i], limits_.most_range);
     std::vector<std::size_t> near = within({&box, 1});
     if (!merges) std::erase_if(near, [&](std::size_t slice) { return !slices_[slice].extent.droppable; });
     if (near.empty()) return;

@@ -1,4 +1,4 @@
-#include "vmslam/particles/existence.hpp"
+#include "vmslam/particles/association.hpp"
 
 namespace vmslam::particles {
 
@@ -95,7 +95,7 @@ Extent extent_of(const Blocks& landmark, double gate, std::size_t lo, std::size_
             if (!owned[k]) continue;
             ++out.owners;
             out.droppable |= evidence[k] < permanent_evidence;
-            out.box.include(x, y, wide, k);
+            out.box.include(x[k], y[k], wide[k]);
         }
     }
     return out;

@@ -54,7 +54,7 @@ std::vector<Box> boxes_of(const Proposal& proposal, std::span<const Sighting> si
             for (std::size_t k = 0; k < sightings.size(); ++k) {
                 const Place place = place_of(belief, sightings[k], gate);
                 for (int lane = 0; lane < lanes && i + lane < hi; ++lane)
-                    parts[part][k].include(place.x, place.y, place.wide, lane);
+                    parts[part][k].include(place.x[lane], place.y[lane], place.wide[lane]);
             }
         }
     });

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <numeric>
 
 #include "input.hpp"
 #include "vmslam/particles/filter.hpp"
@@ -18,8 +19,7 @@ class Steps {
             std::optional<RangeNoise> noise;
             if (input.one_in(3)) noise = {input.positive(0.1), input.positive(0.01)};
             filter_.use_ids(oriented_, input.one_in(2) ? 0 : input.below(8), noise);
-            if (input.one_in(4))
-                filter_.place(3, {input.number(2.0), input.number(2.0), input.number(1.0)}, {0.1, 0.0, 0.1, 0.0, 0.0, 0.1});
+            if (input.one_in(4)) filter_.place(3, input.place(2.0, 1.0), {0.1, 0.0, 0.1, 0.0, 0.0, 0.1});
         }
         if (kind_ == Kind::no_ids) filter_.use_no_ids(oriented_, options(input), confusion(input));
     }
@@ -98,8 +98,8 @@ class Steps {
         }
     }
     void branch() {
-        std::vector<double> sums;
-        for (const double w : filter_.weights()) sums.push_back(w + (sums.empty() ? 0.0 : sums.back()));
+        std::vector<double> sums(filter_.particles());
+        std::partial_sum(filter_.weights().begin(), filter_.weights().end(), sums.begin());
         filter_.branch(evenly_spaced(sums, 0.37));
     }
     void look() {

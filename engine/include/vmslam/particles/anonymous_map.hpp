@@ -10,7 +10,7 @@
 // 2003; Probabilistic Robotics, section 13.6 (association per particle, evidence and removal of landmarks).
 #pragma once
 
-#include "vmslam/particles/existence.hpp"
+#include "vmslam/particles/association.hpp"
 #include "vmslam/particles/history.hpp"
 #include "vmslam/particles/ranges.hpp"
 
