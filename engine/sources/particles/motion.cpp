@@ -68,8 +68,8 @@ void move_poses(const Motion& motion, const Rows& starts, Rows& moved, std::size
         return;
     }
     // x_{t-1} moves, in its own axes, by mean + L n with L L' = covariance
-    const auto& [d, covariance] = std::get<WholeMotion>(motion.model);
-    each([&motion, &d, L = LowerRoot(covariance, true)](const Pose& x, const Bits& particles) -> Pose {
+    const auto& whole = std::get<WholeMotion>(motion.model);
+    each([&motion, d = whole.mean, L = LowerRoot(whole.covariance, true)](const Pose& x, const Bits& particles) -> Pose {
         const auto [n0, n1] = normal_pair<Lanes>(motion.key, particles, 0);
         const Lanes n2 = normal_pair<Lanes>(motion.key, particles, 1).first;
         const Lanes ahead = d.x + L.xx * n0, left = d.y + L.yx * n0 + L.yy * n1;
