@@ -121,13 +121,13 @@ void test_solution(unsigned seed) {
     }
 }
 
-/// A factor that leaves out what points do not have is that of the whole matrix.
+/// A factor that leaves out what points do not have is that of the whole matrix; also where there are no points.
 template <class Block>
 void test_points(unsigned seed) {
     using Value = typename Block::Value;
     std::mt19937 random(seed);
     const Index nodes = 1 + random() % 60;
-    const Matrix<Block> matrix(random, nodes, random() % (3 * nodes), true);
+    const Matrix<Block> matrix(random, nodes, random() % (3 * nodes), seed % 3 != 0);
     const Pattern pattern{matrix.pattern.start, matrix.rows};
     const Order order = fill_reducing(pattern);
     const int threads = seed % 2 == 0 ? 1 : 3;
@@ -210,27 +210,6 @@ void test_fused_multiply_add() {
 void test_fused_multiply_add() {}
 #endif
 
-void test_null_vector(unsigned seed) {
-    std::mt19937 random(seed);
-    const Index nodes = 2 + random() % 40;
-    Matrix<Hermitian2> matrix(random, nodes, random() % (3 * nodes));
-    const Node bad = static_cast<Node>(random() % nodes);
-    const std::size_t at = 2 * bad + random() % 2;
-    const Index block = matrix.pattern.start[bad + 1] - 1;
-    matrix.values[4 * block + 3 * (at % 2)] = matrix.whole[at * matrix.size + at] = -1.0;
-    const Pattern pattern{matrix.pattern.start, matrix.rows};
-    Factor<Hermitian2> factor(
-        std::make_shared<const Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of<Hermitian2>, 1)));
-    const Index pivot = factor.factorize(matrix.values);
-    expect(pivot >= 0, "a negative pivot is found", seed);
-    if (pivot < 0) return;
-    const auto v = factor.null_vector(pivot);
-    std::complex<double> form = 0.0;
-    for (std::size_t i = 0; i < matrix.size; ++i)
-        for (std::size_t j = 0; j < matrix.size; ++j) form += std::conj(v[i]) * matrix.whole[i * matrix.size + j] * v[j];
-    expect(form.real() < 0.0, "the direction is negative", seed);
-}
-
 }  // namespace
 
 void expect(bool holds, const char* what, unsigned seed) {
@@ -244,7 +223,6 @@ int main() {
         test_solution<Real2>(seed);
         test_solution<Real3>(seed);
         test_solution<Hermitian2>(seed);
-        test_null_vector(seed);
         test_points<Real2>(seed);
         test_points<Real3>(seed);
         test_points<Hermitian2>(seed);
