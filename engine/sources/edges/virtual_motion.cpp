@@ -31,10 +31,11 @@ double VirtualMotionEdges::accumulate(const State& state, System* system, std::s
     const Covariance mode = !body_ ? Covariance::reference : seen_.oriented ? Covariance::landmark : Covariance::rotating;
     const std::vector<Placed> at = placed(state, mode);
     const std::vector<Rotation> axes = axes_of(at);
+    std::vector<Index> slot_of(system ? system->size() : 0);
     double total = 0.0;
     for (Index j = 0; j <= last_node(); ++j) {
         if (from(j).empty()) continue;
-        if (system) system->open(j);
+        if (system) system->open(j, slot_of);
         for (const Index b : from(j)) {
             const Index g = groups_[b];
             const double weight = weights_[g] * seen_.trust[b];
@@ -44,20 +45,13 @@ double VirtualMotionEdges::accumulate(const State& state, System* system, std::s
                 const Index i = nodes_[a];
                 if (i == j) continue;
                 const Vector e{at[b].y.x - at[a].y.x, at[b].y.y - at[a].y.y, wrap(at[b].y.t - at[a].y.t)};
-                Symmetric W = weight * seen_.trust[a] * inverse(turned(axes[a], at[a].C + at[b].C), seen_.oriented);
-                Vector omega_e = W * e;
-                const double squares = dot(omega_e, e);
-                if (kernel) {
-                    total += kernel.loss(squares);
-                    W = kernel.weight(squares) * W;
-                    omega_e = W * e;
-                } else {
-                    total += squares;
-                }
+                const Symmetric omega = inverse(turned(axes[a], at[a].C + at[b].C), seen_.oriented);
+                const auto [cost, W, omega_e] = weighted(kernel, weight * seen_.trust[a] * omega, e);
+                total += cost;
                 if (!system) continue;
                 Lever u = at[a].lever;
                 if (body_) u = {u.x - e.y, u.y + e.x};
-                add_pair(*system, i, j, system->slot_of[i], W, omega_e, u, at[b].lever);
+                add_pair(*system, i, j, slot_of[i], W, omega_e, u, at[b].lever);
             }
         }
     }

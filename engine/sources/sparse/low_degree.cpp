@@ -17,7 +17,8 @@ struct Lists : Neighbours {
     explicit Lists(const Pattern& pattern) : Neighbours{std::vector<Index>(pattern.size() + 1, 0), {}} {
         const auto for_each = [&](const auto& use) {
             for (Node j = 0; j < pattern.size(); ++j)
-                for (Index p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p) use(pattern.rows[p], j);
+                for (Index p = pattern.start[j]; p < pattern.start[j + 1] - 1; ++p)
+                    use(static_cast<Node>(pattern.rows[p]), j);
         };
         for_each([&](Node i, Node j) { ++start[i + 1], ++start[j + 1]; });
         std::partial_sum(start.begin(), start.end(), start.begin());

@@ -21,7 +21,7 @@ struct Sorted {
 
 }  // namespace
 
-WidePattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::span<const Index> members) {
+OwnedPattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::span<const Index> members) {
     // where the group of each occurrence of a node begins
     std::vector<Index> begin;
     begin.reserve(members.size());
@@ -43,7 +43,7 @@ WidePattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::sp
     const auto count = static_cast<Index>(low.size());
     const Sorted by_low(nodes, count, [&](Index k) { return low[k]; });
     const Sorted by_high(nodes, count, [&](Index k) { return high[by_low.places[k]]; });
-    WidePattern pattern{std::vector<Index>(nodes + 1), std::vector<Index>(count + nodes)};
+    OwnedPattern pattern{std::vector<Index>(nodes + 1), std::vector<Index>(count + nodes)};
     for (Index j = 0; j <= nodes; ++j) pattern.start[j] = by_high.start[j] + j;
     for (Index j = 0; j < nodes; ++j) {
         for (Index k = by_high.start[j]; k < by_high.start[j + 1]; ++k)
@@ -53,26 +53,27 @@ WidePattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::sp
     return pattern;
 }
 
-std::vector<Index> blocks_of_nodes(std::span<const Index> start, std::span<const Index> rows, std::span<const Index> nodes) {
-    std::vector<char> held(start.size() - 1, 0);
+std::vector<Index> blocks_of_nodes(const Pattern& pattern, std::span<const Index> nodes) {
+    std::vector<char> held(pattern.size(), 0);
     for (const Index node : nodes) held[node] = 1;
     std::vector<Index> blocks;
-    for (std::size_t j = 0; j + 1 < start.size(); ++j)
-        for (Index k = start[j]; k < start[j + 1]; ++k)
-            if (held[j] || held[rows[k]]) blocks.push_back(k);
+    for (Node j = 0; j < pattern.size(); ++j)
+        for (Index k = pattern.start[j]; k < pattern.start[j + 1]; ++k)
+            if (held[j] || held[pattern.rows[k]]) blocks.push_back(k);
     return blocks;
 }
 
-Index block_between(std::span<const Index> start, std::span<const Index> rows, Index first, Index second) {
+Index block_between(const Pattern& pattern, Index first, Index second) {
     const auto [row, column] = std::minmax(first, second);
-    const auto low = rows.begin() + start[column], high = rows.begin() + start[column + 1];
-    return std::lower_bound(low, high, row) - rows.begin();
+    const auto rows = pattern.rows.begin(), low = rows + pattern.start[column], high = rows + pattern.start[column + 1];
+    return std::lower_bound(low, high, row) - rows;
 }
 
-Index block_or_none(std::span<const Index> start, std::span<const Index> rows, Index first, Index second) {
-    if (std::min(first, second) < 0 || std::max(first, second) + 1 >= static_cast<Index>(start.size())) return -1;
-    const Index block = block_between(start, rows, first, second);
-    return block < start[std::max(first, second) + 1] && rows[block] == std::min(first, second) ? block : -1;
+Index block_or_none(const Pattern& pattern, Index first, Index second) {
+    const auto [row, column] = std::minmax(first, second);
+    if (row < 0 || column >= pattern.size()) return -1;
+    const Index block = block_between(pattern, first, second);
+    return block < pattern.start[column + 1] && pattern.rows[block] == row ? block : -1;
 }
 
 }  // namespace vmslam::sparse

@@ -6,7 +6,6 @@
 #include <cstring>
 
 #include "sparse/panel.hpp"
-#include "sparse/parallel.hpp"
 #include "vmslam/sparse/factor.hpp"
 
 namespace vmslam::sparse {

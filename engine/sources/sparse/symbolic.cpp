@@ -4,6 +4,8 @@
 #include <cmath>
 #include <numeric>
 
+#include "vmslam/sparse/ordering.hpp"
+
 namespace vmslam::sparse {
 namespace {
 
@@ -209,6 +211,10 @@ Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape
     place_panels(s);
     divide(s, threads);
     return s;
+}
+
+Symbolic analyze(const Pattern& pattern, BlockShape shape, int threads, std::span<const char> points) {
+    return analyze(pattern, fill_reducing(pattern), shape, threads, points);
 }
 
 Symbolic reshaped(Symbolic symbolic, BlockShape shape) {

@@ -152,6 +152,8 @@ void each_column(const Symbolic& t, const Work& work) {
 /// says which nodes are points.
 Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads,
                  std::span<const char> points = {});
+/// The same for the order that `fill_reducing` finds.
+Symbolic analyze(const Pattern& pattern, BlockShape shape, int threads, std::span<const char> points = {});
 
 /// The same structure for blocks of another shape.
 Symbolic reshaped(Symbolic symbolic, BlockShape shape);
