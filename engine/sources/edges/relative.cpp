@@ -22,8 +22,16 @@ double RelativeEdges::add(const State& state, System* system, std::span<const In
         // Both frames have the Jacobians -[I, u; 0, 1] and [I, 0; 0, 1]: u is the derivative of the rotated measurement
         // (world: information held still) or of the offset itself (body: information turns along).
         const Lever u = world ? Lever{-ry, rx} : Lever{-dy, dx};
-        const auto [cost, W, g] = weighted(kernel_, turned(world ? references[k] : axes, omega), e);
-        total += cost;
+        Symmetric W = turned(world ? references[k] : axes, omega);
+        Vector g = W * e;
+        const double squares = dot(g, e);
+        if (kernel_) {
+            total += kernel_.loss(squares);
+            W = kernel_.weight(squares) * W;
+            g = W * e;
+        } else {
+            total += squares;
+        }
         if (!system) continue;
         if constexpr (poses)
             add_pair(*system, i, j, pairs[k], W, g, u, {0.0, 0.0});

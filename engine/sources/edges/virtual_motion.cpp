@@ -45,9 +45,16 @@ double VirtualMotionEdges::accumulate(const State& state, System* system, std::s
                 const Index i = nodes_[a];
                 if (i == j) continue;
                 const Vector e{at[b].y.x - at[a].y.x, at[b].y.y - at[a].y.y, wrap(at[b].y.t - at[a].y.t)};
-                const Symmetric omega = inverse(turned(axes[a], at[a].C + at[b].C), seen_.oriented);
-                const auto [cost, W, omega_e] = weighted(kernel, weight * seen_.trust[a] * omega, e);
-                total += cost;
+                Symmetric W = weight * seen_.trust[a] * inverse(turned(axes[a], at[a].C + at[b].C), seen_.oriented);
+                Vector omega_e = W * e;
+                const double squares = dot(omega_e, e);
+                if (kernel) {
+                    total += kernel.loss(squares);
+                    W = kernel.weight(squares) * W;
+                    omega_e = W * e;
+                } else {
+                    total += squares;
+                }
                 if (!system) continue;
                 Lever u = at[a].lever;
                 if (body_) u = {u.x - e.y, u.y + e.x};

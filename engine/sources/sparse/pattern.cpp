@@ -1,25 +1,8 @@
 #include "vmslam/sparse/pattern.hpp"
 
 #include <algorithm>
-#include <numeric>
 
 namespace vmslam::sparse {
-namespace {
-
-/// Counting sort, stable: where the places of each key start, and the places key by key.
-struct Sorted {
-    std::vector<Index> start, places;
-
-    template <class Key>
-    Sorted(Index keys, Index count, Key key) : start(keys + 1, 0), places(count) {
-        for (Index k = 0; k < count; ++k) ++start[key(k) + 1];
-        std::partial_sum(start.begin(), start.end(), start.begin());
-        std::vector<Index> free(start.begin(), start.end() - 1);
-        for (Index k = 0; k < count; ++k) places[free[key(k)]++] = k;
-    }
-};
-
-}  // namespace
 
 OwnedPattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::span<const Index> members) {
     // where the group of each occurrence of a node begins

@@ -32,20 +32,6 @@ struct PositionRelation {
     double x, y, xx, xy, yy;
 };
 
-/// The cost of an edge with the information W, W with the weight that its kernel gives it, and the product of that with e.
-struct Weighted {
-    double cost;
-    Symmetric W;
-    Vector pull;
-};
-inline Weighted weighted(const Kernel& kernel, const Symmetric& W, const Vector& e) {
-    const Vector pull = W * e;
-    const double squares = dot(pull, e);
-    if (!kernel) return {squares, W, pull};
-    const Symmetric less = kernel.weight(squares) * W;
-    return {kernel.loss(squares), less, less * e};
-}
-
 /// Edges of one kind. All of them write e' Omega e into the cost, B' Omega B into Omega and -B' Omega e into xi.
 class Family {
    public:

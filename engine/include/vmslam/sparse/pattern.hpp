@@ -1,13 +1,27 @@
 // The pattern of an information matrix from the groups of nodes that its edges tie, and the places of blocks in it.
 #pragma once
 
-#include <array>
+#include <numeric>
 #include <span>
 #include <vector>
 
 #include "vmslam/sparse/graph.hpp"
 
 namespace vmslam::sparse {
+
+/// Counting sort, stable: where the places of each key start, and the places key by key.
+struct Sorted {
+    std::vector<Index> start, places;
+
+    Sorted() = default;
+    template <class Key>
+    Sorted(Index keys, Index count, Key key) : start(keys + 1, 0), places(count) {
+        for (Index k = 0; k < count; ++k) ++start[key(k) + 1];
+        std::partial_sum(start.begin(), start.end(), start.begin());
+        std::vector<Index> free(start.begin(), start.end() - 1);
+        for (Index k = 0; k < count; ++k) places[free[key(k)]++] = k;
+    }
+};
 
 /// A pattern that owns its arrays.
 struct OwnedPattern {
