@@ -336,7 +336,9 @@ class VirtualMotionFactor(Factor):
         ahead = phi1 if oriented else -headings[0]
         first, second, both = np.zeros(1, np.int64), np.ones(1, np.int64), np.array([z_1, z_2])
         unit = np.eye(3)[None]  # the factor weighs e by itself
-        pair = engine.LandmarkPairs(np.arange(2), both, np.array([ahead, 0.0]), sensor.offset, body, first, second, unit)
+        pair = engine.LandmarkPairs(
+            np.arange(2), both, np.array([ahead, 0.0]), sensor.offset, body, first, second, unit
+        )
 
         def residual(a: Coordinates, b: Coordinates) -> Linearized:
             # derivatives by GTSAM's perturbations, each pose's in its own axes

@@ -59,10 +59,12 @@ struct Real {
         for (int k = 0; k < N; ++k) {
 #pragma GCC unroll 3
             for (int i = k; i < N; ++i) {
-                double known = 0.0;
+                a[i][k] = d[k * h + i];
+                if (k == 0) continue;
+                double known = m[i][0] * a[k][0];
 #pragma GCC unroll 3
-                for (int j = 0; j < k; ++j) known += m[i][j] * a[k][j];
-                a[i][k] = d[k * h + i] - known;
+                for (int j = 1; j < k; ++j) known += m[i][j] * a[k][j];
+                a[i][k] -= known;
             }
             const double inverse = 1.0 / a[k][k];
             p.l[k][k] = std::sqrt(inverse);
