@@ -169,14 +169,16 @@ class _Tested:
             return None, 1.0
         z = np.where(known, np.abs(scores) / np.sqrt(np.where(known, information, 1.0)), 0.0)
         k, kind = np.unravel_index(np.argmax(z), z.shape)
-        # the ends are known roughly, and what is left of a slip does more harm than some right motions that are not believed
+        # the ends are known roughly, and what is left of a slip does more harm than some right motions that are not believed;
+        # it may also begin within the cell before
         around = (a <= a[k]) & (b >= b[k]) & (z[:, kind] ** 2 > z[k, kind] ** 2 - ROUGHLY)
         k = np.flatnonzero(around)[np.argmax((b - a)[around])]
         inside, length = (cell >= a[k]) & (cell < b[k]), float(limits[b[k]] - limits[a[k]])
         column = 0 if kinds[kind] < 2 else 1
         rates = scores[k, kind] / information[k, kind] * D[inside, 2 * column, kind]
         rate = float(np.sqrt(np.sum(rates**2 / np.diff(times)[inside]) / length))
-        slip = Slip(float(limits[a[k]]), float(limits[b[k]]), column, rate, float(z[k, kind]))
+        begin, end = limits[max(a[k] - 1, 0)], limits[min(b[k] + 1, count)]
+        slip = Slip(float(begin), float(end), column, rate, float(z[k, kind]))
         return slip, float(np.median(z[known])) / MEDIAN
 
     def _scores(
@@ -195,7 +197,9 @@ class _Tested:
         parts = []
         for kind in range(D.shape[2]):
             following = self.factor.solve(self._pulled(weighted[:, :, [kind]], cell, count)[:, :, :, 0])
-            P = np.diag(own[:, kind]) - self._summed(self._against(weighted[:, :, [kind]], following)[:, 0], cell, count)
+            P = np.diag(own[:, kind]) - self._summed(
+                self._against(weighted[:, :, [kind]], following)[:, 0], cell, count
+            )
             u[:, kind] += np.einsum("nic,ni->c", following, self.xi)
             parts.append(P - bias[:, kind] @ crossed[:, kind].T)
         u -= np.einsum("ckm,m->ck", bias, u.sum(axis=0))
@@ -209,7 +213,10 @@ class _Tested:
     def _pulled(self, weighted: Array, cell: np.ndarray, count: int) -> Array:
         """B' W D (n, 3, count, k) of each cell."""
         nodes = np.zeros((len(self.xi), 3, count, weighted.shape[2]))
-        for at, jacobians in ((self.motions.first, self.motions.by_first), (self.motions.second, self.motions.by_second)):
+        for at, jacobians in (
+            (self.motions.first, self.motions.by_first),
+            (self.motions.second, self.motions.by_second),
+        ):
             np.add.at(nodes, (at, slice(None), cell), np.swapaxes(jacobians, 1, 2) @ weighted)
         nodes[self.fixed] = 0.0
         return nodes

@@ -89,8 +89,8 @@ MISJUDGED = 2.0
 ROUNDS, STEPS, SETTLED = 10, 20, 0.01
 #: the medians of chi-square by degrees of freedom
 MEDIANS = {2: 2 * np.log(2), 3: 2.365974}
-#: slips are looked for where z is above this with poses taken as exact
-SUSPECTED = 3.0
+#: slips are looked for where constant errors over long cells have a z above this
+SUSPECTED = 4.0
 #: the fewest motions of a drive that are tested
 FEWEST_MOTIONS = 20
 #: a part of the variance of motions that rounding may leave
@@ -353,7 +353,7 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
         return solution, ()
     try:
         if again is None or graph.parameters is not None:
-            slip, usual = _largest_slip(solution)
+            slip, usual = _largest_slip(solution, SUSPECTED)
             found = slip is not None and slip.z > SLIPPED * max(1.0, usual)
             return solution, (slip.sentence(graph.log, mended=False),) if slip is not None and found else ()
 
@@ -364,13 +364,16 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
                 raise GraphError(f"{noisier.name}: there is no solution without the slip")
             return replace(after, seconds=before.seconds + after.seconds)
 
-        solution, log, slips = without_slips(solution, graph.log, _largest_slip, solved)
+        first = solution
+        solution, log, slips = without_slips(
+            solution, graph.log, lambda each: _largest_slip(each, SUSPECTED if each is first else 0.0), solved
+        )
     except (FactorizationError, np.linalg.LinAlgError):
         return solution, ()
     return solution, tuple(slip.sentence(log) for slip in slips)
 
 
-def _largest_slip(solution: Solution) -> Found:
+def _largest_slip(solution: Solution, least: float) -> Found:
     """`identification.slips.largest_slip` of a solution.
 
     Raises:
@@ -392,7 +395,7 @@ def _largest_slip(solution: Solution) -> Found:
     ways = Motions(edges.measured, np.diagonal(covariances, axis1=1, axis2=2), times)
     system, _ = graph.linearize(state)
     xi = system.xi.copy()
-    return largest_slip(motions, ways, system.own_factor(), xi, graph.fixed, SUSPECTED)
+    return largest_slip(motions, ways, system.own_factor(), xi, graph.fixed, least)
 
 
 def _with_controls(graph: Graph, noisier: Log, state: Array) -> Graph:
