@@ -192,7 +192,7 @@ class _Tested:
         bias = crossed @ np.linalg.pinv(crossed.sum(axis=0), hermitian=True)
         u = np.einsum("eik,ei->ek", weighted, self.motions.residuals)
         own = self._summed(np.einsum("eik,eik->ek", D, weighted), cell, count)
-        scores, information = np.zeros((2, len(a), D.shape[2]))
+        information = np.zeros((len(a), D.shape[2]))
         u = self._summed(u, cell, count)
         parts = []
         for kind in range(D.shape[2]):

@@ -412,8 +412,8 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     """A solution with notes on what contradicts it: its map, its positions, its odometry, and edges among each other.
 
     Where most landmarks of its map contradict it, it is solved ``again`` with the errors that the log shows in them;
-    not without a kernel, where wrong sightings and a biased robot look like a wrong map. Where its odometry does on a stretch,
-    it is solved again with more noise of the controls there.
+    not without a kernel, where wrong sightings and a biased robot look like a wrong map. Where the odometry of a stretch
+    contradicts it, it is solved again with more noise of the controls there.
     """
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
