@@ -293,8 +293,8 @@ def _with_ids(
     first = _joined(fewer, sensor, local, ROUNDS[1])[0]
     if motion is None and not anywhere and is_elsewhere(_of_sightings(_sparse(fewer)[0]), first):
         # before the ids are checked, because a wrong place makes right ids look wrong
-        *found, again = _with_ids(drive, sensor, rng, anywhere=True)
-        return (*found, slips + again)
+        drive, first, ids, more = _with_ids(drive, sensor, rng, anywhere=True)
+        return drive, first, ids, slips + more
     return drive, first, checked_ids(drive, _everywhere(first, fewer), alone, rng), slips
 
 
