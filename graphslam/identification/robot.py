@@ -47,7 +47,7 @@ from .result import (
     without_found,
 )
 from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, common_errors, correlations, inflation, smoothed
-from .slips import Found, Motions, Slip, largest_slip, without_slips
+from .slips import Slip, slip_of_drive, without_slips
 from .unknowns import OF_GAUSSIAN_MOTIONS, Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -230,12 +230,7 @@ def _apart_from_scans(
 
 
 def _known(
-    log: Log,
-    ids: Ids,
-    basis: str,
-    noise: tuple[MotionModel, SensorModel],
-    compared: LeftOut,
-    slips: tuple[Slip, ...],
+    log: Log, ids: Ids, basis: str, noise: tuple[MotionModel, SensorModel], compared: LeftOut, slips: tuple[Slip, ...]
 ) -> RobotEstimate:
     """The result where other noise than the estimated one predicts sightings best that are left out."""
     nothing, (motion, sensor) = ParameterEstimate((), np.zeros(0), np.zeros((0, 0)), {}), noise
@@ -375,20 +370,10 @@ def _local(
         start.odometry = Odometry(noisier)
         return fit(Unknowns(noisier, episodes, sensor, start), ROUNDS[1])[0]
 
-    local, log, slips = without_slips(local, log, _largest_slip, again)
+    local, log, slips = without_slips(local, log, slip_of_drive, again)
     doubtful = alone.copy()
     doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
     return log, local, doubtful, alone, slips
-
-
-def _largest_slip(solved: Unknowns) -> Found:
-    """`slips.largest_slip` of a drive."""
-    linear = solved.linearized()
-    motions, times = linear.edges[0], solved.log.times
-    assert times is not None
-    variances = np.diagonal(solved.covariances(motions), axis1=1, axis2=2)
-    ways, first = Motions(solved.measured()[0], variances, times), np.zeros(1, dtype=np.int64)
-    return largest_slip(motions, ways, linear.factor, linear.xi, first)
 
 
 def _begun(log: Log, groups: np.ndarray, sensor: SensorModel, motion: MotionModel | None, anywhere: bool) -> Unknowns:

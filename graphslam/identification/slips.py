@@ -34,6 +34,7 @@ from ..log import Log
 from ..models import additional_variances
 from ..se2 import Array, perpendicular
 from .odometry import Edges
+from .unknowns import Unknowns
 
 Problem = TypeVar("Problem")
 #: a slip, if any, and the median of z of all stretches over the usual one
@@ -79,7 +80,7 @@ class Slip:
         begin, end: [s] since the first pose.
         column: 0 where the speed is wrong, 1 where the turn rate is.
         rate: by how much, the root of the mean square [m/s or rad/s].
-        z: the error in standard deviations.
+        z: the error in standard deviations; of the stretch with the ends that it may have.
     """
 
     begin: float
@@ -99,16 +100,17 @@ class Slip:
         times = log.times - log.times[0]
         begin = int(np.searchsorted(times, self.begin, side="right")) - 1
         end = min(int(np.searchsorted(times, self.end)), len(times) - 1)
-        where = f"between steps {begin} and {end} ({self.begin:.0f} to {self.end:.0f} s after the start)"
-        error = f"{self.rate:.2g} {('m/s', 'rad/s')[self.column]}"
+        unit = ("m/s", "rad/s")[self.column]
         if mended:
             return (
-                f"{where} the odometry contradicts the other measurements by {error}, {self.z:.1f} times the standard error: "
+                f"between steps {begin} and {end} ({self.begin:.0f} to {self.end:.0f} s after the start) the odometry "
+                f"contradicts the other measurements by about {self.rate:.2g} {unit}, {self.z:.1f} times the standard error: "
                 "wheels slipped or were blocked, a gyroscope misread, the robot was moved, or many ids are wrong. The "
-                "controls there count as uncertain by as much (Log.control_variances), and so do the covariances"
+                "controls there count as uncertain by as much (Log.control_variances), and covariances contain it"
             )
         return (
-            f"{where} the odometry contradicts the other measurements by {error}, {self.z:.1f} times the standard error: "
+            f"between steps {begin} and {end} ({self.begin:.0f} to {self.end:.0f} s after the start) the odometry "
+            f"contradicts the other measurements by about {self.rate:.2g} {unit}, {self.z:.1f} times the standard error: "
             "wheels slipped or were blocked, a gyroscope misread, the robot was moved, or many ids are wrong. The poses "
             "there may be off, those after it and landmarks, too, and covariances do not contain it. Controls that are wrong "
             "need more noise (Log.control_variances)"
@@ -253,6 +255,15 @@ def _errors(ways: Motions, cell: np.ndarray, count: int) -> Array:
     way = surely(np.einsum("ei,ei->e", ahead, ways.measured), ways.variances[:, 0])
     turn = surely(ways.measured[:, 2], ways.variances[:, 2])
     return np.stack([ahead * dt[:, None], ahead * way[:, None], turned * dt[:, None], turned * turn[:, None]], axis=-1)
+
+
+def slip_of_drive(solved: Unknowns) -> Found:
+    """`largest_slip` of a drive whose noise and biases are unknown."""
+    linear, times = solved.linearized(), solved.log.times
+    assert times is not None
+    motions = linear.edges[0]
+    ways = Motions(solved.measured()[0], np.diagonal(solved.covariances(motions), axis1=1, axis2=2), times)
+    return largest_slip(motions, ways, linear.factor, linear.xi, np.zeros(1, dtype=np.int64))
 
 
 def without_slips(
