@@ -53,8 +53,10 @@ def test_a_known_robot_that_slips_is_mended(seed, kind, monkeypatch):
     # as it was
     monkeypatch.setattr("graphslam.solvers.solution.without_slips_of", lambda solution, _: (solution, ()))
     wrong = solve(graph)
-    assert ate(truth, wrong.poses) > 2 * ate(truth, solution.poses)
-    assert np.nanmean(wrong.nees(truth)) > 2
+    assert wrong.cost > 1.5 * solution.cost
+    if kind == "speed":
+        # sightings tell headings well
+        assert ate(truth, wrong.poses) > 2 * ate(truth, solution.poses)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -84,7 +86,7 @@ def test_z_is_that_of_a_further_unknown(monkeypatch):
 
     monkeypatch.setattr(contradictions, "largest_slip", kept)
     # without the stretches around it that fit nearly as well
-    monkeypatch.setattr(slips, "ROUGHLY", 0.0)
+    monkeypatch.setattr(slips, "ROUGHLY", 1e-9)
     contradictions._largest_slip(solution, 0.0)
     (one,), graph = tested, solution.graph
     found, _ = one.largest(slips.CELLS, (0,))
