@@ -98,7 +98,7 @@ def test_z_is_that_of_a_further_unknown(monkeypatch):
     pulled[every, one.motions.second] += np.einsum("eji,ej->ei", one.motions.by_second, weighted)
     pulled = pulled.reshape(len(D), -1)
     u, own = np.sum(weighted * one.motions.residuals, axis=1), np.diag(np.sum(weighted * D, axis=1))
-    P = own - pulled @ np.linalg.pinv(graph.information(solution.state).to_sparse().toarray()) @ pulled.T
+    P = own - pulled @ np.linalg.pinv(graph.linearize(solution.state)[0].to_sparse().toarray()) @ pulled.T
     # cells are a little longer than motions, so that a few have two of them
     limits = np.linspace(0, one.ways.times[-1] - one.ways.times[0], slips.CELLS + 1)
     cell = np.searchsorted(limits, (one.ways.times[1:] + one.ways.times[:-1]) / 2 - one.ways.times[0]) - 1
