@@ -5,7 +5,7 @@ and a solution that believes the models spreads the error over poses and landmar
 its own. With e, W and B the residuals, the information and the Jacobians of the motions at the solution, Omega its
 information matrix, and D the error of each motion for one unit of s,
 
-    u = D' W e + D' W B Omega^-1 xi,   P = D' W D - D' W B Omega^-1 B' W D,   s = -u / P,   z = |u| / sqrt(P):
+    u = D' W e,   P = D' W D - D' W B Omega^-1 B' W D,   s = -u / P,   z = |u| / sqrt(P):
 
 s is the result of one Gauss-Newton step of the poses and s together, and z a standard normal number where the odometry is
 right. D is one of four (`_errors`): a constant error of the speed or of the turn rate, or a part of what was recorded of
@@ -46,8 +46,8 @@ CELL, CELLS, ROUGH_CELLS = 1.0, 120, 30
 LONGEST = 1 / 3
 #: a stretch whose z is above this has an error of its own; see docs/decisions.md
 SLIPPED = 5.0
-#: the most stretches of one drive
-MOST = 3
+#: the most stretches of one drive, and the part of it that they may have together
+MOST, WRONG = 3, 0.6
 #: a part of the way or of the turn is that of the mean over a cell that is above so many standard deviations: the noise of a
 #: recorded control is in the residual of its motion, too, so that controls that are mostly noise explain it
 MOVED = 3.0
@@ -127,21 +127,18 @@ def with_slip(log: Log, slip: Slip) -> Log:
     return log.replace(control_variances=variances)
 
 
-def largest_slip(
-    motions: Edges, ways: Motions, factor: Factor, xi: Array, fixed: np.ndarray, least: float = 0.0
-) -> Found:
+def largest_slip(motions: Edges, ways: Motions, factor: Factor, fixed: np.ndarray, least: float = 0.0) -> Found:
     """The stretch with the largest z, and the median of all z over the usual one.
 
     Args:
         motions: in the order of time, in the axes of the pose that each starts from, with their information.
         ways: what the odometry says of them.
         factor: of Omega.
-        xi: (n, 3), zero where the solution has converged.
         fixed: the nodes that do not move.
         least: where no z of constant errors over few long cells is above this, which takes an eighth of the time, no other
             stretch is looked for.
     """
-    tested = _Tested(motions, ways, factor, xi, fixed)
+    tested = _Tested(motions, ways, factor, fixed)
     if least:
         rough, usual = tested.largest(ROUGH_CELLS, (0, 2))
         if rough is None or rough.z < least:
@@ -156,7 +153,6 @@ class _Tested:
     motions: Edges
     ways: Motions
     factor: Factor
-    xi: Array
     fixed: np.ndarray
 
     def largest(self, cells: int, kinds: tuple[int, ...]) -> Found:
@@ -207,7 +203,6 @@ class _Tested:
             P = np.diag(own[:, kind]) - self._summed(
                 self._against(weighted[:, :, [kind]], following)[:, 0], cell, count
             )
-            u[:, kind] += np.einsum("nic,ni->c", following, self.xi)
             parts.append(P - bias[:, kind] @ crossed[:, kind].T)
         u -= np.einsum("ckm,m->ck", bias, u.sum(axis=0))
         for kind, P in enumerate(parts):
@@ -219,7 +214,7 @@ class _Tested:
 
     def _pulled(self, weighted: Array, cell: np.ndarray, count: int) -> Array:
         """B' W D (n, 3, count, k) of each cell."""
-        moved = np.zeros((len(self.xi), count, 3, weighted.shape[2]))
+        moved = np.zeros((len(self.factor.symbolic.indptr) - 1, count, 3, weighted.shape[2]))
         for at, jacobians in (
             (self.motions.first, self.motions.by_first),
             (self.motions.second, self.motions.by_second),
@@ -261,9 +256,11 @@ def slip_of_drive(solved: Unknowns) -> Found:
     """`largest_slip` of a drive whose noise and biases are unknown."""
     linear, times = solved.linearized(), solved.log.times
     assert times is not None
-    motions = linear.edges[0]
+    # after the next step of the poses and biases: what a search has not reached yet looks like slips
+    motions, (nodes, values) = linear.edges[0], linear.step()
+    motions = replace(motions, residuals=motions.residuals + motions.moved(nodes[:, :, None], values[:, None])[:, :, 0])
     ways = Motions(solved.measured()[0], np.diagonal(solved.covariances(motions), axis1=1, axis2=2), times)
-    return largest_slip(motions, ways, linear.factor, linear.xi, np.zeros(1, dtype=np.int64))
+    return largest_slip(motions, ways, linear.factor, np.zeros(1, dtype=np.int64))
 
 
 def without_slips(
@@ -276,6 +273,7 @@ def without_slips(
         again: the problem solved with another log.
     """
     found: tuple[Slip, ...] = ()
+    first, recorded = problem, log
     slip, _ = test(problem)
     while len(found) < MOST and slip is not None and slip.z > SLIPPED:
         noisier = with_slip(log, slip)
@@ -289,4 +287,7 @@ def without_slips(
             break
         problem, log, found = trial, noisier, (*found, replace(slip, z=z))
         slip = following
+    if sum(slip.end - slip.begin for slip in found) > WRONG * log.control_times[-1]:
+        # models or units that are wrong all the time
+        return first, recorded, ()
     return problem, log, found

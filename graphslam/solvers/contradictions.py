@@ -394,8 +394,7 @@ def _largest_slip(solution: Solution, least: float) -> Found:
     times = graph.log.times[graph.steps[np.append(edges.first, edges.second[-1:])]]
     ways = Motions(edges.measured, np.diagonal(covariances, axis1=1, axis2=2), times)
     system, _ = graph.linearize(state)
-    xi = system.xi.copy()
-    return largest_slip(motions, ways, system.own_factor(), xi, graph.fixed, least)
+    return largest_slip(motions, ways, system.own_factor(), graph.fixed, least)
 
 
 def _with_controls(graph: Graph, noisier: Log, state: Array) -> Graph:
