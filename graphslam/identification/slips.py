@@ -46,8 +46,10 @@ CELL, CELLS, ROUGH_CELLS = 1.0, 120, 30
 LONGEST = 1 / 3
 #: a stretch whose z is above this has an error of its own; see docs/decisions.md
 SLIPPED = 5.0
+#: an error beyond so many times the largest speed, or turn rate, is none of wheels or gyroscopes
+FASTEST = 3.0
 #: the most stretches of one drive, and the part of it that they may have together
-MOST, WRONG = 3, 0.6
+MOST, WRONG = 3, 0.4
 #: a part of the way or of the turn is that of the mean over a cell that is above so many standard deviations: the noise of a
 #: recorded control is in the residual of its motion, too, so that controls that are mostly noise explain it
 MOVED = 3.0
@@ -276,6 +278,10 @@ def without_slips(
     first, recorded = problem, log
     slip, _ = test(problem)
     while len(found) < MOST and slip is not None and slip.z > SLIPPED:
+        assert log.controls is not None
+        if slip.rate > FASTEST * np.abs(log.controls[:, slip.column]).max():
+            # other units
+            break
         noisier = with_slip(log, slip)
         try:
             trial = again(problem, noisier)
