@@ -28,6 +28,7 @@ from .corrections import corrected_log, honest_variances
 from .declared import ParameterEstimate
 from .odometry import NOISE
 from .sighting_errors import LAGS, Ids, Predictions
+from .slips import Slip
 from .unknowns import DEGREES_SIGHTINGS, HELD, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
@@ -174,6 +175,7 @@ class RobotEstimate:
         untested: the biases that were not estimated, because measurements of this kind do not tell them.
         of_scans: the error that all sightings of a scan have in common along the way [m], which the noise of the sensor
             contains and that of the odometry does not; 0 where the log shows none.
+        slips: stretches on which the odometry is wrong; the log has more noise of the controls there.
     """
 
     log: Log
@@ -190,6 +192,7 @@ class RobotEstimate:
     on_motion: float = np.inf
     untested: tuple[str, ...] = ()
     of_scans: float = 0.0
+    slips: tuple[Slip, ...] = ()
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -244,6 +247,7 @@ class RobotEstimate:
             for name, of in NOISE.items()
             if self.errors.get(name, 1) < 1 and values[name] > (most := of.unusual * larger.get(name, 1.0))
         ]
+        lines += [slip.sentence(self.log) for slip in self.slips]
         if self.basis == DEAD_RECKONING:
             lines.append(
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "
