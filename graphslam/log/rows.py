@@ -201,9 +201,9 @@ class TableOptions:
         None, "Seconds to add to the times of a table, where clocks differ: sightings=0.12,truth=-3",
         metavar="TABLE=SECONDS,...",
     )  # fmt: skip
-    axes: str = option(
-        "forward-left", "Directions of x and y of Cartesian sightings; optical is x right, z forward",
-        choices=tuple(AXES),
+    axes: str | None = option(
+        None, "Directions of x and y of Cartesian sightings; optical is x right, z forward", choices=tuple(AXES),
+        default_text="forward-left; optical where there is a z and the numbers show it",
     )  # fmt: skip
     centre: str = option(
         "sensor", "Where range and bearing, or x and y, of sightings are measured from", choices=("sensor", "robot")
@@ -234,7 +234,7 @@ class TableOptions:
             for unit in self.by_table(name).values():
                 check_choice(name, unit, choices)
         for f in fields(self):
-            if "choices" in f.metadata:
+            if "choices" in f.metadata and getattr(self, f.name) is not None:
                 check_choice(f.name, getattr(self, f.name), f.metadata["choices"])
         for name in ("sensor_offset", "truth_offset"):
             if (offset := getattr(self, name)) is not None:

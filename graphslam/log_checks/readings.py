@@ -42,11 +42,20 @@ _FEWEST, _ENOUGH = 20, 4000
 _WRONG, _BETTER, _SHARE = 0.08, 0.5, 0.65
 #: readings whose errors differ by less than this factor fit alike
 _ALIKE = 1.3
-#: a smaller unit is reported if it fits better than no motion at all: its median error is below the second part of that, where
-#: the two differ by more than the first number [ranges]
+#: a smaller unit is reported if it fits better than no motion: where the two differ by more than the first number [ranges],
+#: its median error is below the second part of that
 _DIFFERS, _MOVES = 0.1, 0.7
 #: sightings that no reading fits better than this [ranges] contradict the odometry
 _CONTRADICTION = 0.4
+#: messages where no motion fits better
+_NOISY_TURNS = (
+    "over short ways a robot that does not turn fits the sightings better than the recorded turn rates: they are very noisy, "
+    "wheels slip, or rows of the odometry have wrong times"
+)
+_NOISY_SPEEDS = (
+    "over short ways a robot that only turns fits the sightings better than the recorded speeds: they are very noisy, wheels "
+    "slip, or rows of the odometry have wrong times"
+)
 
 
 @dataclass(frozen=True)
@@ -74,10 +83,10 @@ def readings_of(log: Log) -> Iterator[Finding]:
         return
     readings = pairs.readings()
     wrong = [each for each in readings if each.given > _WRONG]
-    likely = [each for each in wrong if each.error < _BETTER * each.given and each.share > _SHARE]
+    better = [each for each in wrong if each.error < _BETTER * each.given and each.share > _SHARE]
     if pairs.long:
-        likely = [each for each in likely if min(each.slower) < 1]
-    likely = [each for each in likely if _moves_like(log, each.slower)]
+        better = [each for each in better if min(each.slower) < 1]
+    likely = [each for each in better if _moves_like(log, each.slower)]
     given = max(each.given for each in readings)
     if likely:
         least = min(reading.error for reading in likely)
@@ -88,7 +97,13 @@ def readings_of(log: Log) -> Iterator[Finding]:
         )
         times = f"{best.given / best.error:.1f}" if best.error > 0 else "infinitely many"
         yield Finding(best.check, f"{best.message}: read like this, they fit the odometry {times} times better")
-    elif given > _CONTRADICTION and not pairs.long:
+    elif pairs.long:
+        return
+    elif better:
+        still = min(better, key=lambda reading: reading.error)
+        turns = still.slower[1] < 1
+        yield Finding("odometry noise", _NOISY_TURNS if turns else _NOISY_SPEEDS)
+    elif given > _CONTRADICTION:
         yield Finding(
             "contradiction",
             f"sightings contradict the odometry: over short ways a landmark moves by {given:.0%} of its range (median); ids, "
@@ -195,7 +210,13 @@ class SightingPairs:
             (1 / 1000, "the speeds are in mm/s"), (1 / 100, "the speeds are in cm/s"), (1 / 3.6, "the speeds are in km/h"),
             (1 / 0.3048, "the ranges are in feet"), (100.0, "the ranges are in cm"), (1000.0, "the ranges are in mm"),
         ):  # fmt: skip
-            yield "scale", f"{message}, against the other lengths", poses * [factor, factor, 1.0], z, (min(factor, 1.0), 1.0)
+            yield (
+                "scale",
+                f"{message}, against the other lengths",
+                poses * [factor, factor, 1.0],
+                z,
+                (min(factor, 1.0), 1.0),
+            )
         yield from self._clocks(path, starts)
 
     def _clocks(self, path: Array, starts: np.ndarray) -> Iterator[tuple[str, str, Array, Array]]:
