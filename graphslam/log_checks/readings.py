@@ -144,15 +144,24 @@ class SightingPairs:
         """The steps of the first and second sightings (2, K)."""
         return self.log.steps[np.stack([self.first, self.second])]
 
+    @cached_property
+    def path(self) -> Array:
+        """Dead reckoning (S+1, 3) at the ends of all controls."""
+        return self._path([1.0, 1.0])
+
+    @property
+    def poses(self) -> Array:
+        """The poses of dead reckoning at the first and second sightings (2, K, 3)."""
+        return self.path[self.log.control_starts[self.steps]]
+
     def readings(self) -> list[Reading]:
         """Every other reading of the log."""
-        path = self._path([1.0, 1.0])
-        poses = path[self.log.control_starts[self.steps]]
+        poses = self.poses
         sensor = self.log.sensor or SensorModel()
         as_given = moves(sensor, poses, self.sightings)
         turning = np.abs(poses[1, :, 2] - poses[0, :, 2]) > _TURNING
         readings = []
-        for check, message, changed_poses, changed_sightings, *slower in self._others(path, poses):
+        for check, message, changed_poses, changed_sightings, *slower in self._others(poses):
             errors = moves(sensor, changed_poses, changed_sightings)
             # where the robot drives straight on, both signs fit
             used = turning if check == "bearing sign" and np.sum(turning) >= _FEWEST else slice(None)
@@ -186,7 +195,7 @@ class SightingPairs:
         assert controls is not None and dt is not None
         return MotionModel().dead_reckoning(self.log.initial_poses[0], controls[:, order] * factors, dt)
 
-    def _others(self, path: Array, poses: Array) -> Iterator[tuple[Any, ...]]:
+    def _others(self, poses: Array) -> Iterator[tuple[Any, ...]]:
         """For each other reading the name of its check, its message, and the poses (2, K, 3) and sightings (2, K, 2).
 
         Of smaller units also the factors of speed and turn rate.
@@ -217,14 +226,14 @@ class SightingPairs:
                 z,
                 (min(factor, 1.0), 1.0),
             )
-        yield from self._clocks(path, starts)
+        yield from self._clocks(starts)
 
-    def _clocks(self, path: Array, starts: np.ndarray) -> Iterator[tuple[str, str, Array, Array]]:
+    def _clocks(self, starts: np.ndarray) -> Iterator[tuple[str, str, Array, Array]]:
         """The sightings read as later or earlier."""
         times = self.log.control_times
         for late in (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0):
             for shift in (-late, late):
-                moved = np.stack([np.interp(times[starts] + shift, times, column) for column in path.T], axis=-1)
+                moved = np.stack([np.interp(times[starts] + shift, times, column) for column in self.path.T], axis=-1)
                 message = f"the clock of the sightings is about {late:g} s {'fast' if shift < 0 else 'slow'}"
                 yield "clock", f"{message} (--clocks sightings={shift:g})", moved, self.sightings
 
