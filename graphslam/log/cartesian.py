@@ -44,15 +44,21 @@ def chosen_axes(
     if "z" not in found:
         return stated or plain, (), ()
     if "y" not in found:
-        note = "x and z are taken as right and ahead, the axes of a camera (--axes optical), because there is no y"
-        return stated or "optical", () if stated else (f"{table.source}: {note}",), ()
+        note = (
+            f"{table.source}: x and z are taken as right and ahead, the axes of a camera (--axes optical), because there is "
+            "no y"
+        )
+        return stated or "optical", () if stated else (note,), ()
     shown = _shown(table, {role: each.column for role, each in found.items()})
     if shown == "unknown" or (stated and shown in (None, "optical" if stated == "optical" else plain)):
         return stated or plain, (), ()
     if stated:
         one, other = ("y", "z") if shown == "optical" else ("z", "y")
-        looks = f"--axes {stated} is stated, but {one} rather than {other} seems to be the height of the landmarks"
-        return stated, (), (("axes", f"{table.source}: {looks}; compare with --axes {shown}"),)
+        message = (
+            f"{table.source}: --axes {stated} is stated, but {one} rather than {other} seems to be the height of the "
+            f"landmarks; compare with --axes {shown}"
+        )
+        return stated, (), (("axes", message),)
     if shown is None:
         message = (
             f"{table.source}: x and y are taken as ahead and left, and z as the height, but the numbers do not show that; if "

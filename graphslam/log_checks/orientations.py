@@ -26,16 +26,15 @@ def orientations_of(log: Log) -> Iterator[Finding]:
     if np.ptp(psi) == 0:
         yield Finding(
             "orientation",
-            f"all orientations are {psi[0] + 0.0:g} rad, so that the sensor probably does not measure them: leave out their column",
+            f"all orientations are {psi[0] + 0.0:g} rad, so that the sensor probably does not measure them: leave out their "
+            "column",
         )
         return
     theta, phi, psi = pairs.poses[..., 2], pairs.sightings[..., 1], psi[np.stack([pairs.first, pairs.second])]
     given = _change(theta + phi - psi)
     others = {
         "the orientations are the headings of landmarks in the axes of the robot, m_theta - theta": theta + psi,
-        "the orientations have the opposite sign, m_theta - theta - phi": theta
-        + phi
-        + psi,
+        "the orientations have the opposite sign, m_theta - theta - phi": theta + phi + psi,
         "the orientations are the headings of landmarks in the axes of the world, m_theta": psi,
     }
     if np.max(np.abs(psi)) <= np.pi**2 / 90:

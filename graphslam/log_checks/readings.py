@@ -47,15 +47,6 @@ _ALIKE = 1.3
 _DIFFERS, _MOVES = 0.1, 0.7
 #: sightings that no reading fits better than this [ranges] contradict the odometry
 _CONTRADICTION = 0.4
-#: messages where no motion fits better
-_NOISY_TURNS = (
-    "over short ways a robot that does not turn fits the sightings better than the recorded turn rates: they are very noisy, "
-    "wheels slip, or rows of the odometry have wrong times"
-)
-_NOISY_SPEEDS = (
-    "over short ways a robot that only turns fits the sightings better than the recorded speeds: they are very noisy, wheels "
-    "slip, or rows of the odometry have wrong times"
-)
 
 
 @dataclass(frozen=True)
@@ -100,9 +91,15 @@ def readings_of(log: Log) -> Iterator[Finding]:
     elif pairs.long:
         return
     elif better:
-        still = min(better, key=lambda reading: reading.error)
-        turns = still.slower[1] < 1
-        yield Finding("odometry noise", _NOISY_TURNS if turns else _NOISY_SPEEDS)
+        turns = min(better, key=lambda reading: reading.error).slower[1] < 1
+        yield Finding(
+            "odometry noise",
+            "over short ways a robot that does not turn fits the sightings better than the recorded turn rates: they are "
+            "very noisy, wheels slip, or rows of the odometry have wrong times"
+            if turns
+            else "over short ways a robot that only turns fits the sightings better than the recorded speeds: they are very "
+            "noisy, wheels slip, rows of the odometry have wrong times, or the sightings have other axes",
+        )
     elif given > _CONTRADICTION:
         yield Finding(
             "contradiction",
