@@ -489,7 +489,8 @@ def test_the_report_is_japanese(tmp_path: Path) -> None:
         "tags.csv: --axes optical is stated, but z rather than y seems to be the height of the landmarks; compare with "
         "--axes forward-left",
         "the orientations have the opposite sign, m_theta - theta - phi: read like this, the heading of a landmark changes "
-        "by 0.037 instead of 0.19 rad over short ways (median); make them psi = theta + phi - m_theta or leave out their column",
+        "by 0.037 instead of 0.19 rad over short ways (median); make them psi = theta + phi - m_theta or leave out their "
+        "column",
         "orientation_std, estimated as 5.8, is more than usual robots have (at most 1): perhaps orientations are in another "
         "unit, or are not psi = theta + phi - m_theta; correct them or leave out their column",
         "oo, estimated as 0.37, is more than usual robots have (at most 0.15): perhaps the turn rate has another sign or "
