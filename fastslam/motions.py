@@ -128,10 +128,10 @@ class Sightings:
             exact, degrees: see `GibbsOptions`; 0 degrees of freedom stand for a Gaussian.
         """
         indices = (np.ascontiguousarray(numbers, dtype=np.int64) for numbers in (self.first, self.marks))
-        sightings = (np.ascontiguousarray(part) for part in (self.y, self.C, weights, self.z, self.q))
+        sightings = np.hstack([self.y, self.C, weights, self.z, self.q])
         return engine.GibbsProblem(
-            motions, np.ascontiguousarray(information), *indices, *sightings, len(self.ids), self.columns, exact, degrees,
-        )  # fmt: skip
+            np.hstack([motions, information]), *indices, sightings, len(self.ids), self.columns, exact, degrees
+        )
 
     def linearised_at(self, trajectories: Array, maps: Array) -> Self:
         """Return the same problem, linearised at the mean relative places of samples (S, T + 1, 3) and (S, J, 3)."""
@@ -215,9 +215,8 @@ class Record:
                 f"smoothing {N:,} particles over {T} steps by {count:,} trajectories needs {need / GIGABYTE:.3g} GB of "
                 f"memory, and {there / GIGABYTE:.2g} GB are available; take fewer particles or trajectories"
             )
-        poses, log_weights, parents = particles.recorded()
         problem = seen.in_engine(np.zeros((T, 3)), np.zeros((T, 6)), seen.C)
-        sampler = engine.BackwardSampler(poses, log_weights, parents, problem, CANDIDATES)
+        sampler = engine.BackwardSampler(particles, problem, CANDIDATES)
         trajectories, maps = np.empty((count, T + 1, 3)), np.empty((count, J, 3))
 
         def draw(s: int, seed: int) -> None:

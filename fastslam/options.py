@@ -228,8 +228,8 @@ def forecast(log: Log, options: FilterOptions, *, maps: bool) -> Forecast:
 
 def smoothing_memory(particles: int, poses: int, landmarks: int, events: int, count: int) -> float:
     """The memory [bytes] of backward simulation of ``count`` trajectories; an event is a step that sees a landmark."""
-    # the record of the poses and its copy for the sampler
-    record = 4.0 * poses * landmarks + 72.0 * events + 84.0 * poses
+    # the record of the poses, and the sums of the weights and the ancestors of the sampler
+    record = 4.0 * poses * landmarks + 72.0 * events + 48.0 * poses
     # the covariances need another copy of the samples
     return particles * record + 48.0 * count * (poses + landmarks)
 

@@ -46,6 +46,13 @@ auto copy_of(const Array& array) {
     return std::vector(array.data(), array.data() + array.size());
 }
 
+/// What a call returns, during which other threads may use Python.
+template <class Call>
+auto released(Call call) {
+    const nb::gil_scoped_release others;
+    return call();
+}
+
 inline void require(bool holds, const char* what) {
     if (!holds) throw std::invalid_argument(what);
 }

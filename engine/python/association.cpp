@@ -13,12 +13,16 @@ namespace vmslam::python::association_bindings {
 
 using namespace association;
 
-/// Residuals (C, d) with their covariance (C d, C d), in as many numbers.
-Residuals residuals_of(const In<double>& nu, const In<double>& covariance) {
+/// Pairs (C) with residuals (C, d) and their covariance (C d, C d), in as many numbers. Landmarks are a copy that is checked.
+Pairs pairs_of(std::span<const Number> landmarks, const In<double>& nu, const In<double>& covariance,
+               const In<double>& weights, const In<bool>& allowed) {
     require(nu.ndim() == 2 && nu.shape(1) >= 1 && nu.shape(1) <= most_coordinates, "residuals have 1 to 3 coordinates");
     require(covariance.size() == nu.size() * nu.size(),
             "the covariance has a row and a column for each number of the residuals");
-    return {span(nu), span(covariance), nu.shape(1)};
+    const std::size_t count = nu.shape(0);
+    require(landmarks.size() == count && weights.size() == count && allowed.size() == count,
+            "the arrays of the pairs have different lengths");
+    return {landmarks, {span(nu), span(covariance), nu.shape(1)}, span(weights), span(allowed)};
 }
 
 Out<std::int64_t> views(const In<double>& poses, const In<double>& landmarks, const In<double>& origin,
@@ -29,8 +33,7 @@ Out<std::int64_t> views(const In<double>& poses, const In<double>& landmarks, co
     std::vector<std::int64_t> counts;
     {
         const nb::gil_scoped_release other_threads;
-        counts =
-            count_views(span(poses), {span(landmarks), landmarks.shape(1)}, {origin.data()[0], origin.data()[1]}, fields);
+        counts = count_views(span(poses), span(landmarks), landmarks.shape(1), {origin.data()[0], origin.data()[1]}, fields);
     }
     return array(std::move(counts), {fields.size(), landmarks.shape(0)});
 }
@@ -40,21 +43,20 @@ std::pair<Out<Number>, double> best(const In<Number>& start, const In<Number>& l
                                     const In<bool>& allowed, const In<double>& gates, Number most) {
     // copies: these are checked here, and other threads may change the arrays afterwards
     const std::vector<Number> starts = copy_of(start), numbers = copy_of(landmarks);
-    const Candidates candidates{starts, numbers, residuals_of(nu, covariance), span(weights), span(bounds), span(allowed)};
-    const std::size_t count = candidates.residuals.size();
-    require(landmarks.size() == count && weights.size() == count && bounds.size() == count && allowed.size() == count,
-            "the arrays of the candidates have different lengths");
-    require(start.size() >= 1 && start.data()[0] == 0 && start.data()[start.size() - 1] == Number(count) &&
-                std::is_sorted(candidates.start.begin(), candidates.start.end()),
+    const Pairs candidates = pairs_of(numbers, nu, covariance, weights, allowed);
+    const std::size_t count = numbers.size();
+    require(bounds.size() == count, "the arrays of the candidates have different lengths");
+    require(!starts.empty() && starts.front() == 0 && starts.back() == Number(count) &&
+                std::is_sorted(starts.begin(), starts.end()),
             "the starts of the items must ascend from 0 to the number of candidates");
-    require(gates.size() >= start.size(), "a gate is needed for every number of pairs");
+    require(gates.size() >= starts.size(), "a gate is needed for every number of pairs");
     // they are numbered, so that a list of all landmarks is short
-    for (const Number landmark : candidates.landmarks)
+    for (const Number landmark : numbers)
         require(landmark >= 0 && landmark < Number(count), "landmarks must be numbered from 0");
     BestHypothesis found;
     {
         const nb::gil_scoped_release other_threads;
-        found = best_hypothesis(candidates, span(gates), most);
+        found = best_hypothesis(candidates, starts, span(bounds), span(gates), most);
     }
     return {array(std::move(found.chosen)), found.evidence};
 }
@@ -63,10 +65,9 @@ std::pair<Out<Number>, double> best(const In<Number>& start, const In<Number>& l
 nb::tuple grown(const In<Number>& begin, const In<Number>& items, const In<Number>& landmarks, const In<double>& nu,
                 const In<double>& covariance, const In<double>& weights, const In<bool>& allowed, double gate_of_given,
                 double gate, bool grow) {
-    const Pairs pairs{span(items), span(landmarks), residuals_of(nu, covariance), span(weights), span(allowed)};
-    const std::size_t count = pairs.residuals.size();
-    require(items.size() == count && landmarks.size() == count && weights.size() == count && allowed.size() == count,
-            "the arrays of the pairs have different lengths");
+    const Pairs pairs = pairs_of(span(landmarks), nu, covariance, weights, allowed);
+    const std::size_t count = items.size();
+    require(landmarks.size() == count, "the arrays of the pairs have different lengths");
     require(begin.ndim() == 2, "each hypothesis begins with a row of pairs");
     // a copy, which other threads cannot change after the check
     const std::vector<Number> beginnings = copy_of(begin);
@@ -79,7 +80,8 @@ nb::tuple grown(const In<Number>& begin, const In<Number>& items, const In<Numbe
     {
         const nb::gil_scoped_release other_threads;
         for (std::size_t k = 0; k < rows; ++k) {
-            const Grown one = grown_from(std::span(beginnings).subspan(k * given, given), pairs, {gate_of_given, gate, grow});
+            const auto first = std::span(beginnings).subspan(k * given, given);
+            const Grown one = grown_from(first, pairs, span(items), {gate_of_given, gate, grow});
             std::copy(one.members.begin(), one.members.end(), members.begin() + k * count);
             evidence[k] = one.evidence;
             std::copy(one.second.begin(), one.second.end(), second.begin() + k * second_pairs);

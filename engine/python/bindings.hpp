@@ -3,34 +3,12 @@
 
 #include <nanobind/nanobind.h>
 
-namespace vmslam::python {
+/// use(name) for each file.
+#define VMSLAM_BINDINGS(use) \
+    use(association) use(certificate) use(edges) use(factors) use(filters) use(gibbs) use(online) use(sparse) use(solve)
 
-namespace association_bindings {
-void bind(nanobind::module_& module);
-}
-namespace certificate_bindings {
-void bind(nanobind::module_& module);
-}
-namespace edges_bindings {
-void bind(nanobind::module_& module);
-}
-namespace factors_bindings {
-void bind(nanobind::module_& module);
-}
-namespace filters_bindings {
-void bind(nanobind::module_& module);
-}
-namespace gibbs_bindings {
-void bind(nanobind::module_& module);
-}
-namespace online_bindings {
-void bind(nanobind::module_& module);
-}
-namespace solve_bindings {
-void bind(nanobind::module_& module);
-}
-namespace sparse_bindings {
-void bind(nanobind::module_& module);
-}
-
-}  // namespace vmslam::python
+#define VMSLAM_DECLARE(name)                    \
+    namespace vmslam::python::name##_bindings { \
+        void bind(nanobind::module_ & module);  \
+    }
+VMSLAM_BINDINGS(VMSLAM_DECLARE)

@@ -16,7 +16,6 @@
 namespace vmslam::python::certificate_bindings {
 
 using namespace certificate;
-using Complexes = std::complex<double>;
 
 /// The upper triangle of a symmetric matrix (d, d); false where it is not symmetric, but for rounding.
 bool take_upper(const double* W, int d, double tolerance, double* upper) {
@@ -74,7 +73,7 @@ Out<Index> points_of_nodes(const edges::ConstantEdges& from, Index nodes) {
 class OwnedProof : public Proof {
    public:
     OwnedProof(const In<Index>& start, const In<Index>& rows, std::shared_ptr<sparse::Symbolic> symbolic)
-        : Proof(span(start), span(rows), std::move(symbolic)), start_(start), rows_(rows) {}
+        : Proof({span(start), span(rows)}, std::move(symbolic)), start_(start), rows_(rows) {}
 
     /// The edges become those of the proof.
     void begin_at(edges::ConstantEdges& taken, const In<double>& state, const In<Index>& fixed) {
@@ -105,7 +104,7 @@ void bind(nb::module_& m) {
         // the pattern that a number of nodes have by the edges, and the nodes whose headings no edge depends on
         .def("pattern",
              [](const edges::ConstantEdges& from, Index nodes) {
-                 const sparse::WidePattern pattern = pattern_of(from.edges, nodes);
+                 const sparse::OwnedPattern pattern = pattern_of(from.edges, nodes);
                  return std::tuple(array(pattern.start), array(pattern.rows), points_of_nodes(from, nodes));
              })
         // whether an edge depends on the heading of one of some nodes
@@ -130,14 +129,10 @@ void bind(nb::module_& m) {
         // bound, or None, and a direction (N, 2) in which S is not positive, or None
         .def("judge",
              [](OwnedProof& proof, double cost, bool thorough) {
-                 Judgement found;
-                 {
-                     const nb::gil_scoped_release others;
-                     found = judge(proof, cost, thorough);
-                 }
+                 Judgement found = released([&] { return judge(proof, cost, thorough); });
                  std::optional<std::pair<Index, Index>> ends;
                  if (found.edge >= 0) ends.emplace(proof.edges[found.edge].first, proof.edges[found.edge].second);
-                 std::optional<Out<Complexes>> direction;
+                 std::optional<Out<Complex>> direction;
                  const std::size_t nodes = found.direction.size() / 2;
                  if (nodes) direction = array(std::move(found.direction), {nodes, 2});
                  return std::tuple(found.finding, found.lowest, found.unsplit, ends, direction);
@@ -155,10 +150,10 @@ void bind(nb::module_& m) {
     });
     // of a factor: c (N,) in the order of elimination, the errors (N, 2) for blocks of a matrix, the parts (N,) of its
     // diagonal that bound them by the structure, in the order of elimination, and the bound on b^H A^-1 b
-    m.def("rounding_bounds", [](HermitianFactor& factor, In<Complexes> values, In<Index> start, In<Complexes> b) {
+    m.def("rounding_bounds", [](HermitianFactor& factor, In<Complex> values, In<Index> start, In<Complex> b) {
         const std::vector<double> c = rounding_of(factor.symbolic());
         const double square = square_bound(factor, span(b), c);
-        return std::tuple(array(c), array(factor_errors(factor, span(values), span(start), c), {c.size(), 2}),
+        return std::tuple(array(c), array(factor_errors(factor, span(values), {span(start), {}}, c), {c.size(), 2}),
                           array(errors_by_structure(factor.symbolic(), c)), square);
     });
 }

@@ -16,7 +16,6 @@
 #include "vmslam/edges/single_numbers.hpp"
 #include "vmslam/edges/virtual_motion.hpp"
 #include "vmslam/log.hpp"
-#include "vmslam/solve/objective.hpp"
 
 namespace vmslam::python::edges_bindings {
 
@@ -48,9 +47,8 @@ Sightings seen(const In<double>& z, const In<double>& noisy, const In<double>& t
             std::bit_cast<Sensor>(sensor), kernel_of(code, width),  z.shape(1) == 3};
 }
 
-System system_of(const In<Index>& start, const In<Index>& rows, const InOut<double>& values, const InOut<double>& xi,
-                 const InOut<Index>& workspace) {
-    return {span(start), span(rows), values.data(), xi.data(), workspace.data()};
+System system_of(const In<Index>& start, const In<Index>& rows, const InOut<double>& values, const InOut<double>& xi) {
+    return {{span(start), span(rows)}, values.data(), xi.data()};
 }
 
 void bind_families(nb::module_& m) {
@@ -64,8 +62,8 @@ void bind_families(nb::module_& m) {
         .def(
             "add",
             [](const Family& f, In<double> state, In<double> reference, In<Index> start, In<Index> rows, InOut<double> values,
-               InOut<double> xi, InOut<Index> workspace, In<Index> pairs) {
-                System system = system_of(start, rows, values, xi, workspace);
+               InOut<double> xi, In<Index> pairs) {
+                System system = system_of(start, rows, values, xi);
                 return f.accumulate({state.data(), reference.data()}, &system, span(pairs));
             },
             release())
@@ -238,8 +236,8 @@ void bind_linearized(nb::module_& m) {
     m.def(
         "add_linearized",
         [](In<Index> first, In<Index> second, In<Index> pairs, In<double> e, In<double> A, In<double> B, In<double> P,
-           In<double> W, In<Index> start, In<Index> rows, InOut<double> values, InOut<double> xi, InOut<Index> workspace,
-           InOut<double> mixed, InOut<double> own, InOut<double> gradient) {
+           In<double> W, In<Index> start, In<Index> rows, InOut<double> values, InOut<double> xi, InOut<double> mixed,
+           InOut<double> own, InOut<double> gradient) {
             const std::size_t E = first.size(), n = start.size() - 1, K = gradient.size(), d = e.ndim() == 2 ? e.shape(1) : 0;
             require((d == 2 || d == 3) && second.size() == E && pairs.size() == E && has_shape(e, {E, d}) &&
                         has_shape(A, {E, d, 3}) && has_shape(B, {E, d, 3}) && has_shape(P, {E, d, K}) &&
@@ -252,7 +250,7 @@ void bind_linearized(nb::module_& m) {
                             static_cast<std::size_t>(pair) < rows.size(),
                         "an edge is between two different nodes of the system");
             }
-            System system = system_of(start, rows, values, xi, workspace);
+            System system = system_of(start, rows, values, xi);
             add({span(first), span(second), span(pairs), d, K, e.data(), A.data(), B.data(), P.data(), W.data()}, system,
                 {mixed.data(), own.data(), gradient.data()});
         },
@@ -275,24 +273,11 @@ void bind_kernels(nb::module_& m) {
           [](int code, double width, int dimension) { return expectations(kernel_of(code, width), dimension); });
 }
 
-void bind_holding(nb::module_& m) {
-    // the rows and columns of nodes become those of the identity
-    m.def("hold", [](In<Index> start, In<Index> rows, InOut<double> values, InOut<double> xi, InOut<Index> workspace,
-                     In<Index> blocks, In<Index> nodes) {
-        solve::hold(system_of(start, rows, values, xi, workspace), span(blocks), span(nodes));
-    });
-    // those of nodes from a coordinate on
-    m.def("rest",
-          [](In<Index> start, In<Index> rows, InOut<double> values, InOut<double> xi, InOut<Index> workspace, In<Index> nodes,
-             int coordinate) { solve::rest(system_of(start, rows, values, xi, workspace), span(nodes), coordinate); });
-}
-
 void bind(nb::module_& m) {
     bind_families(m);
     bind_measured(m);
     bind_linearized(m);
     bind_kernels(m);
-    bind_holding(m);
 }
 
 }  // namespace vmslam::python::edges_bindings

@@ -1,7 +1,6 @@
 // What GTSAM's custom factors compute in the engine.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
-#include <nanobind/stl/vector.h>
 
 #include <array>
 
@@ -42,19 +41,6 @@ void bind_whitened(nb::module_& m) {
 }
 
 void bind_pairs(nb::module_& m) {
-    nb::class_<LandmarkPair>(m, "LandmarkPair")
-        .def("__init__",
-             [](LandmarkPair* at, std::vector<double> z_a, std::vector<double> z_b, std::array<double, 2> offset,
-                double ahead, bool turning) {
-                 const int dimension = static_cast<int>(z_a.size());
-                 z_a.resize(3), z_b.resize(3);
-                 new (at) LandmarkPair{
-                     {z_a[0], z_a[1], z_a[2]}, {z_b[0], z_b[1], z_b[2]}, dimension, offset[0], offset[1], ahead, turning};
-             })
-        // (7, d): e, and the columns of its derivatives by both poses
-        .def("linearized", [](const LandmarkPair& pair, std::array<double, 3> a, std::array<double, 3> b) {
-            return array(pair.linearized(a, b), {7, static_cast<std::size_t>(pair.dimension)});
-        });
     nb::class_<LandmarkPairs>(m, "LandmarkPairs")
         .def("__init__",
              [](LandmarkPairs* at, In<Index> nodes, In<double> z, In<double> ahead, std::array<double, 2> offset,
@@ -74,6 +60,11 @@ void bind_pairs(nb::module_& m) {
                  const std::vector<PlacedSighting> at = pairs.placed(span(x));
                  return nb::make_tuple(rows_of(at, &PlacedSighting::y), rows_of(at, &PlacedSighting::lever),
                                        rows_of(at, &PlacedSighting::axes));
+             })
+        // (7, d): e, and the columns of its derivatives by both poses
+        .def("linearized",
+             [](const LandmarkPairs& pairs, std::array<double, 3> a, std::array<double, 3> b) {
+                 return array(pairs.linearized(a, b), {7, static_cast<std::size_t>(pairs.dimension)});
              })
         .def("cost", [](const LandmarkPairs& pairs, In<double> x) { return pairs.cost(span(x)); })
         .def("sums", [](const LandmarkPairs& pairs, In<double> x) {

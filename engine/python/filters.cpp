@@ -1,18 +1,14 @@
 // Particle filters, their random numbers and their resampling.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/unique_ptr.h>
-#include <nanobind/stl/vector.h>
 
 #include <algorithm>
-#include <memory>
-#include <mutex>
-#include <stdexcept>
 
-#include "arrays.hpp"
 #include "bindings.hpp"
-#include "vmslam/particles/filter.hpp"
+#include "shared_filter.hpp"
+#include "vmslam/particles/weights.hpp"
 
 namespace vmslam::python::filters_bindings {
 
@@ -20,48 +16,35 @@ using namespace particles;
 using Numbers = In<double>;
 using Numbers64 = In<std::int64_t>;
 
-/// A filter that one Python thread uses at a time, while the others run.
-class SharedFilter {
-   public:
-    SharedFilter(const Numbers& poses, std::size_t threads, bool records) : filter_(first_poses(poses), threads, records) {}
-    explicit SharedFilter(const Filter& filter) : filter_(filter) {}
-
-    template <class Work>
-    auto with(const Work& work) {
-        const nb::gil_scoped_release release;
-        const std::lock_guard lock(mutex_);
-        require(!incomplete_, "an earlier step of this filter ran out of memory: make a new one with fewer particles");
-        try {
-            return work(filter_);
-        } catch (const std::bad_alloc&) {
-            incomplete_ = true;
-            throw;
-        }
-    }
-
-   private:
-    static Rows first_poses(const Numbers& poses) {
-        require(poses.ndim() == 2 && poses.shape(1) == 3 && poses.shape(0) > 0 && poses.shape(0) < (1u << 30),
-                "poses (N, 3)");
-        Rows rows(3, poses.shape(0));
-        for (std::size_t i = 0; i < rows.particles(); ++i)
-            for (int k = 0; k < 3; ++k) rows.row(k)[i] = poses.data()[3 * i + k];
-        return rows;
-    }
-
-    std::mutex mutex_;
-    bool incomplete_ = false;  ///< whether a step ended halfway
-    Filter filter_;
-};
-
+/// What Python gets: arrays for vectors.
+template <class T>
+T to_python(T value) {
+    return value;
+}
+template <class T>
+Out<T> to_python(std::vector<T> values) {
+    return array(std::move(values));
+}
 /// A read-only array (N, rows) that keeps the rows alive; (N,) for a single row.
-nb::object view_of(std::shared_ptr<const Rows> rows) {
+nb::object to_python(std::shared_ptr<const Rows> rows) {
     auto* const owned = new std::shared_ptr<const Rows>(std::move(rows));
     const nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::shared_ptr<const Rows>*>(p); });
     const Rows& r = **owned;
     if (r.rows() == 1) return nb::cast(nb::ndarray<nb::numpy, const double>(r.row(0), {r.particles()}, owner));
     return nb::cast(nb::ndarray<nb::numpy, const double>(r.row(0), {r.particles(), static_cast<std::size_t>(r.rows())}, owner,
                                                          {1, static_cast<std::int64_t>(r.stride())}));
+}
+
+/// A method: what `work` does with the filter, while other Python threads run.
+template <class Result, class... Arguments>
+auto locked(Result (*work)(Filter&, Arguments...)) {
+    return [work](SharedFilter& shared, Arguments... arguments) {
+        const auto use = [&](Filter& f) { return work(f, arguments...); };
+        if constexpr (std::is_void_v<Result>)
+            shared.with(use);
+        else
+            return to_python(shared.with(use));
+    };
 }
 
 std::size_t checked_particle(const Filter& f, std::size_t particle) {
@@ -95,18 +78,22 @@ Version version_of(int code) {
     return static_cast<Version>(code);
 }
 
-IdentifiedMap& identified(Filter& f) {
-    require(f.identified() != nullptr, "a filter that uses ids");
+const IdentifiedMap& identified(const Filter& f) {
+    require(f.identified().has_value(), "a filter that uses ids");
     return *f.identified();
 }
 
-AnonymousMap& anonymous(Filter& f) {
-    require(f.anonymous() != nullptr, "a filter that uses no ids");
+const AnonymousMap& anonymous(const Filter& f) {
+    require(f.anonymous().has_value(), "a filter that uses no ids");
     return *f.anonymous();
 }
 
+void check_columns(bool oriented, const Numbers& z) {
+    require(oriented == (z.shape(1) == 3), "sightings with as many columns as the first ones");
+}
+
 LandmarkView checked_view(Filter& f, LandmarkId id) {
-    const LandmarkView view = f.identified() ? f.identified()->view(id) : anonymous(f).view(id);
+    const LandmarkView view = f.view(id);
     if (!view.numbers) throw std::out_of_range("there is no such landmark");
     return view;
 }
@@ -122,7 +109,7 @@ nb::tuple landmark(SharedFilter& shared, LandmarkId id, std::size_t first, std::
         const Blocks& rows = *view.numbers;
         const bool oriented = f.identified() ? f.identified()->oriented() : anonymous(f).oriented();
         const int coordinates = oriented ? 3 : 2;
-        const int* const entries = oriented ? of_three : rows.rows() != point_rows ? of_slice : of_point;
+        const int* const entries = oriented ? of_three : f.identified() ? of_point : of_slice;
         for (std::size_t i = first; i < first + count; ++i) {
             const std::size_t at = view.at(i);
             for (int k = 0; k < coordinates; ++k) means.push_back(rows.at(k, at));
@@ -145,165 +132,80 @@ std::vector<double> class_probabilities(Filter& f, std::int64_t id, std::size_t 
     return out;
 }
 
-void bind_motion(nb::class_<SharedFilter>& c) {
-    c.def("move_by_control", [](SharedFilter& s, std::uint64_t key, std::array<double, 6> u, bool corrects) {
-        s.with([&](Filter& f) { f.move({ControlMotion{u[0], u[1], u[2], u[3], u[4], u[5]}, key}, corrects); });
-    });
-    c.def("move_by_gaussian", [](SharedFilter& s, std::uint64_t key, Numbers mean, Numbers covariance, bool corrects) {
-        require(mean.size() == 3 && covariance.size() == 9, "a mean (3,) and a covariance (3, 3)");
-        const WholeMotion motion{three_of(mean), six_of(covariance)};
-        s.with([&](Filter& f) { f.move({motion, key}, corrects); });
-    });
-    c.def("end_step", [](SharedFilter& s) { s.with([](Filter& f) { f.end_step(); }); });
+void use_ids(Filter& f, bool oriented, std::size_t jointly, std::optional<std::array<double, 2>> range_noise) {
+    std::optional<RangeNoise> noise;
+    if (range_noise) noise = {(*range_noise)[0], (*range_noise)[1]};
+    f.use_ids(oriented, jointly, noise);
 }
 
-void bind_maps(nb::class_<SharedFilter>& c) {
-    c.def(
-        "use_ids",
-        [](SharedFilter& s, bool oriented, std::size_t jointly, std::optional<std::array<double, 2>> range_noise) {
-            std::optional<RangeNoise> noise;
-            if (range_noise) noise = {(*range_noise)[0], (*range_noise)[1]};
-            s.with([&](Filter& f) { f.use_ids(oriented, jointly, noise); });
-        },
-        nb::arg("oriented"), nb::arg("jointly"), nb::arg("range_noise").none());
-    c.def("use_no_ids", [](SharedFilter& s, bool oriented, double border, double merge_gate, std::size_t merge_interval,
-                           std::array<double, 3> limits, Numbers confusion) {
-        require(confusion.ndim() == 2 && confusion.shape(1) == confusion.shape(0) + 1, "probabilities (n, n + 1)");
-        Confusion classes{confusion.shape(0), {confusion.data(), confusion.data() + confusion.size()}};
-        s.with([&](Filter& f) {
-            f.use_no_ids(oriented, {border, merge_gate, merge_interval, {limits[0], limits[1], limits[2]}},
-                         std::move(classes));
-        });
-    });
-    c.def("place", [](SharedFilter& s, LandmarkId id, Numbers mean, Numbers covariance) {
-        require(covariance.size() == mean.size() * mean.size(), "a covariance of as many coordinates as the mean");
-        const Vector m = three_of(mean);
-        const Symmetric S = six_of(covariance);
-        s.with([&](Filter& f) {
-            require(!identified(f).oriented() || mean.size() == 3, "landmarks with a heading");
-            identified(f).place(id, m, S);
-        });
-    });
-    c.def("landmarks", [](SharedFilter& s) {
-        return array(s.with([](Filter& f) {
-            return f.identified() ? f.identified()->ids() : f.anonymous() ? f.anonymous()->ids() : std::vector<LandmarkId>{};
-        }));
-    });
-    c.def("landmark", landmark);
-    c.def("class_probabilities", [](SharedFilter& s, std::int64_t id, std::size_t particle) {
-        return array(s.with([&](Filter& f) { return class_probabilities(f, id, particle); }));
-    });
-    // the slices of the pool, and how many landmarks were created so far
-    c.def("pool", [](SharedFilter& s) {
-        return s.with([](Filter& f) {
-            return std::array<std::int64_t, 2>{static_cast<std::int64_t>(anonymous(f).slices()), anonymous(f).created()};
-        });
-    });
+void use_no_ids(Filter& f, bool oriented, double border, double merge_gate, std::size_t merge_interval,
+                std::array<double, 3> limits, const Numbers& confusion) {
+    require(confusion.ndim() == 2 && confusion.shape(1) == confusion.shape(0) + 1, "probabilities (n, n + 1)");
+    f.use_no_ids(oriented, {border, merge_gate, merge_interval, {limits[0], limits[1], limits[2]}},
+                 {confusion.shape(0), copy_of(confusion)});
 }
 
-void bind_weighing(nb::class_<SharedFilter>& c) {
-    c.def("weigh_known", [](SharedFilter& s, Numbers landmarks, Numbers z, Numbers q, In<bool> oriented) {
-        const std::vector<Sighting> sightings = sightings_of(z, q);
-        require(landmarks.size() == 3 * sightings.size() && oriented.size() == sightings.size(),
-                "as many landmarks as sightings");
-        const std::vector<Vector> places = records<Vector>(landmarks, sightings.size());
-        std::vector<KnownSighting> known;
-        for (std::size_t k = 0; k < sightings.size(); ++k) known.push_back({places[k], sightings[k], oriented.data()[k]});
-        s.with([&](Filter& f) { f.weigh_known(known); });
-    });
-    c.def("weigh_identified", [](SharedFilter& s, Numbers64 ids, Numbers z, Numbers q, int version) {
-        const std::vector<Sighting> sightings = sightings_of(z, q);
-        require(ids.size() == sightings.size(), "as many ids as sightings");
-        const auto landmarks = copy_of(ids);
-        return s.with([&](Filter& f) {
-            require(identified(f).oriented() == (z.shape(1) == 3), "sightings with as many columns as the first ones");
-            return f.weigh_identified(landmarks, sightings, version_of(version));
-        });
-    });
-    c.def("weigh_anonymous", [](SharedFilter& s, Numbers z, Numbers q, Numbers64 shown, int version) {
-        const std::vector<Sighting> sightings = sightings_of(z, q);
-        require(shown.size() == sightings.size() && !sightings.empty(), "as many classes as sightings");
-        const auto classes = copy_of(shown);
-        s.with([&](Filter& f) {
-            require(anonymous(f).oriented() == (z.shape(1) == 3), "sightings with as many columns as the first ones");
-            const auto count = static_cast<std::int64_t>(anonymous(f).confusion().classes);
-            for (const std::int64_t k : classes) require(k >= 0 && k <= count, "classes from 0 to n");
-            f.weigh_anonymous(sightings, classes, version_of(version));
-        });
-    });
-    c.def("weigh_by", [](SharedFilter& s, Numbers log_likelihoods) {
-        const auto given = copy_of(log_likelihoods);
-        s.with([&](Filter& f) {
-            require(given.size() == f.particles(), "a log likelihood for each particle");
-            f.weigh_by(given);
-        });
-    });
-    c.def("reweigh", [](SharedFilter& s) {
-        const auto [possible, log_evidence, ess] = s.with([](Filter& f) { return f.reweigh(); });
-        return nb::make_tuple(possible, log_evidence, ess);
-    });
-    c.def("branch", [](SharedFilter& s, In<Index> ancestors) {
-        const auto a = copy_of(ancestors);
-        s.with([&](Filter& f) {
-            const auto count = static_cast<Index>(f.particles());
-            require(a.size() == f.particles() && a.front() >= 0 && a.back() < count && std::is_sorted(a.begin(), a.end()),
-                    "ancestors (N,) must ascend from 0 to N - 1 at most");
-            f.branch(a);
-        });
-    });
-    c.def("remember", [](SharedFilter& s) { s.with([](Filter& f) { f.remember(); }); });
+void place(Filter& f, LandmarkId id, const Numbers& mean, const Numbers& covariance) {
+    require(covariance.size() == mean.size() * mean.size(), "a covariance of as many coordinates as the mean");
+    require(!identified(f).oriented() || mean.size() == 3, "landmarks with a heading");
+    f.place(id, three_of(mean), six_of(covariance));
 }
 
-void bind_state(nb::class_<SharedFilter>& c) {
-    c.def_prop_ro("poses", [](SharedFilter& s) { return view_of(s.with([](Filter& f) { return f.poses(); })); });
-    c.def_prop_ro("log_weights", [](SharedFilter& s) { return view_of(s.with([](Filter& f) { return f.log_weights(); })); });
-    c.def("log_likelihoods",
-          [](SharedFilter& s) { return array(s.with([](Filter& f) { return copy_of(f.log_likelihoods()); })); });
-    c.def("weights", [](SharedFilter& s) { return array(s.with([](Filter& f) { return copy_of(f.weights()); })); });
-    c.def_prop_ro("best", [](SharedFilter& s) { return s.with([](Filter& f) { return f.best(); }); });
-    c.def_prop_ro("threads", [](SharedFilter& s) { return s.with([](Filter& f) { return f.ranges().count(); }); });
-    c.def_prop_ro("stored_poses",
-                  [](SharedFilter& s) { return s.with([](Filter& f) { return f.history().stored_rows(); }); });
-    c.def_prop_ro("history_bytes", [](SharedFilter& s) { return s.with([](Filter& f) { return f.history().bytes(); }); });
-    c.def("level", [](SharedFilter& s) { return s.with([](Filter& f) { return f.history().level(); }); });
-    c.def("ancestors", [](SharedFilter& s, std::int64_t level) {
-        return array(s.with([&](Filter& f) {
-            if (level < 0 || level > f.history().level()) throw std::out_of_range("there is no such level");
-            const Index* const ancestors = f.history().ancestors(level);
-            std::vector<std::int64_t> out(f.particles());
-            for (std::size_t i = 0; i < out.size(); ++i) out[i] = ancestors ? ancestors[i] : static_cast<std::int64_t>(i);
-            return out;
-        }));
+void weigh_known(Filter& f, const Numbers& landmarks, const Numbers& z, const Numbers& q, const In<bool>& oriented) {
+    const std::vector<Sighting> sightings = sightings_of(z, q);
+    require(landmarks.size() == 3 * sightings.size() && oriented.size() == sightings.size(),
+            "as many landmarks as sightings");
+    const std::vector<Vector> places = records<Vector>(landmarks, sightings.size());
+    std::vector<KnownSighting> known;
+    for (std::size_t k = 0; k < sightings.size(); ++k) known.push_back({places[k], sightings[k], oriented.data()[k]});
+    f.weigh_known(known);
+}
+
+bool weigh_identified(Filter& f, const Numbers64& ids, const Numbers& z, const Numbers& q, int version) {
+    const std::vector<Sighting> sightings = sightings_of(z, q);
+    require(ids.size() == sightings.size(), "as many ids as sightings");
+    check_columns(identified(f).oriented(), z);
+    return f.weigh_identified(copy_of(ids), sightings, version_of(version));
+}
+
+void weigh_anonymous(Filter& f, const Numbers& z, const Numbers& q, const Numbers64& shown, int version) {
+    const std::vector<Sighting> sightings = sightings_of(z, q);
+    require(shown.size() == sightings.size() && !sightings.empty(), "as many classes as sightings");
+    check_columns(anonymous(f).oriented(), z);
+    const auto classes = copy_of(shown);
+    const auto count = static_cast<std::int64_t>(anonymous(f).confusion().classes);
+    for (const std::int64_t k : classes) require(k >= 0 && k <= count, "classes from 0 to n");
+    f.weigh_anonymous(sightings, classes, version_of(version));
+}
+
+void weigh_by(Filter& f, const Numbers& log_likelihoods) {
+    require(log_likelihoods.size() == f.particles(), "a log likelihood for each particle");
+    f.weigh_by(span(log_likelihoods));
+}
+
+void branch(Filter& f, const In<Index>& ancestors) {
+    const auto a = copy_of(ancestors);
+    const auto count = static_cast<Index>(f.particles());
+    require(a.size() == f.particles() && a.front() >= 0 && a.back() < count && std::is_sorted(a.begin(), a.end()),
+            "ancestors (N,) must ascend from 0 to N - 1 at most");
+    f.branch(a);
+}
+
+std::vector<std::int64_t> ancestors(Filter& f, std::int64_t level) {
+    if (level < 0 || level > f.history().level()) throw std::out_of_range("there is no such level");
+    const LandmarkView written{nullptr, f.history().ancestors(level)};
+    std::vector<std::int64_t> out(f.particles());
+    for (std::size_t i = 0; i < out.size(); ++i) out[i] = static_cast<std::int64_t>(written.at(i));
+    return out;
+}
+
+nb::tuple summary(SharedFilter& shared) {
+    History::Summary out = shared.with([](Filter& f) {
+        std::vector<double> weights(f.particles());
+        for (std::size_t i = 0; i < weights.size(); ++i) weights[i] = numbers::exp(f.log_weights()->row(0)[i]);
+        return f.history().summary(weights);
     });
-    // the particles of all steps: poses (T + 1, N, 3), log weights (T + 1, N), and their indices in the step before
-    c.def("recorded", [](SharedFilter& s) {
-        std::vector<double> poses, log_weights;
-        std::vector<Index> parents;
-        const auto [steps, particles] = s.with([&](Filter& f) {
-            require(f.record() != nullptr, "a filter that keeps a record");
-            for (const RecordedStep& step : f.record()->steps()) {
-                for (std::size_t i = 0; i < f.particles(); ++i)
-                    poses.insert(poses.end(), {step.poses->row(0)[i], step.poses->row(1)[i], step.poses->row(2)[i]});
-                log_weights.insert(log_weights.end(), step.log_weights->row(0), step.log_weights->row(0) + f.particles());
-                parents.insert(parents.end(), step.parents.begin(), step.parents.end());
-            }
-            return std::pair(f.record()->steps().size(), f.particles());
-        });
-        return nb::make_tuple(array(std::move(poses), {steps, particles, 3}),
-                              array(std::move(log_weights), {steps, particles}),
-                              array(std::move(parents), {steps, particles}));
-    });
-    c.def("trajectory", [](SharedFilter& s, std::size_t particle) {
-        return rows_of(s.with([&](Filter& f) { return f.history().trajectory(checked_particle(f, particle)); }));
-    });
-    c.def("summary", [](SharedFilter& s) {
-        History::Summary out = s.with([](Filter& f) {
-            std::vector<double> weights(f.particles());
-            for (std::size_t i = 0; i < weights.size(); ++i) weights[i] = numbers::exp(f.log_weights()->row(0)[i]);
-            return f.history().summary(weights);
-        });
-        return nb::make_tuple(rows_of(out.means), array(std::move(out.distinct)));
-    });
+    return nb::make_tuple(rows_of(out.means), array(std::move(out.distinct)));
 }
 
 void bind_random(nb::module_& m) {
@@ -325,18 +227,57 @@ void bind_random(nb::module_& m) {
 }
 
 void bind(nb::module_& m) {
-    nb::class_<SharedFilter> filter(m, "ParticleFilter");
-    filter.def(nb::init<const Numbers&, std::size_t, bool>());
-    bind_motion(filter);
-    bind_maps(filter);
-    bind_weighing(filter);
-    bind_state(filter);
-    filter.def("__deepcopy__", [](SharedFilter& s, nb::handle) {
-        return s.with([](const Filter& f) { return std::make_unique<SharedFilter>(f); });
-    });
-    filter.def("__getstate__", [](SharedFilter&) {
-        throw nb::type_error("a particle filter cannot be pickled; pickle its result(), or copy it with copy.deepcopy");
-    });
+    nb::class_<SharedFilter>(m, "ParticleFilter")
+        .def(nb::init<const Numbers&, std::size_t, bool>())
+        .def("move_by_control", locked(+[](Filter& f, std::uint64_t key, std::array<double, 6> u, bool corrects) {
+                 f.move({ControlMotion{u[0], u[1], u[2], u[3], u[4], u[5]}, key}, corrects);
+             }))
+        .def("move_by_gaussian",
+             locked(+[](Filter& f, std::uint64_t key, const Numbers& mean, const Numbers& covariance, bool corrects) {
+                 require(mean.size() == 3 && covariance.size() == 9, "a mean (3,) and a covariance (3, 3)");
+                 f.move({WholeMotion{three_of(mean), six_of(covariance)}, key}, corrects);
+             }))
+        .def("end_step", locked(+[](Filter& f) { f.end_step(); }))
+        .def("use_ids", locked(use_ids), nb::arg("oriented"), nb::arg("jointly"), nb::arg("range_noise").none())
+        .def("use_no_ids", locked(use_no_ids))
+        .def("place", locked(place))
+        .def("landmarks", locked(+[](Filter& f) { return f.landmarks(); }))
+        .def("landmark", landmark)
+        .def("class_probabilities", locked(class_probabilities))
+        // the slices of the pool, and how many landmarks were created so far
+        .def("pool", locked(+[](Filter& f) { return std::tuple(anonymous(f).slices(), anonymous(f).created()); }))
+        .def("weigh_known", locked(weigh_known))
+        .def("weigh_identified", locked(weigh_identified))
+        .def("weigh_anonymous", locked(weigh_anonymous))
+        .def("weigh_by", locked(weigh_by))
+        .def("reweigh", locked(+[](Filter& f) {
+                 const auto [possible, log_evidence, ess] = f.reweigh();
+                 return std::tuple(possible, log_evidence, ess);
+             }))
+        .def("branch", locked(branch))
+        .def("remember", locked(+[](Filter& f) { f.remember(); }))
+        .def_prop_ro("poses", locked(+[](Filter& f) { return f.poses(); }))
+        .def_prop_ro("log_weights", locked(+[](Filter& f) { return f.log_weights(); }))
+        .def("log_likelihoods", locked(+[](Filter& f) { return copy_of(f.log_likelihoods()); }))
+        .def("weights", locked(+[](Filter& f) { return copy_of(f.weights()); }))
+        .def_prop_ro("best", locked(+[](Filter& f) { return f.best(); }))
+        .def_prop_ro("threads", locked(+[](Filter& f) { return f.ranges().count(); }))
+        .def_prop_ro("stored_poses", locked(+[](Filter& f) { return f.history().stored_rows(); }))
+        .def_prop_ro("history_bytes", locked(+[](Filter& f) { return f.history().bytes(); }))
+        .def("level", locked(+[](Filter& f) { return f.history().level(); }))
+        .def("ancestors", locked(ancestors))
+        .def("trajectory",
+             [](SharedFilter& s, std::size_t particle) {
+                 return rows_of(s.with([&](Filter& f) { return f.history().trajectory(checked_particle(f, particle)); }));
+             })
+        .def("summary", summary)
+        .def("__deepcopy__",
+             [](SharedFilter& s, nb::handle) {
+                 return s.with([](const Filter& f) { return std::make_unique<SharedFilter>(f); });
+             })
+        .def("__getstate__", [](SharedFilter&) {
+            throw nb::type_error("a particle filter cannot be pickled; pickle its result(), or copy it with copy.deepcopy");
+        });
     bind_random(m);
 }
 

@@ -52,17 +52,7 @@ const Numbers32& checked(const OnlineSystem& s, const Numbers32& nodes) {
     return nodes;
 }
 
-Out<double> triples(const std::vector<Triple>& rows) {
-    std::vector<double> flat;
-    for (const Triple& row : rows) flat.insert(flat.end(), row.begin(), row.end());
-    return array(std::move(flat), {rows.size(), 3});
-}
-
-std::vector<Triple> triples_of(const In<double>& rows) {
-    std::vector<Triple> out(rows.size() / 3);
-    for (std::size_t k = 0; k < out.size(); ++k) std::copy_n(rows.data() + 3 * k, 3, out[k].begin());
-    return out;
-}
+std::vector<Triple> triples_of(const In<double>& rows) { return records<Triple>(rows, rows.size() / 3); }
 
 void bind(nb::module_& m) {
     nb::enum_<Kind>(m, "OnlineEdge")
@@ -85,10 +75,7 @@ void bind(nb::module_& m) {
         .def("add_point", &OnlineSystem::add_point)
         .def("add_prior",
              [](OnlineSystem& s, const Numbers32& nodes, In<double> places, In<double> information, bool points,
-                In<double> pivot) {
-                 s.add_prior(nodes, triples_of(places), {information.data(), information.data() + information.size()}, points,
-                             {pivot.data(), pivot.data() + pivot.size()});
-             })
+                In<double> pivot) { s.add_prior(nodes, triples_of(places), copy_of(information), points, copy_of(pivot)); })
         .def("add",
              [](OnlineSystem& s, Id known, const NewEdges& added, const Numbers32& newest) {
                  // other threads wait: they may read this solver while it grows
@@ -100,22 +87,20 @@ void bind(nb::module_& m) {
              [](OnlineSystem& s, const Numbers32& nodes, In<double> places, const Numbers32& newest) {
                  return s.solve_from(checked(s, nodes), triples_of(places), newest);
              })
-        .def("loosen",
-             [](OnlineSystem& s, In<double> place, In<double> information) {
-                 s.loosen(triples_of(place).at(0), {information.data(), information.data() + information.size()});
-             })
+        .def("loosen", [](OnlineSystem& s, In<double> place,
+                          In<double> information) { s.loosen(triples_of(place).at(0), copy_of(information)); })
         .def("relinearize", [](OnlineSystem& s, const Numbers32& newest) { s.relinearize(newest); })
         .def("marginalize", [](OnlineSystem& s, Id node, const Numbers32& newest) { return s.marginalize(node, newest); })
         .def("crowded", &OnlineSystem::crowded)
         .def("renumber", &OnlineSystem::renumber)
         .def("complete", &OnlineSystem::complete)
-        .def("values", [](OnlineSystem& s, const Numbers32& nodes) { return triples(s.values(checked(s, nodes))); })
+        .def("values", [](OnlineSystem& s, const Numbers32& nodes) { return rows_of(s.values(checked(s, nodes))); })
         // the values of nodes as the last step left them
         .def("places",
              [](const OnlineSystem& s, const Numbers32& nodes) {
                  std::vector<Triple> rows;
                  for (const Id node : checked(s, nodes)) rows.push_back(s.graph().nodes[node].x);
-                 return triples(rows);
+                 return rows_of(rows);
              })
         .def("cost", &OnlineSystem::cost)
         .def("cost_with_priors", &OnlineSystem::cost_with_priors)

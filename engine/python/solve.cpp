@@ -133,8 +133,7 @@ class PythonFamily : public edges::Family {
               values(array(std::vector<double>(9 * like.rows.size()), {like.rows.size(), 3, 3})),
               xi(array(std::vector<double>(size), {size / 3, 3})),
               system(make(array(std::vector(like.start.begin(), like.start.end())),
-                          array(std::vector(like.rows.begin(), like.rows.end())), values, xi,
-                          array(std::vector<Index>(size / 3)))) {}
+                          array(std::vector(like.rows.begin(), like.rows.end())), values, xi)) {}
     };
 
     nb::object family_, make_;
@@ -202,11 +201,7 @@ class PythonObjective : public Objective {
 /// What a search for lower states finds while other threads may use Python.
 template <class Search>
 std::pair<std::optional<Out<double>>, int> lowered(Search search) {
-    Lowered found;
-    {
-        const nb::gil_scoped_release others;
-        found = search();
-    }
+    const Lowered found = released(search);
     std::optional<Out<double>> to;
     if (found.state) to = state_array(found.state->data(), found.state->size());
     return {std::move(to), found.steps};
@@ -225,11 +220,10 @@ void bind_objectives(nb::module_& m) {
             for (std::size_t k = 0; k < families.size(); ++k)
                 members.push_back({nb::cast<const edges::Family*>(families[k]), span(nb::cast<In<Index>>(pairs[k]))});
             const auto values = nb::cast<InOut<double>>(system[2]), xi = nb::cast<InOut<double>>(system[3]);
-            const auto workspace = nb::cast<InOut<Index>>(system[4]);
             const auto places = [](nb::handle h) { return span(nb::cast<In<Index>>(h)); };
-            new (at) BoundGraph(
-                std::move(members), {places(system[0]), places(system[1]), values.data(), xi.data(), workspace.data()},
-                {places(held[0]), places(held[1]), places(held[2])}, constant, *nb::cast<Factor*>(owned[4]), owned);
+            new (at) BoundGraph(std::move(members), {{places(system[0]), places(system[1])}, values.data(), xi.data()},
+                                {places(held[0]), places(held[1]), places(held[2])}, constant, *nb::cast<Factor*>(owned[4]),
+                                owned);
         });
     // initial values (n, 3), poses whose heading no edge measures, and a node that the edges do not tie, and one of a
     // relation that the pattern does not have, or -1
@@ -244,11 +238,7 @@ void bind_objectives(nb::module_& m) {
              In<Index> from) -> std::optional<Out<double>> {
               const Growth growth{poses, each, span(parents), span(offsets), span(from)};
               std::vector<double> start = copy_of(state);
-              std::optional<std::vector<double>> grown;
-              {
-                  const nb::gil_scoped_release others;
-                  grown = grow(graph, std::move(start), growth);
-              }
+              const auto grown = released([&] { return grow(graph, std::move(start), growth); });
               if (!grown) return std::nullopt;
               return state_array(grown->data(), grown->size());
           });

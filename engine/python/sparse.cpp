@@ -19,22 +19,22 @@ namespace vmslam::python::sparse_bindings {
 using namespace sparse;
 using release = nb::call_guard<nb::gil_scoped_release>;
 
-Pattern pattern_of(const In<Index>& start, const In<Node>& rows) { return {span(start), span(rows)}; }
+Pattern pattern_of(const In<Index>& start, const In<Index>& rows) { return {span(start), span(rows)}; }
 
 void bind_patterns(nb::module_& m) {
     m.def("pattern", [](Index nodes, In<Index> sizes, In<Index> members) {
-        WidePattern pattern = pattern_of_groups(nodes, span(sizes), span(members));
+        OwnedPattern pattern = pattern_of_groups(nodes, span(sizes), span(members));
         return std::pair(array(std::move(pattern.start)), array(std::move(pattern.rows)));
     });
-    m.def("pattern_fault", [](In<Index> start, In<Node> rows) { return pattern_of(start, rows).fault(); });
+    m.def("pattern_fault", [](In<Index> start, In<Index> rows) { return pattern_of(start, rows).fault(); });
     m.def("blocks_of_nodes", [](In<Index> start, In<Index> rows, In<Index> nodes) {
-        return array(blocks_of_nodes(span(start), span(rows), span(nodes)));
+        return array(blocks_of_nodes(pattern_of(start, rows), span(nodes)));
     });
     // the block between two nodes each, and the first pair that the pattern does not have, or -1
     m.def("pair_blocks", [](In<Index> start, In<Index> rows, In<Index> first, In<Index> second) {
         std::vector<Index> blocks(first.size());
         for (std::size_t e = 0; e < blocks.size(); ++e)
-            blocks[e] = block_or_none(span(start), span(rows), first.data()[e], second.data()[e]);
+            blocks[e] = block_or_none(pattern_of(start, rows), first.data()[e], second.data()[e]);
         const auto missing = std::find(blocks.begin(), blocks.end(), -1);
         const Index at = missing == blocks.end() ? -1 : missing - blocks.begin();
         return std::pair(array(std::move(blocks)), at);
@@ -42,15 +42,15 @@ void bind_patterns(nb::module_& m) {
 }
 
 void bind_orders(nb::module_& m) {
-    m.def("minimum_degree", [](In<Index> start, In<Node> rows, double dense) {
+    m.def("minimum_degree", [](In<Index> start, In<Index> rows, double dense) {
         const Pattern pattern = pattern_of(start, rows);
         return array(minimum_degree(pattern, degree_limit(pattern.size(), dense)));
     });
-    m.def("fill_reducing", [](In<Index> start, In<Node> rows, Node smallest, double worth) {
+    m.def("fill_reducing", [](In<Index> start, In<Index> rows, Node smallest, double worth) {
         return array(fill_reducing(pattern_of(start, rows), {smallest, worth}));
     });
     m.def("flops_of",
-          [](In<Index> start, In<Node> rows, In<Node> order) { return flops_of(pattern_of(start, rows), span(order)); });
+          [](In<Index> start, In<Index> rows, In<Node> order) { return flops_of(pattern_of(start, rows), span(order)); });
     const auto graph = [](const In<Index>& start, const In<Node>& list) { return Neighbours{copy_of(start), copy_of(list)}; };
     m.def("separator_depths",
           [graph](In<Index> start, In<Node> list, Node limit) { return array(separator_depths(graph(start, list), limit)); });
@@ -69,14 +69,14 @@ void bind_symbolic(nb::module_& m) {
         .def_ro("blocks", &Symbolic::blocks);
     m.def(
         "analyze",
-        [](In<Index> start, In<Node> rows, std::optional<In<Node>> order, int threads, std::optional<In<Index>> points) {
+        [](In<Index> start, In<Index> rows, std::optional<In<Node>> order, int threads, std::optional<In<Index>> points) {
             const Pattern pattern = pattern_of(start, rows);
             const nb::gil_scoped_release other_threads;
             std::vector<char> is_point(pattern.size(), 0);
             if (points)
                 for (const Index node : span(*points)) is_point.at(node) = 1;
-            if (order) return std::make_shared<Symbolic>(analyze(pattern, span(*order), shape_of<Real3>, threads, is_point));
-            return std::make_shared<Symbolic>(analyze(pattern, fill_reducing(pattern), shape_of<Real3>, threads, is_point));
+            return std::make_shared<Symbolic>(order ? analyze(pattern, span(*order), shape_of<Real3>, threads, is_point)
+                                                    : analyze(pattern, shape_of<Real3>, threads, is_point));
         },
         nb::arg("start"), nb::arg("rows"), nb::arg("order").none(), nb::arg("threads"), nb::arg("points") = nb::none());
     m.def("for_proof", [](const Symbolic& s) { return std::make_shared<Symbolic>(reshaped(s, shape_of<Hermitian2>)); });

@@ -43,8 +43,7 @@ struct Problem {
         std::fill_n(allowed.get(), count, true);
     }
 
-    Residuals residuals() const { return {nu, S, d}; }
-    std::span<const bool> all() const { return {allowed.get(), count}; }
+    Pairs pairs() const { return {landmarks, {nu, S, d}, weights, {allowed.get(), count}}; }
 
     struct Weighed {
         double evidence, squares;
@@ -95,8 +94,7 @@ void the_search_finds_the_best(unsigned seed) {
     const Problem problem(seed);
     const double gate = 9.0;
     const std::vector<double> bounds(problem.count, 100.0), gates(5, gate);
-    const BestHypothesis best = best_hypothesis(
-        {problem.start, problem.landmarks, problem.residuals(), problem.weights, bounds, problem.all()}, gates, 100'000);
+    const BestHypothesis best = best_hypothesis(problem.pairs(), problem.start, bounds, gates, 100'000);
     std::vector<Number> chosen, none;
     std::copy_if(best.chosen.begin(), best.chosen.end(), std::back_inserter(chosen), [](Number c) { return c >= 0; });
     expect(std::abs(best.evidence - most_of_all(problem, gate, none, 0)) < 1e-9, "no hypothesis has more evidence", seed);
@@ -105,10 +103,9 @@ void the_search_finds_the_best(unsigned seed) {
 
 void growth_adds_up(unsigned seed) {
     const Problem problem(seed);
-    const Pairs pairs{problem.items, problem.landmarks, problem.residuals(), problem.weights, problem.all()};
     for (Number seed_pair = 0; seed_pair < Number(problem.count); ++seed_pair) {
         const Number begin[] = {seed_pair, -1};
-        const Grown grown = grown_from(begin, pairs, {1e300, 20.0, true});
+        const Grown grown = grown_from(begin, problem.pairs(), problem.items, {1e300, 20.0, true});
         std::vector<Number> members;
         for (std::size_t c = 0; c < problem.count; ++c)
             if (grown.members[c]) members.push_back(c);
@@ -123,7 +120,7 @@ void growth_adds_up(unsigned seed) {
             expect(problem.items[second] != problem.items[seed_pair], "second pairs can follow the first", seed);
         }
     }
-    const Grown nothing = grown_from({}, pairs, {1e300, 20.0, false});
+    const Grown nothing = grown_from({}, problem.pairs(), problem.items, {1e300, 20.0, false});
     expect(nothing.evidence == 0.0 && nothing.second[0] == -1, "no pairs have no evidence", seed);
 }
 
@@ -132,10 +129,10 @@ void views_are_those_of_range_and_bearing(unsigned seed) {
     std::uniform_real_distribution<> uniform(-1.0, 1.0);
     std::vector<double> poses, marks;
     for (int k = 0; k < 60; ++k) poses.push_back(3 * uniform(random)), marks.push_back(5 * uniform(random));
-    const Mounting sensor{0.4, -0.2};
+    const vmslam::edges::Lever sensor{0.4, -0.2};
     const double bearings[] = {0.9, 2.5};
     const std::vector<FieldLimit> limits{{1.0, 4.0, std::cos(bearings[0])}, {0.5, 5.0, std::cos(bearings[1])}};
-    const std::vector<std::int64_t> counts = count_views(poses, {marks, 3}, sensor, limits);
+    const std::vector<std::int64_t> counts = count_views(poses, marks, 3, sensor, limits);
     for (std::size_t k = 0; k < limits.size(); ++k)
         for (std::size_t j = 0; j < 20; ++j) {
             std::int64_t expected = 0;

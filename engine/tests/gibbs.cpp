@@ -62,15 +62,14 @@ void gaussians_are_fused(unsigned seed) {
     Gaussian forward, backward;
     double density_forward = 0.0, density_backward = 0.0;
     for (int k = 0; k < 3; ++k) {
-        density_forward += fuse(forward, {y[k].x, y[k].y, 0.2 * y[k].t}, C[k], true);
-        density_backward += fuse(backward, {y[2 - k].x, y[2 - k].y, 0.2 * y[2 - k].t}, C[2 - k], true);
+        density_forward += fuse(forward, {{y[k].x, y[k].y, 0.2 * y[k].t}, C[k]}, true);
+        density_backward += fuse(backward, {{y[2 - k].x, y[2 - k].y, 0.2 * y[2 - k].t}, C[2 - k]}, true);
     }
     expect(farthest(forward.mean, backward.mean) < 1e-12, "fused in any order", seed);
     expect(std::abs(density_forward - density_backward) < 1e-9, "the density of all is the same", seed);
     const Frame pose({random.normal(), random.normal(), 2.0});
-    Gaussian turned_mark{composed(pose, forward.mean), vmslam::edges::turned(pose.axes, forward.S)};
-    const double here = density(forward, y[0], C[0], true);
-    const double there = density(turned_mark, composed(pose, y[0]), vmslam::edges::turned(pose.axes, C[0]), true);
+    const Gaussian seen{y[0], C[0]};
+    const double here = density(forward, seen, true), there = density(composed(pose, forward), composed(pose, seen), true);
     expect(std::abs(here - there) < 1e-9, "densities do not depend on the axes", seed);
     expect(farthest(relative(pose, composed(pose, y[0])), {y[0].x, y[0].y, wrap_angle(y[0].t)}) < 1e-12, "there and back",
            seed);
@@ -89,7 +88,7 @@ Problem straight(bool exact) {
     const auto add = [&](Number step, const Vector& y) {
         const double range = std::hypot(y.x, y.y), bearing = std::atan2(y.y, y.x);
         problem.sightings.push_back(
-            {step, 0, y, C, weight, {range, bearing, bearing - y.t}, {4e-4, 4e-4 / (range * range), 1e-2}});
+            {{{y, C}, weight, {range, bearing, bearing - y.t}, {4e-4, 4e-4 / (range * range), 1e-2}}, step, 0});
     };
     add(0, {5.0, 0.0, 0.0});
     add(3, {2.06, 0.0, 0.0});
@@ -120,23 +119,23 @@ void trajectories_are_drawn_backwards(Number candidates) {
     constexpr Number N = 400;
     Bits bits{5};
     Random random(bits.source());
-    Problem problem = straight(false);
-    std::vector<double> poses, log_weights;
-    std::vector<std::int32_t> parents;
-    for (Number t = 0; t < 4; ++t)
-        for (Number i = 0; i < N; ++i) {
-            // a start somewhere, and exact motions
-            const double begin = t == 0 ? 0.3 * random.normal() : poses[3 * i];
-            poses.insert(poses.end(), {begin + static_cast<double>(t), 0.0, 0.0});
-            log_weights.push_back(-std::log(static_cast<double>(N)));
-            parents.push_back(static_cast<std::int32_t>(i));
-        }
-    const RecordedParticles particles{poses, log_weights, parents, N};
-    const BackwardSampler sampler(particles, problem, candidates);
+    using vmslam::particles::Rows;
+    const auto log_weights = std::make_shared<Rows>(1, N);
+    log_weights->fill(-std::log(static_cast<double>(N)));
+    // a start somewhere, and exact motions
+    Rows poses(3, N);
+    poses.fill(0.0);
+    for (Number i = 0; i < N; ++i) poses.row(0)[i] = 0.3 * random.normal();
+    vmslam::particles::Record record(std::make_shared<Rows>(poses), log_weights);
+    for (int t = 1; t < 4; ++t) {
+        for (Number i = 0; i < N; ++i) poses.row(0)[i] += 1.0;
+        record.move(std::make_shared<Rows>(poses), log_weights);
+    }
+    const BackwardSampler sampler(record, straight(false), candidates);
     double mean = 0.0;
     constexpr int draws = 400;
     for (int k = 0; k < draws; ++k) {
-        const Trajectory x = sampler.draw(random);
+        const Trajectory x = sampler.draw(random).first;
         expect(std::abs(x[3].x - x[0].x - 3.0) < 1e-12, "motions are those of the particles", candidates);
         mean += x[0].x / draws;
     }

@@ -5,7 +5,6 @@
 
 #include "expect.hpp"
 #include "vmslam/edges/relative.hpp"
-#include "vmslam/sparse/ordering.hpp"
 
 namespace {
 
@@ -29,16 +28,8 @@ void with_places(const std::vector<double>& x, double omega, auto use) {
     std::vector<edges::Position> places;
     for (const double each : x) places.push_back({0, {each, 2.0, 0.5}, {omega, 0.0, 100.0, 0.0, 0.0, 100.0}});
     const edges::PositionEdges family(std::move(places));
-    const std::vector<sparse::Index> start{0, 1};
-    const std::vector<sparse::Node> rows{0};
-    const std::vector<sparse::Index> wide{0};
-    const sparse::Pattern pattern{start, rows};
-    sparse::Factor<sparse::Real3> factor(std::make_shared<const sparse::Symbolic>(
-        analyze(pattern, fill_reducing(pattern), sparse::shape_of<sparse::Real3>, 1)));
-    std::vector<double> values(9), xi(3);
-    std::vector<sparse::Index> workspace(1);
-    const solve::GraphObjective graph({{&family, {}}}, {start, wide, values.data(), xi.data(), workspace.data()}, {}, 0.0,
-                                      factor);
+    solve::OwnedSystem system({{0, 1}, {0}});
+    const solve::GraphObjective graph({{&family, {}}}, system);
     use(solve::Graduation(graph, {{0, x.size(), 9.0, &family}}, {.tolerance = 1e-9, .most_steps = 30}, {0.0, 0.0, 0.0},
                           std::vector<double>(x.size(), 1.0)));
 }

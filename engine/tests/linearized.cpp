@@ -73,8 +73,8 @@ void test_sums(std::mt19937& random, unsigned seed) {
         members.insert(members.end(), {std::min(first[k], second[k]), std::max(first[k], second[k])});
     }
     const auto pattern = sparse::pattern_of_groups(static_cast<Index>(n), std::vector<Index>(E, 2), members);
-    std::vector<Index> pairs(E), workspace(n);
-    for (std::size_t k = 0; k < E; ++k) pairs[k] = sparse::block_between(pattern.start, pattern.rows, first[k], second[k]);
+    std::vector<Index> pairs(E);
+    for (std::size_t k = 0; k < E; ++k) pairs[k] = sparse::block_between(pattern, first[k], second[k]);
     const Numbers e = drawn(random, E * d), A = drawn(random, 3 * E * d), B = drawn(random, 3 * E * d);
     const Numbers P = drawn(random, E * d * K);
     Numbers W;
@@ -83,7 +83,7 @@ void test_sums(std::mt19937& random, unsigned seed) {
         W.insert(W.end(), one.begin(), one.end());
     }
     Numbers values(9 * pattern.rows.size()), xi(3 * n), mixed(3 * n * K), own(K * K), gradient(K);
-    edges::System system{pattern.start, pattern.rows, values.data(), xi.data(), workspace.data()};
+    edges::System system{pattern, values.data(), xi.data()};
     edges::add({first, second, pairs, d, K, e.data(), A.data(), B.data(), P.data(), W.data()}, system,
                {mixed.data(), own.data(), gradient.data()});
 

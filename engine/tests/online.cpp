@@ -29,9 +29,7 @@ class Drive {
         for (int k = 0; k < 12; ++k) marks_.push_back({normal() * 4, 4 + normal() * 4, 0.0});
         numbers_.assign(marks_.size(), -1);
         poses.push_back(system.add_node());
-        std::vector<double> held(9, 0.0);
-        held[0] = held[4] = held[8] = 1e6;
-        system.add_prior(poses, truth, held, false);
+        system.add_prior(poses, truth, {1e6, 0, 0, 0, 1e6, 0, 0, 0, 1e6}, false);
         system.solve(poses, {}, poses);
     }
     void step() {
@@ -40,24 +38,16 @@ class Drive {
         truth.push_back(moved(truth.back(), motion));
         const Id from = poses.back();
         poses.push_back(system.add_node());
-        std::vector<NewEdge> edges{{from,
-                                    poses.back(),
-                                    Kind::motion,
-                                    true,
-                                    {motion[0] + noise() / 20, noise() / 20, motion[2] + noise() / 30},
-                                    stiff}};
+        const Vector z{motion[0] + noise() / 20, noise() / 20, motion[2] + noise() / 30};
+        std::vector<NewEdge> edges{{from, poses.back(), Kind::motion, true, z, stiff}};
         const Triple& pose = truth.back();
         const Rotation axes(pose[2]);
         for (std::size_t k = 0; k < marks_.size(); ++k) {
             const double dx = marks_[k][0] - pose[0], dy = marks_[k][1] - pose[1];
             if (std::hypot(dx, dy) > 5.0) continue;
             if (numbers_[k] < 0) numbers_[k] = system.add_node();
-            edges.push_back({poses.back(),
-                             numbers_[k],
-                             Kind::sighting,
-                             false,
-                             {axes.c * dx + axes.s * dy + noise() / 10, axes.c * dy - axes.s * dx + noise() / 12, 0.0},
-                             sighting});
+            const Vector mark{axes.c * dx + axes.s * dy + noise() / 10, axes.c * dy - axes.s * dx + noise() / 12, 0.0};
+            edges.push_back({poses.back(), numbers_[k], Kind::sighting, false, mark, sighting});
         }
         expect(system.add(known, edges, {&poses.back(), 1}), "a step is taken", 0);
     }
@@ -261,12 +251,8 @@ void the_batch_solver_takes_a_large_correction(unsigned seed) {
         truth.push_back(moved(truth.back(), {1.0, 0.0, turn}));
         const Id from = drive.poses.back();
         drive.poses.push_back(system.add_node());
-        const NewEdge edge{from,
-                           drive.poses.back(),
-                           Kind::motion,
-                           true,
-                           {1.0 + 0.14 * drive.normal(), 0.14 * drive.normal(), turn + 0.1 * drive.normal()},
-                           {50.0, 0.0, 50.0, 0.0, 0.0, 100.0}};
+        const Vector z{1.0 + 0.14 * drive.normal(), 0.14 * drive.normal(), turn + 0.1 * drive.normal()};
+        const NewEdge edge{from, drive.poses.back(), Kind::motion, true, z, {50.0, 0.0, 50.0, 0.0, 0.0, 100.0}};
         system.add(known, {&edge, 1}, {&drive.poses.back(), 1});
     }
     const Triple& end = truth.back();

@@ -3,10 +3,10 @@
 #include <array>
 #include <limits>
 #include <map>
+#include <numeric>
 #include <random>
 
 #include "expect.hpp"
-#include "vmslam/particles/existence.hpp"
 #include "vmslam/particles/filter.hpp"
 
 namespace {
@@ -25,15 +25,9 @@ Gaussian gaussian(std::mt19937& random, double x, double y, double h, double spr
     for (int r = 0; r < 3; ++r)
         for (int c = 0; c < 3; ++c)
             for (int k = 0; k < 3; ++k) S[r][c] += a[r][k] * a[c][k];
-    return {each(x),
-            each(y),
-            each(h),
-            each(S[0][0] + 1e-3),
-            each(S[0][1]),
-            each(S[0][2]),
-            each(S[1][1] + 1e-3),
-            each(S[1][2]),
-            each(S[2][2] + 1e-3)};
+    for (int k = 0; k < 3; ++k) S[k][k] += 1e-3;
+    return {each(x),       each(y),       each(h),       each(S[0][0]), each(S[0][1]),
+            each(S[0][2]), each(S[1][1]), each(S[1][2]), each(S[2][2])};
 }
 
 /// The history against one list of poses per particle, with resampling up to twice in a step.
@@ -131,37 +125,23 @@ void test_merged(unsigned seed) {
     const bool oriented = seed % 2 == 0;
     const Gaussian a = gaussian(random, 0.1, 0.2, 3.1, 0.2), b = gaussian(random, 0.15, 0.1, -3.1, 0.2),
                    c = fused(a, b, oriented);
-    const auto inverse = [&](const Gaussian& g, double (&out)[3][3]) {
-        const double S[3][3]{{g.xx[0], g.xy[0], oriented ? g.xh[0] : 0},
-                             {g.xy[0], g.yy[0], oriented ? g.yh[0] : 0},
-                             {oriented ? g.xh[0] : 0, oriented ? g.yh[0] : 0, oriented ? g.hh[0] : 1}};
-        double det = 0;
-        for (int k = 0; k < 3; ++k) {
-            const int i = (k + 1) % 3, j = (k + 2) % 3;
-            det += S[0][k] * (S[1][i] * S[2][j] - S[1][j] * S[2][i]);
-            for (int r = 0; r < 3; ++r) {
-                const int m = (r + 1) % 3, n = (r + 2) % 3;
-                out[k][r] = S[m][i] * S[n][j] - S[m][j] * S[n][i];
-            }
-        }
-        for (auto& row : out)
-            for (double& entry : row) entry /= det;
+    const auto information = [&](const Gaussian& g) {
+        return edges::inverse({g.xx[0], g.xy[0], g.yy[0], g.xh[0], g.yh[0], g.hh[0]}, oriented);
     };
-    double A[3][3], B[3][3], C[3][3];
-    inverse(a, A), inverse(b, B), inverse(c, C);
-    const int n = oriented ? 3 : 2;
-    const double da[3]{c.x[0] - a.x[0], c.y[0] - a.y[0], oriented ? numbers::wrap_angle(c.h[0] - a.h[0]) : 0};
-    const double db[3]{c.x[0] - b.x[0], c.y[0] - b.y[0], oriented ? numbers::wrap_angle(c.h[0] - b.h[0]) : 0};
-    for (int r = 0; r < n; ++r) {
-        double gradient = 0, scale = 1;
-        for (int k = 0; k < n; ++k) {
-            gradient += A[r][k] * da[k] + B[r][k] * db[k];
-            scale += std::fabs(A[r][k] * da[k]) + std::fabs(B[r][k] * db[k]);
-            expect(std::fabs(C[r][k] - A[r][k] - B[r][k]) < 1e-8 * (1 + std::fabs(C[r][r]) + std::fabs(C[k][k])),
-                   "information of merged landmarks", seed);
-        }
-        expect(std::fabs(gradient) < 1e-8 * scale, "the mean of merged landmarks", seed);
+    const Symmetric A = information(a), B = information(b), C = information(c), sum = A + B;
+    const auto away = [&](const Gaussian& g) {
+        return Vector{c.x[0] - g.x[0], c.y[0] - g.y[0], oriented ? numbers::wrap_angle(c.h[0] - g.h[0]) : 0.0};
+    };
+    const Vector pull_a = A * away(a), pull_b = B * away(b);
+    for (int k = 0; k < 3; ++k) {
+        const double one = (&pull_a.x)[k], other = (&pull_b.x)[k];
+        expect(std::fabs(one + other) < 1e-8 * (1 + std::fabs(one) + std::fabs(other)), "the mean of merged landmarks", seed);
     }
+    const double diagonal[]{C.xx, C.yy, C.tt};
+    constexpr int rows[]{0, 0, 1, 0, 1, 2}, columns[]{0, 1, 1, 2, 2, 2};
+    for (int k = 0; k < 6; ++k)
+        expect(std::fabs((&C.xx)[k] - (&sum.xx)[k]) < 1e-8 * (1 + diagonal[rows[k]] + diagonal[columns[k]]),
+               "information of merged landmarks", seed);
 }
 
 /// Two landmarks of classes, just outside and just inside of the gate; the product of their probabilities.
@@ -221,15 +201,13 @@ void test_filters(bool oriented, bool ids, Version version, std::size_t jointly)
                 filter.weigh_anonymous(sightings, shown, version);
             const Filter::Reweighed weighed = filter.reweigh();
             expect(weighed.possible && weighed.ess >= 1.0, "effective sample size", 0);
-            const std::span<const double> weights = filter.weights();
-            std::vector<double> sums;
-            for (const double w : weights) sums.push_back(w + (sums.empty() ? 0.0 : sums.back()));
+            std::vector<double> sums(count);
+            std::partial_sum(filter.weights().begin(), filter.weights().end(), sums.begin());
             filter.branch(evenly_spaced(sums, 0.5));
             filter.end_step();
         }
         std::vector<double> out;
-        for (std::size_t i = 0; i < filter.particles(); ++i)
-            out.insert(out.end(), {filter.poses()->row(0)[i], filter.poses()->row(1)[i], filter.poses()->row(2)[i]});
+        for (int k = 0; k < 3; ++k) out.insert(out.end(), filter.poses()->row(k), filter.poses()->row(k) + count);
         return out;
     };
     const std::vector<double> one = run(1);

@@ -216,9 +216,7 @@ VMSLAM_EXPORT(vm_graph_covariances) int vm_graph_covariances(const LogGraph* gra
 }
 /// Write the most probable landmarks (x, y, heading) for the poses, by increasing name.
 VMSLAM_EXPORT(vm_graph_map) void vm_graph_map(const LogGraph* graph, const double* poses, double* landmarks) {
-    for (const edges::Vector& m : graph->map.around_means({poses, poses}).means) {
-        *landmarks++ = m.x, *landmarks++ = m.y, *landmarks++ = m.t;
-    }
+    for (const edges::Vector& m : graph->map.around_means({poses, poses}).means) landmarks = std::copy_n(&m.x, 3, landmarks);
 }
 
 /// Write h^-1(x, z) (3) and R Q R' (xx, xy, yy, xt, yt, tt), where Q is the noise at a range that need not be that of z.
@@ -231,16 +229,9 @@ void vm_place(const double* pose, const double* sighting, const double* noise, d
     sensor.range_constant = sensor.range_variance(noise_range);
     sensor.range_by_square = 0.0;
     const edges::Symmetric C = edges::landmark_covariance(sensor, sighting[0], along, true);
-    const double numbers[] = {pose[0] + axes.c * z.x - axes.s * z.y,
-                              pose[1] + axes.s * z.x + axes.c * z.y,
-                              edges::wrap(pose[2] + z.t),
-                              C.xx,
-                              C.xy,
-                              C.yy,
-                              C.xt,
-                              C.yt,
-                              C.tt};
-    std::copy(std::begin(numbers), std::end(numbers), out);
+    const edges::Vector d = edges::turned(axes, z), place{pose[0] + d.x, pose[1] + d.y, edges::wrap(pose[2] + z.t)};
+    std::copy_n(&place.x, 3, out);
+    std::copy_n(&C.xx, 6, out + 3);
 }
 /// Write the sighting (range, bearing, orientation) of a landmark (x, y, heading) from a pose without noise.
 VMSLAM_EXPORT(vm_sight) void vm_sight(const double* pose, const double* landmark, double* sighting) {
@@ -316,7 +307,7 @@ VMSLAM_EXPORT(vm_fastslam_particles) void vm_fastslam_particles(FastSlam* slam, 
 /// name.
 VMSLAM_EXPORT(vm_fastslam_landmark)
 int vm_fastslam_landmark(FastSlam* slam, int particle, double name, double* landmark) {
-    const particles::LandmarkView view = slam->filter.identified()->view(static_cast<std::int64_t>(name));
+    const particles::LandmarkView view = slam->filter.view(static_cast<std::int64_t>(name));
     if (!view.numbers) return 0;
     const auto rows = slam->robot.oriented ? std::array{0, 1, 3, 4, 6} : std::array{0, 1, 2, 3, 4};
     for (const int row : rows) *landmark++ = view.numbers->at(row, view.at(static_cast<std::size_t>(particle)));

@@ -334,7 +334,11 @@ class VirtualMotionFactor(Factor):
         covariance = sighted_covariance(headings[0], at_1, sensor) + sighted_covariance(headings[1], at_2, sensor)
         # in the body frame e is in axes that stand at this angle to the heading of the first pose
         ahead = phi1 if oriented else -headings[0]
-        pair = engine.LandmarkPair(z_1.tolist(), z_2.tolist(), sensor.offset, ahead, body)
+        first, second, both = np.zeros(1, np.int64), np.ones(1, np.int64), np.array([z_1, z_2])
+        unit = np.eye(3)[None]  # the factor weighs e by itself
+        pair = engine.LandmarkPairs(
+            np.arange(2), both, np.array([ahead, 0.0]), sensor.offset, body, first, second, unit
+        )
 
         def residual(a: Coordinates, b: Coordinates) -> Linearized:
             # derivatives by GTSAM's perturbations, each pose's in its own axes

@@ -29,7 +29,7 @@ from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import listed
 from ..identification.declared import Parameters
 from ..linear.precision import check_magnitudes, inverses
-from ..log import Log
+from ..log import UNIDENTIFIED, Log
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .defaults import anchors, position_edges
@@ -166,8 +166,9 @@ def _check_log(log: Log, with_motion: bool) -> None:
         )
     if not log.identified:
         raise GraphError(
-            f"{log.name} has sightings of unidentified landmarks, and a graph needs the identities; find them with "
-            "fastslam.associate, or use FastSLAM, which finds them itself"
+            f"{log.name} has {np.sum(log.landmarks == UNIDENTIFIED)} of {len(log.steps)} sightings without an id, and a "
+            "graph needs the ids: find them with fastslam.associate, use FastSLAM, which finds them itself, or leave these "
+            "sightings out: log.with_sightings(log.landmarks != graphslam.log.UNIDENTIFIED)"
         )
     if with_motion and log.controls is None:
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")

@@ -28,6 +28,7 @@ from .corrections import corrected_log, honest_variances
 from .declared import ParameterEstimate
 from .odometry import NOISE
 from .sighting_errors import LAGS, Ids, Predictions
+from .slips import Slip
 from .unknowns import DEGREES_SIGHTINGS, HELD, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
@@ -139,12 +140,14 @@ MIN_INFORMATION = 0.7
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
 #: fewer numbers that show the noise of the motion are a doubt (docs/decisions.md)
 HARDLY_SHOWN = 12.0
+#: sightings that are earlier than the odometry by more than this [s] have a remark: sensors are late
+EARLY = 0.03
 CAUSES = {
     "wheel_scale": "are odometry and ranges in metres? A log tells only the quotient of their scales.",
     "turn_scale": "is the odometry in radians per second? Noise in recorded turns makes the scale too large.",
     "turn_rate_bias": "is the gyroscope calibrated?",
     "curvature_bias": "does one wheel have another radius?",
-    "range_bias": "do ranges count from another point of the sensor?",
+    "range_bias": "do ranges count from another point of the sensor, or are landmarks above or below it?",
     "bearing_bias": "is the sensor mounted straight?",
     "sensor_ahead": "is the place of the sensor right (sensor offset)?",
     "sensor_left": "is the place of the sensor right (sensor offset)?",
@@ -172,6 +175,7 @@ class RobotEstimate:
         untested: the biases that were not estimated, because measurements of this kind do not tell them.
         of_scans: the error that all sightings of a scan have in common along the way [m], which the noise of the sensor
             contains and that of the odometry does not; 0 where the log shows none.
+        slips: stretches on which the odometry is wrong; the log has more noise of the controls there.
     """
 
     log: Log
@@ -188,6 +192,7 @@ class RobotEstimate:
     on_motion: float = np.inf
     untested: tuple[str, ...] = ()
     of_scans: float = 0.0
+    slips: tuple[Slip, ...] = ()
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -242,6 +247,7 @@ class RobotEstimate:
             for name, of in NOISE.items()
             if self.errors.get(name, 1) < 1 and values[name] > (most := of.unusual * larger.get(name, 1.0))
         ]
+        lines += [slip.sentence(self.log) for slip in self.slips]
         if self.basis == DEAD_RECKONING:
             lines.append(
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "
@@ -277,6 +283,13 @@ class RobotEstimate:
         if self.untested:
             which = ", ".join(self.untested)
             lines.append(f"not estimated from these ranges and bearings alone: {which} keep their ideal values")
+        delay = dict(zip(self.parameters.names, self.parameters.values.tolist())).get("sensor_delay", 0.0)
+        if delay < -EARLY:
+            lines.append(
+                f"the times of the sightings are {-delay:.2g} s before those of the odometry, and the poses have the times "
+                "of the odometry: does each row of it hold from its time to that of the next row, or are its times those of "
+                f"the ends? In the second case, or where its clock is late, state --clocks odometry={delay:.2g}"
+            )
         if self.left_out.sentence is not None:
             lines.append(self.left_out.sentence)
         if self.basis == DEAD_RECKONING:

@@ -19,6 +19,7 @@ The equations are those of `identification.unknowns` and `identification.restric
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +30,7 @@ from ..errors.checks import check_count, check_type
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .declared import ParameterEstimate
-from .odometry import sighting_times
+from .odometry import Odometry, sighting_times
 from .restricted_likelihood import fit, gain_over, hold_needless, is_elsewhere, numbers_on_motion, with_sensor_anywhere
 from .result import (
     BOOK_NOISE,
@@ -46,6 +47,7 @@ from .result import (
     without_found,
 )
 from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, common_errors, correlations, inflation, smoothed
+from .slips import Slip, slip_of_drive, without_slips
 from .unknowns import OF_GAUSSIAN_MOTIONS, Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -148,7 +150,8 @@ def _estimate(
     log: Log, sensor: SensorModel, given: tuple[MotionModel, SensorModel] | None, rng: np.random.Generator
 ) -> RobotEstimate:
     """The estimate from a log that has enough sightings."""
-    drive, first, ids = _with_ids(log, sensor, rng)
+    drive, first, ids, slips = _with_ids(log, sensor, rng)
+    log = log.replace(control_variances=drive.control_variances)
     named = ids.correct(drive)
     ids = ids.within(log.landmarks)
     sparse, used = _sparse(named)
@@ -174,7 +177,7 @@ def _estimate(
     if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING
     elif compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
-        return _known(log, ids, *other, compared)
+        return _known(log, ids, *other, compared, slips)
     if basis == DEAD_RECKONING:
         # this problem holds what the first one held, too
         second, held = dead_reckoning, held_first | held
@@ -196,6 +199,7 @@ def _estimate(
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion, of_scans=of_scans,
+        slips=slips,
     )  # fmt: skip
 
 
@@ -223,13 +227,15 @@ def _apart_from_scans(
     return replace(motion, **less), replace(sensor, **larger), float(np.sqrt(ahead))
 
 
-def _known(log: Log, ids: Ids, basis: str, noise: tuple[MotionModel, SensorModel], compared: LeftOut) -> RobotEstimate:
+def _known(
+    log: Log, ids: Ids, basis: str, noise: tuple[MotionModel, SensorModel], compared: LeftOut, slips: tuple[Slip, ...]
+) -> RobotEstimate:
     """The result where other noise than the estimated one predicts sightings best that are left out."""
     nothing, (motion, sensor) = ParameterEstimate((), np.zeros(0), np.zeros((0, 0)), {}), noise
     return RobotEstimate(
         log=ids.correct(log).replace(motion=motion, sensor=sensor), motion=motion, sensor=sensor, parameters=nothing,
         errors={}, ids=ids, correlations=np.zeros(len(LAGS) - 1), inflation=1.0, nearly_exact=False, left_out=compared,
-        basis=basis,
+        basis=basis, slips=slips,
     )  # fmt: skip
 
 
@@ -265,21 +271,24 @@ def _with_ids(
     motion: MotionModel | None = None,
     *,
     anywhere: bool = False,
-) -> tuple[Log, Unknowns, Ids]:
-    """The log with only its sightings with ids, the solution with the landmarks by their ids, and these ids checked.
+) -> tuple[Log, Unknowns, Ids, tuple[Slip, ...]]:
+    """The log with only its sightings with ids, the solution with the landmarks by their ids, these ids checked, and slips.
+
+    Controls of slips have more noise in this log.
 
     Args:
         motion: the noise of the motion is this, and that of the sensor that of ``sensor``. Default: both are estimated.
         anywhere: the sensor may be metres from its believed place.
     """
     drive = _of_sightings(log.with_sightings(log.landmarks != UNIDENTIFIED))
-    local, doubtful, alone = _local(drive, sensor, motion, anywhere)
+    drive, local, doubtful, alone, slips = _local(drive, sensor, motion, anywhere)
     fewer = _at_most(drive.with_sightings(~doubtful), MOST)
     first = _joined(fewer, sensor, local, ROUNDS[1])[0]
     if motion is None and not anywhere and is_elsewhere(_of_sightings(_sparse(fewer)[0]), first):
         # before the ids are checked, because a wrong place makes right ids look wrong
-        return _with_ids(log, sensor, rng, anywhere=True)
-    return drive, first, checked_ids(drive, _everywhere(first, fewer), alone, rng)
+        drive, first, ids, more = _with_ids(drive, sensor, rng, anywhere=True)
+        return drive, first, ids, slips + more
+    return drive, first, checked_ids(drive, _everywhere(first, fewer), alone, rng), slips
 
 
 def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
@@ -300,15 +309,19 @@ def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
             f"{FEWEST['sightings']} sightings and {FEWEST['poses']} poses"
         )
     try:
-        ids = _with_ids(log, sensor, np.random.default_rng(0), motion)[2].within(log.landmarks)
+        drive, _, ids, slips = _with_ids(log, sensor, np.random.default_rng(0), motion)
     except np.linalg.LinAlgError:
         raise GraphError(f"{log.name}: the sightings do not determine the poses") from None
+    ids = ids.within(log.landmarks)
     if ids.share > MANY_MISREAD:
         raise GraphError(
             f"{ids.share:.0%} of the sightings contradict their id by this noise, more than sensors misread; is it the noise "
             "of this robot?"
         )
-    return log if ids.sentence is None else ids.correct(log).replace(notes=(*log.notes, ids.sentence))
+    notes = tuple(slip.sentence(log) for slip in slips) + ((ids.sentence,) if ids.sentence is not None else ())
+    if not notes:
+        return log
+    return ids.correct(log).replace(notes=(*log.notes, *notes), control_variances=drive.control_variances)
 
 
 def _check(log: Log) -> None:
@@ -329,9 +342,9 @@ def _check(log: Log) -> None:
 
 def _local(
     log: Log, sensor: SensorModel, motion: MotionModel | None, anywhere: bool
-) -> tuple[Unknowns, np.ndarray, np.ndarray]:
-    """The problem of episodes, solved; and (M,) bool which sightings stand alone in time or contradict their episode, and
-    which stand alone."""
+) -> tuple[Log, Unknowns, np.ndarray, np.ndarray, tuple[Slip, ...]]:
+    """The log with more noise of the controls of slips, and the problem of episodes, solved; (M,) bool which sightings stand
+    alone in time or contradict their episode, and which stand alone; and the slips."""
     for pause in PAUSES:
         episodes = _episodes(log, pause)
         alone = np.bincount(episodes)[episodes] == 1
@@ -349,9 +362,16 @@ def _local(
         part = fit(begun, ROUNDS[0])[0]
         local = Unknowns(log, episodes, sensor, part)
         local.iterate(4)
+
+    def again(solved: Unknowns, noisier: Log) -> Unknowns:
+        start = copy(solved)
+        start.odometry = Odometry(noisier)
+        return fit(Unknowns(noisier, episodes, sensor, start), ROUNDS[1])[0]
+
+    local, log, slips = without_slips(local, log, slip_of_drive, again)
     doubtful = alone.copy()
     doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
-    return local, doubtful, alone
+    return log, local, doubtful, alone, slips
 
 
 def _begun(log: Log, groups: np.ndarray, sensor: SensorModel, motion: MotionModel | None, anywhere: bool) -> Unknowns:

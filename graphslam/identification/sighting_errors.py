@@ -273,19 +273,10 @@ class CommonErrors:
     Attributes:
         covariance: C (3, 3), in the robot's axes.
         own: (3,) the part of the variance of the motions along each axis that is not due to these errors.
-        correlation: of errors of successive motions, the lowest of the axes.
     """
 
     covariance: Array
     own: Array
-    correlation: float
-
-    @property
-    def size(self) -> str:
-        """The standard deviations that are not zero, for a sentence."""
-        C = self.covariance
-        sizes = {"m": np.sqrt(C[0, 0] + C[1, 1]), "rad": np.sqrt(C[2, 2])}
-        return ", ".join(f"{size:.2g} {unit}" for unit, size in sizes.items() if size > 0)
 
 
 def are_usual(variances: Array) -> np.ndarray:
@@ -331,4 +322,4 @@ def common_errors(first: np.ndarray, second: np.ndarray, errors: Array, covarian
     C = -(e[:-1][joined].T @ e[1:][joined]) / count
     values, axes = np.linalg.eigh((C + C.T) / 2)
     own = np.where(cancel, np.clip((1 + 2 * correlations) * np.minimum(size, 1.0), LEAST_OWN, 1.0), 1.0)
-    return CommonErrors((axes * np.maximum(values, 0.0)) @ axes.T, own, float(correlations.min()))
+    return CommonErrors((axes * np.maximum(values, 0.0)) @ axes.T, own)

@@ -262,7 +262,7 @@ class Unknowns:
 
     def motions(self) -> Edges:
         """The edges of all motions."""
-        measured, slopes = self._measured()
+        measured, slopes = self.measured()
         a, b = self.trajectory[:-1], self.trajectory[1:]
         moved = between(a, b)
         residuals = difference(moved, measured)
@@ -271,7 +271,7 @@ class Unknowns:
         by_first[:, :2, 2] = -perpendicular(moved[:, :2])
         return Edges(self.before, self.after, residuals, by_first, by_second, -slopes, self.motion_parts)
 
-    def _measured(self) -> tuple[Array, Array]:
+    def measured(self) -> tuple[Array, Array]:
         """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters; see `near`."""
         now = self.parameters
         if self._evaluated is not None and near(now, self._evaluated[0]):

@@ -265,7 +265,7 @@ def analyze(
     Raises:
         ValueError: malformed pattern or order.
     """
-    indptr, indices = np.ascontiguousarray(indptr, dtype=np.int64), np.ascontiguousarray(indices, dtype=np.int32)
+    indptr, indices = np.ascontiguousarray(indptr, dtype=np.int64), np.ascontiguousarray(indices, dtype=np.int64)
     n = indptr.size - 1
     if check:
         # rows must ascend in each column, so that (column, row) ascends as a whole

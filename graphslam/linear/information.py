@@ -72,21 +72,19 @@ class Structure:
 class BlockSystem:
     """Omega and xi of a graph with n nodes; see the module for the layout. Not to be shared by threads.
 
-    ``workspace`` (n,) is scratch space for edges that look up slots column by column, and ``objectives`` are those of the
-    graphs that use this memory in the engine.
+    ``objectives`` are those of the graphs that use this memory in the engine.
     """
 
     structure: Structure
     values: Array
     xi: Array
-    workspace: np.ndarray
     objectives: WeakKeyDictionary[Any, Any] = field(default_factory=WeakKeyDictionary, repr=False)
 
     @classmethod
     def of(cls, structure: Structure) -> BlockSystem:
         """The empty system with a structure."""
         n = len(structure.indptr) - 1
-        return cls(structure, np.zeros((len(structure.indices), 3, 3)), np.zeros((n, 3)), np.zeros(n, np.int64))
+        return cls(structure, np.zeros((len(structure.indices), 3, 3)), np.zeros((n, 3)))
 
     @classmethod
     def from_cliques(
@@ -99,11 +97,9 @@ class BlockSystem:
         return cls.of(Structure.of_cliques(num_nodes, cliques, points))
 
     @classmethod
-    def of_arrays(
-        cls, indptr: np.ndarray, indices: np.ndarray, values: Array, xi: Array, workspace: np.ndarray
-    ) -> BlockSystem:
+    def of_arrays(cls, indptr: np.ndarray, indices: np.ndarray, values: Array, xi: Array) -> BlockSystem:
         """The system whose arrays are given, such as those of the engine."""
-        return cls(Structure(indptr, indices, np.zeros(0, np.int64)), values, xi, workspace)
+        return cls(Structure(indptr, indices, np.zeros(0, np.int64)), values, xi)
 
     @property
     def indptr(self) -> np.ndarray:
@@ -117,8 +113,8 @@ class BlockSystem:
 
     @property
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """The pattern, the numbers and the scratch space, into which families of the engine add."""
-        return self.indptr, self.indices, self.values, self.xi, self.workspace
+        """The pattern and the numbers, into which families of the engine add."""
+        return self.indptr, self.indices, self.values, self.xi
 
     @property
     def num_nodes(self) -> int:
@@ -165,7 +161,9 @@ class BlockSystem:
 
     def hold(self, nodes: np.ndarray) -> None:
         """Take nodes out of the system: their rows and columns become those of the identity, their xi zero."""
-        engine.hold(*self.arrays, self.blocks_of(nodes), np.asarray(nodes, np.int64))
+        self.values[self.blocks_of(nodes)] = 0.0
+        self.xi[nodes] = 0.0
+        self.rest(nodes, 0)
 
     def blocks_of(self, nodes: np.ndarray) -> np.ndarray:
         """The numbers of all blocks in the rows and columns of nodes."""
@@ -177,7 +175,8 @@ class BlockSystem:
 
     def rest(self, nodes: np.ndarray, coordinate: int) -> None:
         """Hold the coordinates of nodes from ``coordinate`` on, which no edge may touch: their diagonal becomes 1."""
-        engine.rest(*self.arrays, np.asarray(nodes, np.int64), coordinate)
+        for c in range(coordinate, 3):
+            self.values[self.diagonal_slots[nodes], c, c] = 1.0
 
     def clear(self) -> None:
         """Set Omega and xi to zero, keeping the pattern."""

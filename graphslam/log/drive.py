@@ -44,6 +44,7 @@ from .rows import (
     finite_fault,
     range_faults,
     sound_rows,
+    spike_faults,
 )
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find, ordered, wheels
 
@@ -128,7 +129,7 @@ class Reader:
     def unused(self) -> list[str]:
         """The names of the columns that have no role."""
         taken = {chosen.column for chosen in self.found.values()}
-        return [name for column, name in enumerate(self.table.names) if column not in taken]
+        return [name for column, name in enumerate(self.table.names) if name and column not in taken]
 
     def described(self) -> tuple[str, ...]:
         """The columns that were used, "range = 'dist' [m]"."""
@@ -193,6 +194,7 @@ class Reader:
                     fault = replace(fault, rows=fault.rows & ~(np.isnan(values) & np.isfinite(number)))
                 faults.append(fault)
                 faults += range_faults(values) if role == "range" else []
+                faults += spike_faults(values, title) if role in ("nu", "omega") else []
         if "x" in columns and self.kind == "sightings":
             other = "z" if self.options.axes == "optical" else "y"
             faults += range_faults(np.hypot(columns["x"], columns.get(other, np.ones(len(self.table)))))

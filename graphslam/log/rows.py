@@ -145,6 +145,28 @@ def range_faults(ranges: np.ndarray) -> list[Fault]:
     ]  # fmt: skip
 
 
+#: a single value is wrong beyond this many times the usual largest one, where no other is above twice that
+_SPIKE, _USUAL = 10.0, 2.0
+
+
+def spike_faults(values: np.ndarray, title: str) -> list[Fault]:
+    """The rows in which a speed or turn rate (N,) is far beyond all others, alone: an encoder that miscounted."""
+    sizes = np.abs(values)
+    known = sizes[np.isfinite(sizes)]
+    usual = float(np.quantile(known, 0.99)) if len(known) else 0.0
+    far = sizes > _SPIKE * usual
+    neighbours = np.append(far[1:], False) | np.append(False, far[:-1])
+    if usual == 0 or np.any(far & neighbours) or np.any((known > _USUAL * usual) & (known <= _SPIKE * usual)):
+        return []
+    return [
+        Fault(
+            far, f"a value of {title} that is far beyond all others",
+            lambda k: f"{title} is {values[k]:g}, and those of other rows are at most about {usual:.2g}: repair or remove "
+            "the row",
+        )
+    ]  # fmt: skip
+
+
 #: the tables of a drive, and what each holds
 TABLES = {
     "odometry": "the motion of the robot",

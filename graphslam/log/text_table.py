@@ -62,7 +62,8 @@ class TextTable(Table):
         head = text.split("\n", _HEAD + 1)[: _HEAD + 1]
         self._separator, self._decimal_comma = _form(path, head[1:] or head)
         first = self._cells(head[0])
-        self._header = not self._holds_numbers(first)
+        # the index that pandas writes has an empty title
+        self._header = not self._holds_numbers([cell for cell in first if cell])
         # above the rows a comment with as many words may name the columns, as in the files of TUM
         self.names = tuple(first if self._header else self._titles_in_comments(lines, len(first)))
         self.width = len(first)

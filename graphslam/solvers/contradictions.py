@@ -22,45 +22,40 @@ S is small. A residual has the covariance W^-1 - B P B' at the solution, P that 
 Mahalanobis norm, over that of chi-square, tells how much larger the errors of the positions are than their covariances say,
 also where some positions are wrong.
 
-**Odometry.** Noise models say how much all motions scatter. Wheels that slip for ten seconds are off by metres in one
-direction there, and the solution, which believes the models, spreads the error over poses and landmarks. With e_k the
-residual of motion k along the robot's first axis, or of its heading, v_k its variance by the noise model, S and V their sums
-over a stretch, S' and V' those over the rest of the drive,
-
-    d = S - b V,   b = S' / V',   z = d / sqrt(V (1 + V / V')):
-
-the robot drove or turned by d more than the odometry says, beside the constant error b that a bias leaves. A residual at the
-solution varies less than v_k, so that z of a right model is at most a standard normal number. Where models are too narrow,
-all stretches have large ones: z counts in units of their median over all stretches of the same length.
-
-**Scans.** A sensor that shakes, or times that are inexact, give all sightings of one scan the same error, whereas the noise
-models have independent ones. `errors_of_scans` finds its covariance, which `Solution.covariance` adds.
+**Odometry.** Stretches on which wheels slip or a gyroscope misreads are found by `identification.slips`, and the graph is
+solved again with more noise of the controls there.
 
 Sources: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948; Baarda, *A testing
-procedure for use in geodetic networks*, 1968 (the covariance of residuals); Kulldorff, *A spatial scan statistic*, 1997 (the
-largest abs(z) of all stretches).
+procedure for use in geodetic networks*, 1968 (the covariance of residuals).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..edges import LandmarkPriors, MarginalEdges, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
+from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
 from ..graph.localization import SURE
 from ..graph.tracker import middle_misfit
-from ..identification.sighting_errors import are_usual, common_errors
+from ..identification.odometry import NOTHING, STILL, Edges
+from ..identification.slips import SLIPPED, Found, Motions, largest_slip, without_slips
 from ..linear.cholesky import Bordered, FactorizationError
-from ..se2 import Array, between, difference, turn_matrix
+from ..log import Log
+from ..models import additional_variances
+from ..se2 import Array, between, difference, perpendicular, turn_matrix
 from .iteration import end_of, levenberg_marquardt
 from .joint import JointFactor, JointGraph, motion_edges, times
 from .map_errors import likeliest_deviation
 from .uncertainty import Uncertainty
+
+if TYPE_CHECKING:
+    from .solution import Solution
 
 #: the most landmarks that are tested, and the fewest that say something of the map
 MOST, FEWEST = 40, 3
@@ -90,14 +85,11 @@ MISJUDGED = 2.0
 ROUNDS, STEPS, SETTLED = 10, 20, 0.01
 #: the medians of chi-square by degrees of freedom
 MEDIANS = {2: 2 * np.log(2), 3: 2.365974}
-#: abs(z) of a stretch that is said. On 60 drives of unknown robots with heavy tails the largest was 5.1 and the next 3.8, on
-#: the real logs 4.6
-SLIPPED = 6.0
-#: the fewest motions of a drive that are tested, and the factor between the lengths of stretches
-FEWEST_MOTIONS, GROWTH = 20, 1.4
-#: the median of the absolute value of a standard normal number
-MEDIAN = 0.6745
-#: a part of the variance of all motions that rounding may leave
+#: slips are looked for where constant errors over long cells have a z above this
+SUSPECTED = 4.0
+#: the fewest motions of a drive that are tested
+FEWEST_MOTIONS = 20
+#: a part of the variance of motions that rounding may leave
 LITTLE = 1e-12
 
 
@@ -346,75 +338,71 @@ def _motion_errors(graph: Graph, state: Array) -> tuple[Any, Array, Array] | Non
         return None
 
 
-def doubt_of_odometry(graph: Graph, state: Array, of_scans: Array) -> str:
-    """A sentence on the stretch where the odometry contradicts the other measurements most clearly; empty where none does.
+def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | None) -> tuple[Solution, tuple[str, ...]]:
+    """The solution with more noise of the controls where the odometry is wrong, and a sentence on each such stretch.
 
     Args:
-        of_scans: (3, 3) the covariance of `errors_of_scans`, which both ends of a stretch have.
+        again: the solution of another graph; without it, the sentences only say what is wrong.
     """
+    graph = solution.graph
+    if graph is None or graph.log is None or _motion_errors(graph, solution.state) is None:
+        return solution, ()
+    try:
+        if again is None or graph.parameters is not None:
+            slip, usual = _largest_slip(solution, SUSPECTED)
+            found = slip is not None and slip.z > SLIPPED * max(1.0, usual)
+            return solution, (slip.sentence(graph.log, mended=False),) if slip is not None and found else ()
+
+        def solved(before: Solution, noisier: Log) -> Solution:
+            assert before.graph is not None
+            after = again(_with_controls(before.graph, noisier, before.state))
+            if not after.converged or after.graph is None:
+                raise GraphError(f"{noisier.name}: there is no solution without the slip")
+            return replace(after, seconds=before.seconds + after.seconds)
+
+        first = solution
+        solution, log, slips = without_slips(
+            solution, graph.log, lambda each: _largest_slip(each, SUSPECTED if each is first else 0.0), solved
+        )
+    except (FactorizationError, np.linalg.LinAlgError):
+        return solution, ()
+    return solution, tuple(slip.sentence(log) for slip in slips)
+
+
+def _largest_slip(solution: Solution, least: float) -> Found:
+    """`identification.slips.largest_slip` of a solution.
+
+    Raises:
+        FactorizationError: the edges do not determine the nodes.
+    """
+    graph, state = solution.graph, solution.state
+    assert graph is not None and graph.log is not None and graph.log.times is not None
     found = _motion_errors(graph, state)
     if found is None:
-        return ""
-    edges, errors, variances = found
-    z, first, last, error, unit = max(
-        (*_largest_stretch(errors[:, axis], variances[:, axis, axis], 2 * of_scans[axis, axis]), unit)
-        for axis, unit in ((0, "m"), (2, "rad"))
-    )
-    if z < SLIPPED:
-        return ""
-    begin, end = int(graph.steps[edges.first[first]]), int(graph.steps[edges.second[last]])
-    assert graph.log is not None and graph.log.times is not None
-    times = graph.log.times[[begin, end]] - graph.log.times[0]
-    return (
-        f"between steps {begin} and {end} ({times[0]:.1f} to {times[1]:.1f} s after the start) the odometry contradicts the "
-        f"other measurements by {error:.2g} {unit}, {z:.1f} times the standard deviation of the noise model: wheels slipped "
-        "or were blocked, the robot was moved, or many ids are wrong. The poses there may be off by as much, those after it "
-        "and landmarks, too, and covariances do not contain it. Controls that are wrong need more noise "
-        "(Log.control_variances)"
-    )
+        return None, 1.0
+    edges, errors, covariances = found
+    a, b = state[edges.first], state[edges.second]
+    by_second = turn_matrix(-a[:, 2])
+    by_first = -by_second
+    by_first[:, :2, 2] = -perpendicular(between(a, b)[:, :2])
+    nothing = np.zeros((len(errors), 3, 0))
+    motions = Edges(edges.first, edges.second, errors, by_first, by_second, nothing, {}, edges.information)
+    times = graph.log.times[graph.steps[np.append(edges.first, edges.second[-1:])]]
+    ways = Motions(edges.measured, np.diagonal(covariances, axis1=1, axis2=2), times)
+    system, _ = graph.linearize(state)
+    return largest_slip(motions, ways, system.own_factor(), graph.fixed, least)
 
 
-def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
-    """The covariance C (3, 3), in the robot's axes, of the error that all sightings of a scan have in common, and a sentence.
-
-    It is zero, and the sentence empty, where the log does not surely show such errors; see `sighting_errors.common_errors`.
-    """
-    motions = _motion_errors(graph, state)
-    # pairs of sightings count these more than once, so that poses follow their errors
-    once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
-    if motions is None or not once:
-        return np.zeros((3, 3)), ""
-    edges, errors, covariances = motions
-    found = common_errors(edges.first, edges.second, errors, covariances)
-    if found is None:
-        return np.zeros((3, 3)), ""
-    return found.covariance, (
-        f"the sightings of each scan have an error in common of about {found.size}, as where the sensor shakes, times are "
-        "inexact, or encoders count coarse ticks: errors of successive motions cancel each other (correlation "
-        f"{found.correlation:.2f}). Covariances contain it"
-    )
-
-
-def _largest_stretch(errors: Array, variances: Array, of_ends: float) -> tuple[float, int, int, float]:
-    """The largest abs(z) of all stretches of errors (E,), the first and the last motion of that stretch, and its abs(d).
-
-    ``of_ends`` is the variance that a stretch of any length has beside those of its motions.
-    """
-    # unusual motions tell no bias of the others
-    usual = are_usual(variances)
-    errors, variances = np.where(usual, errors, 0.0), np.where(usual, variances, 0.0)
-    S, V = (np.concatenate([[0.0], np.cumsum(values)]) for values in (errors, variances))
-    best, length = (0.0, 0, 0, 0.0), 1
-    while length <= len(errors) // 2:
-        within, variance = S[length:] - S[:-length], V[length:] - V[:-length]
-        rest = V[-1] - variance
-        # beside motions of which next to nothing is known, rounding leaves nothing of the variance of others
-        known = np.minimum(variance, rest) > LITTLE * V[-1]
-        variance, rest = np.where(known, variance, 1.0), np.where(known, rest, 1.0)
-        d = within - (S[-1] - within) * variance / rest
-        z = np.where(known, np.abs(d) / np.sqrt(variance * (1 + variance / rest) + of_ends), 0.0)
-        z /= max(1.0, float(np.median(z)) / MEDIAN)
-        k = int(np.argmax(z))
-        best = max(best, (float(z[k]), k, k + length - 1, abs(float(d[k]))))
-        length = max(length + 1, int(GROWTH * length))
-    return best
+def _with_controls(graph: Graph, noisier: Log, state: Array) -> Graph:
+    """The graph with more noise of the controls, beginning at a state (n, 3)."""
+    log, edges = graph.log, motion_edges(graph)
+    assert log is not None and edges is not None and log.controls is not None and noisier.dt is not None
+    before, after = (additional_variances(each.control_variances, len(log.controls)) for each in (log, noisier))
+    only = replace(STILL, epsilon=NOTHING)
+    _, more = only.accumulate(log.controls, noisier.dt, log.control_starts, after - before)
+    changed = np.trace(more, axis1=1, axis2=2) > LITTLE * np.trace(more, axis1=1, axis2=2).max()
+    information = edges.information.copy()
+    information[changed] = np.linalg.inv(np.linalg.inv(information[changed]) + more[changed])
+    noisy = replace(edges, information=information)
+    families = (noisy if family is edges else family for family in graph.families)
+    return graph.with_families(families, log=noisier, initial=state.copy())

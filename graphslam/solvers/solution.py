@@ -30,10 +30,11 @@ from ..log import Log
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
-from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_odometry, doubt_of_positions, errors_of_scans
+from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_positions, without_slips_of
 from .iteration import Run
 from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
+from .scan_errors import errors_of_scans
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
 #: above so many numbers of the solves that joint covariances take (400 MB), each landmark has only its own
@@ -132,8 +133,8 @@ class Solution:
         other_trust: the same for {"relations": (R,), "positions": (N,)}, as far as the graph has them. In a pose graph the
             relations are its loop closures, in their order.
         graph: the graph that was solved, with the final trust in its sightings.
-        scan_errors: (3, 3) the covariance, in the robot's axes, of the error that all sightings of a scan have in common, as
-            far as the log surely shows one (`contradictions.errors_of_scans`), else zero. The noise models do not have it.
+        scan_errors: (3, 3) the covariance, diagonal, in the robot's axes, of the error that all sightings of a scan have in
+            common, as far as the log surely shows one (`solvers.scan_errors`), else zero. The noise models do not have it.
     """
 
     poses: Array
@@ -219,7 +220,7 @@ class Solution:
         nodes += [first + int(np.searchsorted(graph.landmark_ids, id)) for id in ids]
         different, places = np.unique(nodes, return_inverse=True)
         rows = np.concatenate([3 * place + np.arange(size) for place, size in zip(places, sizes)])
-        return self._uncertainty.joint_of_poses(different)[np.ix_(rows, rows)]
+        return self._uncertainty.joint(different)[np.ix_(rows, rows)]
 
     @cached_property
     def landmark_covariances(self) -> dict[int, Array]:
@@ -312,8 +313,7 @@ class Solution:
         Raises:
             GraphError: the edges do not determine the poses.
         """
-        of_models = self._uncertainty.expected_ate(len(self._solved_graph.steps))
-        return float(np.sqrt(of_models**2 + np.trace(self.scan_errors[:2, :2])))
+        return self._uncertainty.expected_ate(len(self._solved_graph.steps))
 
     @cached_property
     def parameters(self) -> ParameterEstimate | None:
@@ -412,14 +412,15 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     """A solution with notes on what contradicts it: its map, its positions, its odometry, and edges among each other.
 
     Where most landmarks of its map contradict it, it is solved ``again`` with the errors that the log shows in them;
-    not without a kernel, where wrong sightings and a biased robot look like a wrong map.
+    not without a kernel, where wrong sightings and a biased robot look like a wrong map. Where the odometry of a stretch
+    contradicts it, it is solved again with more noise of the controls there.
     """
     graph, notes = solution.graph, []
     if graph is None or not solution.converged:
         return solution
-    again = again if graph.reweighted else None
-    found, deviation, sure = doubt_of_map(graph, solution.state, suspected=again is not None)
-    wider = in_wider_map(solution, deviation, again) if deviation and again is not None else None
+    in_map = again if graph.reweighted else None
+    found, deviation, sure = doubt_of_map(graph, solution.state, suspected=in_map is not None)
+    wider = in_wider_map(solution, deviation, in_map) if deviation and in_map is not None else None
     if wider is None and not sure:
         found, *_ = doubt_of_map(graph, solution.state, suspected=False)
     if found:
@@ -428,9 +429,10 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
             found = found.replace(TAKEN_FOR_RIGHT, said_of_wider(deviation))
             graph = solution.graph or graph
         notes.append(found)
+    solution, of_odometry = without_slips_of(solution, again)
+    graph = solution.graph or graph
     common, of_scans = errors_of_scans(graph, solution.state)
-    of_odometry = doubt_of_odometry(graph, solution.state, common)
-    notes += filter(None, (doubt_of_positions(graph, solution.state), of_odometry, of_scans))
+    notes += filter(None, (doubt_of_positions(graph, solution.state), *of_odometry, of_scans))
     # families with edges that do not say how many numbers they measure leave the expected cost open
     counted = all(
         family.numbers[0] or isinstance(family, AnchorEdges) or not len(family.cliques()[1])

@@ -14,15 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import AnchorEdges
+from ..edges import SightingEdges
 from ..edges.base import Linearization
 from ..errors import OptionError, quoted
 from ..graph import Graph
 from ..identification.corrections import control_noise_at_steps
 from ..identification.declared import Parameters
 from ..linear.cholesky import Factor, FactorizationError
-from ..se2 import Array, perpendicular, turned_by
-from .joint import JointFactor, JointGraph, motion_edges, undetermined
+from ..se2 import Array, perpendicular, turn_matrix
+from .joint import JointFactor, JointGraph, motion_edges, times, undetermined
+
+#: draws of errors of scans
+SAMPLES = 128
 
 
 class Uncertainty:
@@ -32,13 +35,12 @@ class Uncertainty:
     robust kernels it is that of their estimate (`Graph.information`). Fixed nodes have covariance zero. The
     uncertainty of parameters, solved for or held, is part of that of the nodes: Omega^-1 + (Omega^-1 C) S^-1 (Omega^-1 C)'.
 
-    Where all sightings of a scan have an error b in common (`Solution.scan_errors`), a node stands for the pose with this
-    error, n = x + b, and an anchor, which holds x, is wider by it: the first scan turns and shifts everything else. With the
-    covariance C of b and the information W of the wider anchor of the node, zero without one,
+    Where all sightings of a scan have an error b in common (`Solution.scan_errors`), the solution follows it by Omega^-1 F b,
+    F the columns of the poses in the information of the sightings. The covariance of this with C that of each b,
 
-        E[x given n] = K n + const, K = I - C W,    cov(x given n) = C - C W C,
+        Omega^-1 F diag(C) F' Omega^-1,
 
-    so that the covariance of a pose is K P K' + C - C W C, and that of two poses K_1 P_12 K_2'.
+    is taken from `SAMPLES` draws. It contains how far the error of the first scan turns and shifts everything else.
 
     Raises:
         GraphError: (all methods) the edges do not determine the nodes.
@@ -46,8 +48,6 @@ class Uncertainty:
 
     def __init__(self, graph: Graph, state: Array, scan_errors: Array | None = None) -> None:
         self._scan_errors = np.zeros((3, 3)) if scan_errors is None else scan_errors
-        if self._scan_errors.any():
-            graph = _with_wider_anchors(graph, state, self._scan_errors)
         self._graph, self._state = graph, state
 
     def __getstate__(self) -> dict[str, Any]:
@@ -79,10 +79,22 @@ class Uncertainty:
 
     @cached_property
     def _spread(self) -> Array:
-        """A (n, 3, K) with A A' the part of the covariance of the nodes that is due to the parameters."""
-        if self._joint is None:
-            return np.zeros((*self._state.shape, 0))
-        return self._joint.reach @ np.linalg.cholesky(self._joint.covariance)
+        """A (n, 3, K) with A A' the part of the covariance of the nodes that is due to the parameters and errors of scans."""
+        parts = [np.zeros((*self._state.shape, 0))]
+        if self._joint is not None:
+            parts.append(self._joint.reach @ np.linalg.cholesky(self._joint.covariance))
+        if self._scan_errors.any():
+            graph, poses = self._graph, len(self._graph.steps)
+            signs = np.random.default_rng(0).choice([-1.0, 1.0], (poses, 3, SAMPLES))
+            errors = np.zeros((*self._state.shape, SAMPLES))
+            errors[:poses] = turn_matrix(self._state[:poses, 2]) @ (
+                np.sqrt(np.diag(self._scan_errors))[:, None] * signs
+            )
+            sighted = graph.with_families(f for f in graph.families if isinstance(f, SightingEdges))
+            moved = times(sighted.information(self._state), errors)
+            moved[graph.fixed] = 0.0
+            parts.append(self._factor.solve(moved) / SAMPLES**0.5)
+        return np.concatenate(parts, axis=2)
 
     @property
     def of_parameters(self) -> Array:
@@ -117,37 +129,10 @@ class Uncertainty:
         blocks[self._graph.fixed] = 0.0
         return blocks
 
-    @cached_property
-    def _from_nodes(self) -> tuple[Array, Array]:
-        """K and the covariance of x given n of each pose, both (P, 3, 3); see the class."""
-        graph, poses = self._graph, len(self._graph.steps)
-        C, W = turned_by(self._scan_errors, self._state[:poses, 2]), np.zeros((graph.num_nodes, 3, 3))
-        for each in graph.families:
-            if type(each) is AnchorEdges:
-                np.add.at(W, each.nodes, each.information)
-        left = C - C @ W[:poses] @ C
-        left[graph.fixed[graph.fixed < poses]] = 0.0
-        return np.eye(3) - C @ W[:poses], left
-
-    @cached_property
+    @property
     def of_poses(self) -> Array:
-        """The covariance of every pose, (P, 3, 3), without the error of its scan."""
-        nodes = self.diagonal[: len(self._graph.steps)]
-        if not self._scan_errors.any():
-            return nodes
-        K, left = self._from_nodes
-        return K @ nodes @ np.swapaxes(K, 1, 2) + left
-
-    def joint_of_poses(self, nodes: np.ndarray) -> Array:
-        """The covariance (3k, 3k) of nodes (k,) together, in the place of nodes of poses that of the poses."""
-        whole, poses = self.joint(nodes), len(self._graph.steps)
-        if self._scan_errors.any():
-            for k in np.flatnonzero(nodes < poses).tolist():
-                at, (K, left) = slice(3 * k, 3 * k + 3), (each[nodes[k]] for each in self._from_nodes)
-                whole[at] = K @ whole[at]
-                whole[:, at] = whole[:, at] @ K.T
-                whole[at, at] += left
-        return whole
+        """The covariance of every pose, (P, 3, 3)."""
+        return self.diagonal[: len(self._graph.steps)]
 
     def with_pose(self, j: int) -> Array:
         """The covariances (P, 3, 3) between every pose and pose j, by one solution: the columns of node j in Omega^-1."""
@@ -157,10 +142,6 @@ class Uncertainty:
         columns[j] = np.eye(3)
         blocks = (self.solve(columns) + self._spread @ self._spread[j].T)[:poses]
         blocks[self._graph.fixed[self._graph.fixed < poses]] = 0.0
-        if self._scan_errors.any():
-            K, left = self._from_nodes
-            blocks = K @ blocks @ K[j].T
-            blocks[j] += left[j]
         return blocks
 
     def joint(self, nodes: np.ndarray) -> Array:
@@ -196,6 +177,9 @@ class Uncertainty:
 
     def of_edges(self, edges: Linearization) -> Array:
         """The covariance B Omega^-1 B' (E, d, d) of each residual due to the state, of edges between two nodes."""
+        if self._scan_errors.any():
+            # residuals do not follow these errors as they do the noise
+            return Uncertainty(self._graph, self._state).of_edges(edges)
         first, second = edges.nodes
         by_first, by_second = edges.jacobians
         diagonal = self.diagonal
@@ -228,22 +212,6 @@ class Uncertainty:
         return square
 
 
-def _with_wider_anchors(graph: Graph, state: Array, covariance: Array) -> Graph:
-    """The graph with the covariance C (3, 3), in the axes of each pose, added to that of each anchor.
-
-    The information is then A (I + C A)^-1, which holds where A is singular, too, as that of a heading alone is.
-    """
-
-    def wider(anchor: AnchorEdges) -> AnchorEdges:
-        if type(anchor) is not AnchorEdges:
-            return anchor
-        C = turned_by(covariance, state[anchor.nodes, 2])
-        C[anchor.nodes >= len(graph.steps)] = 0.0
-        return replace(anchor, information=anchor.information @ np.linalg.inv(np.eye(3) + C @ anchor.information))
-
-    return graph.with_changed(AnchorEdges, wider)
-
-
 #: the parameters that are identifiable from turns only: where the robot does not turn, a shift of the sensor moves all
 #: sightings alike
 BY_TURNS = ("sensor_ahead", "sensor_left", "sensor_delay")
@@ -253,7 +221,7 @@ SCALES = ("wheel_scale", "range_scale")
 SIGNIFICANT = 3.0
 #: a delay is too close to zero where noise is at least this part of the information on it, and explains at least so many
 #: standard deviations; it is not identifiable where noise is more than the next part; the samples of this noise
-NOISY, SHORT, DROWNED, SAMPLES = 0.1, 1.0, 0.8, 4
+NOISY, SHORT, DROWNED, CONTROLS = 0.1, 1.0, 0.8, 4
 #: doubtful where the motion edges cost less than this part of what they should
 SMALL = 0.3
 #: the expected cost from which the ratio is judged: its standard deviation is then sqrt(2 / 30), a quarter
@@ -321,7 +289,7 @@ def doubt_of_delay(parameters: Parameters, deviations: Array, uncertainty: Uncer
         return ""
     k = parameters.names.index("sensor_delay")
     value, deviation = float(parameters.values[k]), float(deviations[k])
-    noise = uncertainty.noise_of_delay(SAMPLES, np.random.default_rng(0))
+    noise = uncertainty.noise_of_delay(CONTROLS, np.random.default_rng(0))
     if noise > DROWNED:
         return (
             "nearly all of the information on sensor_delay is noise of the recorded controls, if the motion model is right: "

@@ -49,23 +49,17 @@ def test_a_map_is_drawn_with_numpy_s_numbers(log: Log, target: Target) -> None:
         ("first", lambda a: a + 1),
         ("marks", lambda a: a - 1),
         ("marks", lambda a: a + 100),
-        ("y", lambda a: a[:-1]),
-        ("C", lambda a: a[:-1]),
-        ("z", lambda a: a[:, :2].copy()),
+        ("sightings", lambda a: a[:-1]),
+        ("sightings", lambda a: a[:, :20].copy()),
+        ("motions", lambda a: a[:-1]),
         ("columns", lambda a: 2 * a),
     ],
 )
 def test_problems_that_are_none_are_refused(target: Target, name: str, change: Any) -> None:
     p = target.problem
-    given: dict[str, Any] = {"y": p.y, "C": p.C, "weights": p.C, "z": p.z, "q": p.q}
-    arrays = {name: np.ascontiguousarray(part) for name, part in given.items()}
-    given = {
-        "motions": p.motions,
-        "information": np.ascontiguousarray(p.information),
-        "first": p.first,
-        "marks": p.marks,
-    }
-    given |= arrays | {"landmarks": len(p.ids), "columns": p.columns, "exact": False, "degrees": 0.0}
+    given: dict[str, Any] = {"motions": np.hstack([p.motions, p.information]), "first": p.first, "marks": p.marks}
+    given |= {"sightings": np.hstack([p.y, p.C, p.C, p.z, p.q]), "landmarks": len(p.ids), "columns": p.columns}
+    given |= {"exact": False, "degrees": 0.0}
     engine.GibbsProblem(*given.values())
     with pytest.raises((ValueError, TypeError)):
         engine.GibbsProblem(*(given | {name: change(given[name])}).values())
@@ -97,18 +91,17 @@ def test_chains_take_what_belongs_together(log: Log, target: Target) -> None:
         engine.GibbsChain(bits, x, target.problem.motions[:2])
 
 
-@pytest.mark.parametrize("parent", [-1, 4])
-def test_particles_have_parents(target: Target, parent: int) -> None:
-    poses, weights = np.zeros((6, 4, 3)), np.zeros((6, 4))
-    parents = np.zeros((6, 4), np.int32)
-    engine.BackwardSampler(poses, weights, parents, target.in_engine, 10).draw(np.random.default_rng(0).bit_generator)
+def test_trajectories_are_drawn_from_a_record_of_all_steps(target: Target) -> None:
+    particles = engine.ParticleFilter(np.zeros((4, 3)), 1, True)
+    with pytest.raises(ValueError, match="as many steps"):
+        engine.BackwardSampler(particles, target.in_engine, 10)
+    for step in range(5):
+        particles.move_by_control(step, (1.0, 0.0, 0.1, 0.1, 1.0, 0.0), False)
+    engine.BackwardSampler(particles, target.in_engine, 10).draw(np.random.default_rng(0).bit_generator)
     with pytest.raises(ValueError, match="at least one"):
-        engine.BackwardSampler(poses, weights, parents, target.in_engine, 0)
-    with pytest.raises(ValueError, match="row for each step"):
-        engine.BackwardSampler(poses[:-1], weights, parents, target.in_engine, 10)
-    parents[3, 2] = parent
-    with pytest.raises(ValueError, match="none of the particles"):
-        engine.BackwardSampler(poses, weights, parents, target.in_engine, 10)
+        engine.BackwardSampler(particles, target.in_engine, 0)
+    with pytest.raises(ValueError, match="keeps a record"):
+        engine.BackwardSampler(engine.ParticleFilter(np.zeros((4, 3)), 1, False), target.in_engine, 10)
 
 
 def test_searches_take_what_belongs_together() -> None:

@@ -114,6 +114,33 @@ def test_a_control_that_cannot_be_is_left_out(drive):
     np.testing.assert_array_equal(log.controls[10], LOG.controls[9])
 
 
+def test_a_speed_that_is_far_beyond_all_others_is_left_out(drive):
+    expected = load(drive())
+    # as an encoder that miscounts, or a driver that starts, has them; two in a row may be true
+    log = load(drive(odometry={(10, 1): "500", (20, 2): "-900"}))
+    for title, value, row in (("nu", 500, 10), ("omega", -900, 20)):
+        has = f"a value of '{title}' that is far beyond all others"
+        assert any(f"has {has}: left out (line {row + 2})" in note for note in log.notes)
+        with pytest.raises(
+            LogError, match=rf"odometry.csv:{row + 2}: '{title}' is {value}, and those of other rows are at most"
+        ):
+            load(drive(odometry={(row, 1 + (title == "omega")): str(value)}, toml="strict = true"))
+    np.testing.assert_array_equal(np.delete(log.controls, [10, 20], 0), np.delete(expected.controls, [10, 20], 0))
+    fast = load(drive(odometry={(10, 1): "9", (11, 1): "9"}))
+    np.testing.assert_array_equal(fast.controls[10:12, 0], 9)
+
+
+def test_an_index_without_a_title_is_ignored(drive, tmp_path):
+    expected, folder = load(drive()), drive()
+    for path in folder.glob("*.csv"):
+        lines = path.read_text().splitlines()
+        # as `DataFrame.to_csv` writes it
+        path.write_text("\n".join(f"{k - 1 if k else ''},{line}" for k, line in enumerate(lines)))
+    log = load(folder)
+    np.testing.assert_array_equal(log.sightings, expected.sightings)
+    np.testing.assert_array_equal(log.controls, expected.controls)
+
+
 def test_arrays_of_our_own_format(tmp_path):
     save(LOG, tmp_path / "log.npz")
     content = dict(np.load(tmp_path / "log.npz"))

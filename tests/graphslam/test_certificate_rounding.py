@@ -37,7 +37,7 @@ def test_hermitian_factorisation(seed):
         for p in range(system.indptr[j], system.indptr[j + 1]):
             i = system.indices[p]
             values[p] = A[2 * i : 2 * i + 2, 2 * j : 2 * j + 2]
-    pattern, order = (system.indptr, system.indices.astype(np.int32)), rng.permutation(n).astype(np.int32)
+    pattern, order = (system.indptr, system.indices), rng.permutation(n).astype(np.int32)
     symbolic = engine.for_proof(engine.analyze(*pattern, order, threads=1))
     factor = engine.HermitianFactor(symbolic)
     bad = factor.factorize(values, 0.0)

@@ -28,7 +28,7 @@ def upper(n, first, second):
         (np.ones(len(low) + n), (np.r_[low, np.arange(n)], np.r_[high, np.arange(n)])), shape=(n, n)
     ).tocsc()
     pattern.sort_indices()
-    return pattern.indptr.astype(np.int64), pattern.indices.astype(np.int32)
+    return pattern.indptr.astype(np.int64), pattern.indices.astype(np.int64)
 
 
 def grid(rows, columns):

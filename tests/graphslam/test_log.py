@@ -160,5 +160,5 @@ def test_the_noise_of_a_log_is_the_default():
 
 
 def test_a_graph_needs_ids():
-    with pytest.raises(GraphError, match="unidentified landmarks"):
+    with pytest.raises(GraphError, match="sightings without an id"):
         Graph.from_log(make(landmarks=[UNIDENTIFIED] * 3))

@@ -35,6 +35,7 @@ from graphslam.identification.corrections import (
     motion_slopes,
     without_biases,
 )
+from graphslam.identification.declared import ParameterEstimate
 from graphslam.identification.odometry import Odometry, motion_parts
 from graphslam.identification.robot import RobotEstimate
 from graphslam.identification.sighting_errors import LAGS, _unlikely, inflation, smoothed
@@ -464,3 +465,15 @@ def test_what_the_log_does_not_tell_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(robot, "_estimate", singular)
     with pytest.raises(GraphError, match="do not determine noise and biases together"):
         Graph.from_log(log, noise="auto")
+
+
+def test_sightings_that_are_early_are_said():
+    # as where rows of the odometry have the time of the end of their interval
+    _, _, estimate = warehouse()
+    parameters = estimate.parameters
+    k = parameters.names.index("sensor_delay") if "sensor_delay" in parameters.names else None
+    assert k is None or parameters.values[k] > -0.03
+    early = ParameterEstimate(("sensor_delay",), np.array([-0.2]), np.full((1, 1), 1e-6), {"sensor_delay": (0.0, 0.3)})
+    for found, expected in ((parameters, 0), (early, 1)):
+        said = [each for each in replace(estimate, parameters=found).remarks if "--clocks odometry=-0.2" in each]
+        assert len(said) == expected

@@ -17,8 +17,9 @@ struct Weighed {
 
 class Growth {
    public:
-    Growth(std::span<const Number> begin, const Pairs& pairs, const GrowthRules& rules)
+    Growth(std::span<const Number> begin, const Pairs& pairs, std::span<const Number> items, const GrowthRules& rules)
         : pairs_(pairs),
+          items_(items),
           rules_(rules),
           d_(pairs.residuals.d),
           count_(pairs.residuals.size()),
@@ -112,7 +113,7 @@ class Growth {
         if (!std::isfinite(grown_.evidence)) return false;
         grown_.members[b] = 1;
         for (std::size_t c = 0; c < count_; ++c)
-            if (pairs_.items[c] == pairs_.items[b] || pairs_.landmarks[c] == pairs_.landmarks[b]) free_[c] = false;
+            if (items_[c] == items_[b] || pairs_.landmarks[c] == pairs_.landmarks[b]) free_[c] = false;
         const auto to_come = [&](std::size_t c) {
             return (rules_.grow && free_[c]) ||
                    std::find(given_.begin() + given_from, given_.end(), Number(c)) != given_.end();
@@ -133,6 +134,7 @@ class Growth {
     }
 
     const Pairs& pairs_;
+    std::span<const Number> items_;
     const GrowthRules& rules_;
     std::size_t d_, count_, taken_ = 0;
     std::vector<double> nu_, white_;  ///< given the pairs so far; L^-1 of that
@@ -144,8 +146,8 @@ class Growth {
 
 }  // namespace
 
-Grown grown_from(std::span<const Number> begin, const Pairs& pairs, const GrowthRules& rules) {
-    return Growth(begin, pairs, rules).run();
+Grown grown_from(std::span<const Number> begin, const Pairs& pairs, std::span<const Number> items, const GrowthRules& rules) {
+    return Growth(begin, pairs, items, rules).run();
 }
 
 }  // namespace vmslam::association

@@ -68,14 +68,15 @@ class JointFactor {
 
 class Search {
    public:
-    Search(const Candidates& candidates, std::span<const double> gates, Number most)
-        : candidates_(candidates), gates_(gates), most_(most), factor_(candidates.residuals) {
-        const std::size_t items = candidates.start.size() - 1;
+    Search(const Pairs& candidates, std::span<const Number> start, std::span<const double> bounds,
+           std::span<const double> gates, Number most)
+        : candidates_(candidates), start_(start), gates_(gates), most_(most), factor_(candidates.residuals) {
+        const std::size_t items = start.size() - 1;
         rest_.assign(items + 1, 0.0);
         for (std::size_t i = items; i-- > 0;) {
             double top = 0.0;
-            for (Number c = candidates.start[i]; c < candidates.start[i + 1]; ++c)
-                if (candidates.allowed[c]) top = std::max(top, candidates.bounds[c]);
+            for (Number c = start[i]; c < start[i + 1]; ++c)
+                if (candidates.allowed[c]) top = std::max(top, bounds[c]);
             rest_[i] = rest_[i + 1] + top;
         }
         const auto& landmarks = candidates.landmarks;
@@ -96,7 +97,7 @@ class Search {
             if (so_far.evidence > best_.evidence) best_ = {taken_, so_far.evidence};
             return;
         }
-        for (Number c = candidates_.start[item]; c < candidates_.start[item + 1]; ++c) {
+        for (Number c = start_[item]; c < start_[item + 1]; ++c) {
             if (hopeless(item, so_far)) return;
             const auto landmark = static_cast<std::size_t>(candidates_.landmarks[c]);
             if (!candidates_.allowed[c] || used_[landmark]) continue;
@@ -129,7 +130,8 @@ class Search {
         return true;
     }
 
-    const Candidates& candidates_;
+    const Pairs& candidates_;
+    std::span<const Number> start_;
     std::span<const double> gates_;
     Number most_, tried_ = 0;
     JointFactor factor_;
@@ -141,8 +143,9 @@ class Search {
 
 }  // namespace
 
-BestHypothesis best_hypothesis(const Candidates& candidates, std::span<const double> gates, Number most) {
-    return Search(candidates, gates, most).run();
+BestHypothesis best_hypothesis(const Pairs& candidates, std::span<const Number> start, std::span<const double> bounds,
+                               std::span<const double> gates, Number most) {
+    return Search(candidates, start, bounds, gates, most).run();
 }
 
 }  // namespace vmslam::association

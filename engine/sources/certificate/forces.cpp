@@ -57,9 +57,9 @@ Force force(const Node& a, const Node& b, const Edge& edge) {
         h = edges::wrap(b.heading - a.heading - edge.turn);
         f.heading_error = 16 * roundoff * (std::abs(a.heading) + std::abs(b.heading) + std::abs(edge.turn) + pi);
     }
-    f.p = {dot(w.xx, w.xy, w.xt, v.re, v.im, h), dot(w.xy, w.yy, w.yt, v.re, v.im, h)};
-    f.g = dot(w.xt, w.yt, w.tt, v.re, v.im, h);
-    f.cost = f.p.re * v.re + f.p.im * v.im + f.g * h;
+    f.p = {dot(w.xx, w.xy, w.xt, v.real(), v.imag(), h), dot(w.xy, w.yy, w.yt, v.real(), v.imag(), h)};
+    f.g = dot(w.xt, w.yt, w.tt, v.real(), v.imag(), h);
+    f.cost = f.p.real() * v.real() + f.p.imag() * v.imag() + f.g * h;
     f.zero = (f.p == Complex{} || length(v) <= f.place_error) && (f.g == 0 || std::abs(h) <= f.heading_error);
     // The function touches J_e at the computed residual. Its value at the state differs by the errors of v times p and g.
     // An error of g counts by the range of e_theta; those of p are absorbed by beta.

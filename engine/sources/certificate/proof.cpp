@@ -6,7 +6,6 @@
 
 #include "vmslam/edges/arithmetic.hpp"
 #include "vmslam/numbers/random.hpp"
-#include "vmslam/sparse/ordering.hpp"
 
 namespace vmslam::certificate {
 namespace {
@@ -60,13 +59,13 @@ std::vector<double> rounding_of(const sparse::Symbolic& symbolic) {
     return out;
 }
 
-std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const std::complex<double>> values,
-                                  std::span<const Index> column_start, std::span<const double> rounding) {
+std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const Complex> values,
+                                  const sparse::Pattern& pattern, std::span<const double> rounding) {
     const sparse::Order& order = factor.symbolic().order;
     std::vector<double> weight(2 * order.size()), error(2 * order.size());
     for (std::size_t k = 0; k < order.size(); ++k)
         for (int c = 0; c < 2; ++c)
-            weight[2 * k + c] = std::sqrt(rounding[k] / values[4 * (column_start[order[k] + 1] - 1) + 3 * c].real());
+            weight[2 * k + c] = std::sqrt(rounding[k] / values[4 * (pattern.start[order[k] + 1] - 1) + 3 * c].real());
     const std::vector<double> square = factor.magnitude_square(weight);
     for (std::size_t k = 0; k < order.size(); ++k)
         for (int c = 0; c < 2; ++c) error[2 * order[k] + c] = 1.001 * rounding[k] * square[2 * k + c] / weight[2 * k + c];
@@ -89,7 +88,7 @@ std::vector<double> errors_by_structure(const sparse::Symbolic& symbolic, std::s
     return squares;
 }
 
-double square_bound(HermitianFactor& factor, std::span<const std::complex<double>> b, std::span<const double> rounding) {
+double square_bound(HermitianFactor& factor, std::span<const Complex> b, std::span<const double> rounding) {
     const double lost = 1.001 + std::sqrt(2 * std::accumulate(rounding.begin(), rounding.end(), 0.0));
     return factor.forward_square(b) * lost * lost;
 }
@@ -100,7 +99,7 @@ void Proof::begin(std::span<const double> state, std::vector<char> free) {
     const Complex origin = state.empty() ? Complex{} : Complex{state[0], state[1]};
     state_.set(state, origin);
     for (Edge& edge : edges)
-        if (edge.first < 0) edge.d_a = Complex(edge.d_a) - origin;
+        if (edge.first < 0) edge.d_a -= origin;
     free_ = std::move(free);
     summation_.clear();
     for (const Index ends : hold_roots(edges, free_))
@@ -116,7 +115,7 @@ void Proof::begin(std::span<const double> state, std::vector<char> free) {
 }
 
 void Proof::write_function(QuadraticBound& out, std::span<const Curvature> curves) const {
-    write_quadratic_bound(state_, edges, free_, column_start_, rows_, forces_, curves, out);
+    write_quadratic_bound(state_, edges, free_, pattern_, forces_, curves, out);
 }
 
 std::vector<Curvature> Proof::curvatures_for(double share) const {
@@ -173,7 +172,7 @@ bool Proof::factorize(std::span<const double> shifts, Errors errors, std::vector
         values_ = function_.values;
         for (std::size_t at = 0; at < scale.size(); ++at) {
             const double change = (at % 2 == 0 ? shifts[at / 2] : 0.0) - rounded_off[at] - 2 * margin[at];
-            values_[4 * (column_start_[at / 2 + 1] - 1) + 3 * (at % 2)] += scale[at] > 0 ? change : 1.0;
+            values_[4 * (pattern_.start[at / 2 + 1] - 1) + 3 * (at % 2)] += scale[at] > 0 ? change : 1.0;
         }
         negative_.clear();
         if (const Index bad = factor_.factorize(values_); bad >= 0) {
@@ -181,7 +180,7 @@ bool Proof::factorize(std::span<const double> shifts, Errors errors, std::vector
             return false;
         }
         if (errors == Errors::by_structure) return true;
-        const std::vector<double> error = factor_errors(factor_, values_, column_start_, rounding_);
+        const std::vector<double> error = factor_errors(factor_, values_, pattern_, rounding_);
         if (std::equal(error.begin(), error.end(), margin.begin(), std::less_equal<>())) return true;
         for (std::size_t at = 0; at < scale.size(); ++at)
             margin[at] = scale[at] > 0 ? std::max(margin[at], rounded_off[at] + 2 * error[at]) : 1.0;
@@ -195,12 +194,12 @@ double Proof::shifted_bound(double shift, Errors errors) {
     std::vector<double> shifts(state_.size()), margin;
     for (Index i = 0; i < state_.size(); ++i) shifts[i] = shift * function_.scale[2 * i] / 8;
     if (!factorize(shifts, errors, margin)) return -infinity;
-    std::vector<std::complex<double>> gradient = function_.gradient;
+    std::vector<Complex> gradient = function_.gradient;
     double lost = 0.0;
     for (std::size_t at = 0; at < margin.size(); ++at) {
         const Index i = static_cast<Index>(at / 2);
         const double moved = at % 2 == 0 ? shifts[i] : 0.0;
-        if (free_[i]) gradient[at] += moved * std::complex<double>(state_[i].z);
+        if (free_[i]) gradient[at] += moved * state_[i].z;
         const double error = summation_[i] * (function_.error[at] + moved);
         lost += error * error / margin[at];
     }
@@ -235,9 +234,9 @@ Proof::Shifted Proof::least_shift() {
 }
 
 /// About the smallest direction (N, 2) of S against its scale, by inverse iteration with the shifted factor.
-std::vector<std::complex<double>> Proof::smallest() {
+std::vector<Complex> Proof::smallest() {
     const std::vector<double>& scale = function_.scale;
-    std::vector<std::complex<double>> x(scale.size()), weighted(scale.size());
+    std::vector<Complex> x(scale.size()), weighted(scale.size());
     for (std::size_t at = 0; at < x.size(); ++at) x[at] = numbers::normal_pair<double>(0, at, 0).first;
     for (int k = 0; k < 5; ++k) {
         for (std::size_t at = 0; at < x.size(); ++at) weighted[at] = std::max(scale[at], 0.0) * x[at];
@@ -252,8 +251,8 @@ std::vector<std::complex<double>> Proof::smallest() {
 /// Average the split of each edge with the choice that is best in the smallest direction x of S. Its part of x^H S x has beta
 /// times the square by which x stretches the edge, and A times the square by which x turns it.
 void Proof::choose_splits(std::span<const std::vector<Curvature>> choices, double part) {
-    const std::vector<std::complex<double>> x = smallest();
-    const auto change = [&](Index node, int c) { return node >= 0 ? Complex(x[2 * node + c]) : Complex{}; };
+    const std::vector<Complex> x = smallest();
+    const auto change = [&](Index node, int c) { return node >= 0 ? x[2 * node + c] : Complex{}; };
     for (std::size_t e = 0; e < edges.size(); ++e) {
         const auto [a, b] = std::pair(edges[e].first, edges[e].second);
         const Complex za = change(a, 0), zb = change(b, 0);
@@ -286,7 +285,7 @@ double Proof::raised_bound() {
     return best;
 }
 
-sparse::WidePattern pattern_of(std::span<const Edge> edges, Index nodes) {
+sparse::OwnedPattern pattern_of(std::span<const Edge> edges, Index nodes) {
     std::vector<Index> sizes, tied;
     for (const Edge& edge : edges) {
         if (edge.first < 0) continue;
@@ -301,7 +300,7 @@ std::vector<char> points_of(std::span<const Edge> edges, Index nodes) {
     for (const Edge& edge : edges) {
         if (edge.first >= 0) points[edge.first] = 0;
         // see `write_quadratic_bound`
-        if (edge.oriented || edge.d_b != std::complex<double>{}) points[edge.second] = 0;
+        if (edge.oriented || edge.d_b != Complex{}) points[edge.second] = 0;
     }
     return points;
 }
@@ -430,13 +429,9 @@ Judgement judge(Proof& proof, double cost, bool thorough) {
 
 std::optional<Bound> lower_bound(std::span<const double> state, std::vector<Edge> edges) {
     const auto nodes = static_cast<Index>(state.size() / 3);
-    const sparse::WidePattern wide = pattern_of(edges, nodes);
-    const std::vector<sparse::Node> rows(wide.rows.begin(), wide.rows.end());
-    const sparse::Pattern pattern{wide.start, rows};
-    const std::vector<char> points = points_of(edges, nodes);
-    Proof proof(wide.start, wide.rows,
-                std::make_shared<const sparse::Symbolic>(
-                    analyze(pattern, fill_reducing(pattern), sparse::shape_of<sparse::Hermitian2>, 1, points)));
+    const sparse::OwnedPattern pattern = pattern_of(edges, nodes);
+    Proof proof(pattern, std::make_shared<const sparse::Symbolic>(
+                             analyze(pattern, sparse::shape_of<sparse::Hermitian2>, 1, points_of(edges, nodes))));
     proof.edges = std::move(edges);
     proof.begin(state, std::vector<char>(nodes, 1));
     const double cost = proof.cost();

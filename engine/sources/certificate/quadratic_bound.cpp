@@ -1,63 +1,57 @@
 #include "vmslam/certificate/quadratic_bound.hpp"
-
-#include <algorithm>
+#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::certificate {
 namespace {
 
-void add(std::complex<double>& to, Complex a) { to = {to.real() + a.re, to.imag() + a.im}; }
-
 /// The function in work.
 struct Sum {
-    std::span<const Index> column_start, rows;
+    const sparse::Pattern& pattern;
     QuadraticBound& out;
 
-    std::complex<double>* block(Index k) { return out.values.data() + 4 * k; }
-    std::complex<double>* diagonal(Index node) { return block(column_start[node + 1] - 1); }
+    Complex* block(Index k) { return out.values.data() + 4 * k; }
+    Complex* diagonal(Index node) { return block(pattern.start[node + 1] - 1); }
 
     /// Add [position, corner; conj(corner), beta] to a diagonal block.
     void add_diagonal(Index node, double position, Complex corner, double beta) {
-        std::complex<double>* const d = diagonal(node);
-        add(d[0], position);
-        add(d[1], corner);
-        add(d[2], conj(corner));
-        add(d[3], beta);
+        Complex* const d = diagonal(node);
+        d[0] += position;
+        d[1] += corner;
+        d[2] += conj(corner);
+        d[3] += beta;
     }
 
     /// Half the gradient at a node.
     void pull(Index node, Complex by_heading, Complex by_position) {
-        add(out.gradient[2 * node], by_heading);
-        add(out.gradient[2 * node + 1], by_position);
+        out.gradient[2 * node] += by_heading;
+        out.gradient[2 * node + 1] += by_position;
     }
 
     /// Add the block [q00, q01; q10, -beta] of the nodes a and b, which is stored above the diagonal.
     void add_between(Index a, Index b, Complex q00, Complex q01, Complex q10, double beta) {
-        const auto [low, high] = std::minmax(a, b);
-        const auto begin = rows.begin() + column_start[high], end = rows.begin() + column_start[high + 1];
-        std::complex<double>* const V = block(std::lower_bound(begin, end, low) - rows.begin());
-        add(V[0], a < b ? q00 : conj(q00));
-        add(V[1], a < b ? q01 : conj(q10));
-        add(V[2], a < b ? q10 : conj(q01));
-        add(V[3], -beta);
+        Complex* const V = block(sparse::block_between(pattern, a, b));
+        V[0] += a < b ? q00 : conj(q00);
+        V[1] += a < b ? q01 : conj(q10);
+        V[2] += a < b ? q10 : conj(q01);
+        V[3] -= beta;
     }
 };
 
 }  // namespace
 
 void write_quadratic_bound(const State& state, std::span<const Edge> edges, std::span<const char> free,
-                           std::span<const Index> column_start, std::span<const Index> rows, std::span<const Force> forces,
+                           const sparse::Pattern& pattern, std::span<const Force> forces,
                            std::span<const Curvature> curvatures, QuadraticBound& out) {
     const std::size_t n = state.size();
-    Sum sum{column_start, rows, out};
-    out.values.assign(4 * rows.size(), 0.0);
+    Sum sum{pattern, out};
+    out.values.assign(4 * pattern.rows.size(), 0.0);
     out.gradient.assign(2 * n, 0.0);
     out.scale.assign(2 * n, 0.0);
     out.error.assign(2 * n, 0.0);
     out.touched = out.slack = 0.0;
     double rest = 0.0;
     for (std::size_t e = 0; e < edges.size(); ++e) {
-        const auto& [a, b, start, end, turn, oriented, information] = edges[e];
-        const Complex d_b = end;
+        const auto& [a, b, start, d_b, turn, oriented, information] = edges[e];
         const Force& force = forces[e];
         const auto [beta, A, A_error, split_slack] = curvatures[e];
         const Complex p = force.p, reached = force.reached;
@@ -76,8 +70,9 @@ void write_quadratic_bound(const State& state, std::span<const Edge> edges, std:
         const double far = strength * force.place_error / (64 * roundoff);
         const double curved = 4 * A_error + 4 * std::abs(g) + (beta > 0 ? strength * strength / beta : 0.0);
         if (a >= 0 && free[a]) {
-            sum.add_diagonal(a, beta * (reach * reach) + A - (conj(p) * reached).re, beta * conj(reached) - conj(p), beta);
-            sum.pull(a, za * Complex{0.0, -(p * conj(reached)).im - g}, -(p * za));
+            sum.add_diagonal(a, beta * (reach * reach) + A - (conj(p) * reached).real(), beta * conj(reached) - conj(p),
+                             beta);
+            sum.pull(a, za * Complex{0.0, -(p * conj(reached)).imag() - g}, -(p * za));
             out.scale[2 * a] += 4 * beta * (reach * reach) + curved + 2 * pulled;
             out.scale[2 * a + 1] += 8 * beta;
             out.error[2 * a] += 2 * pulled + std::abs(g) + far;
@@ -85,8 +80,8 @@ void write_quadratic_bound(const State& state, std::span<const Edge> edges, std:
         }
         if (free[b]) {
             const Complex force_b = conj(zb) * za * p * conj(d_b);
-            sum.add_diagonal(b, beta * square(d_b) + A - force_b.re, beta * conj(d_b), beta);
-            sum.pull(b, zb * Complex{0.0, force_b.im + g}, p * za);
+            sum.add_diagonal(b, beta * square(d_b) + A - force_b.real(), beta * conj(d_b), beta);
+            sum.pull(b, zb * Complex{0.0, force_b.imag() + g}, p * za);
             // without a heading row and a lever, the node has no heading
             if (oriented || !(d_b == Complex{})) out.scale[2 * b] += 4 * beta * square(d_b) + curved + 2 * pulled;
             out.scale[2 * b + 1] += 8 * beta;

@@ -106,16 +106,17 @@ double MarginalEdges::accumulate(const State& state, System* system, std::span<c
         for (Index k = starts_[g]; k < starts_[g + 1]; ++k)
             divide(L, around.sightings[k].W, around.sightings[k].lever, roots[k].V);
     }
+    std::vector<Index> slot_of(system->size());
     for (Index j = 0; j <= last_node(); ++j) {
         if (from(j).empty()) continue;
-        system->open(j);
+        system->open(j, slot_of);
         double* const diagonal = system->diagonal(j);
         for (const Index b : from(j)) {
             const AroundMean& s = around.sightings[b];
             add_block(diagonal, s.W, s.lever);
             add_gradient(system->xi + 3 * j, 1.0, s.W * s.e, s.lever);
             for (Index a = starts_[groups_[b]]; a <= b; ++a) {
-                subtract_product(system->block(system->slot_of[nodes_[a]]), roots[a].V, roots[b].V);
+                subtract_product(system->block(slot_of[nodes_[a]]), roots[a].V, roots[b].V);
                 // two sightings from one pose: the block below the diagonal, too
                 if (a < b && nodes_[a] == j) subtract_product(diagonal, roots[b].V, roots[a].V);
             }

@@ -5,19 +5,6 @@
 #include "vmslam/edges/rotations.hpp"
 
 namespace vmslam::edges {
-namespace {
-
-/// Append the edges of a family with the weights that its kernel gives them at a state.
-template <class List>
-void append(const Kernel& kernel, const double* state, ConstantEdges& out, List list) {
-    const std::size_t before = out.edges.size();
-    list(out.edges);
-    if (!kernel) return;
-    for (ConstantEdge& edge : std::span(out.edges).subspan(before))
-        edge.information = kernel.weight(edge.squares(state)) * edge.information;
-}
-
-}  // namespace
 
 template <bool poses, bool world>
 double RelativeEdges::add(const State& state, System* system, std::span<const Index> pairs) const {
@@ -81,20 +68,15 @@ std::vector<PositionRelation> RelativeEdges::positions(const double* state) cons
     return out;
 }
 
-bool RelativeEdges::constant(const double* state, Index, ConstantEdges& out) const {
-    if (world_) return false;
-    append(kernel_, state, out, [this](auto& to) { list(to); });
-    return true;
-}
-
-void RelativeEdges::list(std::vector<ConstantEdge>& to) const {
+bool RelativeEdges::list(std::vector<ConstantEdge>& to) const {
     to.reserve(to.size() + edges_.size());
     for (const auto& [i, j, z, omega] : edges_) to.push_back({i, j, {z.x, z.y}, {}, z.t, poses_, omega});
+    return true;
 }
 
 double PositionEdges::accumulate(const State& state, System* system, std::span<const Index>) const {
     double total = 0.0;
-    for (const auto& [i, z, omega, lever] : positions_) {
+    for (const auto& [i, z, omega, lever] : edges_) {
         const double* const x = state.node(i);
         const Rotation axes(x[2]);
         const Lever arm{axes.c * lever.x - axes.s * lever.y, axes.s * lever.x + axes.c * lever.y}, v{-arm.y, arm.x};
@@ -110,18 +92,14 @@ double PositionEdges::accumulate(const State& state, System* system, std::span<c
     return total;
 }
 
-bool PositionEdges::constant(const double* state, Index, ConstantEdges& out) const {
-    append(kernel_, state, out, [this](auto& to) { list(to); });
-    return true;
-}
-
 // A relative pose, or point, measured from the origin of the world.
-void PositionEdges::list(std::vector<ConstantEdge>& to) const {
-    const bool oriented = std::any_of(positions_.begin(), positions_.end(), [](const Position& p) {
+bool PositionEdges::list(std::vector<ConstantEdge>& to) const {
+    const bool oriented = std::any_of(edges_.begin(), edges_.end(), [](const Position& p) {
         return p.omega.tt != 0 || p.omega.xt != 0 || p.omega.yt != 0;
     });
-    for (const auto& [i, z, omega, lever] : positions_)
+    for (const auto& [i, z, omega, lever] : edges_)
         to.push_back({-1, i, {z.x, z.y}, {lever.x, lever.y}, z.t, oriented, omega});
+    return true;
 }
 
 }  // namespace vmslam::edges

@@ -1,25 +1,16 @@
 #include "vmslam/edges/sightings.hpp"
 
 #include <algorithm>
-#include <numeric>
 
 #include "vmslam/edges/rotations.hpp"
 
 namespace vmslam::edges {
 
 LandmarkSightings::LandmarkSightings(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings)
-    : starts_(std::move(starts)),
-      nodes_(std::move(nodes)),
-      groups_(nodes_.size()),
-      seen_(std::move(sightings)),
-      order_(nodes_.size()) {
+    : starts_(std::move(starts)), nodes_(std::move(nodes)), groups_(nodes_.size()), seen_(std::move(sightings)) {
     for (Index g = 0; g < landmarks(); ++g) std::fill(groups_.begin() + starts_[g], groups_.begin() + starts_[g + 1], g);
-    std::iota(order_.begin(), order_.end(), 0);
-    std::stable_sort(order_.begin(), order_.end(), [&](Index a, Index b) { return nodes_[a] < nodes_[b]; });
     const Index last = nodes_.empty() ? -1 : *std::max_element(nodes_.begin(), nodes_.end());
-    node_starts_.assign(last + 2, 0);
-    for (const Index node : nodes_) ++node_starts_[node + 1];
-    std::partial_sum(node_starts_.begin(), node_starts_.end(), node_starts_.begin());
+    by_node_ = sparse::Sorted(last + 1, static_cast<Index>(nodes_.size()), [&](Index k) { return nodes_[k]; });
 }
 
 void Sightings::add(const Sightings& from, std::size_t k) {

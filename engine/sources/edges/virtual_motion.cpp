@@ -31,10 +31,11 @@ double VirtualMotionEdges::accumulate(const State& state, System* system, std::s
     const Covariance mode = !body_ ? Covariance::reference : seen_.oriented ? Covariance::landmark : Covariance::rotating;
     const std::vector<Placed> at = placed(state, mode);
     const std::vector<Rotation> axes = axes_of(at);
+    std::vector<Index> slot_of(system ? system->size() : 0);
     double total = 0.0;
     for (Index j = 0; j <= last_node(); ++j) {
         if (from(j).empty()) continue;
-        if (system) system->open(j);
+        if (system) system->open(j, slot_of);
         for (const Index b : from(j)) {
             const Index g = groups_[b];
             const double weight = weights_[g] * seen_.trust[b];
@@ -57,7 +58,7 @@ double VirtualMotionEdges::accumulate(const State& state, System* system, std::s
                 if (!system) continue;
                 Lever u = at[a].lever;
                 if (body_) u = {u.x - e.y, u.y + e.x};
-                add_pair(*system, i, j, system->slot_of[i], W, omega_e, u, at[b].lever);
+                add_pair(*system, i, j, slot_of[i], W, omega_e, u, at[b].lever);
             }
         }
     }

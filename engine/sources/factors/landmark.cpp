@@ -38,35 +38,31 @@ std::pair<ByPose, ByPose> by_poses(const PlacedSighting& p, const PlacedSighting
 
 }  // namespace
 
-PlacedSighting Sighting::placed(Index node, const double* pose, double ahead, bool turning) const {
-    const Rotation robot(pose[2]), direction(pose[2] + z[1]);
-    const double vx = z[0] * direction.c + robot.c * offset_x - robot.s * offset_y;
-    const double vy = z[0] * direction.s + robot.s * offset_x + robot.c * offset_y;
-    const double facing = dimension == 3 ? pose[2] + z[1] - z[2] : 0.0;
-    return {node, {pose[0] + vx, pose[1] + vy, facing}, {-vy, vx}, turning ? Rotation(pose[2] + ahead) : Rotation()};
+std::vector<PlacedSighting> LandmarkPairs::placed(std::span<const double> x) const {
+    std::vector<PlacedSighting> out;
+    for (std::size_t k = 0; k < nodes.size(); ++k) {
+        const double *const pose = x.data() + 3 * nodes[k], *const seen = z.data() + k * dimension;
+        const Rotation robot(pose[2]), direction(pose[2] + seen[1]);
+        const double vx = seen[0] * direction.c + robot.c * offset_x - robot.s * offset_y;
+        const double vy = seen[0] * direction.s + robot.s * offset_x + robot.c * offset_y;
+        const double facing = dimension == 3 ? pose[2] + seen[1] - seen[2] : 0.0;
+        out.push_back(
+            {nodes[k], {pose[0] + vx, pose[1] + vy, facing}, {-vy, vx}, turning ? Rotation(pose[2] + ahead[k]) : Rotation()});
+    }
+    return out;
 }
 
-std::vector<double> LandmarkPair::linearized(const std::array<double, 3>& a, const std::array<double, 3>& b) const {
+std::vector<double> LandmarkPairs::linearized(const std::array<double, 3>& first, const std::array<double, 3>& second) const {
     // relative to the first pose, so that nothing is lost far from the origin
-    const double first[] = {0.0, 0.0, a[2]}, second[] = {b[0] - a[0], b[1] - a[1], b[2]};
-    const PlacedSighting p = Sighting{z_a.data(), dimension, offset_x, offset_y}.placed(0, first, ahead, turning);
-    const PlacedSighting q = Sighting{z_b.data(), dimension, offset_x, offset_y}.placed(1, second, 0.0, false);
-    const Vector e = residual(p, q);
-    const auto [A, B] = by_poses(p, q, a[2], b[2], e, turning);
+    const double x[] = {0.0, 0.0, first[2], second[0] - first[0], second[1] - first[1], second[2]};
+    const std::vector<PlacedSighting> at = placed(x);
+    const Vector e = residual(at[0], at[1]);
+    const auto [A, B] = by_poses(at[0], at[1], first[2], second[2], e, turning);
     std::vector<double> out;
     out.reserve(7 * dimension);
     for (const Vector& v : {e, A.column[0], A.column[1], A.column[2], B.column[0], B.column[1], B.column[2]}) {
         out.insert(out.end(), {v.x, v.y});
         if (dimension == 3) out.push_back(v.t);
-    }
-    return out;
-}
-
-std::vector<PlacedSighting> LandmarkPairs::placed(std::span<const double> x) const {
-    std::vector<PlacedSighting> out(nodes.size());
-    for (std::size_t k = 0; k < out.size(); ++k) {
-        const Sighting seen{z.data() + k * dimension, dimension, offset_x, offset_y};
-        out[k] = seen.placed(nodes[k], x.data() + 3 * nodes[k], ahead[k], turning);
     }
     return out;
 }

@@ -32,7 +32,19 @@ struct LocalMap {
     std::vector<Number> number;  ///< (J) the local number of each landmark that the block sees
     std::vector<Gaussian> before;
 
-    LocalMap(const Problem& problem, std::span<const Sighting> sightings, const Trajectory& x, Number begin, Number end);
+    LocalMap(const Problem& problem, std::span<const Sighting> sightings, const Trajectory& x, Number begin, Number end)
+        : number(problem.marks, problem.marks) {
+        const Number none = problem.marks;
+        Number count = 0;
+        for (const Sighting& s : seen_at(problem, sightings, begin, end))
+            if (number[s.mark] == none) number[s.mark] = count++;
+        before.resize(count);
+        const auto absorb = [&](const Frame& pose, const Sighting& s) {
+            if (number[s.mark] != none) fuse(before[number[s.mark]], composed(pose, s.seen), problem.oriented);
+        };
+        each_with_pose(x, seen_at(problem, sightings, 0, begin - 1), absorb);
+        if (end < problem.steps()) each_with_pose(x, seen_at(problem, sightings, end + 1, problem.steps()), absorb);
+    }
 };
 
 /// psi: the information on displacements of the poses `middle` from what comes after each of them.
@@ -53,26 +65,6 @@ struct Proposal {
     Vector mean;
     Symmetric P;
 };
-
-LocalMap::LocalMap(const Problem& problem, std::span<const Sighting> sightings, const Trajectory& x, Number begin, Number end)
-    : number(problem.marks, problem.marks) {
-    const Number none = problem.marks;
-    Number count = 0;
-    for (const Sighting& s : seen_at(problem, sightings, begin, end))
-        if (number[s.mark] == none) number[s.mark] = count++;
-    before.resize(count);
-    const auto absorb_all = [&](Number from, Number to) {
-        Frame pose;
-        Number step = x.size();
-        for (const Sighting& s : seen_at(problem, sightings, from, to)) {
-            if (number[s.mark] == none) continue;
-            if (s.step != step) pose = Frame(x[step = s.step]);
-            absorb(before[number[s.mark]], pose, s.y, s.C, problem.oriented);
-        }
-    };
-    absorb_all(0, begin - 1);
-    if (end < problem.steps()) absorb_all(end + 1, problem.steps());
-}
 
 /// Of the next pose, with the information `next` at its place in the path, as a landmark whose sighting is the motion.
 void add_next(Information& ahead, const Frame& middle, const Frame& next_middle, const Motion& motion,
@@ -97,13 +89,12 @@ void Guide::compute(const Problem& problem, std::span<const Sighting> sightings,
         } else if (following) {
             // a known pose, whose sighting is the motion
             const Motion& motion = problem.motions[t];
-            const Gaussian known{*following, {}};
-            ahead[i].add_sighting(middle[i], known, motion.mean, inverse(motion.information).matrix, true);
+            ahead[i].add_sighting(middle[i], {*following, {}}, {motion.mean, inverse(motion.information).matrix}, true);
         }
         full[i] = ahead[i];
         for (const Sighting& s : seen_at(problem, sightings, t, t)) {
             const Gaussian& mark = map.before[map.number[s.mark]];
-            if (mark.seen()) full[i].add_sighting(middle[i], mark, s.y, s.C, problem.oriented);
+            if (mark.seen()) full[i].add_sighting(middle[i], mark, s.seen, problem.oriented);
         }
     }
 }
@@ -121,14 +112,10 @@ Proposal proposal(const Frame& start, const Frame& middle, const Motion& motion,
 constexpr double least_share = 0.5;
 
 /// The particles of a block. The weights of particle p and what belongs to it are those of its whole path so far.
-class BlockMove {
+class BlockMove : Setting {
    public:
-    BlockMove(Random& random, const Problem& problem, std::span<const Sighting> sightings, Number particles, bool ancestors,
-              Number begin, Number end, Trajectory& x)
-        : random_(random),
-          problem_(problem),
-          sightings_(sightings),
-          particles_(particles),
+    BlockMove(const Setting& given, bool ancestors, Number begin, Number end, Trajectory& x)
+        : Setting(given),
           draws_ancestors_(ancestors),
           begin_(begin),
           end_(end),
@@ -136,54 +123,55 @@ class BlockMove {
           map_(problem, sightings, x, begin, end),
           count_(map_.before.size()) {}
 
-    void renew(std::span<const Vector> guess) {
+    void renew() {
         if (draws_ancestors_) draw_map();
-        linearise(guess);
+        linearise();
         start();
         for (Number i = 0; i < size(); ++i) {
             move(i);
             if (i + 1 < size()) resample(i);
         }
-        Number chosen = random_.choose(log_weights_);
+        Number chosen = random.choose(log_weights_);
         for (Number i = size(); i-- > 0;) {
             x_[begin_ + i] = at(i, chosen);
-            chosen = parents_[i * particles_ + chosen];
+            chosen = parents_[i * particles + chosen];
         }
     }
 
    private:
     Number size() const { return end_ - begin_ + 1; }
-    const Vector* following() const { return end_ < problem_.steps() ? &x_[end_ + 1] : nullptr; }
-    Vector& at(Number i, Number p) { return poses_[i * particles_ + p]; }
-    const Motion& motion_to(Number i) const { return problem_.motions[begin_ + i - 1]; }
+    const Vector* following() const { return end_ < problem.steps() ? &x_[end_ + 1] : nullptr; }
+    Vector& at(Number i, Number p) { return poses_[i * particles + p]; }
+    const Motion& motion_to(Number i) const { return problem.motions[begin_ + i - 1]; }
 
     /// m, a map for the ancestors, drawn given the present trajectory.
     void draw_map() {
         std::vector<Gaussian> all = map_.before;
-        for (const Sighting& s : seen_at(problem_, sightings_, begin_, end_))
-            absorb(all[map_.number[s.mark]], Frame(x_[s.step]), s.y, s.C, problem_.oriented);
-        for (const Gaussian& mark : all) drawn_.push_back(drawn(random_, mark.mean, mark.S));
+        each_with_pose(x_, seen_at(problem, sightings, begin_, end_), [&](const Frame& pose, const Sighting& s) {
+            fuse(all[map_.number[s.mark]], composed(pose, s.seen), problem.oriented);
+        });
+        for (const Gaussian& mark : all) drawn_.push_back(drawn(random, mark.mean, mark.S));
     }
 
     /// The path of the guide: first that of the guessed motions, then that of the means of the proposals.
-    void linearise(std::span<const Vector> guess) {
+    void linearise() {
         constexpr int fits = 2;  // Gauss-Newton steps to the path about which the guide is linearised
         guide_.middle.resize(size());
         Frame pose(x_[begin_ - 1]);
         for (Number i = 0; i < size(); ++i) guide_.middle[i] = pose = Frame(composed(pose, guess[begin_ - 1 + i]));
-        guide_.compute(problem_, sightings_, map_, begin_, following());
+        guide_.compute(problem, sightings, map_, begin_, following());
         for (int k = 1; k < fits; ++k) {
             pose = Frame(x_[begin_ - 1]);
             for (Number i = 0; i < size(); ++i) {
                 Frame& middle = guide_.middle[i];
                 middle = pose = Frame(composed(middle, proposal(pose, middle, motion_to(i), guide_.full[i]).mean));
             }
-            guide_.compute(problem_, sightings_, map_, begin_, following());
+            guide_.compute(problem, sightings, map_, begin_, following());
         }
     }
 
     void start() {
-        const Number N = particles_;
+        const Number N = particles;
         poses_.resize(size() * N);
         parents_.resize(size() * N);
         maps_.reserve(N * count_);
@@ -197,7 +185,7 @@ class BlockMove {
     void move(Number i) {
         const Frame& middle = guide_.middle[i];
         const Motion& motion = motion_to(i);
-        for (Number p = 0; p < particles_; ++p) {
+        for (Number p = 0; p < particles; ++p) {
             const Frame from(i == 0 ? x_[begin_ - 1] : at(i - 1, ancestors_[p]));
             const Proposal q = proposal(from, middle, motion, guide_.full[i]);
             const LowerRoot root(q.P);
@@ -206,13 +194,13 @@ class BlockMove {
                 d = relative(middle, pose);
                 n = root.whitened(deviation(q.mean, d));
             } else {
-                n = normals(random_);
+                n = normals(random);
                 d = q.mean + root * n;
                 d.t = wrap_angle(d.t);
                 pose = composed(middle, d);
             }
             at(i, p) = pose;
-            parents_[i * particles_ + p] = ancestors_[p];
+            parents_[i * particles + p] = ancestors_[p];
             // log p(x_t | x_{t-1}) / q(x_t)
             double value = 0.5 * dot(n, n) + logarithm(root.determinant());
             value -= 0.5 * squared(motion.information, deviation(motion.mean, relative(from, pose)));
@@ -225,14 +213,13 @@ class BlockMove {
     /// log p(z_t | x_t, map) of a particle, whose map absorbs the sightings.
     double observe(Number i, Number p, const Frame& pose) {
         double sum = 0.0;
-        for (const Sighting& s : seen_at(problem_, sightings_, begin_ + i, begin_ + i)) {
+        for (const Sighting& s : seen_at(problem, sightings, begin_ + i, begin_ + i)) {
             const Number j = map_.number[s.mark];
-            const Vector place = composed(pose, s.y);
-            const Symmetric spread = edges::turned(pose.axes, s.C);
-            const double increment = fuse(maps_[p * count_ + j], place, spread, problem_.oriented);
+            const Gaussian seen = composed(pose, s.seen);
+            const double increment = fuse(maps_[p * count_ + j], seen, problem.oriented);
             sum += increment;
             // log p(z | x, m) / p(z | x)
-            if (draws_ancestors_) surplus_[p] += density({drawn_[j], {}}, place, spread, problem_.oriented) - increment;
+            if (draws_ancestors_) surplus_[p] += density({drawn_[j], {}}, seen, problem.oriented) - increment;
         }
         return sum;
     }
@@ -249,13 +236,13 @@ class BlockMove {
 
     /// log p(x_{t+1} | x_t) without constants.
     double log_motion(Number t, const Frame& pose, const Vector& next) const {
-        const Motion& motion = problem_.motions[t];
+        const Motion& motion = problem.motions[t];
         return -0.5 * squared(motion.information, deviation(motion.mean, relative(pose, next)));
     }
 
     /// Draw the ancestors of the particles of the next pose, where the effective sample size has become small.
     void resample(Number i) {
-        const Number N = particles_;
+        const Number N = particles;
         std::vector<double> weights(N);
         const Sums sums = exponentials(log_weights_, weights);
         if (sums.weights * sums.weights >= least_share * static_cast<double>(N) * sums.squares) {
@@ -263,7 +250,7 @@ class BlockMove {
             return;
         }
         ancestors_[0] = draws_ancestors_ ? ancestor_of_first(i) : 0;
-        for (Number p = 1; p < N; ++p) ancestors_[p] = random_.pick(weights);
+        for (Number p = 1; p < N; ++p) ancestors_[p] = random.pick(weights);
         const std::vector<double> surplus = surplus_, psi = psi_;
         spare_.resize(maps_.size());
         for (Number p = 0; p < N; ++p) {
@@ -276,16 +263,12 @@ class BlockMove {
     }
 
     Number ancestor_of_first(Number i) {
-        std::vector<double> rho(particles_);
+        std::vector<double> rho(particles);
         for (Number p = 0; p < rho.size(); ++p)
             rho[p] = log_weights_[p] - psi_[p] + log_motion(begin_ + i, Frame(at(i, p)), x_[begin_ + i + 1]) + surplus_[p];
-        return random_.choose(rho);
+        return random.choose(rho);
     }
 
-    Random& random_;
-    const Problem& problem_;
-    std::span<const Sighting> sightings_;
-    Number particles_;
     bool draws_ancestors_;
     Number begin_, end_;
     Trajectory& x_;
@@ -304,9 +287,8 @@ class BlockMove {
 
 }  // namespace
 
-void renew_block(Random& random, const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess,
-                 Number particles, bool ancestors, Number begin, Number end, Trajectory& x) {
-    BlockMove(random, problem, sightings, particles, ancestors, begin, end, x).renew(guess);
+void renew_block(const Setting& given, bool ancestors, Number begin, Number end, Trajectory& x) {
+    BlockMove(given, ancestors, begin, end, x).renew();
 }
 
 }  // namespace vmslam::gibbs

@@ -13,12 +13,12 @@ constexpr double aim = 0.3;
 /// The sum of log N(z; h(x, m), diag(q)) - log N(y; relative place, C), without constants.
 double log_ratio(const Trajectory& x, const Map& m, std::span<const Sighting> sightings, bool oriented) {
     double total = 0.0;
-    for (const Sighting& s : sightings) {
-        const Vector place = relative(Frame(x[s.step]), m[s.mark]);
-        Vector r = deviation(s.y, place);
+    each_with_pose(x, sightings, [&](const Frame& pose, const Sighting& s) {
+        const Vector place = relative(pose, m[s.mark]);
+        Vector r = deviation(s.seen.mean, place);
         if (!oriented) r.t = 0.0;
-        total -= 0.5 * (exact_squares(s.z, s.q, place, oriented) - squared(inverse(s.C).matrix, r));
-    }
+        total -= 0.5 * (exact_squares(s.z, s.q, place, oriented) - squared(inverse(s.seen.S).matrix, r));
+    });
     return total;
 }
 
@@ -41,8 +41,9 @@ ChainSamples Chain::run(Random& random, const Problem& problem, const Directions
     for (Number sweep = 0; sweep < rules.sweeps; ++sweep) {
         if (problem.exact) state_.log_weight = log_ratio(poses, state_.map, sightings_, problem.oriented);
         Correction* const correction = problem.exact ? &state_ : nullptr;
-        renew_motions(random, problem, sightings_, guess, rules.particles, correction, poses);
-        renew_blocks(random, problem, rules);
+        const Setting setting{random, problem, sightings_, guess, rules.particles};
+        renew_motions(setting, correction, poses);
+        renew_blocks(setting, rules.block);
         if (!problem.exact) state_.map = draw_map(random, poses, sightings_, problem.marks, problem.oriented);
         move_low_rank(random, problem, directions, rules, sweep);
         // after the low-rank moves, which integrate the precisions out
@@ -60,26 +61,27 @@ void Chain::weigh_sightings(const Problem& problem) {
     for (std::size_t k = 0; k < sightings_.size(); ++k) {
         Sighting& s = sightings_[k];
         const double variance = 1.0 / precision_[k];
-        s.C = variance * s.C;
+        s.seen.S = variance * s.seen.S;
         s.q = {variance * s.q.x, variance * s.q.y, variance * s.q.t};
     }
 }
 
 /// Renew all poses in blocks of `block` steps, the first one of a random length.
-void Chain::renew_blocks(Random& random, const Problem& problem, const ChainRules& rules) {
+void Chain::renew_blocks(const Setting& given, Number block) {
+    const Problem& problem = given.problem;
     const Number T = problem.steps();
     Number begin = 1;
-    Number end = std::min(1 + static_cast<Number>(random.uniform() * static_cast<double>(rules.block)), T);
+    Number end = std::min(1 + static_cast<Number>(given.random.uniform() * static_cast<double>(block)), T);
     while (begin <= T) {
         const Trajectory old(poses.begin() + begin, poses.begin() + end + 1);
-        renew_block(random, problem, sightings_, guess, rules.particles, !problem.exact, begin, end, poses);
+        renew_block(given, !problem.exact, begin, end, poses);
         ++tried_;
-        if (!problem.exact || state_.accepts(random, poses, sightings_, problem.oriented))
+        if (!problem.exact || state_.accepts(given.random, poses, sightings_, problem.oriented))
             ++kept_;
         else
             std::copy(old.begin(), old.end(), poses.begin() + begin);
         begin = end + 1;
-        end = std::min(end + rules.block, T);
+        end = std::min(end + block, T);
     }
 }
 

@@ -2,11 +2,12 @@
 
 namespace vmslam::gibbs {
 
-double fuse(Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented) {
+double fuse(Gaussian& mark, const Gaussian& observed, bool oriented) {
     if (!mark.seen()) {
-        mark = {y, C};
+        mark = observed;
         return 0.0;
     }
+    const auto& [y, C] = observed;
     const Symmetric& S = mark.S;
     const Inverse W = inverse(S + C);
     const Vector r = innovation(y, mark.mean, oriented), g = W.matrix * r;
@@ -27,7 +28,8 @@ void Information::add_at(const Vector& q, const Symmetric& W, const Vector& g) {
     L = L + Symmetric{W.xx, W.xy, W.yy, w.x, w.y, dot(w, lever)};
 }
 
-void Information::add_sighting(const Frame& pose, const Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented) {
+void Information::add_sighting(const Frame& pose, const Gaussian& mark, const Gaussian& sighting, bool oriented) {
+    const auto& [y, C] = sighting;
     const Vector q = relative(pose, mark.mean);
     Symmetric W = inverse(edges::turned(pose.axes.inverse(), mark.S) + C).matrix;
     // q - y

@@ -15,7 +15,6 @@
 // Statistical Science 2013 (preconditioned Crank-Nicolson); Cui, Law and Marzouk, Dimension-independent likelihood-informed
 // MCMC, Journal of Computational Physics 2016, for a subspace.
 #include <algorithm>
-#include <cstring>
 
 #include "moves.hpp"
 
@@ -24,13 +23,9 @@ namespace {
 
 /// a' b in eight sums, always the same ones.
 double product(const double* a, const double* b, std::size_t size) {
-    numbers::Lanes sums{}, p, q;
+    numbers::Lanes sums{};
     std::size_t i = 0;
-    for (; i + numbers::lanes <= size; i += numbers::lanes) {
-        std::memcpy(&p, a + i, sizeof p);
-        std::memcpy(&q, b + i, sizeof q);
-        sums += p * q;
-    }
+    for (; i + numbers::lanes <= size; i += numbers::lanes) sums += numbers::load(a + i) * numbers::load(b + i);
     double sum = 0.0;
     for (int k = 0; k < numbers::lanes; ++k) sum += sums[k];
     for (; i < size; ++i) sum += a[i] * b[i];

@@ -27,32 +27,26 @@ Information prior_at(const Vector& middle, const Motion& motion) {
 }
 
 /// One pass over all motions of a trajectory.
-class MotionMoves {
+class MotionMoves : Setting {
    public:
-    MotionMoves(const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess, Number candidates,
-                Correction* correction)
-        : problem_(problem),
-          sightings_(sightings),
-          guess_(guess),
-          candidates_(candidates),
-          log_weights_(candidates),
-          correction_(correction) {}
+    MotionMoves(const Setting& given, Correction* correction)
+        : Setting(given), candidates_(particles), log_weights_(particles), correction_(correction) {}
 
-    void renew(Random& random, Trajectory& x) {
+    void renew(Trajectory& x) {
         look_ahead(x);
-        for (const Sighting& s : seen_at(problem_, sightings_, 0, 0))
-            absorb(before_[s.mark], Frame(x[0]), s.y, s.C, problem_.oriented);
+        for (const Sighting& s : seen_at(problem, sightings, 0, 0))
+            fuse(before_[s.mark], composed(Frame(x[0]), s.seen), problem.oriented);
         for (Number t = 1; t < x.size(); ++t) {
             const Frame start(x[t - 1]);
             find_shared(t);
-            const Motion& motion = problem_.motions[t - 1];
+            const Motion& motion = problem.motions[t - 1];
             // without shared landmarks nothing but the prior
             const Vector d =
-                shared_.empty() ? drawn(random, motion.mean, inverse(motion.information).matrix) : choose(random, t, start);
-            move(random, x, t, start, d);
+                shared_.empty() ? drawn(random, motion.mean, inverse(motion.information).matrix) : choose(t, start);
+            move(x, t, start, d);
             const Frame pose(x[t]);
-            for (const Sighting& s : seen_at(problem_, sightings_, t, t))
-                absorb(before_[s.mark], pose, s.y, s.C, problem_.oriented);
+            for (const Sighting& s : seen_at(problem, sightings, t, t))
+                fuse(before_[s.mark], composed(pose, s.seen), problem.oriented);
         }
     }
 
@@ -63,11 +57,11 @@ class MotionMoves {
         Symmetric P;
     };
 
-    Gaussian* after(Number t) { return after_.data() + t * problem_.marks; }
+    Gaussian* after(Number t) { return after_.data() + t * problem.marks; }
 
     /// What the sightings from each step on say of the landmarks, in the axes of that pose.
     void look_ahead(const Trajectory& x) {
-        const Number T = problem_.steps(), J = problem_.marks;
+        const Number T = problem.steps(), J = problem.marks;
         before_.assign(J, {});
         after_.assign((T + 1) * J, {});
         motions_.resize(T);
@@ -77,28 +71,27 @@ class MotionMoves {
                 const Frame d(motions_[t]);
                 for (Number j = 0; j < J; ++j) {
                     const Gaussian& next = after(t + 1)[j];
-                    if (next.seen()) after(t)[j] = {composed(d, next.mean), edges::turned(d.axes, next.S)};
+                    if (next.seen()) after(t)[j] = composed(d, next);
                 }
             }
-            for (const Sighting& s : seen_at(problem_, sightings_, t, t)) fuse(after(t)[s.mark], s.y, s.C, problem_.oriented);
+            for (const Sighting& s : seen_at(problem, sightings, t, t)) fuse(after(t)[s.mark], s.seen, problem.oriented);
         }
     }
 
     void find_shared(Number t) {
         shared_.clear();
-        for (Number j = 0; j < problem_.marks; ++j)
+        for (Number j = 0; j < problem.marks; ++j)
             if (before_[j].seen() && after(t)[j].seen()) shared_.push_back({&before_[j], after(t) + j});
     }
 
     Fit fit(Number t, const Frame& start) const {
         constexpr int fits = 3;  // Gauss-Newton steps to the Gaussian of the candidates
-        Fit fit{guess_[t - 1], {}, {}};
+        Fit fit{guess[t - 1], {}, {}};
         for (int k = 0; k < fits; ++k) {
             if (k > 0) fit.middle = composed(Frame(fit.middle), fit.mean);
-            Information sum = prior_at(fit.middle, problem_.motions[t - 1]);
+            Information sum = prior_at(fit.middle, problem.motions[t - 1]);
             const Frame pose(composed(start, fit.middle));
-            for (const auto& [before, after] : shared_)
-                sum.add_sighting(pose, *before, after->mean, after->S, problem_.oriented);
+            for (const auto& [before, after] : shared_) sum.add_sighting(pose, *before, *after, problem.oriented);
             fit.P = inverse(sum.L).matrix;
             fit.mean = fit.P * sum.eta;
         }
@@ -108,14 +101,13 @@ class MotionMoves {
     /// The sum of log N(mean_after; q(x_t, mean_before), S_after + S_before), in world axes.
     double log_likelihood(const Frame& pose) const {
         LogDensities densities;
-        for (const auto& [before, after] : shared_)
-            densities.add(*before, composed(pose, after->mean), edges::turned(pose.axes, after->S), problem_.oriented);
+        for (const auto& [before, after] : shared_) densities.add(*before, composed(pose, *after), problem.oriented);
         return densities.sum();
     }
 
-    Vector choose(Random& random, Number t, const Frame& start) {
+    Vector choose(Number t, const Frame& start) {
         const Fit proposal = fit(t, start);
-        const Motion& motion = problem_.motions[t - 1];
+        const Motion& motion = problem.motions[t - 1];
         const LowerRoot root(proposal.P);
         const Frame middle(proposal.middle);
         for (Number n = 0; n < candidates_.size(); ++n) {
@@ -135,7 +127,7 @@ class MotionMoves {
     }
 
     /// Set d_t; with a correction, all later poses move along, and the whole trajectory is accepted or not.
-    void move(Random& random, Trajectory& x, Number t, const Frame& start, const Vector& d) const {
+    void move(Trajectory& x, Number t, const Frame& start, const Vector& d) const {
         if (!correction_) {
             x[t] = composed(start, d);
             return;
@@ -144,16 +136,13 @@ class MotionMoves {
         trial[t] = composed(start, d);
         for (Number later = t; later + 1 < x.size(); ++later)
             trial[later + 1] = composed(Frame(trial[later]), motions_[later]);
-        if (correction_->accepts(random, trial, sightings_, problem_.oriented)) x = std::move(trial);
+        if (correction_->accepts(random, trial, sightings, problem.oriented)) x = std::move(trial);
     }
 
     struct Shared {
         const Gaussian *before, *after;
     };
 
-    const Problem& problem_;
-    std::span<const Sighting> sightings_;
-    std::span<const Vector> guess_;
     std::vector<Vector> candidates_;
     std::vector<double> log_weights_;
     Correction* correction_;
@@ -164,9 +153,6 @@ class MotionMoves {
 
 }  // namespace
 
-void renew_motions(Random& random, const Problem& problem, std::span<const Sighting> sightings, std::span<const Vector> guess,
-                   Number candidates, Correction* correction, Trajectory& x) {
-    MotionMoves(problem, sightings, guess, candidates, correction).renew(random, x);
-}
+void renew_motions(const Setting& given, Correction* correction, Trajectory& x) { MotionMoves(given, correction).renew(x); }
 
 }  // namespace vmslam::gibbs

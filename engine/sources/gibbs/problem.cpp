@@ -19,33 +19,23 @@ double cost(const Problem& problem, const Trajectory& x, const Map& m, bool exac
         const Motion& motion = problem.motions[t];
         total += squared(motion.information, deviation(motion.mean, relative(Frame(x[t]), x[t + 1])));
     }
-    Frame pose;
-    Number step = x.size();
-    for (std::size_t k = 0; k < problem.sightings.size(); ++k) {
-        const Sighting& s = problem.sightings[k];
-        if (s.step != step) pose = Frame(x[step = s.step]);
+    each_with_pose(x, problem.sightings, [&](const Frame& pose, const Sighting& s) {
         const Vector place = relative(pose, m[s.mark]);
         const double value =
-            exact ? exact_squares(s.z, s.q, place, problem.oriented) : squared(s.weight, deviation(s.y, place));
-        if (!squares.empty()) squares[k] = value;
+            exact ? exact_squares(s.z, s.q, place, problem.oriented) : squared(s.weight, deviation(s.seen.mean, place));
+        if (!squares.empty()) squares[&s - problem.sightings.data()] = value;
         // Student's t: (nu + n) log(1 + e' C^-1 e / nu)
         const double degrees = problem.degrees;
         total += degrees > 0 ? (degrees + problem.coordinates()) * logarithm(1.0 + value / degrees) : value;
-    }
+    });
     return 0.5 * total;
 }
 
 Map draw_map(Random& random, const Trajectory& x, std::span<const Sighting> sightings, Number marks, bool oriented) {
     std::vector<Gaussian> gaussians(marks);
-    Frame pose;
-    Number step = x.size();
-    for (const Sighting& s : sightings) {
-        // the sightings of a step follow each other
-        if (s.step != step) pose = Frame(x[step = s.step]);
-        absorb(gaussians[s.mark], pose, s.y, s.C, oriented);
-    }
+    each_with_pose(x, sightings,
+                   [&](const Frame& pose, const Sighting& s) { fuse(gaussians[s.mark], composed(pose, s.seen), oriented); });
     Map map;
-    map.reserve(marks);
     for (const Gaussian& mark : gaussians) map.push_back(drawn(random, mark.mean, mark.S));
     return map;
 }

@@ -8,8 +8,6 @@
 #include "vmslam/edges/single_numbers.hpp"
 #include "vmslam/online/system.hpp"
 #include "vmslam/solve/run.hpp"
-#include "vmslam/sparse/ordering.hpp"
-#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::online {
 namespace {
@@ -28,10 +26,9 @@ class BatchProblem {
             state.insert(state.end(), node.x.begin(), node.x.end());
             if (node.point) points_.push_back(static_cast<Index>(k));
         }
-        analyze(graph, priors);
+        system_.emplace(pattern_of(graph, priors), 1, points_);
         add_families(graph, priors);
-        system_ = {pattern_.start, pattern_.rows, values_.data(), xi_.data(), slots_.data()};
-        objective = std::make_unique<solve::GraphObjective>(members_, system_, solve::Held{{}, {}, points_}, 0.0, *factor_);
+        objective = std::make_unique<solve::GraphObjective>(members_, *system_, solve::Held{{}, {}, points_});
         objective->reweighted = std::ranges::any_of(graph.edges, &Edge::robust);
     }
 
@@ -40,7 +37,7 @@ class BatchProblem {
     std::span<const Id> nodes() const { return nodes_; }
 
    private:
-    void analyze(const Graph& graph, std::span<const Prior> priors) {
+    sparse::OwnedPattern pattern_of(const Graph& graph, std::span<const Prior> priors) const {
         std::vector<Index> sizes, members;
         const auto add = [&](std::span<const Id> group) {
             sizes.push_back(static_cast<Index>(group.size()));
@@ -50,16 +47,7 @@ class BatchProblem {
         for (const Edge& edge : graph.edges)
             if (!edge.taken_out() && !edge.one_ended()) add(edge.ends);
         for (const Prior& prior : priors) add(prior.members);
-        pattern_ = sparse::pattern_of_groups(static_cast<Index>(nodes_.size()), sizes, members);
-        rows_.assign(pattern_.rows.begin(), pattern_.rows.end());
-        const sparse::Pattern pattern{pattern_.start, rows_};
-        std::vector<char> points(nodes_.size(), 0);
-        for (const Index k : points_) points[k] = 1;
-        factor_ = std::make_unique<sparse::Factor<sparse::Real3>>(std::make_shared<sparse::Symbolic>(
-            sparse::analyze(pattern, sparse::fill_reducing(pattern), sparse::shape_of<sparse::Real3>, 1, points)));
-        values_.resize(9 * rows_.size());
-        xi_.resize(state.size());
-        slots_.resize(nodes_.size());
+        return sparse::pattern_of_groups(static_cast<Index>(nodes_.size()), sizes, members);
     }
 
     void add_families(const Graph& graph, std::span<const Prior> priors) {
@@ -78,7 +66,7 @@ class BatchProblem {
                         continue;
                     }
                     edges.push_back({i, j, edge.z, edge.omega});
-                    pairs.push_back(sparse::block_between(pattern_.start, pattern_.rows, i, j));
+                    pairs.push_back(sparse::block_between(system_->view(), i, j));
                 }
                 if (!edges.empty())
                     add(std::make_unique<edges::RelativeEdges>(std::move(edges), oriented, false, kernel), pairs);
@@ -92,7 +80,7 @@ class BatchProblem {
                 if (edge.taken_out() || edge.form != form) continue;
                 const Index i = number_[edge.ends[0]], j = number_[edge.ends[1]];
                 edges.push_back({i, j, edge.z.x, edge.omega.xx, edge.lever});
-                pairs.push_back(sparse::block_between(pattern_.start, pattern_.rows, i, j));
+                pairs.push_back(sparse::block_between(system_->view(), i, j));
             }
             // all of them are sightings
             if (!edges.empty()) add(std::make_unique<edges::NumberEdges>(kind, std::move(edges), graph.kernels[0]), pairs);
@@ -107,15 +95,10 @@ class BatchProblem {
 
     std::vector<Id> nodes_, number_;
     std::vector<Index> points_;
-    sparse::WidePattern pattern_;
-    std::vector<sparse::Node> rows_;
-    std::unique_ptr<sparse::Factor<sparse::Real3>> factor_;
-    std::vector<double> values_, xi_;
-    std::vector<Index> slots_;
+    std::optional<solve::OwnedSystem> system_;
     std::deque<std::vector<Index>> pairs_;  ///< stay where they are while others are added
     std::vector<std::unique_ptr<edges::Family>> families_;
     std::vector<solve::GraphObjective::Member> members_;
-    edges::System system_{};
 };
 
 /// A state of lower cost by Gauss-Newton, damped where necessary, or nothing.

@@ -288,11 +288,10 @@ double PriorFamily::accumulate(const edges::State& state, edges::System* system,
         information = transposed(information, n);
     }
     for (std::size_t b = 0; b < k; ++b) {
-        system->open(nodes_[b]);
         for (int c = 0; c < 3; ++c) system->xi[3 * nodes_[b] + c] += xi[3 * b + c];
         for (std::size_t a = 0; a < k; ++a) {
             if (nodes_[a] > nodes_[b]) continue;
-            double* const block = system->block(system->slot_of[nodes_[a]]);
+            double* const block = system->block(sparse::block_between(*system, nodes_[a], nodes_[b]));
             for (int r = 0; r < 3; ++r)
                 for (int c = 0; c < 3; ++c) block[3 * r + c] += information[(3 * a + r) * n + 3 * b + c];
         }

@@ -75,9 +75,7 @@ Symbolic analyze_top(const Graph& graph, const Tree& tree, const Top& top, std::
         std::sort(members.end() - tree.groups[s].r, members.end());
     }
     const auto n = static_cast<Id>(top.nodes.size());
-    const sparse::WidePattern wide = sparse::pattern_of_groups(n, sizes, members);
-    const std::vector<Id> rows(wide.rows.begin(), wide.rows.end());
-    const sparse::Pattern pattern{wide.start, rows};
+    const sparse::OwnedPattern pattern = sparse::pattern_of_groups(n, sizes, members);
     sparse::Order order = sparse::minimum_degree(pattern, n);
     std::vector<char> last(n, 0);
     for (std::size_t k = 0; k < top.fresh; ++k)

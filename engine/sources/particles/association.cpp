@@ -8,6 +8,15 @@ namespace {
 
 Gaussian landmark_of(const Blocks& rows, std::size_t first) { return read_gaussian(rows, true, first); }
 
+/// P(shown k) = sum over c of p(c) P(shown k given c), where row(r) has p(c) of the landmarks.
+template <class Row>
+Lanes shown_likelihood(const Confusion& confusion, std::int64_t shown, const Row& row) {
+    Lanes total{};
+    for (std::size_t n = 0; n < confusion.classes; ++n)
+        total += row(first_class_row + static_cast<int>(n)) * confusion(n, shown);
+    return total;
+}
+
 /// Whether sightings may belong to a landmark: range and bearing are each tested alone, e² <= gate * (the entry on the
 /// diagonal of V). Since V >= Q, every sighting outside is less likely than under a new landmark.
 class Gate {
@@ -33,11 +42,6 @@ class Gate {
 };
 
 }  // namespace
-
-void Box::include(const Lanes& x, const Lanes& y, const Lanes& wide, int k) {
-    left = std::min(left, x[k] - wide[k]), right = std::max(right, x[k] + wide[k]);
-    low = std::min(low, y[k] - wide[k]), high = std::max(high, y[k] + wide[k]);
-}
 
 void Box::include(const Box& other) {
     left = std::min(left, other.left), right = std::max(right, other.right);
@@ -68,7 +72,8 @@ Lanes AnonymousScan::Group::begin(std::size_t first, const Gaussian& belief) {
         if (!any(known)) {
             value += scan_.log_new[k];
         } else {
-            value += numbers::select(known, scan_.confusion->classes > 0 ? class_ratio(k) : Lanes{}, scan_.log_new[k]);
+            value +=
+                numbers::select(known, scan_.confusion->classes > 0 ? class_ratio(k, chosen(k)) : Lanes{}, scan_.log_new[k]);
         }
     }
     return value;
@@ -85,12 +90,7 @@ void AnonymousScan::Group::weigh_landmark(const Gaussian& belief, std::int64_t c
         if (!any(possible)) continue;
         // log w_j
         Lanes score = predicted_likelihood(belief, landmark, scan_.sightings[k], scan_.oriented);
-        if (const Confusion& confusion = *scan_.confusion; confusion.classes > 0) {
-            Lanes total{};
-            for (std::size_t n = 0; n < confusion.classes; ++n)
-                total += load(rows.group(first_class_row + static_cast<int>(n), first_)) * confusion(n, scan_.shown[k]);
-            score += numbers::log(Lanes(static_cast<double>(confusion.classes) * total));
-        }
+        if (scan_.confusion->classes > 0) score += class_ratio(k, [&](int row) { return load(rows.group(row, first_)); });
         possible &= score >= scan_.log_new[k];
         if (any(possible)) hypotheses_[k].push_back({c, numbers::select(possible, score, -infinity)});
     }
@@ -142,13 +142,11 @@ void AnonymousScan::Group::choose_in_order(int lane) {
     }
 }
 
-/// log of n sum over c of p(c) P(shown k given c), of the chosen landmarks.
-Lanes AnonymousScan::Group::class_ratio(std::size_t k) const {
+/// log of n sum over c of p(c) P(shown k given c).
+template <class Row>
+Lanes AnonymousScan::Group::class_ratio(std::size_t k, const Row& row) const {
     const Confusion& confusion = *scan_.confusion;
-    Lanes total{};
-    for (std::size_t n = 0; n < confusion.classes; ++n)
-        total += chosen_numbers(k, first_class_row + static_cast<int>(n)) * confusion(n, scan_.shown[k]);
-    return numbers::log(Lanes(static_cast<double>(confusion.classes) * total));
+    return numbers::log(Lanes(static_cast<double>(confusion.classes) * shown_likelihood(confusion, scan_.shown[k], row)));
 }
 
 /// One row of the chosen landmarks; any number in lanes with a new landmark.
@@ -165,7 +163,7 @@ Lanes AnonymousScan::Group::chosen_numbers(std::size_t k, int row) const {
 }
 
 Gaussian AnonymousScan::Group::chosen_landmark(std::size_t k) const {
-    const auto at = [&](int row) { return chosen_numbers(k, row); };
+    const auto at = chosen(k);
     return {at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7), at(8)};
 }
 
@@ -212,9 +210,7 @@ void AnonymousScan::Group::update_known(std::size_t k, const Gaussian& m) const 
     write_chosen(k, known, last_step_row, all<Lanes>(scan_.step));
     // p(c) times P(shown k given c)
     const Confusion& confusion = *scan_.confusion;
-    Lanes total{};
-    for (std::size_t n = 0; n < confusion.classes; ++n)
-        total += chosen_numbers(k, first_class_row + static_cast<int>(n)) * confusion(n, scan_.shown[k]);
+    const Lanes total = shown_likelihood(confusion, scan_.shown[k], chosen(k));
     for (std::size_t n = 0; n < confusion.classes; ++n) {
         const int row = first_class_row + static_cast<int>(n);
         write_chosen(k, known, row, chosen_numbers(k, row) * confusion(n, scan_.shown[k]) / total);

@@ -1,4 +1,4 @@
-#include "vmslam/particles/existence.hpp"
+#include "vmslam/particles/association.hpp"
 
 namespace vmslam::particles {
 
@@ -57,7 +57,7 @@ void merge_pair(Blocks& young, Blocks& old, bool oriented, std::size_t classes, 
 
 }  // namespace
 
-void count_misses(std::span<Blocks* const> landmarks, const Rows& poses, double step, const View& view, std::size_t lo,
+void count_misses(std::span<Blocks* const> landmarks, const Rows& poses, double step, const Limits& view, std::size_t lo,
                   std::size_t hi) {
     for (Blocks* const rows : landmarks) {
         for (std::size_t i = lo; i < hi; i += lanes) {
@@ -95,7 +95,7 @@ Extent extent_of(const Blocks& landmark, double gate, std::size_t lo, std::size_
             if (!owned[k]) continue;
             ++out.owners;
             out.droppable |= evidence[k] < permanent_evidence;
-            out.box.include(x, y, wide, k);
+            out.box.include(x[k], y[k], wide[k]);
         }
     }
     return out;

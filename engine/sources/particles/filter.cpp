@@ -5,9 +5,65 @@
 #include <cmath>
 
 #include "require.hpp"
-#include "step.hpp"
 
 namespace vmslam::particles {
+
+/// Where the poses of a step with sightings come from.
+class Proposal {
+   public:
+    /// FastSLAM 1.0 and Monte Carlo localisation: the poses are those of the motion.
+    explicit Proposal(const Rows& poses) : poses_(poses) {}
+    /// FastSLAM 2.0: the poses are drawn from the motion, corrected by the sightings, with exact or with linearised weights.
+    Proposal(const Rows& starts, const Motion& motion, bool exact)
+        : poses_(starts), key_(motion.key), prediction_(particles::predict(motion, exact)) {
+        if (exact) weighted_.emplace(motion);
+    }
+
+    bool corrects() const { return prediction_.has_value(); }
+    bool exact() const { return !corrects() || weighted_; }
+    Gaussian predict(std::size_t first) const {
+        const Pose x = read_pose(poses_, first);
+        if (prediction_) return prediction_->of(x);
+        const Lanes zero{};
+        return {x.x, x.y, x.t, zero, zero, zero, zero, zero, zero};
+    }
+    Drawn draw(std::size_t first, const Gaussian& belief) const {
+        if (!corrects()) return {belief.mean(), Lanes{}};
+        const numbers::Bits particles = particles_of(first);
+        if (weighted_) return (*weighted_)(read_pose(poses_, first), belief, particles);
+        const auto [n0, n1] = numbers::normal_pair<Lanes>(key_, particles, 0);
+        return {drawn(belief, n0, n1, numbers::normal_pair<Lanes>(key_, particles, 1).first), Lanes{}};
+    }
+
+   private:
+    const Rows& poses_;
+    std::uint64_t key_ = 0;
+    std::optional<Prediction> prediction_;
+    std::optional<WeightedDraw> weighted_;
+};
+
+namespace {
+
+/// For each sighting the box that holds the mean of each landmark that is a hypothesis of a particle; see `place_of`.
+std::vector<Box> boxes_of(const Proposal& proposal, std::span<const Sighting> sightings, double gate, const Ranges& ranges) {
+    std::vector<std::vector<Box>> parts(ranges.count(), std::vector<Box>(sightings.size()));
+    in_parallel(static_cast<int>(ranges.count()), [&](int part) {
+        const std::size_t hi = ranges.edge(part + 1);
+        for (std::size_t i = ranges.edge(part); i < hi; i += lanes) {
+            const Gaussian belief = proposal.predict(i);
+            for (std::size_t k = 0; k < sightings.size(); ++k) {
+                const Place place = place_of(belief, sightings[k], gate);
+                for (int lane = 0; lane < lanes && i + lane < hi; ++lane)
+                    parts[part][k].include(place.x[lane], place.y[lane], place.wide[lane]);
+            }
+        }
+    });
+    for (std::size_t part = 1; part < parts.size(); ++part)
+        for (std::size_t k = 0; k < sightings.size(); ++k) parts[0][k].include(parts[part][k]);
+    return parts[0];
+}
+
+}  // namespace
 
 Filter::Filter(Rows poses, std::size_t threads, bool records)
     : particles_(poses.particles()),
@@ -23,30 +79,11 @@ Filter::Filter(Rows poses, std::size_t threads, bool records)
     weights_.fill(1.0);
     history_.open_level();
     history_.write(*poses_, 0, particles_);
-    if (records) record_ = std::make_shared<Record>(poses_, log_weights_);
-}
-
-// nobody writes into poses and weights that two filters share: `fresh` gives away only buffers without another owner
-Filter::Filter(const Filter& other)
-    : particles_(other.particles_),
-      ranges_(other.ranges_),
-      history_(other.history_),
-      poses_(other.poses_),
-      starts_(other.starts_),
-      log_weights_(other.log_weights_),
-      uniform_(other.uniform_),
-      log_likelihoods_(other.log_likelihoods_),
-      weights_(other.weights_),
-      best_(other.best_),
-      step_(other.step_),
-      motion_(other.motion_) {
-    if (other.identified_) identified_ = std::make_unique<IdentifiedMap>(*other.identified_, history_);
-    if (other.anonymous_) anonymous_ = std::make_unique<AnonymousMap>(*other.anonymous_, history_);
-    if (other.record_) record_ = std::make_shared<Record>(*other.record_);
+    if (records) record_.emplace(poses_, log_weights_);
 }
 
 std::shared_ptr<Rows> Filter::fresh(int rows) {
-    for (const auto& buffer : buffers_) {
+    for (const auto& buffer : buffers_.all) {
         if (buffer.use_count() != 1 || buffer->rows() != rows) continue;
         // `use_count` does not order memory: what the last other owner read must be read before it is overwritten
         std::atomic_thread_fence(std::memory_order_acquire);
@@ -54,17 +91,27 @@ std::shared_ptr<Rows> Filter::fresh(int rows) {
     }
     auto buffer = std::make_shared<Rows>(rows, particles_);
     // buffers of a record are never free again
-    if (!record_ && buffers_.size() < 16) buffers_.push_back(buffer);
+    if (!record_ && buffers_.all.size() < 16) buffers_.all.push_back(buffer);
     return buffer;
 }
 
 void Filter::use_ids(bool oriented, std::size_t jointly, std::optional<RangeNoise> range_noise) {
     require(jointly <= most_sightings, "at most 16 sightings are weighed together");
-    identified_ = std::make_unique<IdentifiedMap>(history_, particles_, oriented, jointly, range_noise);
+    identified_.emplace(particles_, oriented, jointly, range_noise);
 }
 
 void Filter::use_no_ids(bool oriented, const AnonymousOptions& options, Confusion confusion) {
-    anonymous_ = std::make_unique<AnonymousMap>(history_, particles_, oriented, options, std::move(confusion));
+    anonymous_.emplace(particles_, oriented, options, std::move(confusion));
+}
+
+std::vector<LandmarkId> Filter::landmarks() const {
+    if (identified_) return identified_->ids();
+    return anonymous_ ? anonymous_->ids() : std::vector<LandmarkId>{};
+}
+
+LandmarkView Filter::view(LandmarkId landmark) {
+    if (identified_) return identified_->view(landmark, history_);
+    return anonymous_ ? anonymous_->view(landmark, history_) : LandmarkView{};
 }
 
 void Filter::move(const Motion& motion, bool corrects) {
@@ -83,58 +130,72 @@ void Filter::move(const Motion& motion, bool corrects) {
 }
 
 void Filter::end_step() {
-    if (anonymous_) anonymous_->end_step(*poses_, step_, ranges_);
+    if (anonymous_) anonymous_->end_step(*poses_, step_, ranges_, history_);
 }
 
-template <class Proposal, class Scan>
-void Filter::weigh(const Proposal& proposal, const Scan& scan, const std::shared_ptr<Rows>& drawn) {
+Proposal Filter::proposal(Version version) const {
+    if (version == Version::motion || !motion_) return Proposal(*poses_);
+    return Proposal(*starts_, *motion_, version == Version::corrected_exact);
+}
+
+/// Predict, associate, correct, draw, weigh, update the map.
+template <class Scan>
+void Filter::weigh(const Proposal& proposal, const Scan& scan) {
+    const auto poses = proposal.corrects() ? fresh(3) : nullptr;
     ranges_.each([&](std::size_t lo, std::size_t hi) {
-        weigh_particles(proposal, scan, drawn.get(), log_likelihoods_.row(0), lo, hi);
-        if (drawn) history_.amend(*drawn, lo, hi);
+        typename Scan::Group group(scan);
+        for (std::size_t i = lo; i < hi; i += lanes) {
+            Gaussian belief = proposal.predict(i);
+            Lanes log_likelihood = group.begin(i, belief);
+            if (poses) log_likelihood += group.correct(belief, !proposal.exact());
+            const auto [pose, log_ratio] = proposal.draw(i, belief);
+            // log p(x) - log q(x), and log p(z | x)
+            log_likelihood += log_ratio;
+            log_likelihood += group.update(pose, proposal.exact());
+            numbers::store(log_likelihoods_.row(0) + i, log_likelihood);
+            if (poses) write_pose(*poses, i, pose);
+        }
+        if (poses) history_.amend(*poses, lo, hi);
     });
-    if (drawn) poses_ = drawn;
+    if (poses) poses_ = poses;
     // the poses now depend on the sightings: later sightings of this step must not correct the motion again
     motion_.reset();
 }
 
-void Filter::weigh_known(std::span<const KnownSighting> sightings) { weigh(Given(*poses_), KnownScan(sightings), nullptr); }
+void Filter::weigh_known(std::span<const KnownSighting> sightings) {
+    ranges_.each([&](std::size_t lo, std::size_t hi) {
+        for (std::size_t i = lo; i < hi; i += lanes) {
+            Lanes value{};
+            for (const KnownSighting& k : sightings)
+                value += known_likelihood(read_pose(*poses_, i), k.landmark, k.sighting, k.oriented);
+            numbers::store(log_likelihoods_.row(0) + i, value);
+        }
+    });
+    motion_.reset();
+}
 
 bool Filter::weigh_identified(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, Version version) {
     const auto known = [&](LandmarkId id) { return identified_->has(id); };
     // steps without sightings of known landmarks move as in 1.0, without linearisation
-    const bool corrects = version != Version::motion && motion_ && std::any_of(ids.begin(), ids.end(), known);
-    const auto drawn = corrects ? fresh(3) : nullptr;
-    const auto scan = identified_->scan(ids, sightings, corrects ? drawn : poses_);
-    if (corrects)
-        weigh(Corrected(*starts_, *motion_, version == Version::corrected_exact), scan, drawn);
-    else
-        weigh(Given(*poses_), scan, nullptr);
+    if (std::none_of(ids.begin(), ids.end(), known)) version = Version::motion;
+    const auto scan = identified_->scan(ids, sightings, history_);
+    weigh(proposal(version), scan);
     identified_->end_scan();
     return scan.weighs();
+}
+
+void Filter::weigh_anonymous(std::span<const Sighting> sightings, std::span<const std::int64_t> shown, Version version) {
+    const Proposal from = proposal(version);
+    const std::vector<Box> boxes = boxes_of(from, sightings, anonymous_->gate(), ranges_);
+    const AnonymousScan scan = anonymous_->scan(sightings, shown, boxes, step_, history_);
+    weigh(from, scan);
+    anonymous_->end_scan(scan, ranges_, history_);
 }
 
 void Filter::weigh_by(std::span<const double> log_likelihoods) {
     std::copy(log_likelihoods.begin(), log_likelihoods.end(), log_likelihoods_.row(0));
     // the weights now depend on the poses: later sightings of this step must not correct these
     motion_.reset();
-}
-
-template <class Proposal>
-void Filter::weigh_anonymous_from(const Proposal& proposal, std::span<const Sighting> sightings,
-                                  std::span<const std::int64_t> shown, const std::shared_ptr<Rows>& drawn) {
-    const std::vector<Box> boxes = boxes_of(proposal, sightings, anonymous_->gate(), ranges_);
-    const AnonymousScan scan = anonymous_->scan(sightings, shown, boxes, step_);
-    weigh(proposal, scan, drawn);
-    anonymous_->end_scan(scan, ranges_);
-}
-
-void Filter::weigh_anonymous(std::span<const Sighting> sightings, std::span<const std::int64_t> shown, Version version) {
-    if (version == Version::motion || !motion_) {
-        weigh_anonymous_from(Given(*poses_), sightings, shown, nullptr);
-    } else {
-        const Corrected proposal(*starts_, *motion_, version == Version::corrected_exact);
-        weigh_anonymous_from(proposal, sightings, shown, fresh(3));
-    }
 }
 
 Filter::Reweighed Filter::reweigh() {

@@ -1,10 +1,9 @@
 #include "vmslam/particles/history.hpp"
 
-#include <cstdlib>
 #include <limits>
 #include <numeric>
-#include <stdexcept>
 
+#include "require.hpp"
 #include "vmslam/numbers/elementary.hpp"
 
 namespace vmslam::particles {
@@ -16,14 +15,6 @@ constexpr std::size_t minimum_growth = 16;
 /// Rows are numbered with 32 bits.
 constexpr std::size_t most_rows = std::numeric_limits<Index>::max();
 
-[[noreturn]] void refuse() {
-#ifdef __cpp_exceptions
-    throw std::length_error("the histories of so many particles are too long to be stored; take fewer particles");
-#else
-    std::abort();  // WebAssembly has no exceptions
-#endif
-}
-
 }  // namespace
 
 History::History(std::size_t particles) : particles_(particles), line_(particles), limit_(minimum_growth * particles) {
@@ -31,20 +22,18 @@ History::History(std::size_t particles) : particles_(particles), line_(particles
 }
 
 std::size_t History::bytes() const {
-    return x_.capacity() * (3 * sizeof(double) + 2 * sizeof(Index)) + line_.capacity() * sizeof(Index);
+    return poses_.capacity() * (sizeof(poses_[0]) + sizeof(Origin)) + line_.capacity() * sizeof(Index);
 }
 
 void History::open_level(bool is_step) {
     if (stored_rows() + particles_ > limit_) prune();
     const std::size_t end = stored_rows() + particles_;
-    if (end > x_.size()) {
-        if (end > most_rows) refuse();
+    if (end > poses_.size()) {
+        require(end <= most_rows, "the histories of so many particles are too long to be stored; take fewer particles");
         const std::size_t size = std::min(2 * end, most_rows);
         // all of them or none: without memory nothing has changed
-        for (auto* const numbers : {&x_, &y_, &t_}) numbers->reserve(size);
-        for (auto* const numbers : {&parents_, &numbers_}) numbers->reserve(size);
-        for (auto* const numbers : {&x_, &y_, &t_}) numbers->resize(size);
-        for (auto* const numbers : {&parents_, &numbers_}) numbers->resize(size);
+        poses_.reserve(size), origins_.reserve(size);
+        poses_.resize(size), origins_.resize(size);
     }
     is_step_.resize(levels());
     is_step_.push_back(is_step);
@@ -57,17 +46,14 @@ void History::write(const Rows& poses, std::size_t lo, std::size_t hi) {
     const std::size_t row = first_[levels() - 1];
     amend(poses, lo, hi);
     for (std::size_t i = lo; i < hi; ++i) {
-        parents_[row + i] = line_[i];
-        numbers_[row + i] = static_cast<Index>(i);
+        origins_[row + i] = {line_[i], static_cast<Index>(i)};
         line_[i] = static_cast<Index>(row + i);
     }
 }
 
 void History::amend(const Rows& poses, std::size_t lo, std::size_t hi) {
     const std::size_t row = first_[levels() - 1];
-    std::copy(poses.row(0) + lo, poses.row(0) + hi, x_.begin() + row + lo);
-    std::copy(poses.row(1) + lo, poses.row(1) + hi, y_.begin() + row + lo);
-    std::copy(poses.row(2) + lo, poses.row(2) + hi, t_.begin() + row + lo);
+    for (std::size_t i = lo; i < hi; ++i) poses_[row + i] = {poses.row(0)[i], poses.row(1)[i], poses.row(2)[i]};
 }
 
 void History::branch(std::span<const Index> ancestors) {
@@ -88,9 +74,8 @@ std::int64_t History::level() {
     if (branched_) {
         // resampled within this step: the new indices need a level of their own
         Rows poses(3, particles_);
-        for (std::size_t i = 0; i < particles_; ++i) {
-            poses.row(0)[i] = x_[line_[i]], poses.row(1)[i] = y_[line_[i]], poses.row(2)[i] = t_[line_[i]];
-        }
+        for (std::size_t i = 0; i < particles_; ++i)
+            for (int k = 0; k < 3; ++k) poses.row(k)[i] = poses_[line_[i]][k];
         open_level(false);
         write(poses, 0, particles_);
     }
@@ -111,8 +96,8 @@ const Index* History::ancestors(std::int64_t level) {
 Ancestry History::indices(std::size_t level) const {
     const std::size_t first = first_[level], second = first_[level + 1], end = stored_rows();
     std::vector<Index> index(end - first);
-    std::copy(numbers_.begin() + first, numbers_.begin() + second, index.begin());
-    for (std::size_t row = second; row < end; ++row) index[row - first] = index[parents_[row] - first];
+    for (std::size_t row = first; row < end; ++row)
+        index[row - first] = row < second ? origins_[row].number : index[origins_[row].parent - first];
     Ancestry out(padded(particles_), 0);
     for (std::size_t i = 0; i < particles_; ++i) out[i] = index[line_[i] - first];
     return out;
@@ -121,8 +106,8 @@ Ancestry History::indices(std::size_t level) const {
 std::vector<std::array<double, 3>> History::trajectory(std::size_t particle) const {
     std::vector<std::array<double, 3>> out;
     Index row = line_[particle];
-    for (std::size_t level = levels(); level-- > 0; row = parents_[row])
-        if (is_step_[level]) out.push_back({x_[row], y_[row], t_[row]});
+    for (std::size_t level = levels(); level-- > 0; row = origins_[row].parent)
+        if (is_step_[level]) out.push_back(poses_[row]);
     std::reverse(out.begin(), out.end());
     return out;
 }
@@ -136,10 +121,10 @@ History::Summary History::summary(std::span<const double> weights) {
     for (std::size_t level = levels(); level-- > 0;) {
         double x = 0.0, y = 0.0, sine = 0.0, cosine = 0.0;
         for (std::size_t row = first_[level]; row < first_[level + 1]; ++row) {
-            const auto [s, c] = numbers::sincos(t_[row]);
-            x += mass[row] * x_[row], y += mass[row] * y_[row];
+            const auto [s, c] = numbers::sincos(poses_[row][2]);
+            x += mass[row] * poses_[row][0], y += mass[row] * poses_[row][1];
             sine += mass[row] * s, cosine += mass[row] * c;
-            if (level > 0) mass[parents_[row]] += mass[row];
+            if (level > 0) mass[origins_[row].parent] += mass[row];
         }
         if (!is_step_[level]) continue;
         const double heading = sine == 0.0 && cosine == 0.0 ? 0.0 : numbers::atan2(sine, cosine);
@@ -160,7 +145,7 @@ std::vector<bool> History::rows_with_descendants(std::size_t* unchanged) const {
         std::size_t count = 0;
         for (std::size_t row = first_[level]; row < first_[level + 1]; ++row) {
             if (!alive[row]) continue;
-            alive[parents_[row]] = true;
+            alive[origins_[row].parent] = true;
             ++count;
         }
         if (level < settled_ && count == first_[level + 1] - first_[level]) break;
@@ -181,10 +166,9 @@ void History::prune() {
             for (std::size_t row = read; row < stop; ++row) {
                 to[row - base] = static_cast<Index>(write);
                 if (!alive[row]) continue;
-                x_[write] = x_[row], y_[write] = y_[row], t_[write] = t_[row];
-                const auto parent = static_cast<std::size_t>(parents_[row]);
-                parents_[write] = level > start && parent >= base ? to[parent - base] : parents_[row];
-                numbers_[write] = numbers_[row];
+                poses_[write] = poses_[row];
+                auto& [parent, number] = origins_[write] = origins_[row];
+                if (level > start && static_cast<std::size_t>(parent) >= base) parent = to[parent - base];
                 ++write;
             }
             read = stop;

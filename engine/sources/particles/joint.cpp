@@ -99,10 +99,9 @@ class Posterior {
 
    private:
     struct Normal;
-    struct Headings;
+    struct Density;
     Mode mode(Lanes x, Lanes y, int steps) const;
-    Headings headings(const Lanes& x, const Lanes& y) const;
-    Lanes log_density(const Lanes& x, const Lanes& y) const;
+    Density density(const Lanes& x, const Lanes& y) const;
     Lanes constant() const;
     Lanes headed(const Lanes& direction, const Reading& z) const { return wrap_angle(Lanes(direction - z.psi - heading_)); }
     /// The mean heading before, given the position.
@@ -132,23 +131,6 @@ struct Posterior::Normal {
         gx += mean * tx / total, gy += mean * ty / total;
     }
 };
-
-/// What is measured of the heading at a position, relative to `heading_`: sums of w, w e and w e².
-struct Posterior::Headings {
-    Lanes total{}, mean{}, square{};
-    void add(const Lanes& w, const Lanes& e) { total += w, mean += w * e, square += w * e * e; }
-};
-
-Posterior::Headings Posterior::headings(const Lanes& x, const Lanes& y) const {
-    Headings sums;
-    if (prior_) sums.add(1.0 / prior_->v, headed_before(x, y));
-    for (std::size_t k = 0; k < sightings_.size(); ++k) {
-        const auto& [z, q] = sightings_[k].sighting;
-        const Lanes direction = numbers::atan2(Lanes(y - poses_[k].y), Lanes(x - poses_[k].x));
-        sums.add(all<Lanes>(1.0 / q.psi), headed(direction, z));
-    }
-    return sums;
-}
 
 Mode Posterior::mode(Lanes x, Lanes y, int steps) const {
     for (int step = 0;; ++step) {
@@ -182,15 +164,21 @@ Mode Posterior::mode(Lanes x, Lanes y, int steps) const {
     }
 }
 
-/// The integrand in logarithms without constants, at a position.
-Lanes Posterior::log_density(const Lanes& x, const Lanes& y) const {
+/// The integrand in logarithms without constants, at a position; and what is measured of the heading there, relative to
+/// `heading_`: sums of w, w e and w e².
+struct Posterior::Density {
+    Lanes value{}, total{}, mean{}, square{};
+    void add_heading(const Lanes& w, const Lanes& e) { total += w, mean += w * e, square += w * e * e; }
+};
+
+Posterior::Density Posterior::density(const Lanes& x, const Lanes& y) const {
+    Density at;
     Lanes squared{};
     if (prior_) {
         const Lanes ex = x - prior_->m.x, ey = y - prior_->m.y;
         squared = prior_->ixx * ex * ex + 2.0 * prior_->ixy * ex * ey + prior_->iyy * ey * ey;
+        if (oriented_) at.add_heading(1.0 / prior_->v, headed_before(x, y));
     }
-    Headings heading;
-    if (prior_ && oriented_) heading.add(1.0 / prior_->v, headed_before(x, y));
     for (std::size_t k = 0; k < sightings_.size(); ++k) {
         const auto& [sighting, rate] = sightings_[k];
         const auto& [z, q] = sighting;
@@ -198,11 +186,11 @@ Lanes Posterior::log_density(const Lanes& x, const Lanes& y) const {
         const Lanes variance = q.range + rate * rate * o.r2;
         squared += o.e0 * o.e0 / variance + o.e1 * o.e1 / q.bearing;
         if (rate > 0.0) squared += numbers::log(variance);
-        if (oriented_) heading.add(all<Lanes>(1.0 / q.psi), headed(o.direction, z));
+        if (oriented_) at.add_heading(all<Lanes>(1.0 / q.psi), headed(o.direction, z));
     }
-    if (oriented_)
-        squared += heading.square - heading.mean * heading.mean / heading.total + numbers::log(heading.total) - log_2pi;
-    return -0.5 * squared;
+    if (oriented_) squared += at.square - at.mean * at.mean / at.total + numbers::log(at.total) - log_2pi;
+    at.value = -0.5 * squared;
+    return at;
 }
 
 /// -2 log of the constants of the integrand.
@@ -222,30 +210,25 @@ Lanes Posterior::constant() const {
 Evidence Posterior::evidence(Lanes x, Lanes y, const Rule& rule) const {
     const Mode mode = this->mode(x, y, rule.steps);
     const Lanes constants = constant();
-    std::array<Lanes, 25> values;
-    Lanes top = all<Lanes>(-infinity);
-    const auto at_point = [&](int p, const auto& work) {
+    struct Point {
+        Lanes x, y, heading, value;
+    };
+    std::array<Point, 25> points;
+    const std::span used(points.data(), rule.count * rule.count);
+    Lanes top = all<Lanes>(-infinity), rest{};
+    for (std::size_t p = 0; p < used.size(); ++p) {
         const double n0 = rule.node[p / rule.count], n1 = rule.node[p % rule.count];
         const double log_weight = numbers::log(rule.weight[p / rule.count] * rule.weight[p % rule.count]);
+        const Lanes ex = mode.l00 * n0, ey = mode.l10 * n0 + mode.l11 * n1;
+        const Density at = density(mode.x + ex, mode.y + ey);
         // the points are those of the standard normal density, by which the integrand is divided
-        work(mode.l00 * n0, mode.l10 * n0 + mode.l11 * n1, 0.5 * (n0 * n0 + n1 * n1) + log_weight);
-    };
-    for (int p = 0; p < rule.count * rule.count; ++p)
-        at_point(p, [&](const Lanes& ex, const Lanes& ey, double points) {
-            values[p] = log_density(mode.x + ex, mode.y + ey) + points - 0.5 * constants;
-            top = larger(top, values[p]);
-        });
+        const double over_normal = 0.5 * (n0 * n0 + n1 * n1) + log_weight;
+        used[p] = {ex, ey, oriented_ ? Lanes(at.mean / at.total) : Lanes{}, at.value + over_normal - 0.5 * constants};
+        if (oriented_) rest = 1.0 / at.total;
+        top = larger(top, used[p].value);
+    }
     Moments sums;
-    Lanes rest{};
-    for (int p = 0; p < rule.count * rule.count; ++p)
-        at_point(p, [&](const Lanes& ex, const Lanes& ey, double) {
-            Lanes heading{};
-            if (oriented_) {
-                const Headings h = headings(mode.x + ex, mode.y + ey);
-                heading = h.mean / h.total, rest = 1.0 / h.total;
-            }
-            sums.add(numbers::exp(Lanes(values[p] - top)), ex, ey, heading);
-        });
+    for (const Point& p : used) sums.add(numbers::exp(Lanes(p.value - top)), p.x, p.y, p.heading);
     const Lanes value = numbers::log(sums.mass) + top + numbers::log(Lanes(mode.l00 * mode.l11)) + log_2pi;
     const Gaussian landmark = sums.gaussian(mode, heading_, rest);
     return {value, landmark, found(value, landmark)};

@@ -42,33 +42,25 @@ Whitened whiten(const Innovation& v) {
     return {squared + y2 * g2, g0, g1, g2};
 }
 
-/// mean += sum of w_k y_k / d_k, P -= sum of w_k w_k' / d_k, for V of some rows; `coordinates` 2: without the heading.
+/// mean += w y / d, P -= w w' / d, with g = y / d; `coordinates` 2: without the heading.
+template <int coordinates>
+VMSLAM_INLINE void add_column(Gaussian& P, const Pose& w, const Lanes& g, const Lanes& d) {
+    const Lanes i = 1.0 / d;
+    P.x += w.x * g, P.y += w.y * g;
+    P.xx -= w.x * w.x * i, P.xy -= w.x * w.y * i, P.yy -= w.y * w.y * i;
+    if constexpr (coordinates == 2) return;
+    P.h += w.t * g;
+    P.xh -= w.x * w.t * i, P.yh -= w.y * w.t * i, P.hh -= w.t * w.t * i;
+}
+
+/// mean += sum of w_k y_k / d_k, P -= sum of w_k w_k' / d_k, for V of some rows.
 template <int rows, int coordinates>
-Gaussian updated(const Gaussian& P, const Innovation& v, const Whitened& y) {
-    const Pose &a = v.w0, &b = v.w1, &c = v.w2;
-    const Lanes i0 = 1.0 / v.d0, i1 = 1.0 / v.d1, i2 = rows == 3 ? Lanes(1.0 / v.d2) : Lanes{};
-    const auto mean = [&](const Lanes& m, const Lanes& wa, const Lanes& wb, const Lanes& wc) {
-        const Lanes two = m + wa * y.g0 + wb * y.g1;
-        return rows == 3 ? Lanes(two + wc * y.g2) : two;
-    };
-    const auto entry = [&](const Lanes& p, const Lanes& wa, const Lanes& va, const Lanes& wb, const Lanes& vb,
-                           const Lanes& wc, const Lanes& vc) {
-        const Lanes two = p - wa * va * i0 - wb * vb * i1;
-        return rows == 3 ? Lanes(two - wc * vc * i2) : two;
-    };
-    Gaussian out = P;
-    out.x = mean(P.x, a.x, b.x, c.x);
-    out.y = mean(P.y, a.y, b.y, c.y);
-    out.xx = entry(P.xx, a.x, a.x, b.x, b.x, c.x, c.x);
-    out.xy = entry(P.xy, a.x, a.y, b.x, b.y, c.x, c.y);
-    out.yy = entry(P.yy, a.y, a.y, b.y, b.y, c.y, c.y);
-    if constexpr (coordinates == 3) {
-        out.h = wrap_angle(mean(P.h, a.t, b.t, c.t));
-        out.xh = entry(P.xh, a.x, a.t, b.x, b.t, c.x, c.t);
-        out.yh = entry(P.yh, a.y, a.t, b.y, b.t, c.y, c.t);
-        out.hh = entry(P.hh, a.t, a.t, b.t, b.t, c.t, c.t);
-    }
-    return out;
+VMSLAM_INLINE Gaussian updated(Gaussian P, const Innovation& v, const Whitened& y) {
+    add_column<coordinates>(P, v.w0, y.g0, v.d0);
+    add_column<coordinates>(P, v.w1, y.g1, v.d1);
+    if constexpr (rows == 3) add_column<coordinates>(P, v.w2, y.g2, v.d2);
+    if constexpr (coordinates == 3) P.h = wrap_angle(P.h);
+    return P;
 }
 
 /// log N(e; 0, V); r: distance between robot and landmark [m].

@@ -6,50 +6,6 @@ namespace vmslam::particles {
 
 using namespace numbers;
 
-namespace {
-
-// x_t = f(x_{t-1}, u + std n_01) + sqrt(epsilon) n_234
-class ControlDraw {
-   public:
-    explicit ControlDraw(const ControlMotion& u) : u_(u), pose_std_(std::sqrt(u.epsilon)) {}
-
-    Pose operator()(const Pose& x, std::uint64_t key, const Bits& particles) const {
-        const FiveNormals<Lanes> n = five_normals<Lanes>(key, particles);
-        const Pose moved = driven(x, u_, n.n0, n.n1);
-        return {moved.x + pose_std_ * n.n2, moved.y + pose_std_ * n.n3, wrap_angle(Lanes(moved.t + pose_std_ * n.n4))};
-    }
-
-   private:
-    ControlMotion u_;
-    double pose_std_;
-};
-
-// x_{t-1} moves, in its own axes, by mean + L n with L L' = covariance
-class WholeDraw {
-   public:
-    explicit WholeDraw(const WholeMotion& m) : d_(m.mean), L_(m.covariance, true) {}
-
-    Pose operator()(const Pose& x, std::uint64_t key, const Bits& particles) const {
-        const auto [n0, n1] = normal_pair<Lanes>(key, particles, 0);
-        const Lanes n2 = normal_pair<Lanes>(key, particles, 1).first;
-        const Lanes ahead = d_.x + L_.xx * n0, left = d_.y + L_.yx * n0 + L_.yy * n1;
-        const auto [s, c] = sincos(x.t);
-        return {x.x + c * ahead - s * left, x.y + s * ahead + c * left,
-                wrap_angle(Lanes(x.t + d_.t + L_.tx * n0 + L_.ty * n1 + L_.tt * n2))};
-    }
-
-   private:
-    Vector d_;
-    LowerRoot L_;
-};
-
-template <class Draw>
-void draw_poses(const Draw& draw, std::uint64_t key, const Rows& starts, Rows& moved, std::size_t lo, std::size_t hi) {
-    for (std::size_t i = lo; i < hi; i += lanes) write_pose(moved, i, draw(read_pose(starts, i), key, particles_of(i)));
-}
-
-}  // namespace
-
 Pose driven(const Pose& x, const ControlMotion& u, const Lanes& c0, const Lanes& c1) {
     const Lanes half = (u.omega + u.omega_std * c1) * u.dt / 2.0;
     const Lanes sine = sincos(half).sine;
@@ -99,10 +55,28 @@ Gaussian Prediction::of(const Pose& x) const {
 }
 
 void move_poses(const Motion& motion, const Rows& starts, Rows& moved, std::size_t lo, std::size_t hi) {
-    if (const auto* const control = std::get_if<ControlMotion>(&motion.model))
-        draw_poses(ControlDraw(*control), motion.key, starts, moved, lo, hi);
-    else
-        draw_poses(WholeDraw(std::get<WholeMotion>(motion.model)), motion.key, starts, moved, lo, hi);
+    const auto each = [&](const auto& draw) {
+        for (std::size_t i = lo; i < hi; i += lanes) write_pose(moved, i, draw(read_pose(starts, i), particles_of(i)));
+    };
+    if (const auto* const u = std::get_if<ControlMotion>(&motion.model)) {
+        // x_t = f(x_{t-1}, u + std n_01) + sqrt(epsilon) n_234
+        each([&motion, u, std = std::sqrt(u->epsilon)](const Pose& x, const Bits& particles) -> Pose {
+            const auto [n0, n1, n2, n3, n4] = five_normals<Lanes>(motion.key, particles);
+            const Pose there = driven(x, *u, n0, n1);
+            return {there.x + std * n2, there.y + std * n3, wrap_angle(Lanes(there.t + std * n4))};
+        });
+        return;
+    }
+    // x_{t-1} moves, in its own axes, by mean + L n with L L' = covariance
+    const auto& whole = std::get<WholeMotion>(motion.model);
+    each([&motion, d = whole.mean, L = LowerRoot(whole.covariance, true)](const Pose& x, const Bits& particles) -> Pose {
+        const auto [n0, n1] = normal_pair<Lanes>(motion.key, particles, 0);
+        const Lanes n2 = normal_pair<Lanes>(motion.key, particles, 1).first;
+        const Lanes ahead = d.x + L.xx * n0, left = d.y + L.yx * n0 + L.yy * n1;
+        const auto [s, c] = sincos(x.t);
+        return {x.x + c * ahead - s * left, x.y + s * ahead + c * left,
+                wrap_angle(Lanes(x.t + d.t + L.tx * n0 + L.ty * n1 + L.tt * n2))};
+    });
 }
 
 }  // namespace vmslam::particles

@@ -49,19 +49,17 @@ Highest highest_of(std::span<const double> values) {
 // if it has no position, the next particle overwrites it. Then the indices are spread to the right.
 std::vector<Index> evenly_spaced(std::span<const double> cumulative, double offset) {
     const auto count = static_cast<std::int64_t>(cumulative.size());
-    const double total = cumulative.back(), scale = static_cast<double>(count) / total;
+    const double total = cumulative.back(), highest = static_cast<double>(count), scale = highest / total;
     std::vector<Index> ancestors(count + 1, 0);
     std::int64_t first = 0;
     for (std::int64_t k = 0; k < count; ++k) {
         ancestors[first] = static_cast<Index>(k);
         const double after = std::ceil(cumulative[k] * scale - offset);
-        first = cumulative[k] == total || after >= static_cast<double>(count) ? count
-                : after > 0.0                                                 ? static_cast<std::int64_t>(after)
-                                                                              : 0;
+        first = cumulative[k] == total ? count : static_cast<std::int64_t>(std::fmin(std::fmax(after, 0.0), highest));
     }
     ancestors.pop_back();
-    Index highest = 0;
-    for (Index& ancestor : ancestors) ancestor = highest = std::max(highest, ancestor);
+    std::inclusive_scan(ancestors.begin(), ancestors.end(), ancestors.begin(),
+                        [](Index a, Index b) { return std::max(a, b); });
     return ancestors;
 }
 

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "vmslam/solve/run.hpp"
+
 namespace vmslam::solve {
 namespace {
 
@@ -13,21 +15,11 @@ constexpr int most_sweeps = 30;
 
 using Column = std::vector<double>;
 
-double dot(const Column& a, const Column& b) {
-    double total = 0.0;
-    for (std::size_t k = 0; k < a.size(); ++k) total += a[k] * b[k];
-    return total;
-}
-
-double root_mean_square(std::span<const double> f) {
-    double total = 0.0;
-    for (const double value : f) total += value * value;
-    return std::sqrt(total / static_cast<double>(f.size()));
-}
+double root_mean_square(std::span<const double> f) { return std::sqrt(inner(f, f) / static_cast<double>(f.size())); }
 
 /// Turn the columns a and b, and those of V, so that a' b = 0 (one-sided Jacobi rotation); false where they were orthogonal.
 bool orthogonalise(Column& a, Column& b, Column& va, Column& vb) {
-    const double aa = dot(a, a), bb = dot(b, b), ab = dot(a, b);
+    const double aa = inner(a, a), bb = inner(b, b), ab = inner(a, b);
     if (!(std::abs(ab) > 1e-15 * std::sqrt(aa * bb))) return false;
     const double zeta = (bb - aa) / (2 * ab);
     const double t = (zeta >= 0 ? 1.0 : -1.0) / (std::abs(zeta) + std::sqrt(1 + zeta * zeta));
@@ -44,23 +36,20 @@ bool orthogonalise(Column& a, Column& b, Column& va, Column& vb) {
     return true;
 }
 
-}  // namespace
-
-// The columns are reduced to a triangle by Householder reflections, whose singular value decomposition U S V' follows from
-// Jacobi rotations; the result is V S^-1 U' b.
+/// The shortest c that minimises |b - A c|, A given by its columns; singular values below 1e-10 of the largest count as 0.
+///
+/// The columns are reduced to a triangle by Householder reflections, whose singular value decomposition U S V' follows from
+/// Jacobi rotations; the result is V S^-1 U' b.
 std::vector<double> least_squares(std::vector<Column> A, Column b) {
     const std::size_t m = A.size(), rows = b.size(), r = std::min(m, rows);
     for (std::size_t j = 0; j < r; ++j) {
-        double square = 0.0;
-        for (std::size_t k = j; k < rows; ++k) square += A[j][k] * A[j][k];
-        const double norm = std::sqrt(square);
-        if (norm == 0) continue;
         Column v(A[j].begin() + j, A[j].end());
+        const double norm = std::sqrt(inner(v, v));
+        if (norm == 0) continue;
         v[0] += std::copysign(norm, v[0]);
         const double half = norm * std::abs(v[0]);
         const auto reflect = [&](Column& y) {
-            double total = 0.0;
-            for (std::size_t k = j; k < rows; ++k) total += v[k - j] * y[k];
+            const double total = inner(v, std::span(y).subspan(j));
             for (std::size_t k = j; k < rows; ++k) y[k] -= total / half * v[k - j];
         };
         for (std::size_t c = j; c < m; ++c) reflect(A[c]);
@@ -80,16 +69,18 @@ std::vector<double> least_squares(std::vector<Column> A, Column b) {
             for (std::size_t j = i + 1; j < m; ++j) turned |= orthogonalise(A[i], A[j], V[i], V[j]);
     }
     double largest = 0.0;
-    for (const Column& a : A) largest = std::max(largest, std::sqrt(dot(a, a)));
+    for (const Column& a : A) largest = std::max(largest, std::sqrt(inner(a, a)));
     std::vector<double> out(m, 0.0);
     for (std::size_t j = 0; j < m; ++j) {
-        const double square = dot(A[j], A[j]);
+        const double square = inner(A[j], A[j]);
         if (!(std::sqrt(square) > negligible * largest)) continue;
-        const double part = dot(A[j], b) / square;
+        const double part = inner(A[j], b) / square;
         for (std::size_t k = 0; k < m; ++k) out[k] += part * V[j][k];
     }
     return out;
 }
+
+}  // namespace
 
 std::vector<double> AndersonAcceleration::next(std::span<const double> x, std::span<const double> f) {
     std::vector<double> moved(x.begin(), x.end());

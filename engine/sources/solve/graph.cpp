@@ -2,14 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
 #include <limits>
 #include <numeric>
 
 #include "require.hpp"
 #include "vmslam/edges/marginal.hpp"
 #include "vmslam/solve/grow.hpp"
-#include "vmslam/sparse/ordering.hpp"
-#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::solve {
 
@@ -68,30 +67,25 @@ void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<co
     members_.push_back({std::move(family), {}, {}, true});
 }
 
-void Graph::assemble(int threads, const std::function<void(GraphObjective&, Factor&)>& work) const {
-    const sparse::WidePattern pattern = sparse::pattern_of_groups(nodes_, sizes_, grouped_);
-    const std::vector<sparse::Node> rows(pattern.rows.begin(), pattern.rows.end());
-    const sparse::Pattern narrow{pattern.start, rows};
-    Factor factor(std::make_shared<const sparse::Symbolic>(
-        analyze(narrow, fill_reducing(narrow), sparse::shape_of<sparse::Real3>, threads)));
+struct Graph::Assembled {
+    OwnedSystem system;
+    std::deque<std::vector<Index>> pairs;
+    std::optional<GraphObjective> objective;
 
-    std::vector<std::vector<Index>> pairs;
-    for (const Member& m : members_) {
-        pairs.emplace_back(m.first.size());
-        for (std::size_t e = 0; e < m.first.size(); ++e)
-            pairs.back()[e] = sparse::block_between(pattern.start, pattern.rows, m.first[e], m.second[e]);
+    Assembled(const Graph& graph, int threads)
+        : system(sparse::pattern_of_groups(graph.nodes_, graph.sizes_, graph.grouped_), threads) {
+        std::vector<GraphObjective::Member> families;
+        for (const Member& m : graph.members_) {
+            std::vector<Index>& blocks = pairs.emplace_back();
+            for (std::size_t e = 0; e < m.first.size(); ++e)
+                blocks.push_back(sparse::block_between(system.view(), m.first[e], m.second[e]));
+            families.push_back({m.family.get(), blocks});
+        }
+        objective.emplace(std::move(families), system);
+        objective->state_dependent = graph.state_dependent;
+        objective->reweighted = graph.reweighted;
     }
-    std::vector<GraphObjective::Member> families;
-    for (std::size_t k = 0; k < members_.size(); ++k) families.push_back({members_[k].family.get(), pairs[k]});
-
-    std::vector<double> values(9 * rows.size()), xi(3 * nodes_);
-    std::vector<Index> workspace(nodes_);
-    GraphObjective objective(std::move(families), {pattern.start, pattern.rows, values.data(), xi.data(), workspace.data()},
-                             {}, 0.0, factor);
-    objective.state_dependent = state_dependent;
-    objective.reweighted = reweighted;
-    work(objective, factor);
-}
+};
 
 std::vector<double> Graph::anchored() const {
     std::vector<double> state(3 * nodes_, 0.0);
@@ -104,10 +98,7 @@ Start Graph::rotation_first(int threads) const {
     std::vector<Index> held;
     for (const auto& [node, value] : anchors_) held.push_back(node);
     if (held.empty()) held.push_back(0);
-    Start start;
-    assemble(threads,
-             [&](GraphObjective& objective, Factor&) { start = solve::rotation_first(objective, anchored(), held, nodes_); });
-    return start;
+    return solve::rotation_first(*Assembled(*this, threads).objective, anchored(), held, nodes_);
 }
 
 std::optional<std::vector<double>> Graph::grown(Index each, int threads) const {
@@ -116,32 +107,27 @@ std::optional<std::vector<double>> Graph::grown(Index each, int threads) const {
     std::vector<Index> parents(nodes_), from(nodes_);
     std::iota(parents.begin(), parents.end(), -1);
     std::iota(from.begin(), from.end(), 0);
-    std::optional<std::vector<double>> state;
-    assemble(threads, [&](GraphObjective& objective, Factor&) {
-        state = grow(objective, anchored(), {nodes_, each, parents, motions_, from});
-    });
-    return state;
+    return grow(*Assembled(*this, threads).objective, anchored(), {nodes_, each, parents, motions_, from});
 }
 
 void Graph::solve(Run& run, int threads) const {
     check_state(run.state);
-    assemble(threads, [&run](GraphObjective& objective, Factor&) { gauss_newton(objective, run); });
+    Assembled graph(*this, threads);
+    gauss_newton(*graph.objective, run);
 }
 
 Lowered Graph::lowered_by_restarts(std::span<const double> state, double limit, int threads) const {
     check_state(state);
-    Lowered lowered;
-    assemble(threads, [&](GraphObjective& objective, Factor&) {
-        const Odometry odometry{motions_, variances_};
-        lowered = lowered_by_turns(objective, state, odometry, limit);
-        std::vector<std::size_t> doubted;
-        for (std::size_t k = 0; k < members_.size(); ++k)
-            if (members_[k].doubted) doubted.push_back(k);
-        const std::vector<double> from = lowered.state.value_or(std::vector(state.begin(), state.end()));
-        const Lowered further = lowered_by_halves(objective, doubted, from, odometry, limit - lowered.steps);
-        if (further.state) lowered.state = further.state;
-        lowered.steps += further.steps;
-    });
+    Assembled graph(*this, threads);
+    const Odometry odometry{motions_, variances_};
+    Lowered lowered = lowered_by_turns(*graph.objective, state, odometry, limit);
+    std::vector<std::size_t> doubted;
+    for (std::size_t k = 0; k < members_.size(); ++k)
+        if (members_[k].doubted) doubted.push_back(k);
+    const std::vector<double> from = lowered.state.value_or(std::vector(state.begin(), state.end()));
+    const Lowered further = lowered_by_halves(*graph.objective, doubted, from, odometry, limit - lowered.steps);
+    if (further.state) lowered.state = further.state;
+    lowered.steps += further.steps;
     return lowered;
 }
 
@@ -165,12 +151,10 @@ std::vector<double> Graph::costs(std::span<const double> state) const {
 
 std::vector<double> Graph::covariances(std::span<const double> state) const {
     check_state(state);
-    std::vector<double> blocks;
-    assemble(1, [&](GraphObjective& objective, Factor& factor) {
-        objective.linearize(state, state);
-        if (objective.factorize(0.0)) blocks = sparse::SelectedInverse(factor).diagonal();
-    });
-    return blocks;
+    Assembled graph(*this, 1);
+    graph.objective->linearize(state, state);
+    if (!graph.objective->factorize(0.0)) return {};
+    return sparse::SelectedInverse(graph.system.factor()).diagonal();
 }
 
 edges::ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel) {

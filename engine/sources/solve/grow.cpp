@@ -5,8 +5,6 @@
 
 #include "vmslam/edges/arithmetic.hpp"
 #include "vmslam/solve/run.hpp"
-#include "vmslam/sparse/ordering.hpp"
-#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::solve {
 namespace {
@@ -63,17 +61,17 @@ bool correct(const GraphObjective& graph, std::span<const char> used, Index pose
 Part::Part(const GraphObjective& whole, std::span<const char> used) {
     const edges::System& system = whole.system();
     std::vector<Index> number(used.size(), -1), block(system.rows.size(), -1);
-    start_.push_back(0);
+    sparse::OwnedPattern pattern{{0}, {}};
     for (Index j = 0; j < static_cast<Index>(used.size()); ++j) {
         if (!used[j]) continue;
         number[j] = static_cast<Index>(nodes_.size());
         nodes_.push_back(j);
         for (Index k = system.start[j]; k < system.start[j + 1]; ++k) {
             if (number[system.rows[k]] < 0) continue;
-            block[k] = static_cast<Index>(rows_.size());
-            rows_.push_back(number[system.rows[k]]);
+            block[k] = static_cast<Index>(pattern.rows.size());
+            pattern.rows.push_back(number[system.rows[k]]);
         }
-        start_.push_back(static_cast<Index>(rows_.size()));
+        pattern.start.push_back(static_cast<Index>(pattern.rows.size()));
     }
     std::vector<GraphObjective::Member> members;
     for (const GraphObjective::Member& member : whole.families()) {
@@ -83,21 +81,10 @@ Part::Part(const GraphObjective& whole, std::span<const char> used) {
         members.push_back({families_.back().get(), pairs_.back()});
     }
     held_nodes_ = renumbered(whole.held().nodes, number);
-    held_blocks_ = sparse::blocks_of_nodes(start_, rows_, held_nodes_);
+    held_blocks_ = sparse::blocks_of_nodes(pattern, held_nodes_);
     points_ = renumbered(whole.held().without_heading, number);
-
-    const std::size_t n = nodes_.size();
-    std::vector<char> is_point(n, 0);
-    for (const Index node : points_) is_point[node] = 1;
-    const std::vector<sparse::Node> narrow(rows_.begin(), rows_.end());
-    const sparse::Pattern pattern{start_, narrow};
-    factor_.emplace(std::make_shared<const sparse::Symbolic>(
-        analyze(pattern, fill_reducing(pattern), sparse::shape_of<sparse::Real3>, whole.symbolic().threads, is_point)));
-    values_.resize(9 * rows_.size());
-    xi_.resize(3 * n);
-    workspace_.resize(n);
-    objective_.emplace(std::move(members), edges::System{start_, rows_, values_.data(), xi_.data(), workspace_.data()},
-                       Held{held_blocks_, held_nodes_, points_}, 0.0, *factor_);
+    system_.emplace(std::move(pattern), whole.symbolic().threads, points_);
+    objective_.emplace(std::move(members), *system_, Held{held_blocks_, held_nodes_, points_});
     objective_->state_dependent = whole.state_dependent;
     objective_->reweighted = whole.reweighted;
 }

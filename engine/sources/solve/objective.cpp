@@ -4,26 +4,33 @@
 
 namespace vmslam::solve {
 
-void hold(const edges::System& system, std::span<const Index> blocks, std::span<const Index> nodes) {
-    for (const Index block : blocks) std::fill_n(system.block(block), 9, 0.0);
-    for (const Index node : nodes) {
-        std::fill_n(system.xi + 3 * node, 3, 0.0);
-        for (int c = 0; c < 3; ++c) system.diagonal(node)[4 * c] = 1.0;
-    }
+namespace {
+
+std::vector<char> marked(std::size_t count, std::span<const Index> places) {
+    std::vector<char> marks(count, 0);
+    for (const Index place : places) marks[place] = 1;
+    return marks;
 }
 
-void rest(const edges::System& system, std::span<const Index> nodes, int coordinate) {
-    for (const Index node : nodes)
-        for (int c = coordinate; c < 3; ++c) system.diagonal(node)[4 * c] = 1.0;
-}
+}  // namespace
+
+OwnedSystem::OwnedSystem(sparse::OwnedPattern pattern, int threads, std::span<const Index> points)
+    : pattern_(std::move(pattern)),
+      values_(9 * pattern_.rows.size()),
+      xi_(3 * (pattern_.start.size() - 1)),
+      factor_(analyze(pattern_, sparse::shape_of<sparse::Real3>, threads, marked(pattern_.start.size() - 1, points))) {}
 
 double GraphObjective::linearize(std::span<const double> state, std::span<const double> reference) {
     std::fill_n(system_.values, values().size(), 0.0);
     std::fill_n(system_.xi, xi().size(), 0.0);
     double total = 0.0;
     for (const Member& m : families_) total += m.family->accumulate({state.data(), reference.data()}, &system_, m.pairs);
-    rest(system_, held_.without_heading, 2);
-    hold(system_, held_.blocks, held_.nodes);
+    for (const Index node : held_.without_heading) system_.diagonal(node)[8] = 1.0;
+    for (const Index block : held_.blocks) std::fill_n(system_.block(block), 9, 0.0);
+    for (const Index node : held_.nodes) {
+        std::fill_n(system_.xi + 3 * node, 3, 0.0);
+        for (int c = 0; c < 3; ++c) system_.diagonal(node)[4 * c] = 1.0;
+    }
     return total + constant_;
 }
 

@@ -73,9 +73,7 @@ struct Deviations {
     }
 
     static void sort(std::vector<Stretch>& stretches) {
-        std::sort(stretches.begin(), stretches.end(), [](const Stretch& one, const Stretch& other) {
-            return std::tie(one.rise, one.first, one.last) < std::tie(other.rise, other.first, other.last);
-        });
+        std::ranges::sort(stretches, {}, [](const Stretch& each) { return std::tie(each.rise, each.first, each.last); });
     }
 };
 

@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "vmslam/edges/rotations.hpp"
-#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::solve {
 namespace {
@@ -28,7 +27,7 @@ struct Related {
                 pairs.insert(pairs.end(), m.pairs.begin(), m.pairs.end());
             else
                 for (const Relation& r : found) {
-                    pairs.push_back(sparse::block_or_none(system.start, system.rows, r.first, r.second));
+                    pairs.push_back(sparse::block_or_none(system, r.first, r.second));
                     if (pairs.back() < 0 && unlisted < 0) unlisted = r.first;
                 }
         }
@@ -43,8 +42,8 @@ class StartSystem {
           values_(4 * start_.back()),
           xi_(2 * (start_.size() - 1)),
           held_(held),
-          held_blocks_(sparse::blocks_of_nodes(start_, graph.system().rows, held)),
-          factor_(std::make_shared<const sparse::Symbolic>(reshaped(graph.symbolic(), sparse::shape_of<sparse::Real2>))) {}
+          held_blocks_(sparse::blocks_of_nodes(graph.system(), held)),
+          factor_(reshaped(graph.symbolic(), sparse::shape_of<sparse::Real2>)) {}
 
     /// Add an edge with the residual R(value) r_first - r_second, where r = (cos theta, sin theta) is `unit` of nodes, and
     /// `turn` the rotation by its value.

@@ -385,17 +385,9 @@ std::vector<Node> clusters_of(std::span<const Node> nodes, const std::vector<Nod
 
 /// Move the nodes of side 0 to the front, then those of side 2, then the separator; how many have side 0, and 2.
 std::pair<std::size_t, std::size_t> divide(std::span<Node> nodes, const Separator& fine) {
-    std::vector<Node> order;
-    order.reserve(nodes.size());
-    std::size_t size[3] = {};
-    for (const int wanted : {0, 2, 1})
-        for (const Node v : nodes)
-            if (fine.side[v] == wanted) {
-                order.push_back(v);
-                ++size[wanted];
-            }
-    std::copy(order.begin(), order.end(), nodes.begin());
-    return {size[0], size[2]};
+    const auto right = std::stable_partition(nodes.begin(), nodes.end(), [&](Node v) { return fine.side[v] == 0; });
+    const auto end = std::stable_partition(right, nodes.end(), [&](Node v) { return fine.side[v] == 2; });
+    return {right - nodes.begin(), end - right};
 }
 
 }  // namespace

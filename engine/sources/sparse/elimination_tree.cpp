@@ -121,7 +121,7 @@ Order inverse(std::span<const Node> order) {
 
 Node Pattern::fault() const {
     for (Node j = 0; j < size(); ++j) {
-        Node previous = -1;
+        Index previous = -1;
         for (Index p = start[j]; p < start[j + 1]; ++p) {
             if (rows[p] <= previous) return j;
             previous = rows[p];

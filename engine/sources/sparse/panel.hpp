@@ -2,10 +2,8 @@
 #pragma once
 
 #include <cstring>
-#if defined(__AVX512F__)
-#include <immintrin.h>
-#endif
 
+#include "vmslam/parallel.hpp"
 #include "vmslam/sparse/block.hpp"
 
 namespace vmslam::sparse {
@@ -99,24 +97,23 @@ void product(Columns c, ConstColumns a, Right b, Step rows, Step nodes, Step dep
 /// Add `n` numbers to each of `count` columns.
 template <int count>
 inline void add_rows(Columns t, ConstColumns s, Step n) {
-#if defined(__AVX512F__)
-    for (; n > 0; t.at += 8, s.at += 8, n -= 8) {
-        const auto mask = static_cast<__mmask8>(n >= 8 ? 0xff : (1 << n) - 1);
-#pragma GCC unroll 4
-        for (int k = 0; k < count; ++k) {
-            double* const to = t.at + k * t.step;
-            const __m512d from = _mm512_maskz_loadu_pd(mask, s.at + k * s.step);
-            _mm512_mask_storeu_pd(to, mask, _mm512_add_pd(_mm512_maskz_loadu_pd(mask, to), from));
-        }
-    }
-#else
     for (; n >= 4; t.at += 4, s.at += 4, n -= 4)
 #pragma GCC unroll 4
         for (int k = 0; k < count; ++k) store<4>(t.at + k * t.step, load<4>(t.at + k * t.step) + load<4>(s.at + k * s.step));
     for (; n > 0; ++t.at, ++s.at, --n)
 #pragma GCC unroll 4
         for (int k = 0; k < count; ++k) t.at[k * t.step] += s.at[k * s.step];
-#endif
+}
+
+/// The flops from which on a product is shared among threads, and how many node columns one takes at a time.
+inline constexpr double shared_flops = 1.0e7;
+inline constexpr Step shared_nodes = 32;
+
+/// How many of `most` threads a product of so many rows, depth and columns of `nodes` nodes is worth.
+inline int threads_for(std::size_t most, Step nodes, Step rows, Step depth, Step columns) {
+    const double flops = 2.0 * static_cast<double>(rows) * static_cast<double>(columns * depth);
+    const Step chunks = (nodes + shared_nodes - 1) / shared_nodes;
+    return flops < shared_flops ? 1 : static_cast<int>(std::min<Step>(static_cast<Step>(most), chunks));
 }
 
 }  // namespace vmslam::sparse

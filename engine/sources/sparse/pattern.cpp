@@ -1,27 +1,10 @@
 #include "vmslam/sparse/pattern.hpp"
 
 #include <algorithm>
-#include <numeric>
 
 namespace vmslam::sparse {
-namespace {
 
-/// Counting sort, stable: where the places of each key start, and the places key by key.
-struct Sorted {
-    std::vector<Index> start, places;
-
-    template <class Key>
-    Sorted(Index keys, Index count, Key key) : start(keys + 1, 0), places(count) {
-        for (Index k = 0; k < count; ++k) ++start[key(k) + 1];
-        std::partial_sum(start.begin(), start.end(), start.begin());
-        std::vector<Index> free(start.begin(), start.end() - 1);
-        for (Index k = 0; k < count; ++k) places[free[key(k)]++] = k;
-    }
-};
-
-}  // namespace
-
-WidePattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::span<const Index> members) {
+OwnedPattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::span<const Index> members) {
     // where the group of each occurrence of a node begins
     std::vector<Index> begin;
     begin.reserve(members.size());
@@ -43,7 +26,7 @@ WidePattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::sp
     const auto count = static_cast<Index>(low.size());
     const Sorted by_low(nodes, count, [&](Index k) { return low[k]; });
     const Sorted by_high(nodes, count, [&](Index k) { return high[by_low.places[k]]; });
-    WidePattern pattern{std::vector<Index>(nodes + 1), std::vector<Index>(count + nodes)};
+    OwnedPattern pattern{std::vector<Index>(nodes + 1), std::vector<Index>(count + nodes)};
     for (Index j = 0; j <= nodes; ++j) pattern.start[j] = by_high.start[j] + j;
     for (Index j = 0; j < nodes; ++j) {
         for (Index k = by_high.start[j]; k < by_high.start[j + 1]; ++k)
@@ -53,26 +36,27 @@ WidePattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::sp
     return pattern;
 }
 
-std::vector<Index> blocks_of_nodes(std::span<const Index> start, std::span<const Index> rows, std::span<const Index> nodes) {
-    std::vector<char> held(start.size() - 1, 0);
+std::vector<Index> blocks_of_nodes(const Pattern& pattern, std::span<const Index> nodes) {
+    std::vector<char> held(pattern.size(), 0);
     for (const Index node : nodes) held[node] = 1;
     std::vector<Index> blocks;
-    for (std::size_t j = 0; j + 1 < start.size(); ++j)
-        for (Index k = start[j]; k < start[j + 1]; ++k)
-            if (held[j] || held[rows[k]]) blocks.push_back(k);
+    for (Node j = 0; j < pattern.size(); ++j)
+        for (Index k = pattern.start[j]; k < pattern.start[j + 1]; ++k)
+            if (held[j] || held[pattern.rows[k]]) blocks.push_back(k);
     return blocks;
 }
 
-Index block_between(std::span<const Index> start, std::span<const Index> rows, Index first, Index second) {
+Index block_between(const Pattern& pattern, Index first, Index second) {
     const auto [row, column] = std::minmax(first, second);
-    const auto low = rows.begin() + start[column], high = rows.begin() + start[column + 1];
-    return std::lower_bound(low, high, row) - rows.begin();
+    const auto rows = pattern.rows.begin(), low = rows + pattern.start[column], high = rows + pattern.start[column + 1];
+    return std::lower_bound(low, high, row) - rows;
 }
 
-Index block_or_none(std::span<const Index> start, std::span<const Index> rows, Index first, Index second) {
-    if (std::min(first, second) < 0 || std::max(first, second) + 1 >= static_cast<Index>(start.size())) return -1;
-    const Index block = block_between(start, rows, first, second);
-    return block < start[std::max(first, second) + 1] && rows[block] == std::min(first, second) ? block : -1;
+Index block_or_none(const Pattern& pattern, Index first, Index second) {
+    const auto [row, column] = std::minmax(first, second);
+    if (row < 0 || column >= pattern.size()) return -1;
+    const Index block = block_between(pattern, first, second);
+    return block < pattern.start[column + 1] && pattern.rows[block] == row ? block : -1;
 }
 
 }  // namespace vmslam::sparse

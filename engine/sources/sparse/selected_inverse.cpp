@@ -6,7 +6,6 @@
 #include <cstring>
 
 #include "sparse/panel.hpp"
-#include "sparse/parallel.hpp"
 #include "vmslam/sparse/factor.hpp"
 
 namespace vmslam::sparse {
@@ -17,7 +16,10 @@ constexpr Step wide = 32;   ///< nodes of a block, so that Z_RR is read seldom
 
 /// X L = B: the row solve of L' with its columns and coefficients in reverse order.
 void solve_from_right(double* x, Step h, Step count, const Real3::Pivot& p) {
-    Real3::solve_rows(x + 2 * h, -h, count, {p.i2, p.l21, p.l20, p.i1, p.l10, p.i0});
+    Real3::Pivot reversed;
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j <= i; ++j) reversed.l[i][j] = p.l[2 - j][2 - i];
+    Real3::solve_rows(x + 2 * h, -h, count, reversed);
 }
 
 /// The inverse over one front: a full symmetric matrix, of which the rows and columns are those of the panel. Rows above
@@ -84,10 +86,12 @@ class FrontInverse {
     void set_diagonal(double* f, const Real3::Pivot& p, Step at, Step below, Step end) {
         const Step h = height_;
         // the inverse N of L_JJ: N' N
-        const double n10 = -p.l10 * p.i0 * p.i1, n21 = -p.l21 * p.i1 * p.i2, n20 = -(p.l20 * p.i0 + p.l21 * n10) * p.i2;
-        double z[3][3] = {{p.i0 * p.i0 + n10 * n10 + n20 * n20, 0, 0},
-                          {p.i1 * n10 + n21 * n20, p.i1 * p.i1 + n21 * n21, 0},
-                          {p.i2 * n20, p.i2 * n21, p.i2 * p.i2}};
+        const auto& [first, second, third] = p.l;
+        const double i0 = first[0], i1 = second[1], i2 = third[2];
+        const double n10 = -second[0] * i0 * i1, n21 = -third[1] * i1 * i2, n20 = -(third[0] * i0 + third[1] * n10) * i2;
+        double z[3][3] = {{i0 * i0 + n10 * n10 + n20 * n20, 0, 0},
+                          {i1 * n10 + n21 * n20, i1 * i1 + n21 * n21, 0},
+                          {i2 * n20, i2 * n21, i2 * i2}};
         const double* const y = y_.data();
         for (Step i = below; i < end; ++i)
             for (int a = 0; a < 3; ++a) {

@@ -113,7 +113,7 @@ double Factor<Block>::forward_square(std::span<const Value> b) {
     gather(b);
     forward();
     double square = 0.0;
-    for (Step i = 0; i < rhs_.size(); ++i) square += rhs_.data()[i] * rhs_.data()[i];
+    for (const double value : rhs_) square += value * value;
     return square;
 }
 

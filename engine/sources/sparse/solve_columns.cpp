@@ -1,7 +1,6 @@
 // Triangular solves for several right-hand sides at once: `lanes` of them lie side by side, so that L is read once for all.
 #include <algorithm>
 
-#include "sparse/panel.hpp"
 #include "vmslam/sparse/factor.hpp"
 
 namespace vmslam::sparse {
@@ -21,50 +20,64 @@ class Rows {
     Numbers numbers_;
 };
 
-/// The columns of L of one node in a panel, from the node's own rows on.
-struct Column {
+/// The columns of L of a supernode, and where the rows of its front are among all.
+struct Supernode {
     const double* x;
-    Step h;
-    Real3::Pivot p;
+    Step h, nodes;
+    std::vector<Index> rows;
 
-    Column(const Front& front, const double* panel, Step j)
-        : x(panel + 3 * j * front.height + front.pad), h(front.height), p(Real3::Pivot::load(x + 3 * j, h)) {}
-};
-
-/// L y = b for the rows of one front; those below get what is subtracted from them.
-void forward(const Front& front, const double* panel, Rows& b) {
-    const Step rows = 3 * (front.w + front.r);
-    for (Step j = 0; j < front.w; ++j) {
-        const auto [x, h, p] = Column(front, panel, j);
-        const Row y0 = b[3 * j] * p.i0, y1 = (b[3 * j + 1] - y0 * p.l10) * p.i1;
-        const Row y2 = (b[3 * j + 2] - y0 * p.l20 - y1 * p.l21) * p.i2;
-        b.set(3 * j, y0), b.set(3 * j + 1, y1), b.set(3 * j + 2, y2);
-        for (Step i = 3 * (j + 1); i < rows; ++i) b.set(i, b[i] - y0 * x[i] - y1 * x[h + i] - y2 * x[2 * h + i]);
+    Supernode(const Factor<Real3>& factor, Node s) {
+        const Symbolic& t = factor.symbolic();
+        const Front front = t.front(s);
+        x = factor.panel(s) + front.pad, h = front.height, nodes = front.w;
+        for (Index i = 0; i < 3 * nodes; ++i) rows.push_back(t.head[s] + i);
+        each_below<Real3>(t, s, [&](Index, Index at, auto count) {
+            for (int c = 0; c < count; ++c) rows.push_back(at + c);
+        });
     }
-}
 
-/// L' a = y, the rows below being known.
-void backward(const Front& front, const double* panel, Rows& b) {
-    const Step rows = 3 * (front.w + front.r);
-    for (Step j = front.w - 1; j >= 0; --j) {
-        const auto [x, h, p] = Column(front, panel, j);
-        Row y0 = b[3 * j], y1 = b[3 * j + 1], y2 = b[3 * j + 2];
-        for (Step i = 3 * (j + 1); i < rows; ++i) {
-            const Row a = b[i];
-            y0 -= a * x[i], y1 -= a * x[h + i], y2 -= a * x[2 * h + i];
+    /// L y = b for the rows of the nodes; what they add to those below is subtracted there.
+    void forward(Rows& b) const {
+        for (Step j = 0; j < nodes; ++j) {
+            const double* const l = x + 3 * j * h;
+            const auto p = Real3::Pivot::load(l + 3 * j, h);
+            Row y[3];
+            for (int c = 0; c < 3; ++c) {
+                y[c] = b[rows[3 * j + c]];
+                for (int k = 0; k < c; ++k) y[c] -= y[k] * p.l[c][k];
+                b.set(rows[3 * j + c], y[c] *= p.l[c][c]);
+            }
+            for (std::size_t i = 3 * (j + 1); i < rows.size(); ++i)
+                b.set(rows[i], b[rows[i]] - y[0] * l[i] - y[1] * l[h + i] - y[2] * l[2 * h + i]);
         }
-        y2 = y2 * p.i2;
-        y1 = (y1 - y2 * p.l21) * p.i1;
-        b.set(3 * j, (y0 - y1 * p.l10 - y2 * p.l20) * p.i0), b.set(3 * j + 1, y1), b.set(3 * j + 2, y2);
     }
-}
+
+    /// L' a = y for the rows of the nodes, those below being known.
+    void backward(Rows& b) const {
+        for (Step j = nodes - 1; j >= 0; --j) {
+            const double* const l = x + 3 * j * h;
+            const auto p = Real3::Pivot::load(l + 3 * j, h);
+            Row y[3] = {b[rows[3 * j]], b[rows[3 * j + 1]], b[rows[3 * j + 2]]};
+            for (std::size_t i = 3 * (j + 1); i < rows.size(); ++i) {
+                const Row a = b[rows[i]];
+                y[0] -= a * l[i], y[1] -= a * l[h + i], y[2] -= a * l[2 * h + i];
+            }
+            for (int c = 2; c >= 0; --c) {
+                for (int k = c + 1; k < 3; ++k) y[c] -= y[k] * p.l[k][c];
+                b.set(rows[3 * j + c], y[c] *= p.l[c][c]);
+            }
+        }
+    }
+};
 
 }  // namespace
 
 bool solve_columns(const Factor<Real3>& factor, std::span<const double> b, Index columns, std::span<double> x) {
     const Symbolic& t = factor.symbolic();
     if (!all_finite(b.data(), static_cast<Step>(b.size()))) return false;
-    Rows all(t.head.back()), front_rows(t.tallest);
+    std::vector<Supernode> supernodes;
+    for (Node s = 0; s < t.supernodes(); ++s) supernodes.emplace_back(factor, s);
+    Rows all(t.head.back());
     std::fill(x.begin(), x.end(), 0.0);
     for (Index begin = 0; begin < columns; begin += lanes) {
         const Index count = std::min<Index>(lanes, columns - begin);
@@ -72,28 +85,8 @@ bool solve_columns(const Factor<Real3>& factor, std::span<const double> b, Index
         each_column<Real3>(t, [&](Index node, Index at, auto rows) {
             for (int c = 0; c < rows; ++c) std::copy_n(b.data() + (node + c) * columns + begin, count, all.at(at + c));
         });
-        for (Node s = 0; s < t.supernodes(); ++s) {
-            const Front front = t.front(s);
-            const Index own = 3 * front.w, head = t.head[s];
-            for (Index i = 0; i < own; ++i) front_rows.set(i, all[head + i]);
-            for (Index i = own; i < own + 3 * front.r; ++i) front_rows.set(i, Row{});
-            forward(front, factor.panel(s), front_rows);
-            for (Index i = 0; i < own; ++i) all.set(head + i, front_rows[i]);
-            each_below<Real3>(t, s, [&](Index i, Index at, auto rows) {
-                for (int c = 0; c < rows; ++c) all.set(at + c, all[at + c] + front_rows[i + c]);
-            });
-        }
-        for (Node s = t.supernodes() - 1; s >= 0; --s) {
-            const Front front = t.front(s);
-            const Index own = 3 * front.w, head = t.head[s];
-            for (Index i = 0; i < own; ++i) front_rows.set(i, all[head + i]);
-            for (Index i = own; i < own + 3 * front.r; ++i) front_rows.set(i, Row{});
-            each_below<Real3>(t, s, [&](Index i, Index at, auto rows) {
-                for (int c = 0; c < rows; ++c) front_rows.set(i + c, all[at + c]);
-            });
-            backward(front, factor.panel(s), front_rows);
-            for (Index i = 0; i < own; ++i) all.set(head + i, front_rows[i]);
-        }
+        for (const Supernode& s : supernodes) s.forward(all);
+        for (auto s = supernodes.rbegin(); s != supernodes.rend(); ++s) s->backward(all);
         each_column<Real3>(t, [&](Index node, Index at, auto rows) {
             for (int c = 0; c < rows; ++c) std::copy_n(all.at(at + c), count, x.data() + (node + c) * columns + begin);
         });

@@ -5,7 +5,6 @@
 #include <span>
 
 #include "sparse/panel.hpp"
-#include "sparse/parallel.hpp"
 
 namespace vmslam::sparse {
 

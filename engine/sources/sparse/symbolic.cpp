@@ -4,6 +4,9 @@
 #include <cmath>
 #include <numeric>
 
+#include "vmslam/sparse/ordering.hpp"
+#include "vmslam/sparse/pattern.hpp"
+
 namespace vmslam::sparse {
 namespace {
 
@@ -25,14 +28,8 @@ void find_rows(Symbolic& s, const std::vector<Node>& below, const RowLists& list
                 mark[t] = k;
             }
     }
-    s.child_start.assign(count + 1, 0);
-    for (const Node t : s.parent)
-        if (t >= 0) ++s.child_start[t + 1];
-    std::partial_sum(s.child_start.begin(), s.child_start.end(), s.child_start.begin());
-    s.children.resize(s.child_start[count]);
-    std::vector<Node> place(s.child_start.begin(), s.child_start.end() - 1);
-    for (Node t = 0; t < count; ++t)
-        if (s.parent[t] >= 0) s.children[place[s.parent[t]]++] = t;
+    Sorted by_parent(count + 1, count, [&](Index t) { return s.parent[t] < 0 ? count : s.parent[t]; });
+    s.child_start = std::move(by_parent.start), s.children = std::move(by_parent.places);
 }
 
 /// Where the rows of every supernode stand in the front of its parent, and their runs.
@@ -209,6 +206,10 @@ Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape
     place_panels(s);
     divide(s, threads);
     return s;
+}
+
+Symbolic analyze(const Pattern& pattern, BlockShape shape, int threads, std::span<const char> points) {
+    return analyze(pattern, fill_reducing(pattern), shape, threads, points);
 }
 
 Symbolic reshaped(Symbolic symbolic, BlockShape shape) {

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <numeric>
 
 #include "input.hpp"
 #include "vmslam/particles/filter.hpp"
@@ -18,7 +19,7 @@ class Steps {
             std::optional<RangeNoise> noise;
             if (input.one_in(3)) noise = {input.positive(0.1), input.positive(0.01)};
             filter_.use_ids(oriented_, input.one_in(2) ? 0 : input.below(8), noise);
-            if (input.one_in(4)) filter_.place(input);
+            if (input.one_in(4)) filter_.place(3, input.place(2.0, 1.0), {0.1, 0.0, 0.1, 0.0, 0.0, 0.1});
         }
         if (kind_ == Kind::no_ids) filter_.use_no_ids(oriented_, options(input), confusion(input));
     }
@@ -50,16 +51,7 @@ class Steps {
 
    private:
     enum class Kind { known, ids, no_ids };
-    /// A filter with landmarks that are known beforehand.
-    class Placed : public Filter {
-       public:
-        using Filter::Filter;
-        void place(Input& input) {
-            identified()->place(3, {input.number(2.0), input.number(2.0), input.number(1.0)}, {0.1, 0.0, 0.1, 0.0, 0.0, 0.1});
-        }
-    };
-
-    static Placed begin(Input& input) {
+    static Filter begin(Input& input) {
         Rows poses(3, input.between(1, 40));
         for (int row = 0; row < 3; ++row)
             for (std::size_t i = 0; i < poses.particles(); ++i) poses.row(row)[i] = input.number(1.0);
@@ -106,8 +98,8 @@ class Steps {
         }
     }
     void branch() {
-        std::vector<double> sums;
-        for (const double w : filter_.weights()) sums.push_back(w + (sums.empty() ? 0.0 : sums.back()));
+        std::vector<double> sums(filter_.particles());
+        std::partial_sum(filter_.weights().begin(), filter_.weights().end(), sums.begin());
         filter_.branch(evenly_spaced(sums, 0.37));
     }
     void look() {
@@ -116,16 +108,13 @@ class Steps {
         if (input_.one_in(4))
             filter_.history().summary(
                 std::vector<double>(filter_.particles(), 1.0 / static_cast<double>(filter_.particles())));
-        if (kind_ == Kind::ids)
-            for (const LandmarkId id : filter_.identified()->ids()) filter_.identified()->view(id);
-        if (kind_ == Kind::no_ids)
-            for (const std::int64_t id : filter_.anonymous()->ids()) filter_.anonymous()->view(id);
+        for (const LandmarkId id : filter_.landmarks()) filter_.view(id);
     }
 
     Input& input_;
     Kind kind_;
     bool oriented_;
-    Placed filter_;
+    Filter filter_;
 };
 
 }  // namespace

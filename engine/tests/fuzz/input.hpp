@@ -3,7 +3,6 @@
 
 #include <cmath>
 #include <cstdint>
-#include <limits>
 #include <numbers>
 #include <random>
 
@@ -23,26 +22,13 @@ class Input {
     /// A normal number of this size, or one that nobody expects.
     double number(double size) {
         if (!one_in(hostile_)) return size * std::normal_distribution<>()(random_);
-        static constexpr double infinity = std::numeric_limits<double>::infinity();
-        static constexpr double limits[]{0.0,
-                                         -0.0,
-                                         1e-300,
-                                         5e-324,
-                                         1e-9,
-                                         1e9,
-                                         -1e9,
-                                         1e154,
-                                         1e300,
-                                         -1e300,
-                                         1e-154,
-                                         std::numbers::pi,
-                                         -std::numbers::pi,
-                                         infinity,
-                                         -infinity,
-                                         std::nan("")};
-        return limits[below(std::size(limits))];
+        static constexpr double limits[]{0.0, 5e-324, 1e-300, 1e-154,   1e-9, std::numbers::pi,
+                                         1e9, 1e154,  1e300,  HUGE_VAL, NAN};
+        return (one_in(3) ? -1.0 : 1.0) * limits[below(std::size(limits))];
     }
     double positive(double size) { return std::fabs(number(size)); }
+    /// A place up to about `size` away, with a heading.
+    vmslam::edges::Vector place(double size, double heading) { return {number(size), number(size), number(heading)}; }
 
    private:
     std::mt19937_64 random_;

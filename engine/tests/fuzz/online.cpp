@@ -21,7 +21,8 @@ class Drive {
           system_(1e-7, static_cast<int>(input.between(1, 15))) {
         if (input.one_in(2)) system_.use_kernel(kernel(input), input.positive(1.0));
         poses_.push_back(system_.add_node());
-        const Triple start{input.number(1.0), input.number(1.0), input.number(1.0)};
+        const Vector at = input.place(1.0, 1.0);
+        const Triple start{at.x, at.y, at.t};
         system_.add_prior(poses_, {&start, 1}, {1e6, 0, 0, 0, 1e6, 0, 0, 0, 1e6}, false);
         system_.solve(poses_, {}, poses_);
     }
@@ -40,33 +41,21 @@ class Drive {
             const Measured seen = measured(sighting(input_), oriented_, sensor_);
             edges.push_back({poses_.back(), known_one->second, Kind::sighting, oriented_, seen.z, seen.omega});
         }
+        const Id pose = poses_.back();
+        const Symmetric W = input_.positive(100.0) * Symmetric{1, 0, 1, 0, 0, 1};
         if (input_.one_in(4)) {
             const Id other = poses_[input_.below(poses_.size() - 1)];
-            edges.push_back({other,
-                             poses_.back(),
-                             Kind::relation,
-                             true,
-                             {input_.number(2.0), input_.number(2.0), input_.number(2.0)},
-                             input_.positive(100.0) * edges::Symmetric{1, 0, 1, 0, 0, 1}});
+            edges.push_back({other, pose, Kind::relation, true, input_.place(2.0, 2.0), W});
         }
         if (input_.one_in(4)) {
-            const double w = input_.positive(100.0);
-            edges.push_back({poses_.back(),
-                             poses_.back(),
-                             Kind::position,
-                             input_.one_in(2),
-                             {input_.number(20.0), input_.number(20.0), input_.number(3.0)},
-                             w * edges::Symmetric{1, 0, 1, 0, 0, 1},
-                             {input_.number(1.0), input_.number(1.0)},
-                             input_.one_in(2)});
+            const Lever lever{input_.number(1.0), input_.number(1.0)};
+            const bool oriented = input_.one_in(2), doubted = input_.one_in(2);
+            edges.push_back({pose, pose, Kind::position, oriented, input_.place(20.0, 3.0), W, lever, doubted});
         }
-        if (!landmarks_.empty() && input_.one_in(4))
-            edges.push_back({poses_.back(),
-                             landmarks_.begin()->second,
-                             input_.one_in(2) ? Kind::range : Kind::bearing,
-                             false,
-                             {input_.positive(10.0), 0, 0},
-                             {input_.positive(100.0), 0, 0, 0, 0, 0}});
+        if (!landmarks_.empty() && input_.one_in(4)) {
+            const Kind kind = input_.one_in(2) ? Kind::range : Kind::bearing;
+            edges.push_back({pose, landmarks_.begin()->second, kind, false, {input_.positive(10.0), 0, 0}, {W.xx}});
+        }
         if (system_.add(known, edges, {&poses_.back(), 1})) return;
         expect(system_.graph().nodes.size() == static_cast<std::size_t>(known), "a refused step leaves no node");
         poses_.pop_back();

@@ -16,15 +16,14 @@ bool finite(std::span<const double> numbers) {
 /// A graph of relative poses between any nodes, which may fall into pieces.
 solve::Graph relative_graph(Input& input, std::size_t nodes) {
     solve::Graph graph(static_cast<sparse::Index>(nodes));
-    graph.add_anchor(0, {input.number(1.0), input.number(1.0), input.number(1.0)}, input.positive(1e3));
+    graph.add_anchor(0, input.place(1.0, 1.0), input.positive(1e3));
     std::vector<edges::RelativeEdge> edges;
     for (std::size_t j = 1; j < nodes; ++j)
         for (std::size_t k = input.between(0, 2); k > 0; --k) {
             const auto i = static_cast<sparse::Index>(input.one_in(3) ? input.below(j) : j - 1);
             const edges::Symmetric omega{input.positive(100.0), input.number(5.0), input.positive(100.0),
                                          input.number(5.0),     input.number(5.0), input.positive(100.0)};
-            edges.push_back(
-                {i, static_cast<sparse::Index>(j), {input.number(1.0), input.number(1.0), input.number(1.0)}, omega});
+            edges.push_back({i, static_cast<sparse::Index>(j), input.place(1.0, 1.0), omega});
             if (input.one_in(2)) std::swap(edges.back().i, edges.back().j);
         }
     const edges::Kernel robust = kernel(input);

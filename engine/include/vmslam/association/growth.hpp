@@ -17,14 +17,6 @@ namespace vmslam::association {
 /// The number of second pairs that are returned for each seed.
 inline constexpr std::size_t second_pairs = 3;
 
-/// Pairs (C) of an item and an older landmark. A view.
-struct Pairs {
-    std::span<const Number> items, landmarks;
-    Residuals residuals;
-    std::span<const double> weights;  ///< what the evidence for each has beside log N
-    std::span<const bool> allowed;    ///< which may be added
-};
-
 /// A hypothesis: which pairs it has, E, and the pairs with the most evidence given its first one (-1 for none).
 struct Grown {
     std::vector<char> members;
@@ -38,7 +30,7 @@ struct GrowthRules {
     bool grow;             ///< whether pairs are added
 };
 
-/// The hypothesis that begins with some pairs (-1 stands for none) and grows.
-Grown grown_from(std::span<const Number> begin, const Pairs& pairs, const GrowthRules& rules);
+/// The hypothesis that begins with some pairs (-1 stands for none) and grows; `items` (C) are those of the pairs.
+Grown grown_from(std::span<const Number> begin, const Pairs& pairs, std::span<const Number> items, const GrowthRules& rules);
 
 }  // namespace vmslam::association

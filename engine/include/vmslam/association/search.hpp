@@ -30,13 +30,12 @@ struct Residuals {
     const double* row(std::size_t r) const { return covariance.data() + r * nu.size(); }
 };
 
-/// The candidates of item i are start[i] to start[i + 1] - 1. A view.
-struct Candidates {
-    std::span<const Number> start, landmarks;  ///< (I + 1) and (C), landmarks numbered from 0
+/// Candidates (C): pairs of an item and a landmark. A view.
+struct Pairs {
+    std::span<const Number> landmarks;
     Residuals residuals;
-    std::span<const double> weights;  ///< (C) w_c
-    std::span<const double> bounds;   ///< (C) the most that each can add to E
-    std::span<const bool> allowed;    ///< (C) which may be used
+    std::span<const double> weights;  ///< w_c: what the evidence for each has beside log N
+    std::span<const bool> allowed;    ///< which may be used
 };
 
 /// The candidate of each item, -1 for none, and E.
@@ -45,8 +44,10 @@ struct BestHypothesis {
     double evidence = 0.0;
 };
 
-/// Depth-first branch and bound. `gates` has the most nu' S^-1 nu of 0 to I pairs. After `most` extended hypotheses the best
-/// one so far is the result.
-BestHypothesis best_hypothesis(const Candidates& candidates, std::span<const double> gates, Number most);
+/// Depth-first branch and bound. The candidates of item i are start[i] to start[i + 1] - 1, their landmarks are numbered from
+/// 0, and `bounds` (C) has the most that each can add to E. `gates` has the most nu' S^-1 nu of 0 to I pairs. After `most`
+/// extended hypotheses the best one so far is the result.
+BestHypothesis best_hypothesis(const Pairs& candidates, std::span<const Number> start, std::span<const double> bounds,
+                               std::span<const double> gates, Number most);
 
 }  // namespace vmslam::association

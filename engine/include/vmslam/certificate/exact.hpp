@@ -1,4 +1,4 @@
-// Sums with twice the digits, and complex numbers without the care for infinities that the operators of std::complex take.
+// Sums with twice the digits, and complex numbers.
 // These files are compiled without contraction to fused multiply-adds, because the bounds count every rounding.
 #pragma once
 
@@ -43,22 +43,9 @@ inline double dot(double a0, double a1, double a2, double b0, double b1, double 
     return three.value + (first.error + (second.error + two.error) + (third.error + three.error));
 }
 
-/// A complex number.
-struct Complex {
-    double re, im;
-    Complex(double re = 0.0, double im = 0.0) : re(re), im(im) {}
-    Complex(const std::complex<double>& z) : re(z.real()), im(z.imag()) {}
-    operator std::complex<double>() const { return {re, im}; }
-};
+using Complex = std::complex<double>;
 
-inline Complex operator+(Complex a, Complex b) { return {a.re + b.re, a.im + b.im}; }
-inline Complex operator-(Complex a, Complex b) { return {a.re - b.re, a.im - b.im}; }
-inline Complex operator-(Complex a) { return {-a.re, -a.im}; }
-inline Complex operator*(Complex a, Complex b) { return {a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re}; }
-inline Complex operator*(double f, Complex a) { return {f * a.re, f * a.im}; }
-inline bool operator==(Complex a, Complex b) { return a.re == b.re && a.im == b.im; }
-inline Complex conj(Complex a) { return {a.re, -a.im}; }
-inline double square(Complex a) { return a.re * a.re + a.im * a.im; }
+inline double square(Complex a) { return a.real() * a.real() + a.imag() * a.imag(); }
 /// abs(a), without care for overflow; coordinates are at most 1e20.
 inline double length(Complex a) { return std::sqrt(square(a)); }
 

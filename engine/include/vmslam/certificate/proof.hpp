@@ -25,8 +25,8 @@ std::vector<double> rounding_of(const sparse::Symbolic& symbolic);
 /// For every positive w the errors of `rounding_of` are, as a matrix, at most the diagonal matrix of the quotients
 /// (C |L| |L|^H C w)_i / w_i with C = diag(c)^1/2, because 2 x y <= r x² + y² / r. These are the quotients for
 /// w = diag(A)^-1/2.
-std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const std::complex<double>> values,
-                                  std::span<const Index> column_start, std::span<const double> rounding);
+std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const Complex> values,
+                                  const sparse::Pattern& pattern, std::span<const double> rounding);
 
 /// A weaker bound on these errors, from the structure alone: for each node, in the order of elimination, a part of A_ii.
 ///
@@ -39,16 +39,15 @@ std::vector<double> errors_by_structure(const sparse::Symbolic& symbolic, std::s
 ///
 /// The computed x = L^-1 b solves L x = b - f exactly, with |f_i| <= c_i (|L| |x|)_i <= c_i sqrt(d_i) |x|, d the diagonal of
 /// L L^H. As the errors are at least c d, f adds at most |x| times the root of the sum of c.
-double square_bound(HermitianFactor& factor, std::span<const std::complex<double>> b, std::span<const double> rounding);
+double square_bound(HermitianFactor& factor, std::span<const Complex> b, std::span<const double> rounding);
 
 /// What is proven about a state of edges with constant information. The memory is used again for further states: new memory
 /// takes a third of the time of a proof.
 class Proof {
    public:
     /// The pattern must live as long.
-    Proof(std::span<const Index> column_start, std::span<const Index> rows, std::shared_ptr<const sparse::Symbolic> symbolic)
-        : column_start_(column_start),
-          rows_(rows),
+    Proof(const sparse::Pattern& pattern, std::shared_ptr<const sparse::Symbolic> symbolic)
+        : pattern_(pattern),
           factor_(std::move(symbolic)),
           rounding_(rounding_of(factor_.symbolic())),
           by_structure_(errors_by_structure(factor_.symbolic(), rounding_)) {}
@@ -72,7 +71,7 @@ class Proof {
     /// A lower bound on the cost of all states; -inf where S is not proven positive definite.
     double bound();
     /// After that a vector (N, 2) v with v^H S v <= 0 up to rounding, otherwise empty.
-    const std::vector<std::complex<double>>& negative() const { return negative_; }
+    const std::vector<Complex>& negative() const { return negative_; }
     /// The best lower bound after each edge has chosen its split for the directions in which S is the smallest.
     ///
     /// S is linear in beta and A, and the split of an edge may be any average of splits. Each round finds the smallest
@@ -92,13 +91,13 @@ class Proof {
     double shifted_bound(double shift, Errors errors = Errors::of_factor);
     bool factorize(std::span<const double> shifts, Errors errors, std::vector<double>& margin);
     Shifted least_shift();
-    std::vector<std::complex<double>> smallest();
+    std::vector<Complex> smallest();
     void choose_splits(std::span<const std::vector<Curvature>> choices, double part);
 
     std::vector<Curvature> curvatures_for(double share) const;
     void write_function(QuadraticBound& out, std::span<const Curvature> curves) const;
 
-    std::span<const Index> column_start_, rows_;
+    sparse::Pattern pattern_;
     HermitianFactor factor_;
     std::vector<double> rounding_, by_structure_;
     State state_;
@@ -108,14 +107,14 @@ class Proof {
     std::vector<Force> forces_;
     std::vector<Curvature> curves_;
     QuadraticBound function_;
-    std::vector<std::complex<double>> values_, negative_;
+    std::vector<Complex> values_, negative_;
 };
 
 /// The relative gap (J - bound) / J up to which a state is proven to be a global minimum, and J itself where it is zero.
 inline constexpr double proven = 1e-6;
 
 /// The pattern that edges give their nodes, and which of the nodes are points: no edge depends on their headings.
-sparse::WidePattern pattern_of(std::span<const Edge> edges, Index nodes);
+sparse::OwnedPattern pattern_of(std::span<const Edge> edges, Index nodes);
 std::vector<char> points_of(std::span<const Edge> edges, Index nodes);
 
 /// What a proof finds about a state.
@@ -135,7 +134,7 @@ struct Judgement {
     double lowest = 0.0;  ///< no state has a lower cost; 0 where nothing better is known
     Index unsplit = 0;    ///< the number of edges without a split
     Index edge = -1;      ///< of `without_bound` and `indefinite`: which one
-    std::vector<std::complex<double>> direction;    ///< (N, 2) in which S is not positive; or empty
+    std::vector<Complex> direction;    ///< (N, 2) in which S is not positive; or empty
 
     bool global() const { return finding == Finding::global || finding == Finding::zero; }
 };

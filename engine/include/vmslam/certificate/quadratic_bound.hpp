@@ -61,8 +61,8 @@ struct Curvature {
 
 /// The function below J at a candidate state of N nodes, in the variables (z, t) of the nodes that are free.
 struct QuadraticBound {
-    std::vector<std::complex<double>> values;    ///< the 2 x 2 blocks of S on the pattern of the graph
-    std::vector<std::complex<double>> gradient;  ///< (N, 2) half the gradient at the candidate
+    std::vector<Complex> values;    ///< the 2 x 2 blocks of S on the pattern of the graph
+    std::vector<Complex> gradient;  ///< (N, 2) half the gradient at the candidate
     std::vector<double> scale;  ///< (N, 2) the sums of what was added to each diagonal entry of S, or more
     std::vector<double> error;  ///< (N, 2) a bound on the rounding error of the gradient, in units
     double touched = 0.0, slack = 0.0;  ///< the cost at the candidate, and a bound on its rounding errors
@@ -83,7 +83,7 @@ Curvature curvature(const Edge& edge, const Force& force, double share);
 
 /// Write the function below J on the pattern of the graph. The cost is constant in nodes that are not `free`.
 void write_quadratic_bound(const State& state, std::span<const Edge> edges, std::span<const char> free,
-                           std::span<const Index> column_start, std::span<const Index> rows, std::span<const Force> forces,
+                           const sparse::Pattern& pattern, std::span<const Force> forces,
                            std::span<const Curvature> curvatures, QuadraticBound& out);
 
 }  // namespace vmslam::certificate

@@ -4,7 +4,6 @@
 #pragma once
 
 #include <complex>
-#include <span>
 #include <vector>
 
 #include "vmslam/edges/arithmetic.hpp"
@@ -35,12 +34,5 @@ struct ConstantEdges {
     std::vector<ConstantEdge> edges;
     std::vector<Vector> landmarks;
 };
-
-/// e' Omega e of edges at a state.
-inline std::vector<double> squares_of(std::span<const ConstantEdge> edges, const double* state) {
-    std::vector<double> out;
-    for (const ConstantEdge& edge : edges) out.push_back(edge.squares(state));
-    return out;
-}
 
 }  // namespace vmslam::edges

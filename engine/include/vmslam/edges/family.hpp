@@ -3,6 +3,7 @@
 
 #include <memory>
 #include <span>
+#include <utility>
 
 #include "vmslam/edges/constant.hpp"
 #include "vmslam/edges/robust.hpp"
@@ -58,26 +59,53 @@ class Family {
     virtual bool constant(const double* /* state */, Index /* nodes */, ConstantEdges& /* out */) const { return false; }
 };
 
-/// Edges with a trust in each.
-template <class Edge>
-std::vector<Edge> trusted(std::vector<Edge> edges, std::span<const double> trust) {
-    for (std::size_t k = 0; k < edges.size(); ++k) edges[k].omega = trust[k] * edges[k].omega;
-    return edges;
-}
-
-/// The edges of nodes i, or of nodes i and j, all of which have a new number, with these numbers; see `Family::among`.
-template <class Edge>
-std::vector<Edge> renumbered(const std::vector<Edge>& edges, std::span<const Index> number) {
-    std::vector<Edge> out;
-    for (Edge edge : edges) {
-        edge.i = number[edge.i];
-        if constexpr (requires { edge.j; }) {
-            edge.j = number[edge.j];
-            if (edge.j < 0) continue;
-        }
-        if (edge.i >= 0) out.push_back(edge);
+/// Edges of nodes i, or of nodes i and j, each of which has information `omega` and may be wrong, with one kernel. `Own` is the
+/// family that they make.
+template <class Own, class Edge>
+class EdgeList : public Family {
+   public:
+    std::size_t measurements() const override { return edges_.size(); }
+    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
+        auto out = std::make_unique<Own>(static_cast<const Own&>(*this));
+        for (std::size_t k = 0; k < edges_.size(); ++k) out->edges_[k].omega = trust[k] * edges_[k].omega;
+        return out;
     }
-    return out;
-}
+    std::unique_ptr<const Family> among(std::span<const Index> number) const override {
+        auto out = std::make_unique<Own>(static_cast<const Own&>(*this));
+        out->edges_.clear();
+        for (Edge edge : edges_) {
+            edge.i = number[edge.i];
+            if constexpr (requires { edge.j; }) {
+                edge.j = number[edge.j];
+                if (edge.j < 0) continue;
+            }
+            if (edge.i >= 0) out->edges_.push_back(edge);
+        }
+        return out;
+    }
+    std::vector<double> squares(const double* state, std::span<const double> /* trust */) const override {
+        std::vector<ConstantEdge> own;
+        list(own);
+        std::vector<double> out;
+        for (const ConstantEdge& edge : own) out.push_back(edge.squares(state));
+        return out;
+    }
+    bool constant(const double* state, Index /* nodes */, ConstantEdges& out) const override {
+        const std::size_t before = out.edges.size();
+        if (!list(out.edges)) return false;
+        if (kernel_)
+            for (ConstantEdge& edge : std::span(out.edges).subspan(before))
+                edge.information = kernel_.weight(edge.squares(state)) * edge.information;
+        return true;
+    }
+
+   protected:
+    EdgeList(std::vector<Edge> edges, Kernel kernel) : edges_(std::move(edges)), kernel_(kernel) {}
+    /// Append the edges without their kernel; false where they do not have this form.
+    virtual bool list(std::vector<ConstantEdge>& /* to */) const { return false; }
+
+    std::vector<Edge> edges_;
+    Kernel kernel_;
+};
 
 }  // namespace vmslam::edges

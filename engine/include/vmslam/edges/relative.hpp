@@ -22,37 +22,24 @@ struct RelativeEdge {
 };
 
 /// `poses` have three rows, points two.
-class RelativeEdges : public Family {
+class RelativeEdges : public EdgeList<RelativeEdges, RelativeEdge> {
    public:
     RelativeEdges(std::vector<RelativeEdge> edges, bool poses, bool world, Kernel kernel)
-        : edges_(std::move(edges)), poses_(poses), world_(world), kernel_(kernel) {}
+        : EdgeList(std::move(edges), kernel), poses_(poses), world_(world) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
     std::vector<HeadingRelation> headings() const override;
     std::vector<PositionRelation> positions(const double* state) const override;
-    bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
-    std::size_t measurements() const override { return edges_.size(); }
-    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
-        return std::make_unique<RelativeEdges>(trusted(edges_, trust), poses_, world_, kernel_);
-    }
-    std::unique_ptr<const Family> among(std::span<const Index> number) const override {
-        return std::make_unique<RelativeEdges>(renumbered(edges_, number), poses_, world_, kernel_);
-    }
-    std::vector<double> squares(const double* state, std::span<const double>) const override {
-        std::vector<ConstantEdge> own;
-        list(own);
-        return squares_of(own, state);
+    bool constant(const double* state, Index nodes, ConstantEdges& out) const override {
+        return !world_ && EdgeList::constant(state, nodes, out);
     }
 
    private:
     template <bool poses, bool world>
     double add(const State& state, System* system, std::span<const Index> pairs) const;
-    /// Append the edges without their kernel.
-    void list(std::vector<ConstantEdge>& to) const;
+    bool list(std::vector<ConstantEdge>& to) const override;
 
-    std::vector<RelativeEdge> edges_;
     bool poses_, world_;
-    Kernel kernel_;
 };
 
 /// A point of pose `i`, `lever` in its axes, measured in the world at z, with information in world axes:
@@ -66,31 +53,13 @@ struct Position {
 };
 
 /// Absolute positions, and anchors, which are positions with a heading and no lever. The others have no heading information.
-class PositionEdges : public Family {
+class PositionEdges : public EdgeList<PositionEdges, Position> {
    public:
-    explicit PositionEdges(std::vector<Position> positions, Kernel kernel = {})
-        : positions_(std::move(positions)), kernel_(kernel) {}
+    explicit PositionEdges(std::vector<Position> positions, Kernel kernel = {}) : EdgeList(std::move(positions), kernel) {}
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
-    bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
-    std::size_t measurements() const override { return positions_.size(); }
-    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
-        return std::make_unique<PositionEdges>(trusted(positions_, trust), kernel_);
-    }
-    std::unique_ptr<const Family> among(std::span<const Index> number) const override {
-        return std::make_unique<PositionEdges>(renumbered(positions_, number), kernel_);
-    }
-    std::vector<double> squares(const double* state, std::span<const double>) const override {
-        std::vector<ConstantEdge> own;
-        list(own);
-        return squares_of(own, state);
-    }
 
    private:
-    /// Append the edges without their kernel.
-    void list(std::vector<ConstantEdge>& to) const;
-
-    std::vector<Position> positions_;
-    Kernel kernel_;
+    bool list(std::vector<ConstantEdge>& to) const override;
 };
 
 }  // namespace vmslam::edges

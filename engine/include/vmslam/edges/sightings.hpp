@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "vmslam/edges/family.hpp"
+#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::edges {
 
@@ -90,9 +91,9 @@ class LandmarkSightings : public Family {
     Index landmarks() const { return static_cast<Index>(starts_.size()) - 1; }
     /// The numbers of the sightings from a node.
     std::span<const Index> from(Index node) const {
-        return {order_.data() + node_starts_[node], order_.data() + node_starts_[node + 1]};
+        return {by_node_.places.data() + by_node_.start[node], by_node_.places.data() + by_node_.start[node + 1]};
     }
-    Index last_node() const { return static_cast<Index>(node_starts_.size()) - 2; }
+    Index last_node() const { return static_cast<Index>(by_node_.start.size()) - 2; }
 
     std::vector<Index> starts_, nodes_, groups_;  ///< `groups_`: the landmark of each sighting
     Sightings seen_;
@@ -102,7 +103,7 @@ class LandmarkSightings : public Family {
     template <class Use>
     void for_consecutive(Use use) const;
 
-    std::vector<Index> order_, node_starts_;  ///< the sightings by node, and where those of each node begin
+    sparse::Sorted by_node_;
 };
 
 }  // namespace vmslam::edges

@@ -45,24 +45,15 @@ struct NumberEdge {
     Lever offset;
 };
 
-class NumberEdges : public Family {
+class NumberEdges : public EdgeList<NumberEdges, NumberEdge> {
    public:
     NumberEdges(Number kind, std::vector<NumberEdge> edges, Kernel kernel)
-        : kind_(kind), edges_(std::move(edges)), kernel_(kernel) {}
+        : EdgeList(std::move(edges), kernel), kind_(kind) {}
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
-    std::size_t measurements() const override { return edges_.size(); }
-    std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
-        return std::make_unique<NumberEdges>(kind_, trusted(edges_, trust), kernel_);
-    }
-    std::unique_ptr<const Family> among(std::span<const Index> number) const override {
-        return std::make_unique<NumberEdges>(kind_, renumbered(edges_, number), kernel_);
-    }
-    std::vector<double> squares(const double* state, std::span<const double>) const override;
+    std::vector<double> squares(const double* state, std::span<const double> trust) const override;
 
    private:
     Number kind_;
-    std::vector<NumberEdge> edges_;
-    Kernel kernel_;
 };
 
 }  // namespace vmslam::edges

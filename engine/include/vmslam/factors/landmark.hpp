@@ -21,26 +21,6 @@ struct PlacedSighting {
     edges::Rotation axes;
 };
 
-/// A sighting (l, phi[, psi]) by a sensor that stands at `offset` on the robot.
-struct Sighting {
-    const double* z;
-    int dimension;
-    double offset_x, offset_y;
-
-    PlacedSighting placed(Index node, const double* pose, double ahead, bool turning) const;
-};
-
-/// Two sightings of one landmark, from two poses: e = y_b - y_a, in axes that turn with the first pose, or in the world's.
-struct LandmarkPair {
-    std::array<double, 3> z_a, z_b;
-    int dimension;
-    double offset_x, offset_y, ahead;
-    bool turning;
-
-    /// e (d), and the columns of de/da (d, 3) and de/db (d, 3) by perturbations of the poses in their own axes.
-    std::vector<double> linearized(const std::array<double, 3>& a, const std::array<double, 3>& b) const;
-};
-
 /// Sightings, and the pairs (a, b) of them with the information of e = y_b - y_a in the axes of a.
 struct LandmarkPairs {
     std::vector<Index> nodes;
@@ -52,6 +32,9 @@ struct LandmarkPairs {
     std::vector<edges::Symmetric> information;
 
     std::vector<PlacedSighting> placed(std::span<const double> x) const;
+    /// Of a single pair: e (d), and the columns of de/da (d, 3) and de/db (d, 3) by perturbations of the poses in their own
+    /// axes.
+    std::vector<double> linearized(const std::array<double, 3>& first, const std::array<double, 3>& second) const;
     /// The sum of e' Omega e.
     double cost(std::span<const double> x) const;
     /// A'A (3P, 3P) and A'b (3P) by perturbations of the P poses in their own axes, and b'b.

@@ -19,30 +19,17 @@
 #pragma once
 
 #include "vmslam/gibbs/problem.hpp"
+#include "vmslam/particles/record.hpp"
 
 namespace vmslam::gibbs {
 
-/// The weighted particles of all steps of a run, those of a step before its resampling. A view.
-struct RecordedParticles {
-    std::span<const double> poses;  ///< (T + 1, N, 3) of the sensor
-    std::span<const double> log_weights;  ///< (T + 1, N)
-    std::span<const std::int32_t> parents;  ///< (T + 1, N) indices among the particles of the step before
-    Number count;  ///< N
-
-    Number steps() const { return log_weights.size() / count; }
-    Vector pose(Number t, Number i) const {
-        const double* const at = poses.data() + 3 * (t * count + i);
-        return {at[0], at[1], at[2]};
-    }
-};
-
 class BackwardSampler {
    public:
-    /// The motions of the problem are not used.
-    BackwardSampler(const RecordedParticles& particles, const Problem& problem, Number candidates);
+    /// The poses of the record are those of the sensor; the motions of the problem are not used.
+    BackwardSampler(particles::Record record, Problem problem, Number candidates);
 
-    /// A trajectory of the sensor; several threads may draw at the same time.
-    Trajectory draw(Random& random) const;
+    /// A trajectory of the sensor with a map given the trajectory; several threads may draw at the same time.
+    std::pair<Trajectory, Map> draw(Random& random) const;
 
    private:
     /// A landmark that was seen before and after a step: its Gaussians of the particles, and what later sightings say of it.
@@ -52,15 +39,21 @@ class BackwardSampler {
         const Gaussian* after;
     };
 
+    Vector pose(Number t, Number i) const {
+        const particles::Rows& poses = *record_.steps()[t].poses;
+        return {poses.row(0)[i], poses.row(1)[i], poses.row(2)[i]};
+    }
+    std::span<const double> log_weights(Number t) const { return {record_.steps()[t].log_weights->row(0), count_}; }
+    Number parent(Number t, Number i) const { return static_cast<Number>(record_.steps()[t].parents[i]); }
     void compute_maps();
     void observe(Number t);
     Number attach(Random& random, Number t, Number ancestor, std::span<const Shared> shared) const;
     void add_log_likelihoods(Number t, std::span<const Number> particles, std::span<const Shared> shared,
                              std::span<double> log_weights) const;
 
-    const RecordedParticles particles_;
-    const Problem& problem_;
-    Number candidates_;
+    particles::Record record_;
+    Problem problem_;
+    Number count_, candidates_;  ///< N
     std::vector<std::vector<Gaussian>> events_;  ///< of each step at which a landmark was seen: its Gaussians (N)
     std::vector<std::int32_t> last_event_;  ///< (T + 1, J) the last event of each landmark, or -1
     std::vector<std::int32_t> slots_;  ///< (T + 1, J, N) where in that event particle i has its Gaussian

@@ -41,6 +41,8 @@ struct ChainSamples {
     std::vector<Map> maps;
 };
 
+struct Setting;
+
 /// What goes on from one stage of a run to the next.
 class Chain {
    public:
@@ -52,7 +54,7 @@ class Chain {
 
    private:
     void weigh_sightings(const Problem& problem);
-    void renew_blocks(Random& random, const Problem& problem, const ChainRules& rules);
+    void renew_blocks(const Setting& given, Number block);
     void move_low_rank(Random& random, const Problem& problem, const Directions& directions, const ChainRules& rules,
                        Number sweep);
     void renew_precisions(Random& random, const Problem& problem);

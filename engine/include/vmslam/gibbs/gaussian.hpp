@@ -84,6 +84,11 @@ struct Gaussian {
     bool seen() const { return S.xx >= 0; }
 };
 
+/// A landmark in the axes of a pose, in those in which the pose is given.
+inline Gaussian composed(const Frame& pose, const Gaussian& mark) {
+    return {composed(pose, mark.mean), edges::turned(pose.axes, mark.S)};
+}
+
 /// y - mean, the heading wrapped, and zero where nothing depends on it.
 inline Vector innovation(const Vector& y, const Vector& mean, bool oriented) {
     return {y.x - mean.x, y.y - mean.y, oriented ? wrap_angle(y.t - mean.t) : 0.0};
@@ -94,20 +99,20 @@ inline double log_density(const Vector& r, const Inverse& W, const Vector& g) {
     return -0.5 * (edges::dot(r, g) + logarithm(W.determinant));
 }
 
-/// log N(y; mean, S + C) without the constant of 2 pi.
-inline double density(const Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented) {
-    const Inverse W = inverse(mark.S + C);
-    const Vector r = innovation(y, mark.mean, oriented);
+/// log N(mean_b; mean_a, S_a + S_b) without the constant of 2 pi.
+inline double density(const Gaussian& a, const Gaussian& b, bool oriented) {
+    const Inverse W = inverse(a.S + b.S);
+    const Vector r = innovation(b.mean, a.mean, oriented);
     return log_density(r, W, W.matrix * r);
 }
 
 /// The sum of many log densities; one logarithm serves many determinants, whose product stays within floating point.
 class LogDensities {
    public:
-    /// Add log N(y; mean, S + C).
-    void add(const Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented) {
-        const Inverse W = inverse(mark.S + C);
-        const Vector r = innovation(y, mark.mean, oriented);
+    /// Add log N(mean_b; mean_a, S_a + S_b).
+    void add(const Gaussian& a, const Gaussian& b, bool oriented) {
+        const Inverse W = inverse(a.S + b.S);
+        const Vector r = innovation(b.mean, a.mean, oriented);
         squares_ += squared(W.matrix, r);
         determinants_ *= W.determinant;
         if (determinants_ > 1e-200 && determinants_ < 1e200) return;
@@ -120,13 +125,8 @@ class LogDensities {
     double squares_ = 0.0, determinants_ = 1.0, logarithms_ = 0.0;
 };
 
-/// Let a landmark absorb the observation y ~ N(m, C); returns log N(y; mean, S + C), 0 for the first one.
-double fuse(Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented);
-
-/// Let a landmark absorb a sighting from a known pose, as `fuse`.
-inline double absorb(Gaussian& mark, const Frame& pose, const Vector& y, const Symmetric& C, bool oriented) {
-    return fuse(mark, composed(pose, y), edges::turned(pose.axes, C), oriented);
-}
+/// Let a landmark absorb an observation of it, N(y; m, C); returns log N(y; mean, S + C), 0 for the first one.
+double fuse(Gaussian& mark, const Gaussian& observed, bool oriented);
 
 /// The information L on a small displacement d of a pose, in its own axes, and eta = L d at its mode.
 struct Information {
@@ -137,8 +137,8 @@ struct Information {
     double quadratic(const Vector& d) const { return edges::dot(eta, d) - 0.5 * squared(L, d); }
     /// Add A' W A to L and A' g to eta, A = [[1, 0, -q_y], [0, 1, q_x], [0, 0, 1]]: d moves the relative place q to q - A d.
     void add_at(const Vector& q, const Symmetric& W, const Vector& g);
-    /// Add that of a sighting (y, C) of a landmark: A' V^-1 A and A' V^-1 (q - y), V = S + C with S in the axes of the pose.
-    void add_sighting(const Frame& pose, const Gaussian& mark, const Vector& y, const Symmetric& C, bool oriented);
+    /// Add that of a sighting N(y; q, C) of a landmark: A' V^-1 A and A' V^-1 (q - y), V = S + C, S in the axes of the pose.
+    void add_sighting(const Frame& pose, const Gaussian& mark, const Gaussian& sighting, bool oriented);
 };
 
 /// W - W (W + M)^-1 W = (W^-1 + M^-1)^-1: the information M after noise of the information W.

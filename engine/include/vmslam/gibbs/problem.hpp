@@ -17,12 +17,15 @@ struct Motion {
     Symmetric information;
 };
 
-struct Sighting {
-    Number step, mark;
-    Vector y;          ///< the relative place of the landmark
-    Symmetric C;       ///< and its covariance
+/// The numbers of a sighting.
+struct Seen {
+    Gaussian seen;     ///< the relative place y of the landmark, and its covariance C
     Symmetric weight;  ///< its information; without psi nothing of the headings
     Vector z, q;       ///< range, bearing and psi as measured, and their variances
+};
+
+struct Sighting : Seen {
+    Number step, mark;
 };
 
 struct Problem {
@@ -42,6 +45,17 @@ struct Problem {
 inline std::span<const Sighting> seen_at(const Problem& problem, std::span<const Sighting> sightings, Number from,
                                          Number to) {
     return sightings.subspan(problem.first[from], problem.first[to + 1] - problem.first[from]);
+}
+
+/// work(frame of the pose, sighting) for each of some sightings; those of a step follow each other.
+template <class Work>
+void each_with_pose(const Trajectory& x, std::span<const Sighting> sightings, const Work& work) {
+    Frame pose;
+    Number step = x.size();
+    for (const Sighting& s : sightings) {
+        if (s.step != step) pose = Frame(x[step = s.step]);
+        work(pose, s);
+    }
 }
 
 /// -log of the posterior of a trajectory and a map, without constants, with the precisions of the sightings integrated out.

@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <type_traits>
 
 #include "vmslam/processor.hpp"
 
@@ -35,21 +36,9 @@ inline Lanes gather(const double* p, const std::int32_t* places) {
 
 /// The types of whole numbers and of bits that belong to a type of numbers.
 template <class Real>
-struct Of;
-template <>
-struct Of<double> {
-    using Integer = std::int64_t;
-    using Bits = std::uint64_t;
-};
-template <>
-struct Of<Lanes> {
-    using Integer = Integers;
-    using Bits = numbers::Bits;
-};
+using IntegerOf = std::conditional_t<sizeof(Real) == sizeof(double), std::int64_t, Integers>;
 template <class Real>
-using IntegerOf = typename Of<Real>::Integer;
-template <class Real>
-using BitsOf = typename Of<Real>::Bits;
+using BitsOf = std::conditional_t<sizeof(Real) == sizeof(double), std::uint64_t, Bits>;
 
 /// A number in every lane.
 template <class Real>

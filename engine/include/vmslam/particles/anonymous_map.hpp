@@ -10,18 +10,11 @@
 // 2003; Probabilistic Robotics, section 13.6 (association per particle, evidence and removal of landmarks).
 #pragma once
 
-#include <memory>
-
 #include "vmslam/particles/association.hpp"
 #include "vmslam/particles/history.hpp"
 #include "vmslam/particles/ranges.hpp"
 
 namespace vmslam::particles {
-
-/// Limits of range [m] and bearing [rad] within which the sensor sees; NaN: to be learned from the sightings.
-struct Limits {
-    double least_range, most_range, most_bearing;
-};
 
 /// When a sighting belongs to a new landmark, and when two landmarks are one.
 struct AnonymousOptions {
@@ -30,15 +23,13 @@ struct AnonymousOptions {
     /// and that within which two landmarks are one; they are merged after every so many steps with sightings, 0: never
     double merge_gate;
     std::size_t merge_interval;
+    /// NaN: to be learned from the sightings
     Limits limits;
 };
 
 class AnonymousMap {
    public:
-    AnonymousMap(History& history, std::size_t particles, bool oriented, const AnonymousOptions& options,
-                 Confusion confusion);
-    /// A map with slices of its own, for a copy of the history.
-    AnonymousMap(const AnonymousMap& other, History& history);
+    AnonymousMap(std::size_t particles, bool oriented, const AnonymousOptions& options, Confusion confusion);
 
     bool oriented() const { return oriented_; }
     const Confusion& confusion() const { return confusion_; }
@@ -48,37 +39,35 @@ class AnonymousMap {
     std::vector<std::int64_t> ids() const;
     std::size_t slices() const { return slices_.size(); }
     std::int64_t created() const { return created_; }
-    LandmarkView view(std::int64_t landmark);
+    LandmarkView view(std::int64_t landmark, History& history) const;
 
     /// `boxes`: for each sighting the box that holds the means of the landmarks that are hypotheses of some particle, as far
     /// as they are perfectly known; see `place_of`.
     AnonymousScan scan(std::span<const Sighting> sightings, std::span<const std::int64_t> shown, std::span<const Box> boxes,
-                       std::int64_t step);
+                       std::int64_t step, History& history);
     /// Record what a scan has written.
-    void end_scan(const AnonymousScan& scan, const Ranges& ranges);
+    void end_scan(const AnonymousScan& scan, const Ranges& ranges, History& history);
 
     /// Lower the evidence for landmarks that were in view of these poses but in no scan of the step. This waits for the end
     /// of the step because another scan of the step might still have seen them. Every so many steps, landmarks of a particle
     /// that are one are merged.
-    void end_step(const Rows& poses, std::int64_t step, const Ranges& ranges);
+    void end_step(const Rows& poses, std::int64_t step, const Ranges& ranges, History& history);
 
    private:
     struct Slice {
-        std::unique_ptr<Blocks> rows;
+        Blocks rows;
         std::int64_t landmark = -1, level = 0;
-        bool droppable = false;
-        Box box;
+        Extent extent = {};
     };
 
     void learn(std::span<const Sighting> sightings);
     std::vector<std::size_t> within(std::span<const Box> boxes) const;
-    void bring_up_to_date(std::span<const std::size_t> slices);
-    std::vector<std::size_t> make_room(std::size_t count);
+    void bring_up_to_date(std::span<const std::size_t> slices, History& history);
+    std::vector<std::size_t> make_room(std::size_t count, History& history);
     void enlarge(std::size_t more);
     std::vector<Blocks*> rows_of(std::span<const std::size_t> slices);
-    void written(std::span<const std::size_t> slices, const Ranges& ranges);
+    void written(std::span<const std::size_t> slices, const Ranges& ranges, History& history);
 
-    History& history_;
     std::size_t particles_;
     bool oriented_;
     AnonymousOptions options_;

@@ -25,9 +25,9 @@ inline constexpr double permanent_evidence = 3.0;
 struct Box {
     double left = std::numeric_limits<double>::infinity(), right = -left, low = left, high = -left;
 
-    /// A box around lane k of some points, each `wide` in every direction.
-    void include(const Lanes& x, const Lanes& y, const Lanes& wide, int k);
     void include(const Box& other);
+    /// A point, `wide` in every direction.
+    void include(double x, double y, double wide) { include({x - wide, x + wide, y - wide, y + wide}); }
     bool overlaps(const Box& other) const;
 };
 
@@ -97,7 +97,11 @@ class AnonymousScan::Group {
     void choose();
     numbers::Integers conflicts() const;
     void choose_in_order(int lane);
-    Lanes class_ratio(std::size_t k) const;
+    template <class Row>
+    Lanes class_ratio(std::size_t k, const Row& row) const;
+    auto chosen(std::size_t k) const {
+        return [this, k](int row) { return chosen_numbers(k, row); };
+    }
     Lanes chosen_numbers(std::size_t k, int row) const;
     Gaussian chosen_landmark(std::size_t k) const;
     void write_chosen(std::size_t k, const numbers::Integers& known, int row, const Lanes& value) const;
@@ -111,5 +115,34 @@ class AnonymousScan::Group {
     std::vector<numbers::Integers> chosen_;
     std::vector<Lanes> won_;
 };
+
+// --- which landmarks exist: evidence against those not seen, and landmarks that are one
+
+/// Limits of range [m] and bearing [rad] within which a sensor sees, or a landmark should be seen.
+struct Limits {
+    double least_range, most_range, most_bearing;
+};
+
+/// Lower the evidence for landmarks that were in view in this step without a sighting, except for permanent ones.
+void count_misses(std::span<Blocks* const> landmarks, const Rows& poses, double step, const Limits& view, std::size_t lo,
+                  std::size_t hi);
+
+/// How many particles have a landmark, whether any may still drop it, and where it lies: the box holds the means with the
+/// margin that `place_of` leaves to it.
+struct Extent {
+    std::size_t owners = 0;
+    bool droppable = false;
+    Box box;
+    void include(const Extent& other);
+};
+Extent extent_of(const Blocks& landmark, double gate, std::size_t lo, std::size_t hi);
+
+/// Merge landmarks of a particle that are one: the older takes what the younger knows, and the younger goes.
+///
+/// They are one where the squared Mahalanobis distance of their means, under S_a + S_b + diag(blur), is at most the gate, and
+/// the last scan that saw one of them did not see both. With n classes, 2 log of n sum over c of p(c) p'(c), by which two
+/// landmarks of one class are likelier than any two, is subtracted from the distance. The older ones come first.
+void merge(std::span<Blocks* const> landmarks, bool oriented, double gate, const Blur& blur, std::size_t classes,
+           std::size_t lo, std::size_t hi);
 
 }  // namespace vmslam::particles

@@ -26,18 +26,18 @@ struct KnownSighting {
     bool oriented;
 };
 
+class Proposal;
+
+/// A copy continues with the same numbers.
 class Filter {
    public:
     /// `poses`: the first poses; `records`: whether all particles of all steps are kept, for backward simulation.
     Filter(Rows poses, std::size_t threads, bool records);
-    /// A filter of its own, which continues with the same numbers.
-    Filter(const Filter& other);
-    Filter& operator=(const Filter&) = delete;
 
     std::size_t particles() const { return particles_; }
     const Ranges& ranges() const { return ranges_; }
     History& history() { return history_; }
-    const std::shared_ptr<Record>& record() const { return record_; }
+    const std::optional<Record>& record() const { return record_; }
     std::shared_ptr<const Rows> poses() const { return poses_; }
     std::shared_ptr<const Rows> log_weights() const { return log_weights_; }
     /// The log likelihoods of the last `weigh`, and the weights of the last `reweigh`, of which the largest is 1.
@@ -52,8 +52,14 @@ class Filter {
     /// Maps of sightings with ids, or without; the arguments are those of `IdentifiedMap` and `AnonymousMap`.
     void use_ids(bool oriented, std::size_t jointly, std::optional<RangeNoise> range_noise);
     void use_no_ids(bool oriented, const AnonymousOptions& options, Confusion confusion);
-    IdentifiedMap* identified() { return identified_.get(); }
-    AnonymousMap* anonymous() { return anonymous_.get(); }
+    const std::optional<IdentifiedMap>& identified() const { return identified_; }
+    const std::optional<AnonymousMap>& anonymous() const { return anonymous_; }
+    /// Give all particles the same Gaussian of a landmark with an id.
+    void place(LandmarkId id, const Vector& mean, const Symmetric& covariance) {
+        identified_->place(id, mean, covariance, history_);
+    }
+    std::vector<LandmarkId> landmarks() const;
+    LandmarkView view(LandmarkId landmark);
 
     /// Write the log likelihoods of sightings, and update the maps; returns whether any sighting was weighed.
     void weigh_known(std::span<const KnownSighting> sightings);
@@ -78,27 +84,32 @@ class Filter {
     void remember();
 
    private:
-    template <class Proposal, class Scan>
-    void weigh(const Proposal& proposal, const Scan& scan, const std::shared_ptr<Rows>& drawn);
-    template <class Proposal>
-    void weigh_anonymous_from(const Proposal& proposal, std::span<const Sighting> sightings,
-                              std::span<const std::int64_t> shown, const std::shared_ptr<Rows>& drawn);
+    /// Buffers of poses and of weights, which are used again when nobody looks at them any more. A copy begins without any:
+    /// nobody writes into those that two filters share.
+    struct Buffers {
+        std::vector<std::shared_ptr<Rows>> all;
+        Buffers() = default;
+        Buffers(const Buffers&) {}
+    };
+
+    template <class Scan>
+    void weigh(const Proposal& proposal, const Scan& scan);
+    Proposal proposal(Version version) const;
     std::shared_ptr<Rows> fresh(int rows);
 
     std::size_t particles_;
     Ranges ranges_;
     History history_;
     std::shared_ptr<const Rows> poses_, starts_, log_weights_, uniform_;
-    /// buffers of poses and of weights, which are used again when nobody looks at them any more
-    std::vector<std::shared_ptr<Rows>> buffers_;
+    Buffers buffers_;
     Rows log_likelihoods_, weights_;
     std::size_t best_ = 0;
     std::int64_t step_ = 0;
     /// the motion of this step, as long as sightings may correct it
     std::optional<Motion> motion_;
-    std::unique_ptr<IdentifiedMap> identified_;
-    std::unique_ptr<AnonymousMap> anonymous_;
-    std::shared_ptr<Record> record_;
+    std::optional<IdentifiedMap> identified_;
+    std::optional<AnonymousMap> anonymous_;
+    std::optional<Record> record_;
 };
 
 }  // namespace vmslam::particles

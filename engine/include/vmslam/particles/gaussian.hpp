@@ -46,7 +46,7 @@ inline void write_pose(Rows& rows, std::size_t first, const Pose& pose) {
 }
 
 /// The rows of a Gaussian without a heading, which are x, y, xx, xy, yy, and of one with a heading.
-inline constexpr int point_rows = 5, oriented_rows = 9;
+constexpr int gaussian_rows(bool oriented) { return oriented ? 9 : 5; }
 
 inline Gaussian read_gaussian(const Blocks& blocks, bool oriented, std::size_t first, const Index* ancestors = nullptr) {
     const auto at = [&](int k) { return read(blocks, k, first, ancestors); };

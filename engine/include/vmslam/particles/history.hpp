@@ -1,6 +1,6 @@
 // The genealogy of the particles: the histories of all living particles, in little memory.
 //
-// The tree is stored in flat arrays with one row per particle and level: the particle's pose, the row of its parent in the
+// The tree is stored in two flat arrays with one row per particle and level: the particle's pose, the row of its parent in the
 // level before, and the particle's index at that level. A level is a step. Resampling copies nothing; it only changes the
 // row to which each living particle points. Data written elsewhere at a level, by particle index (landmark columns, for
 // example), can be read through the ancestors.
@@ -74,8 +74,12 @@ class History {
     Ancestry indices(std::size_t level) const;
 
     std::size_t particles_;
-    std::vector<double> x_, y_, t_;
-    std::vector<Index> parents_, numbers_;
+    std::vector<std::array<double, 3>> poses_;
+    /// the row of the parent of each row, and the particle's index at that level
+    struct Origin {
+        Index parent, number;
+    };
+    std::vector<Origin> origins_;
     /// the row of each living particle
     std::vector<Index> line_;
     /// the first row of each level, and the end of the last one

@@ -10,8 +10,8 @@
 // total.
 #pragma once
 
+#include <list>
 #include <map>
-#include <memory>
 #include <optional>
 
 #include "vmslam/particles/history.hpp"
@@ -31,61 +31,47 @@ class IdentifiedMap {
    public:
     /// `jointly`: so many sightings of a landmark (at most `most_sightings`) are integrated together, and the following ones
     /// alone; 0: a landmark follows by the Kalman gain from each.
-    IdentifiedMap(History& history, std::size_t particles, bool oriented, std::size_t jointly,
-                  std::optional<RangeNoise> range_noise)
-        : history_(history), particles_(particles), oriented_(oriented), jointly_(jointly), range_noise_(range_noise) {}
-    /// A map with columns of its own, for a copy of the history; not while a scan is being processed.
-    IdentifiedMap(const IdentifiedMap& other, History& history);
+    IdentifiedMap(std::size_t particles, bool oriented, std::size_t jointly, std::optional<RangeNoise> range_noise)
+        : particles_(particles), oriented_(oriented), jointly_(jointly), range_noise_(range_noise) {}
 
     bool oriented() const { return oriented_; }
     bool has(LandmarkId id) const { return columns_.contains(id); }
     std::vector<LandmarkId> ids() const;
+    LandmarkView view(LandmarkId id, History& history) const;
     /// Give all particles the same Gaussian of a landmark that is known beforehand.
-    void place(LandmarkId id, const Vector& mean, const Symmetric& covariance);
+    void place(LandmarkId id, const Vector& mean, const Symmetric& covariance, History& history);
 
     /// What a step does with one sighting.
     struct Task;
-    /// The tasks of a scan, in its order; `poses` is where the poses will be from which it was seen.
+    /// The tasks of a scan, in its order.
     class Scan;
-    Scan scan(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, const std::shared_ptr<const Rows>& poses);
+    Scan scan(std::span<const LandmarkId> ids, std::span<const Sighting> sightings, History& history);
     /// Columns that a scan has replaced can be reused.
-    void end_scan();
-
-    LandmarkView view(LandmarkId id);
+    void end_scan() { spare_.splice(spare_.end(), replaced_); }
 
    private:
-    /// All sightings of a landmark, of which the last `here` are from the poses `last` and the others from `past`.
-    struct Sighted {
-        Rows past;
-        std::shared_ptr<const Rows> last;
-        std::size_t here;
-        Rows log_evidence;
-        std::vector<RatedSighting> sightings;
-    };
+    /// The Gaussian; where landmarks are integrated over their sightings also log Z and the poses (x, y, heading) from which
+    /// the landmark was seen, and the sightings, as long as they are integrated together.
     struct Column {
         std::int64_t level;
-        std::shared_ptr<Blocks> numbers;
-        std::shared_ptr<Sighted> sighted;
+        Blocks numbers;
+        std::vector<RatedSighting> sightings;
     };
 
-    Task first_sighting(LandmarkId id, const Sighting& sighting, const std::shared_ptr<const Rows>& poses);
-    Task later_sighting(Column& column, const Sighting& sighting, const std::shared_ptr<const Rows>& poses);
-    void join(Sighted& sighted, const RatedSighting& sighting, const std::shared_ptr<const Rows>& poses,
-              const Index* slots) const;
-    std::shared_ptr<Blocks> spare();
+    Task first_sighting(LandmarkId id, const Sighting& sighting, History& history);
+    Task later_sighting(Column& column, const Sighting& sighting, History& history);
+    Blocks spare();
 
-    History& history_;
     std::size_t particles_;
     bool oriented_;
     std::size_t jointly_;
     std::optional<RangeNoise> range_noise_;
     std::map<LandmarkId, Column> columns_;
     /// columns that nobody uses, and those that are still read in this scan
-    std::vector<std::shared_ptr<Blocks>> spare_, replaced_;
+    std::list<Blocks> spare_, replaced_;
 };
 
 struct IdentifiedMap::Task {
-    enum class Kind { first, first_moments, kalman, joint, single } kind;
     /// as measured, by which poses are corrected, and with the noise at the estimated range, if that is wanted
     Sighting sighting;
     RatedSighting rated;
@@ -95,16 +81,14 @@ struct IdentifiedMap::Task {
     const Index* slots = nullptr;
     /// whether it is the scan's first sighting of a landmark that was known before the scan
     bool leading = false;
-    /// of a landmark that follows from its first `count` sightings together: log Z before, and where to write it
-    std::shared_ptr<const Sighted> sighted = nullptr;
-    std::size_t count = 0;
-    std::shared_ptr<const Rows> evidence_before = nullptr;
-    double* evidence_after = nullptr;
+    /// all sightings of a landmark that follows from them together
+    std::vector<RatedSighting> together = {};
 };
 
 class IdentifiedMap::Scan {
    public:
-    Scan(bool oriented, std::vector<Task> tasks) : oriented_(oriented), tasks_(std::move(tasks)) {}
+    Scan(bool oriented, bool integrates, std::vector<Task> tasks)
+        : oriented_(oriented), integrates_(integrates), tasks_(std::move(tasks)) {}
 
     bool weighs() const;
 
@@ -112,7 +96,7 @@ class IdentifiedMap::Scan {
     class Group;
 
    private:
-    bool oriented_;
+    bool oriented_, integrates_;
     std::vector<Task> tasks_;
 };
 
@@ -133,6 +117,7 @@ class IdentifiedMap::Scan::Group {
 
    private:
     Lanes update_one(const Task& task, const Pose& pose) const;
+    void write_integral(const Task& task, const Lanes& log_evidence, std::span<const Pose> poses) const;
     Lanes update_linearised(const Task& task, const Pose& pose, Gaussian& landmark) const;
     Lanes update_alone(const Task& task, const Pose& pose, Gaussian& landmark) const;
     Lanes update_jointly(const Task& task, const Pose& pose, Gaussian& landmark) const;

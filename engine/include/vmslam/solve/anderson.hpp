@@ -30,7 +30,4 @@ class AndersonAcceleration {
     std::deque<Iterate> kept_;
 };
 
-/// The shortest c that minimises |b - A c|, A given by its columns; singular values below 1e-10 of the largest count as 0.
-std::vector<double> least_squares(std::vector<std::vector<double>> A, std::vector<double> b);
-
 }  // namespace vmslam::solve

@@ -1,7 +1,6 @@
 // A graph that owns its edges, its linear system and the factor, for programs without Python.
 #pragma once
 
-#include <functional>
 #include <memory>
 #include <optional>
 
@@ -58,9 +57,8 @@ class Graph {
     void check_node(Index node) const;
     void check_state(std::span<const double> state) const;
 
-    using Factor = sparse::Factor<sparse::Real3>;
-    /// Call work with the linear system of the graph.
-    void assemble(int threads, const std::function<void(GraphObjective&, Factor&)>& work) const;
+    /// The linear system of the graph.
+    struct Assembled;
 
     struct Member {
         std::unique_ptr<const edges::Family> family;

@@ -28,11 +28,10 @@ class Part {
     GraphObjective& objective() { return *objective_; }
 
    private:
-    std::vector<Index> nodes_, start_, rows_, workspace_, held_blocks_, held_nodes_, points_;
-    std::vector<double> values_, xi_;
+    std::vector<Index> nodes_, held_blocks_, held_nodes_, points_;
     std::vector<std::unique_ptr<const edges::Family>> families_;
     std::vector<std::vector<Index>> pairs_;
-    std::optional<sparse::Factor<sparse::Real3>> factor_;
+    std::optional<OwnedSystem> system_;
     std::optional<GraphObjective> objective_;
 };
 

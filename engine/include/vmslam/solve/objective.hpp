@@ -7,6 +7,7 @@
 
 #include "vmslam/edges/family.hpp"
 #include "vmslam/sparse/factor.hpp"
+#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::solve {
 
@@ -38,6 +39,23 @@ struct Held {
     std::span<const Index> blocks, nodes, without_heading;
 };
 
+/// The system of a graph with the memory for its numbers and its factor.
+class OwnedSystem {
+   public:
+    /// `points` are the nodes without a heading.
+    explicit OwnedSystem(sparse::OwnedPattern pattern, int threads = 1, std::span<const Index> points = {});
+    OwnedSystem(const OwnedSystem&) = delete;
+    OwnedSystem& operator=(const OwnedSystem&) = delete;
+
+    edges::System view() { return {pattern_, values_.data(), xi_.data()}; }
+    sparse::Factor<sparse::Real3>& factor() { return factor_; }
+
+   private:
+    sparse::OwnedPattern pattern_;
+    std::vector<double> values_, xi_;
+    sparse::Factor<sparse::Real3> factor_;
+};
+
 /// A graph of edge families.
 class GraphObjective : public Objective {
    public:
@@ -50,6 +68,8 @@ class GraphObjective : public Objective {
     GraphObjective(std::vector<Member> families, edges::System system, Held held, double constant,
                    sparse::Factor<sparse::Real3>& factor)
         : families_(std::move(families)), system_(system), held_(held), constant_(constant), factor_(factor) {}
+    GraphObjective(std::vector<Member> families, OwnedSystem& system, Held held = {})
+        : GraphObjective(std::move(families), system.view(), held, 0.0, system.factor()) {}
 
     double linearize(std::span<const double> state, std::span<const double> reference) override;
     double cost(std::span<const double> state, std::span<const double> reference) override;
@@ -71,7 +91,7 @@ class GraphObjective : public Objective {
     const sparse::Symbolic& symbolic() const { return factor_.symbolic(); }
 
    private:
-    std::size_t nodes() const { return system_.start.size() - 1; }
+    std::size_t nodes() const { return system_.size(); }
     std::span<const double> values() const { return {system_.values, 9 * system_.rows.size()}; }
 
     std::vector<Member> families_;
@@ -80,10 +100,5 @@ class GraphObjective : public Objective {
     double constant_;
     sparse::Factor<sparse::Real3>& factor_;
 };
-
-/// Take nodes out of a system: their rows and columns become those of the identity, their xi zero.
-void hold(const edges::System& system, std::span<const Index> blocks, std::span<const Index> nodes);
-/// Hold the coordinates of nodes from `coordinate` on, which no edge touches: their diagonal becomes 1.
-void rest(const edges::System& system, std::span<const Index> nodes, int coordinate);
 
 }  // namespace vmslam::solve

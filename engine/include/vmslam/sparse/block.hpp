@@ -14,170 +14,135 @@
 
 namespace vmslam::sparse {
 
-/// Blocks of an information matrix of planar poses.
-struct Real3 {
+/// Real blocks: those of an information matrix of planar poses (N = 3), and of initial values, which are directions or positions
+/// of nodes (N = 2).
+template <int N>
+struct Real {
     using Value = double;
-    static constexpr int rows = 3, columns = 3, planes = 1;
+    static constexpr int rows = N, columns = N, planes = 1;
     static constexpr int point_rows = 2, point_first = 0;  ///< of a point, the place is left
-    static constexpr int size = 9;  ///< values of a block, by rows
+    static constexpr int size = N * N;  ///< values of a block, by rows
     static constexpr double tolerance = 1e-12;  ///< smallest ratio of a pivot to its diagonal entry, see factor.hpp
 
     /// L of a diagonal block, with inverse pivots.
     struct Pivot {
-        double i0, l10, l20, i1, l21, i2;
+        double l[N][N];
 
-        static Pivot load(const double* d, Step h) { return {d[0], d[1], d[2], d[h + 1], d[h + 2], d[2 * h + 2]}; }
+        static Pivot load(const double* d, Step h) {
+            Pivot p;
+            for (int c = 0; c < N; ++c)
+                for (int i = c; i < N; ++i) p.l[i][c] = d[c * h + i];
+            return p;
+        }
         void store(double* d, Step h) const {
-            d[0] = i0, d[1] = l10, d[2] = l20;
-            d[h] = 0.0, d[h + 1] = i1, d[h + 2] = l21;
-            d[2 * h] = d[2 * h + 1] = 0.0, d[2 * h + 2] = i2;
+            for (int c = 0; c < N; ++c)
+                for (int i = 0; i < N; ++i) d[c * h + i] = i < c ? 0.0 : l[i][c];
         }
     };
 
     /// A block of the matrix at its place in a panel.
     static void put(double* t, Step h, const double* v, bool transposed) {
         // steps instead of a branch, which cannot be predicted
-        const int down = transposed ? 1 : 3, across = 4 - down;
+        const int down = transposed ? 1 : N, across = N + 1 - down;
 #pragma GCC unroll 3
-        for (int c = 0; c < 3; ++c)
+        for (int c = 0; c < N; ++c)
 #pragma GCC unroll 3
-            for (int i = 0; i < 3; ++i) t[c * h + i] = v[i * down + c * across];
+            for (int i = 0; i < N; ++i) t[c * h + i] = v[i * down + c * across];
     }
 
     /// L L' of a diagonal block; the first component whose pivot is not above its limit, or -1.
     static int factorize(const double* d, Step h, const double* limits, Pivot& p) {
         // L D L' first: divisions, not square roots, on the critical path
-        const double a00 = d[0], a10 = d[1], a20 = d[2];
-        double a11 = d[h + 1], a21 = d[h + 2], a22 = d[2 * h + 2];
-        const double r0 = 1.0 / a00, m10 = a10 * r0, m20 = a20 * r0;
-        a11 -= m10 * a10;
-        a21 -= m20 * a10;
-        const double r1 = 1.0 / a11, m21 = a21 * r1;
-        a22 -= m20 * a20 + m21 * a21;
-        p.i0 = std::sqrt(r0);
-        p.i1 = std::sqrt(r1);
-        p.i2 = std::sqrt(1.0 / a22);
-        p.l10 = a10 * p.i0;
-        p.l20 = a20 * p.i0;
-        p.l21 = a21 * p.i1;
-        if (a00 > limits[0] && a11 > limits[1] && a22 > limits[2]) [[likely]]
-            return -1;
-        return !(a00 > limits[0]) ? 0 : !(a11 > limits[1]) ? 1 : 2;
+        double a[N][N], m[N][N];
+        int bad = -1;
+#pragma GCC unroll 3
+        for (int k = 0; k < N; ++k) {
+#pragma GCC unroll 3
+            for (int i = k; i < N; ++i) {
+                a[i][k] = d[k * h + i];
+                if (k == 0) continue;
+                double known = m[i][0] * a[k][0];
+#pragma GCC unroll 3
+                for (int j = 1; j < k; ++j) known += m[i][j] * a[k][j];
+                a[i][k] -= known;
+            }
+            const double inverse = 1.0 / a[k][k];
+            p.l[k][k] = std::sqrt(inverse);
+#pragma GCC unroll 3
+            for (int i = k + 1; i < N; ++i) {
+                m[i][k] = a[i][k] * inverse;
+                p.l[i][k] = a[i][k] * p.l[k][k];
+            }
+            if (bad < 0 && !(a[k][k] > limits[k])) [[unlikely]]
+                bad = k;
+        }
+        return bad;
     }
 
     /// X L' = B in place for the rows of one node column, a multiple of 8.
     static void solve_rows(double* x, Step h, Step count, const Pivot& p) {
-        double *x0 = x, *x1 = x + h, *x2 = x + 2 * h;
         for (Step i = 0; i < count; i += lanes) {
-            const Vector<lanes> a = load<lanes>(x0 + i) * p.i0;
-            const Vector<lanes> b = (load<lanes>(x1 + i) - a * p.l10) * p.i1;
-            const Vector<lanes> c = (load<lanes>(x2 + i) - a * p.l20 - b * p.l21) * p.i2;
-            store<lanes>(x0 + i, a);
-            store<lanes>(x1 + i, b);
-            store<lanes>(x2 + i, c);
+            Vector<lanes> y[N];
+#pragma GCC unroll 3
+            for (int c = 0; c < N; ++c) {
+                y[c] = load<lanes>(x + c * h + i);
+#pragma GCC unroll 3
+                for (int k = 0; k < c; ++k) y[c] -= y[k] * p.l[c][k];
+                y[c] *= p.l[c][c];
+                store<lanes>(x + c * h + i, y[c]);
+            }
         }
     }
 
     // --- vectors of one right-hand side: `count` rows beside the columns of a node, and the node's own numbers
 
     struct Part {
-        double v[3];
+        double v[N];
     };
     static Part forward(const double* b, Step, const Pivot& p) {
-        const double y0 = b[0] * p.i0, y1 = (b[1] - p.l10 * y0) * p.i1;
-        return {y0, y1, (b[2] - p.l20 * y0 - p.l21 * y1) * p.i2};
+        Part y;
+#pragma GCC unroll 3
+        for (int c = 0; c < N; ++c) {
+            y.v[c] = b[c];
+#pragma GCC unroll 3
+            for (int k = 0; k < c; ++k) y.v[c] -= p.l[c][k] * y.v[k];
+            y.v[c] *= p.l[c][c];
+        }
+        return y;
     }
-    static Part backward(const Part& b, const Pivot& p) {
-        const double y2 = b.v[2] * p.i2, y1 = (b.v[1] - p.l21 * y2) * p.i1;
-        return {(b.v[0] - p.l10 * y1 - p.l20 * y2) * p.i0, y1, y2};
+    static Part backward(Part y, const Pivot& p) {
+#pragma GCC unroll 3
+        for (int c = N - 1; c >= 0; --c) {
+#pragma GCC unroll 3
+            for (int k = c + 1; k < N; ++k) y.v[c] -= p.l[k][c] * y.v[k];
+            y.v[c] *= p.l[c][c];
+        }
+        return y;
     }
     /// y -= X a
     static void subtract(double* y, Step, const double* x, Step h, Step count, const Part& a) {
-        for (Step i = 0; i < count; i += lanes)
-            store<lanes>(y + i, load<lanes>(y + i) - load<lanes>(x + i) * a.v[0] - load<lanes>(x + h + i) * a.v[1] -
-                                    load<lanes>(x + 2 * h + i) * a.v[2]);
+        for (Step i = 0; i < count; i += lanes) {
+            Vector<lanes> rest = load<lanes>(y + i);
+#pragma GCC unroll 3
+            for (int c = 0; c < N; ++c) rest -= load<lanes>(x + c * h + i) * a.v[c];
+            store<lanes>(y + i, rest);
+        }
     }
     /// b - X' y
     static Part minus_dot(Part b, const double* y, Step, const double* x, Step h, Step count) {
-        Vector<lanes> s0{}, s1{}, s2{};
+        Vector<lanes> total[N] = {};
         for (Step i = 0; i < count; i += lanes) {
             const Vector<lanes> v = load<lanes>(y + i);
-            s0 += v * load<lanes>(x + i);
-            s1 += v * load<lanes>(x + h + i);
-            s2 += v * load<lanes>(x + 2 * h + i);
+#pragma GCC unroll 3
+            for (int c = 0; c < N; ++c) total[c] += v * load<lanes>(x + c * h + i);
         }
-        return {b.v[0] - sum<lanes>(s0), b.v[1] - sum<lanes>(s1), b.v[2] - sum<lanes>(s2)};
+        for (int c = 0; c < N; ++c) b.v[c] -= sum<lanes>(total[c]);
+        return b;
     }
 };
 
-/// Blocks of initial values: directions or positions of nodes.
-struct Real2 {
-    using Value = double;
-    static constexpr int rows = 2, columns = 2, planes = 1;
-    static constexpr int point_rows = 2, point_first = 0;  ///< points are as other nodes
-    static constexpr int size = 4;
-    static constexpr double tolerance = Real3::tolerance;
-
-    struct Pivot {
-        double i0, l10, i1;
-
-        static Pivot load(const double* d, Step h) { return {d[0], d[1], d[h + 1]}; }
-        void store(double* d, Step h) const {
-            d[0] = i0, d[1] = l10;
-            d[h] = 0.0, d[h + 1] = i1;
-        }
-    };
-
-    static void put(double* t, Step h, const double* v, bool transposed) {
-        const int down = transposed ? 1 : 2, across = 3 - down;
-        t[0] = v[0], t[1] = v[down];
-        t[h] = v[across], t[h + 1] = v[3];
-    }
-
-    static int factorize(const double* d, Step h, const double* limits, Pivot& p) {
-        p.i0 = 1.0 / std::sqrt(d[0]);
-        p.l10 = d[1] * p.i0;
-        const double rest = d[h + 1] - p.l10 * p.l10;
-        p.i1 = 1.0 / std::sqrt(rest);
-        return !(d[0] > limits[0]) ? 0 : !(rest > limits[1]) ? 1 : -1;
-    }
-
-    /// X L' = B
-    static void solve_rows(double* x, Step h, Step count, const Pivot& p) {
-        for (Step i = 0; i < count; i += lanes, x += lanes) {
-            const Vector<lanes> a = load<lanes>(x) * p.i0;
-            store<lanes>(x, a);
-            store<lanes>(x + h, (load<lanes>(x + h) - a * p.l10) * p.i1);
-        }
-    }
-
-    struct Part {
-        double v[2];
-    };
-    static Part forward(const double* b, Step, const Pivot& p) {
-        const double y0 = b[0] * p.i0;
-        return {y0, (b[1] - p.l10 * y0) * p.i1};
-    }
-    static Part backward(const Part& b, const Pivot& p) {
-        const double y1 = b.v[1] * p.i1;
-        return {(b.v[0] - p.l10 * y1) * p.i0, y1};
-    }
-    /// y -= X a
-    static void subtract(double* y, Step, const double* x, Step h, Step count, const Part& a) {
-        for (Step i = 0; i < count; i += lanes)
-            store<lanes>(y + i, load<lanes>(y + i) - load<lanes>(x + i) * a.v[0] - load<lanes>(x + h + i) * a.v[1]);
-    }
-    /// b - X' y
-    static Part minus_dot(Part b, const double* y, Step, const double* x, Step h, Step count) {
-        Vector<lanes> s0{}, s1{};
-        for (Step i = 0; i < count; i += lanes) {
-            const Vector<lanes> v = load<lanes>(y + i);
-            s0 += v * load<lanes>(x + i);
-            s1 += v * load<lanes>(x + h + i);
-        }
-        return {b.v[0] - sum<lanes>(s0), b.v[1] - sum<lanes>(s1)};
-    }
-};
+using Real3 = Real<3>;
+using Real2 = Real<2>;
 
 /// Blocks of the certificate: headings and positions as complex numbers.
 struct Hermitian2 {

@@ -26,6 +26,7 @@ class Factor {
     using Value = typename Block::Value;
 
     explicit Factor(std::shared_ptr<const Symbolic> symbolic);
+    explicit Factor(Symbolic symbolic) : Factor(std::make_shared<const Symbolic>(std::move(symbolic))) {}
 
     const Symbolic& symbolic() const { return *symbolic_; }
     const std::shared_ptr<const Symbolic>& shared_symbolic() const { return symbolic_; }

@@ -12,8 +12,7 @@ using Index = std::int64_t;  ///< into arrays of entries or nodes
 
 /// The upper triangle by columns: column j has the rows `rows[start[j]]` to `rows[start[j + 1] - 1]`, ascending, j last.
 struct Pattern {
-    std::span<const Index> start;
-    std::span<const Node> rows;
+    std::span<const Index> start, rows;
 
     Node size() const { return static_cast<Node>(start.size() - 1); }
 

@@ -1,11 +1,9 @@
 // Vectors of the compiler (GCC and Clang) for x86 and ARM, and memory that is aligned for them.
 #pragma once
 
-#include <algorithm>
 #include <cstddef>
 #include <new>
-#include <span>
-#include <utility>
+#include <vector>
 
 #include "vmslam/processor.hpp"
 
@@ -51,30 +49,18 @@ inline bool all_finite(const double* p, std::ptrdiff_t count) {
     return rest == 0.0;
 }
 
-/// Memory for numbers that begins at a cache line; its content is undefined until it is written.
-class Numbers {
-   public:
-    Numbers() = default;
-    explicit Numbers(std::ptrdiff_t size)
-        : data_(size > 0 ? static_cast<double*>(::operator new(size * sizeof(double), line)) : nullptr), size_(size) {}
-    Numbers(const Numbers& other) : Numbers(other.size_) { std::copy_n(other.data_, size_, data_); }
-    Numbers& operator=(const Numbers& other) { return *this = Numbers(other); }
-    Numbers(Numbers&& other) noexcept : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
-    Numbers& operator=(Numbers&& other) noexcept {
-        std::swap(data_, other.data_);
-        std::swap(size_, other.size_);
-        return *this;
-    }
-    ~Numbers() { ::operator delete(data_, line); }
-
-    double* data() { return data_; }
-    const double* data() const { return data_; }
-    std::ptrdiff_t size() const { return size_; }
-
-   private:
+/// Allocates at cache lines, and leaves numbers undefined until they are written.
+template <class T>
+struct AtCacheLines {
+    using value_type = T;
     static constexpr std::align_val_t line{64};
-    double* data_ = nullptr;
-    std::ptrdiff_t size_ = 0;
+
+    T* allocate(std::size_t count) { return static_cast<T*>(::operator new(count * sizeof(T), line)); }
+    void deallocate(T* at, std::size_t) { ::operator delete(at, line); }
+    void construct(T*) {}
+    void construct(T* at, const T& value) { *at = value; }
+    bool operator==(const AtCacheLines&) const = default;
 };
+using Numbers = std::vector<double, AtCacheLines<double>>;
 
 }  // namespace vmslam::sparse

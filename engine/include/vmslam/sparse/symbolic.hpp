@@ -71,7 +71,7 @@ struct Symbolic {
     std::vector<Node> run_end;  ///< one past the last row of the run of consecutive `relative` that each belongs to
     std::vector<Node> split;  ///< (s) the first row that is not among the parent's own columns
     std::vector<Node> parent;  ///< (s) -1 for roots
-    std::vector<Node> child_start, children;
+    std::vector<Index> child_start, children;  ///< the roots come last, as the children of none
     // these depend on the shape
     std::vector<Node> wide, tall;  ///< (s) the blocks of each supernode, and those below; see `Front`
     std::vector<Index> head;  ///< (s+1) where the numbers of each supernode begin in a vector, filled up to blocks
@@ -152,6 +152,8 @@ void each_column(const Symbolic& t, const Work& work) {
 /// says which nodes are points.
 Symbolic analyze(const Pattern& pattern, std::span<const Node> order, BlockShape shape, int threads,
                  std::span<const char> points = {});
+/// The same for the order that `fill_reducing` finds.
+Symbolic analyze(const Pattern& pattern, BlockShape shape, int threads, std::span<const char> points = {});
 
 /// The same structure for blocks of another shape.
 Symbolic reshaped(Symbolic symbolic, BlockShape shape);

@@ -1,0 +1,299 @@
+"""Stretches of a drive on which the odometry is wrong: wheels slip or are blocked, or a gyroscope misreads.
+
+The noise models say how much all motions scatter. Wheels that slip for ten seconds are off by metres in one direction there,
+and a solution that believes the models spreads the error over poses and landmarks. So every stretch is tested for an error of
+its own. With e, W and B the residuals, the information and the Jacobians of the motions at the solution, Omega its
+information matrix, and D the error of each motion for one unit of s,
+
+    u = D' W e,   P = D' W D - D' W B Omega^-1 B' W D,   s = -u / P,   z = |u| / sqrt(P):
+
+s is the result of one Gauss-Newton step of the poses and s together, and z a standard normal number where the odometry is
+right. D is one of four (`_errors`): a constant error of the speed or of the turn rate, or a part of what was recorded of
+them. Sums of u and P over cells of a second give all stretches at once. What is constant over the whole drive is a bias, and
+is projected out.
+
+**Remedy.** The controls of a stretch have an additional variance, with which the error of the whole stretch has the standard
+deviation that was found. What is left then tells how much z is to be trusted: where models are too narrow, or errors
+correlated, all stretches have a large z. So z counts in units of the median of those that are left.
+
+Sources: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948; Kulldorff, *A spatial scan
+statistic*, 1997 (the largest z of all stretches).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from ..errors import GraphError
+from ..linear.cholesky import Factor
+from ..log import Log
+from ..models import additional_variances
+from ..se2 import Array, perpendicular
+from .odometry import Edges
+from .unknowns import Unknowns
+
+Problem = TypeVar("Problem")
+#: a slip, if any, and the median of z of all stretches over the usual one
+Found = tuple["Slip | None", float]
+
+#: the least length of a cell [s], and the most cells of a drive, also where it is only asked whether there may be a slip
+CELL, CELLS, ROUGH_CELLS = 1.0, 120, 30
+#: the longest stretch, as a part of the drive
+LONGEST = 1 / 3
+#: a stretch whose z is above this has an error of its own; see docs/decisions.md
+SLIPPED = 5.0
+#: an error beyond so many times the largest speed, or turn rate, is none of wheels or gyroscopes
+FASTEST = 3.0
+#: the most stretches of one drive, and the part of it that they may have together
+MOST, WRONG = 3, 0.4
+#: a part of the way or of the turn is that of the mean over a cell that is above so many standard deviations: the noise of a
+#: recorded control is in the residual of its motion, too, so that controls that are mostly noise explain it
+MOVED = 3.0
+#: an error is determined where it has more than this part of the information that exact poses would give
+DETERMINED = 1e-6
+#: stretches whose z² are so near fit as well: the quantile 0.95 of chi-square for both ends
+ROUGHLY = 6.0
+#: the standard deviations of what is constant over the whole drive, for each of the four errors. Wheels have no constant
+#: error. At a constant speed, that and a part of the way would together be any stretch that is recorded as faster
+BIASES = (0.0, 0.1, 0.01, 0.1)
+#: the median of the absolute value of a standard normal number
+MEDIAN = 0.6745
+
+
+@dataclass(frozen=True)
+class Motions:
+    """What the odometry says of motions: ``measured`` (E, 3), the noise models their ``variances`` (E, 3), and the ``times``
+    (E+1,) of the poses that they join [s]."""
+
+    measured: Array
+    variances: Array
+    times: Array
+
+
+@dataclass(frozen=True)
+class Slip:
+    """A stretch on which the odometry is wrong.
+
+    Attributes:
+        begin, end: [s] since the first pose.
+        column: 0 where the speed is wrong, 1 where the turn rate is.
+        rate: by how much, the root of the mean square [m/s or rad/s].
+        z: the error in standard deviations; of the stretch with the ends that it may have.
+    """
+
+    begin: float
+    end: float
+    column: int
+    rate: float
+    z: float
+
+    def sentence(self, log: Log, *, mended: bool = True) -> str:
+        """For the notes of a solution or of an estimate.
+
+        Args:
+            log: the log of the drive.
+            mended: whether its controls there have more noise (`with_slip`).
+        """
+        assert log.times is not None
+        times = log.times - log.times[0]
+        begin = int(np.searchsorted(times, self.begin, side="right")) - 1
+        end = min(int(np.searchsorted(times, self.end)), len(times) - 1)
+        unit = ("m/s", "rad/s")[self.column]
+        if mended:
+            return (
+                f"between steps {begin} and {end} ({self.begin:.0f} to {self.end:.0f} s after the start) the odometry "
+                f"contradicts the other measurements by about {self.rate:.2g} {unit}, {self.z:.1f} times the standard error: "
+                "wheels slipped or were blocked, a gyroscope misread, the robot was moved, or many ids are wrong. The "
+                "controls there count as uncertain by as much (Log.control_variances), and covariances contain it"
+            )
+        return (
+            f"between steps {begin} and {end} ({self.begin:.0f} to {self.end:.0f} s after the start) the odometry "
+            f"contradicts the other measurements by about {self.rate:.2g} {unit}, {self.z:.1f} times the standard error: "
+            "wheels slipped or were blocked, a gyroscope misread, the robot was moved, or many ids are wrong. The poses "
+            "there may be off, those after it and landmarks, too, and covariances do not contain it. Controls that are wrong "
+            "need more noise (Log.control_variances)"
+        )
+
+
+def with_slip(log: Log, slip: Slip) -> Log:
+    """The log with the variance of a slip in the controls of its stretch."""
+    assert log.controls is not None and log.dt is not None
+    middle = (log.control_times[1:] + log.control_times[:-1]) / 2
+    rows = (middle > slip.begin) & (middle < slip.end)
+    variances = additional_variances(log.control_variances, len(log.controls))
+    variances[rows, slip.column] += slip.rate**2 * (slip.end - slip.begin) / log.dt[rows]
+    return log.replace(control_variances=variances)
+
+
+def largest_slip(motions: Edges, ways: Motions, factor: Factor, fixed: np.ndarray, least: float = 0.0) -> Found:
+    """The stretch with the largest z, and the median of all z over the usual one.
+
+    Args:
+        motions: in the order of time, in the axes of the pose that each starts from, with their information.
+        ways: what the odometry says of them.
+        factor: of Omega.
+        fixed: the nodes that do not move.
+        least: where no z of constant errors over few long cells is above this, which takes an eighth of the time, no other
+            stretch is looked for.
+    """
+    tested = _Tested(motions, ways, factor, fixed)
+    if least:
+        rough, usual = tested.largest(ROUGH_CELLS, (0, 2))
+        if rough is None or rough.z < least:
+            return None, usual
+    return tested.largest(CELLS, (0, 1, 2, 3))
+
+
+@dataclass(frozen=True)
+class _Tested:
+    """The arguments of `largest_slip`."""
+
+    motions: Edges
+    ways: Motions
+    factor: Factor
+    fixed: np.ndarray
+
+    def largest(self, cells: int, kinds: tuple[int, ...]) -> Found:
+        """`largest_slip` among stretches of cells of errors of some kinds."""
+        times = self.ways.times - self.ways.times[0]
+        count = int(np.clip(times[-1] / CELL, 1, cells))
+        limits = np.linspace(0.0, times[-1], count + 1)
+        cell = np.clip(np.searchsorted(limits, (times[:-1] + times[1:]) / 2) - 1, 0, count - 1)
+        D = _errors(self.ways, cell, count)[:, :, kinds]
+        a, b = np.triu_indices(count + 1, 1)
+        a, b = (each[b - a <= max(1, LONGEST * count)] for each in (a, b))
+        scores, information, exact = self._scores(D, kinds, cell, count, a, b)
+        known = information > DETERMINED * exact
+        if not known.any():
+            return None, 1.0
+        z = np.where(known, np.abs(scores) / np.sqrt(np.where(known, information, 1.0)), 0.0)
+        k, kind = np.unravel_index(np.argmax(z), z.shape)
+        # the ends are known roughly, and what is left of a slip does more harm than some right motions that are not believed;
+        # it may also begin within the cell before
+        around = (a <= a[k]) & (b >= b[k]) & (z[:, kind] ** 2 > z[k, kind] ** 2 - ROUGHLY)
+        k = np.flatnonzero(around)[np.argmax((b - a)[around])]
+        inside, length = (cell >= a[k]) & (cell < b[k]), float(limits[b[k]] - limits[a[k]])
+        column = 0 if kinds[kind] < 2 else 1
+        rates = scores[k, kind] / information[k, kind] * D[inside, 2 * column, kind]
+        rate = float(np.sqrt(np.sum(rates**2 / np.diff(times)[inside]) / length))
+        begin, end = limits[max(a[k] - 1, 0)], limits[min(b[k] + 1, count)]
+        slip = Slip(float(begin), float(end), column, rate, float(z[k, kind]))
+        return slip, float(np.median(z[known])) / MEDIAN
+
+    def _scores(
+        self, D: Array, kinds: tuple[int, ...], cell: np.ndarray, count: int, a: np.ndarray, b: np.ndarray
+    ) -> tuple[Array, Array, Array]:
+        """u, P and D' W D (each (stretches, k)) of the k errors in the stretches from cell a on to the one before b."""
+        weighted = self.motions.information @ D
+        # of constant errors of the whole drive
+        following = self.factor.solve(self._pulled(weighted, np.zeros_like(cell), 1)[:, :, 0])
+        crossed = self._summed(np.swapaxes(D, 1, 2) @ weighted - self._against(weighted, following), cell, count)
+        allowed = np.array([BIASES[kind] for kind in kinds])
+        whole = np.eye(len(kinds)) + crossed.sum(axis=0) * np.outer(allowed, allowed)
+        bias = crossed * allowed @ np.linalg.inv(whole) * allowed
+        u = np.einsum("eik,ei->ek", weighted, self.motions.residuals)
+        own = self._summed(np.einsum("eik,eik->ek", D, weighted), cell, count)
+        information = np.zeros((len(a), D.shape[2]))
+        u = self._summed(u, cell, count)
+        parts = []
+        for kind in range(D.shape[2]):
+            following = self.factor.solve(self._pulled(weighted[:, :, [kind]], cell, count)[:, :, :, 0])
+            P = np.diag(own[:, kind]) - self._summed(
+                self._against(weighted[:, :, [kind]], following)[:, 0], cell, count
+            )
+            parts.append(P - bias[:, kind] @ crossed[:, kind].T)
+        u -= np.einsum("ckm,m->ck", bias, u.sum(axis=0))
+        for kind, P in enumerate(parts):
+            grid = np.zeros((count + 1, count + 1))
+            grid[1:, 1:] = P.cumsum(axis=0).cumsum(axis=1)
+            information[:, kind] = grid[a, a] + grid[b, b] - 2 * grid[a, b]
+        total, exact = (np.concatenate([np.zeros((1, D.shape[2])), np.cumsum(each, axis=0)]) for each in (u, own))
+        return total[b] - total[a], information, exact[b] - exact[a]
+
+    def _pulled(self, weighted: Array, cell: np.ndarray, count: int) -> Array:
+        """B' W D (n, 3, count, k) of each cell."""
+        moved = np.zeros((len(self.factor.symbolic.indptr) - 1, count, 3, weighted.shape[2]))
+        for at, jacobians in (
+            (self.motions.first, self.motions.by_first),
+            (self.motions.second, self.motions.by_second),
+        ):
+            # no two motions begin, or end, at one node
+            moved[at, cell] += np.swapaxes(jacobians, 1, 2) @ weighted
+        moved[self.fixed] = 0.0
+        return moved.transpose(0, 2, 1, 3)
+
+    def _against(self, weighted: Array, following: Array) -> Array:
+        """D' W B x (E, k, c) of each motion, for moves x (n, 3, c) of the nodes."""
+        one, two = following[self.motions.first], following[self.motions.second]
+        return np.swapaxes(weighted, 1, 2) @ (self.motions.by_first @ one + self.motions.by_second @ two)
+
+    def _summed(self, values: Array, cell: np.ndarray, count: int) -> Array:
+        """The sums (count, ...) of values (E, ...) over cells."""
+        total = np.zeros((count, *values.shape[1:]))
+        np.add.at(total, cell, values)
+        return total
+
+
+def _errors(ways: Motions, cell: np.ndarray, count: int) -> Array:
+    """D (E, 3, 4): a constant error of the speed, a part of the way, a constant one of the turn rate, a part of the turn."""
+    half, dt = ways.measured[:, 2] / 2, np.diff(ways.times)
+    ahead = np.column_stack([np.cos(half), np.sin(half), np.zeros(len(dt))])
+    turned = np.column_stack([perpendicular(ways.measured[:, :2]) / 2, np.ones(len(dt))])
+
+    def surely(values: Array, variances: Array) -> Array:
+        total, noise, duration = (np.bincount(cell, each, count) for each in (values, variances, dt))
+        moved = np.where(np.abs(total) > MOVED * np.sqrt(noise), total, 0.0)
+        return moved[cell] / duration[cell] * dt
+
+    way = surely(np.einsum("ei,ei->e", ahead, ways.measured), ways.variances[:, 0])
+    turn = surely(ways.measured[:, 2], ways.variances[:, 2])
+    return np.stack([ahead * dt[:, None], ahead * way[:, None], turned * dt[:, None], turned * turn[:, None]], axis=-1)
+
+
+def slip_of_drive(solved: Unknowns) -> Found:
+    """`largest_slip` of a drive whose noise and biases are unknown."""
+    linear, times = solved.linearized(), solved.log.times
+    assert times is not None
+    # after the next step of the poses and biases: what a search has not reached yet looks like slips
+    motions, (nodes, values) = linear.edges[0], linear.step()
+    motions = replace(motions, residuals=motions.residuals + motions.moved(nodes[:, :, None], values[:, None])[:, :, 0])
+    ways = Motions(solved.measured()[0], np.diagonal(solved.covariances(motions), axis1=1, axis2=2), times)
+    return largest_slip(motions, ways, linear.factor, np.zeros(1, dtype=np.int64))
+
+
+def without_slips(
+    problem: Problem, log: Log, test: Callable[[Problem], Found], again: Callable[[Problem, Log], Problem]
+) -> tuple[Problem, Log, tuple[Slip, ...]]:
+    """The problem of a log in which the stretches with errors of their own have more noise, and these stretches.
+
+    Args:
+        test: the largest slip of a solved problem.
+        again: the problem solved with another log.
+    """
+    found: tuple[Slip, ...] = ()
+    first, recorded = problem, log
+    slip, _ = test(problem)
+    while len(found) < MOST and slip is not None and slip.z > SLIPPED:
+        assert log.controls is not None
+        if slip.rate > FASTEST * np.abs(log.controls[:, slip.column]).max():
+            # other units
+            break
+        noisier = with_slip(log, slip)
+        try:
+            trial = again(problem, noisier)
+        except GraphError:
+            break
+        following, usual = test(trial)
+        z = slip.z / max(1.0, usual)
+        if z < SLIPPED:
+            break
+        problem, log, found = trial, noisier, (*found, replace(slip, z=z))
+        slip = following
+    if sum(slip.end - slip.begin for slip in found) > WRONG * log.control_times[-1]:
+        # models or units that are wrong all the time
+        return first, recorded, ()
+    return problem, log, found

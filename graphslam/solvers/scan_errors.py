@@ -1,0 +1,212 @@
+"""The error that all sightings of a scan have in common, as of a sensor that shakes or of inexact time stamps.
+
+The noise models have independent errors of single sightings. `errors_of_scans` finds the covariance C of an error b_t of the
+whole scan t, and `Solution.covariance` adds what it does to the solution. With residuals e of the sightings and motions,
+whitened, their Jacobian B, and Omega = B'B + the information of all other edges, a drive with errors of several kinds p,
+
+    e = M sum over p of A_p n_p,   M = I - B Omega^-1 B',   n_p independent with the variances theta_p,
+
+gives q_p = abs(A_p' e)² the expected value sum over r of S_pr theta_r, where S_pr is the mean of abs(A_p' M A_r n)² over
+random signs n. S theta = q then gives the variances, whatever the scale of the noise models is. The
+kinds are the noise of single sightings, of the motion along its axes and of positions, errors of one scan along the way and
+in the heading, and such errors that last over several scans. These last ones come from a biased robot or wrong ids and do
+not count. The covariance of theta is 2 S^-1 where the noise is that of the models.
+
+Residuals of different sightings of one scan are correlated where poses do not follow the scans, and errors of successive
+motions cancel each other where they do, as with estimated noise. Both are in q.
+
+Encoders with coarse ticks have the same residuals: the path of the odometry is off by r_t at each scan, so that the pose with
+r_t sees everything with the error -r_t. Only the few values of their speeds tell.
+
+A robust kernel takes errors of scans for outliers, so that the first C is too small. Its weights count C in the next rounds.
+
+Sources: Rao, *Estimation of variance and covariance components: MINQUE theory*, 1971.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..edges import MarginalEdges, PositionEdges, RelativePoseEdges, SightingEdges
+from ..errors import GraphError
+from ..graph import Graph
+from ..linear.cholesky import FactorizationError
+from ..se2 import Array, turn_matrix
+from .joint import motion_edges, sighted_edges
+
+#: the axes of the robot along which scans and motions have errors: ahead, and the heading
+AXES = (0, 2)
+#: C is believed whose variances are so many standard errors above zero, and explain this part of their q
+SURELY, SHARE = 5.0, 1 / 3
+#: C is looked for where the products of residuals in a scan, or those of successive motions with the other sign, are more
+#: standard errors above zero than this
+SUSPECTED = 2.0, -2.0
+#: the rounds in which the weights of the kernel follow C, and the number of scans over which other errors last
+ROUNDS, LASTING = 4, 9
+#: ticks of encoders leave at least so many different speeds, and at most this part of the number of controls
+TICKS = 5, 0.05
+#: the fewest scans and motions that say something; the most samples, and their number times that of the poses
+FEWEST, MOST, SAMPLES = 20, 24, 20_000
+
+
+def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
+    """The covariance C (3, 3), in the robot's axes, of the error that all sightings of a scan have in common, and a sentence.
+
+    It is zero, and the sentence empty, where the log does not surely show such errors.
+    """
+    C, sure = np.zeros((3, 3)), np.zeros(len(AXES), dtype=bool)
+    moved, log = motion_edges(graph), graph.log
+    # pairs of sightings count these more than once, so that poses follow their errors
+    once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
+    seen = any(isinstance(family, SightingEdges) and family.count for family in graph.families)
+    if moved is None or log is None or log.times is None or not (once and seen) or moved.count < FEWEST:
+        return C, ""
+    if not _suspected(graph, moved, state):
+        return C, ""
+    try:
+        for k in range(ROUNDS):
+            theta, z, share = _variances(_Whitened(graph, state, C), int(np.clip(SAMPLES / len(graph.steps), 4, MOST)))
+            if k == 0:
+                sure = (z > SURELY) & (share > SHARE)
+            if not sure.any():
+                return C, ""
+            C[AXES, AXES] = np.where(sure, np.maximum(theta, 0.0), 0.0)
+    except (FactorizationError, GraphError, np.linalg.LinAlgError):
+        return np.zeros((3, 3)), ""
+    sizes = {"m": C[0, 0] ** 0.5, "rad": C[2, 2] ** 0.5}
+    size = ", ".join(f"{value:.2g} {unit}" for unit, value in sizes.items() if value > 0)
+    values = 0 if log.controls is None else len(np.unique(np.round(log.controls[:, 0], 6)))
+    if log.controls is not None and TICKS[0] <= values < TICKS[1] * len(log.controls):
+        # poses that follow the scans are right
+        return np.zeros((3, 3)), (
+            f"the odometry has an error of about {size} at each scan, which it takes back until the next one, and its speeds "
+            f"have {values} values, as where encoders count coarse ticks: estimate the noise (noise='auto'), or record finer "
+            "ticks; covariances by noise models that are given do not contain it"
+        )
+    return C, (
+        f"the sightings of each scan have an error in common of about {size}, as where the sensor shakes or times are "
+        "inexact. Covariances contain it; for better poses fasten the sensor, record the time at which it measured, or "
+        "estimate the noise (noise='auto')"
+    )
+
+
+def _suspected(graph: Graph, moved: RelativePoseEdges, state: Array) -> bool:
+    """Whether sightings of one scan have correlated residuals, or the errors of successive motions cancel each other.
+
+    This takes a small part of the time of the estimate. Of drives on which C was found, each has the one above 3.7 standard
+    errors or the other above 0.9; without such errors they are at most 1.8 and -2.9 (docs/decisions.md).
+    """
+    edges = _weighted(sighted_edges(graph), state, np.zeros((3, 3))).linearize(state, state)
+    steps, axes = edges.nodes[0], list(AXES)
+    at_scan = (edges.jacobians[0] @ turn_matrix(state[steps, 2]))[:, :, axes]
+    pulls = np.einsum("eia,eij,ej->ae", at_scan, edges.information, edges.residuals)
+    scans = [np.bincount(steps, pull) ** 2 - np.bincount(steps, pull**2) for pull in pulls]
+    motions = replace(moved, frame="body").linearize(state, state)
+    errors = motions.residuals[np.argsort(motions.nodes[0])][:, axes]
+    errors = errors / np.sqrt(np.diagonal(np.linalg.inv(motions.information), axis1=1, axis2=2))[:, axes]
+    successive = [*-(errors[1:] * errors[:-1]).T]
+    kinds = zip((scans, successive), SUSPECTED)
+    return any(np.sum(each) > limit * np.sqrt(np.sum(each**2)) for products, limit in kinds for each in products)
+
+
+def _variances(drive: _Whitened, samples: int) -> tuple[Array, Array, Array]:
+    """theta of errors of scans along `AXES`, over their standard errors, and the part of q that they explain."""
+    rng, nothing = np.random.default_rng(0), (np.zeros(len(AXES)),) * 3
+    q = drive.squares(drive.residuals)
+    S = np.stack([drive.squares(A @ rng.choice([-1.0, 1.0], (A.shape[1], samples))) for A in drive.kinds], axis=1)
+    size = np.sqrt(np.diag(S))
+    if not (size.all() and q.all()):
+        return nothing
+    scaled = S / size[:, None] / size
+    inverse = np.linalg.inv((scaled + scaled.T) / 2)
+    if np.diag(inverse).min() <= 0:
+        return nothing
+    theta, errors = inverse @ (q / size) / size, np.sqrt(2 * np.diag(inverse)) / size
+    first = slice(len(AXES))
+    return theta[first], (theta / errors)[first], (size**2 * theta / q)[first]
+
+
+class _Whitened:
+    """The edges of a graph at a state, whitened; the weights of sightings count the covariance C of errors of scans.
+
+    Attributes:
+        residuals: e (N, 1) of the sightings, the motions and the positions.
+        kinds: A_p, sparse, those of errors of scans first.
+    """
+
+    def __init__(self, graph: Graph, state: Array, C: Array) -> None:
+        from scipy.sparse import diags, eye
+        from scipy.sparse.linalg import splu
+
+        moved, seen, poses = motion_edges(graph), sighted_edges(graph), len(graph.steps)
+        assert moved is not None
+        weighted = _weighted(seen, state, C)
+        changed = graph.with_families(weighted if f is seen else f for f in graph.families)
+        self._factor = changed.linearize(state)[0].own_factor()
+        # poses follow the noise of positions, too
+        positions = [family for family in graph.families if isinstance(family, PositionEdges) and family.count]
+        edges = [each.linearize(state, state) for each in (weighted, replace(moved, frame="body"), *positions)]
+        for k, family in enumerate(positions, 2):
+            edges[k] = replace(edges[k], information=edges[k].information * family.kernel_weights(state)[:, None, None])
+        self._roots = [np.swapaxes(np.linalg.cholesky(each.information), 1, 2) for each in edges]
+        self._first = np.cumsum([0, *(each.residuals.size for each in edges)])
+        white = [root @ each.residuals[:, :, None] for root, each in zip(self._roots, edges)]
+        self.residuals = np.concatenate([each.reshape(-1, 1) for each in white])
+        free = np.ones((graph.num_nodes, 3))
+        free[graph.fixed] = 0.0
+        ends = [(k, J, nodes) for k, each in enumerate(edges) for J, nodes in zip(each.jacobians, each.nodes)]
+        self._by_nodes = sum(self._rows(k, J, nodes, graph.num_nodes) for k, J, nodes in ends) @ diags(free.ravel())
+        steps = edges[0].nodes[0]
+        at_scan = edges[0].jacobians[0] @ turn_matrix(state[steps, 2])
+        of_motion = np.sqrt(np.diagonal(np.linalg.inv(edges[1].information), axis1=1, axis2=2))[:, :, None] * np.eye(3)
+        scans = [self._rows(0, at_scan[:, :, a : a + 1], steps, poses) for a in AXES]
+        lags = range(-(LASTING // 2), LASTING // 2 + 1)
+        lasting = diags([LASTING**-0.5] * LASTING, list(lags), shape=(poses, poses))
+        self.kinds = [*scans, *(A @ lasting for A in scans)]
+        self.kinds += [self._rows(1, of_motion[:, :, a : a + 1], np.arange(moved.count), moved.count) for a in AXES]
+        for k in (0, *range(2, len(edges))):
+            self.kinds.append(eye(self._first[-1], edges[k].residuals.size, -self._first[k], format="csr"))
+        self._of_landmarks = None
+        if isinstance(seen, MarginalEdges):
+            blocks = np.zeros((len(steps), 1, 1)) + np.eye(seen.dimension)
+            by_landmarks = self._rows(0, blocks, seen.group, len(seen.starts) - 1)
+            self._of_landmarks = splu((by_landmarks.T @ by_landmarks).tocsc()), by_landmarks
+
+    def squares(self, errors: Array) -> Array:
+        """abs(A_p' M errors)² of each kind, the mean over the columns of errors (N, K)."""
+        errors = self._without_landmarks(errors)
+        pulls = (self._by_nodes.T @ errors).reshape(-1, 3, errors.shape[1])
+        left = self._without_landmarks(errors - self._by_nodes @ self._factor.solve(pulls).reshape(-1, errors.shape[1]))
+        return np.array([np.mean(np.sum((A.T @ left) ** 2, axis=0)) for A in self.kinds])
+
+    def _without_landmarks(self, errors: Array) -> Array:
+        """What is left of errors (N, K) where landmarks that are no nodes follow them."""
+        if self._of_landmarks is None:
+            return errors
+        factor, by_landmarks = self._of_landmarks
+        return errors - by_landmarks @ factor.solve(by_landmarks.T @ errors)
+
+    def _rows(self, k: int, blocks: Array, columns: np.ndarray, width: int) -> Any:
+        """Blocks (E, d, m) of the edges k, whitened, in columns (E,) of m numbers each, as a sparse matrix (N, m width)."""
+        from scipy.sparse import csr_matrix
+
+        blocks = self._roots[k] @ blocks
+        E, d, m = blocks.shape
+        row = np.broadcast_to(self._first[k] + np.arange(E * d).reshape(E, d, 1), blocks.shape)
+        column = np.broadcast_to(m * columns[:, None, None] + np.arange(m), blocks.shape)
+        return csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(self._first[-1], m * width))
+
+
+def _weighted(seen: SightingEdges, state: Array, C: Array) -> SightingEdges:
+    """The sightings without a kernel, with the weights that it gives them where scans have errors with the covariance C."""
+    plain = replace(seen, kernel=None)
+    if seen.kernel is None:
+        return plain
+    edges = plain.linearize(state, state)
+    at_scan = edges.jacobians[0] @ turn_matrix(state[edges.nodes[0], 2])
+    wide = np.linalg.inv(edges.information) + at_scan @ C @ np.swapaxes(at_scan, 1, 2)
+    solved = np.linalg.solve(wide, edges.residuals[:, :, None])[:, :, 0]
+    return plain.with_trust(seen.trusted * seen.kernel.weight(np.einsum("ei,ei->e", edges.residuals, solved)))
