@@ -193,8 +193,7 @@ class Reader:
                     number = columns["bearing" if role == "range" else "range"]
                     fault = replace(fault, rows=fault.rows & ~(np.isnan(values) & np.isfinite(number)))
                 faults.append(fault)
-                faults += range_faults(values) if role == "range" else []
-                faults += spike_faults(values, title) if role in ("nu", "omega") else []
+                faults += range_faults(values) if role == "range" else spike_faults(values, title, role)
         if "x" in columns and self.kind == "sightings":
             other = "z" if self.options.axes == "optical" else "y"
             faults += range_faults(np.hypot(columns["x"], columns.get(other, np.ones(len(self.table)))))
@@ -226,8 +225,7 @@ class Reader:
         """The times (N,) of a column in nanoseconds, by the clock of the table."""
         self.need(role)
         column = self.found[role].column
-        day = self.found["date"].column if self.has("date") else None
-        ns = nanoseconds(self.table, column, self._unit(role), day)
+        ns = nanoseconds(self.table, column, self._unit(role), self.found["date"].column if self.has("date") else None)
         if self.has("nanosec"):
             self.need("nanosec")
             ns = added(self.table, column, ns, nanoseconds(self.table, self.found["nanosec"].column, "ns"))

@@ -149,14 +149,19 @@ def range_faults(ranges: np.ndarray) -> list[Fault]:
 _SPIKE, _USUAL = 10.0, 2.0
 
 
-def spike_faults(values: np.ndarray, title: str) -> list[Fault]:
+def spike_faults(values: np.ndarray, title: str, role: str) -> list[Fault]:
     """The rows in which a speed or turn rate (N,) is far beyond all others, alone: an encoder that miscounted."""
     sizes = np.abs(values)
     known = sizes[np.isfinite(sizes)]
     usual = float(np.quantile(known, 0.99)) if len(known) else 0.0
     far = sizes > _SPIKE * usual
     neighbours = np.append(far[1:], False) | np.append(False, far[:-1])
-    if usual == 0 or np.any(far & neighbours) or np.any((known > _USUAL * usual) & (known <= _SPIKE * usual)):
+    if (
+        role not in ("nu", "omega")
+        or usual == 0
+        or np.any(far & neighbours)
+        or np.any((known > _USUAL * usual) & (known <= _SPIKE * usual))
+    ):
         return []
     return [
         Fault(
