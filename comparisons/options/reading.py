@@ -109,8 +109,8 @@ def prepare(
     in_map: dict[str, Any] = {}
     if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
         landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)
-        data, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
-        in_map = {"landmark_map": landmark_map}
+        data, kept, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
+        in_map = {"landmark_map": kept}
         remarks = list(notes)
         with noted(remarks, "whether landmarks of the map have moved is not known"):
             states = map_states(data, landmark_map, motion=motion, sensor=sensor)

@@ -181,7 +181,15 @@ def map_states(
     for _ in range(MAX_SOLVES):
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
-        solution = solve(Graph.from_log(renamed, map=used, **options))
+        graph = Graph.from_log(renamed, map=used, **options)
+        assert graph.map is not None
+        if left_out := set(used) - set(graph.map):
+            # the first fix showed already that they have moved
+            away = away | left_out
+            if away in tried:
+                break
+            continue
+        solution = solve(graph)
         found = _shifts(solution, used, fresh, prior)
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
@@ -307,7 +315,7 @@ def _next(solution: Solution, found: dict[int, tuple[Array, float, float]], away
     rest = {j: square for j, (_, square, p) in found.items() if j not in away and p > 0.5}
     if first:
         # a robust kernel hides the shift of landmarks whose sightings it leaves out
-        away = away | _weighed_down(solution, set(found))
+        away = away | _weighed_down(solution, set(found) - away)
     if not rest:
         return away
     # the largest first: it may have pulled the others

@@ -29,7 +29,7 @@ from ..identification.declared import OF_SIGHTINGS, Parameters, declared
 from ..identification.robot import AUTO, BOOK, known_robot
 from ..linear.information import BlockSystem, Structure, SystemOfThread
 from ..log import Log, check_is_log
-from ..log_checks import readings_of, sizes
+from ..log_checks import mistakes_of
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .build import graph_of_log, node_names, with_closures, with_dimensions
@@ -178,7 +178,7 @@ class Graph:
         motion, sensor = log.noise_models(motion, sensor)
         known_map = None if map is None else as_map(map)
         # noise and biases that were found for numbers read in the wrong way are wrong, too
-        mistakes = () if robot is None else (*sizes(recorded), *readings_of(recorded))
+        mistakes = () if robot is None else mistakes_of(recorded)
         # those of the log say why the noise is the book's
         unknown = [note for note in log.notes if note not in recorded.notes]
         notes = unknown if robot is None else [*(each.message for each in mistakes), *robot.doubts]
@@ -186,7 +186,7 @@ class Graph:
             log = in_frame_of_positions(log)
         else:
             options = replace(options, edges=edges_for_map(log, edges))
-            log, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
+            log, known_map, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
             notes += found
         options = replace(options, edges=options.edges or suitable_edges(log, motion, sensor))
         kernel = suitable_kernel(log) if kernel is None else kernel

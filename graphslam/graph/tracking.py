@@ -5,12 +5,19 @@ reaches `DOUBT`, the sightings since it left 0 are given a fix of their own. If 
 robot was lifted and put down there (*kidnapped*): the control before says nothing about this, and what follows begins at the
 new fix.
 
+**Moved landmarks.** Landmarks that were moved together look like a lift as long as no others are seen, and where the log
+begins among them, its first fix is wrong. So the robot is followed twice from the doubt on to the end of the log, from the
+new fix and from where it was believed to be. Landmarks count whose sightings agree with only one of both. After a lift hardly
+any of them agree with the old place. Otherwise the fewer have moved: the log is followed again without them. Landmarks that
+were all that agreed so far have moved, too, if they are few and the new place is nearby.
+
 Source: Thrun, Burgard and Fox, *Probabilistic Robotics*, 2005, section 7.1 (kidnapping).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +37,13 @@ DOUBT = 4
 VAGUE = 0.7
 #: squared Mahalanobis distance [3 degrees of freedom] beyond which a fix is another place
 ELSEWHERE = 30.0
+#: the fewest landmarks that show a lift, and how many times as many as contradict it
+SHOW, LIFTS = 3, 6
+#: landmarks have moved where so many more agree with the other place, of those with so many more sightings of their own; how
+#: many more landmarks end the count
+MORE, OFTEN, DECIDE = 2, 3, 15
+#: where so few landmarks agreed since the last fix, and the other place is nearer than this [m], they moved together
+GROUP, NEARBY = 4, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,18 +55,22 @@ class Followed:
         fixes: {step: fix} where the log begins, and where the robot was put down.
         lifted: {step: (last step that agreed before, distance [m] to where it was expected)} of the latter.
         agree: (M,) whether the sighting agrees with a landmark of the map.
+        moved: the landmarks of the map that were left out, because they have moved.
     """
 
     landmarks: np.ndarray
     fixes: dict[int, Fix]
     lifted: dict[int, tuple[int, float]]
     agree: np.ndarray
+    moved: tuple[int, ...] = ()
 
 
 def in_frame_of(
     log: Log, landmarks: LandmarkMap, *, motion: MotionModel | None = None, sensor: SensorModel | None = None
-) -> tuple[Log, tuple[str, ...]]:
-    """The log with its initial poses in the frame of a map, and notes, one sentence each; see `first_fix` and the module.
+) -> tuple[Log, LandmarkMap, tuple[str, ...]]:
+    """The log with its initial poses in the frame of a map, the map without landmarks that have moved, and notes.
+
+    Each note is one sentence; see `first_fix` and the module.
 
     Sightings without ids get those of the map; landmarks that it lacks get new ones, and what is neither is left out. Where
     the robot was lifted, the control says nothing. The log has no psi where a landmark that is seen and exact in the map has
@@ -69,6 +87,12 @@ def in_frame_of(
             f"the robot was lifted between steps {before} and {step}, and put down {way:.2f} m from where it was expected: "
             f"{found.fixes[step].sentence}"
         )
+    if found.moved:
+        landmarks = landmarks.among(set(landmarks) - set(found.moved))
+        notes.append(
+            f"some landmarks have moved since the map was made, as the others show: {listed('landmark', list(found.moved))}; "
+            "the map is used without them"
+        )
     log = log.replace(initial_poses=placed, **_freed(log, found.lifted))
     if not log.identified:
         known = found.landmarks != UNIDENTIFIED
@@ -83,7 +107,7 @@ def in_frame_of(
     if log.has_orientation and (bare := [j for j in seen if j not in landmarks.covariances and len(landmarks[j]) == 2]):
         notes.append(f"psi is not used, because the map has no heading of {listed('landmark', bare)}, exact in it")
         log = log.without_orientation()
-    return log, tuple(notes)
+    return log, landmarks, tuple(notes)
 
 
 def follow(
@@ -94,7 +118,20 @@ def follow(
     Raises:
         GraphError: as `first_fix`.
     """
-    drive = Stretch.of(log, motion, sensor)
+    drive, moved = Stretch.of(log, motion, sensor), set[int]()
+    found = _followed(log, drive, landmarks, True)
+    while not isinstance(found, Followed):
+        moved |= found
+        try:
+            found = _followed(log, drive, landmarks.among(set(landmarks) - moved), True)
+        except GraphError:
+            # what is left does not suffice
+            found, moved = _followed(log, drive, landmarks, False), set()
+    return replace(found, moved=tuple(sorted(moved)))
+
+
+def _followed(log: Log, drive: Stretch, landmarks: LandmarkMap, leave_out: bool) -> Followed | set[int]:
+    """A log along a map; or the landmarks that have moved as soon as some are found, where these are to be left out."""
     fix = first_fix(drive, landmarks)
     named = np.where(log.identified, log.landmarks, UNIDENTIFIED)
     result = Followed(named, {0: fix}, {}, np.zeros(len(log.steps), dtype=bool))
@@ -115,9 +152,15 @@ def follow(
                 tried, last = DOUBT, step if seen.agree.any() else last
             if tracker.doubt >= tried and tracker.since > 0:
                 tried = 2 * tracker.doubt
-                put_down = elsewhere(drive, tracker, landmarks)
+                put_down, moved = elsewhere(drive, tracker, landmarks)
+                if moved and leave_out:
+                    return moved
                 if put_down is not None:
                     since, found, way = put_down
+                    so_far = (log.steps >= max(result.fixes)) & (log.steps < since) & result.agree
+                    few = set(named[so_far].tolist())
+                    if leave_out and drive.identified and len(few) <= GROUP and way < NEARBY:
+                        return few
                     result.fixes[since] = found
                     result.lifted[since] = min(last, since - 1), way
                     tracker.place(found.pose, found.covariance)
@@ -142,21 +185,24 @@ def follow(
         step += 1
 
 
-def elsewhere(drive: Stretch, tracker: Tracker, landmarks: LandmarkMap) -> tuple[int, Fix, float] | None:
+def elsewhere(
+    drive: Stretch, tracker: Tracker, landmarks: LandmarkMap
+) -> tuple[tuple[int, Fix, float] | None, set[int]]:
     """Where a robot is that the sightings of a drive contradict, if that is sure, and at another place than was expected.
 
     Returns:
-        The first step from which on they agree, the fix of its pose, and its distance [m] from where it was expected.
+        The first step from which on they agree, the fix of its pose, and its distance [m] from where it was expected; None
+        where it was not lifted. Then the landmarks that have moved instead, where that is clear.
     """
     since, (x, P) = tracker.since, tracker.expected
     after = drive.after(since)
     fix = sure_fix(after, landmarks)
     if fix is None:
-        return None
+        return None, set()
     # the first contradictions may be clutter, and the robot have been lifted after them
     later = int(after.steps[fix.agree].min())
     if later and (fix := sure_fix(after.after(later), landmarks)) is None:
-        return None
+        return None, set()
     for step in range(later - 1, -1, -1):
         now = np.flatnonzero(after.steps == step)
         back = carried_back(fix, after.after(step), later - step)
@@ -169,8 +215,43 @@ def elsewhere(drive: Stretch, tracker: Tracker, landmarks: LandmarkMap) -> tuple
     (*_, x), (*_, P) = drifted(x, after.motions[:later], after.noise[:later], P)
     way = difference(fix.pose, x)
     if float(way @ np.linalg.solve(fix.covariance + P, way)) < ELSEWHERE:
-        return None
-    return since + later, fix, float(np.hypot(*way[:2]))
+        return None, set()
+    if not drive.identified:
+        # too many sightings agree with the old place by chance
+        return (since + later, fix, float(np.hypot(*way[:2]))), set()
+    there, stayed = (Tracker(landmarks, drive.sensor, *at) for at in ((fix.pose, fix.covariance), tracker.expected))
+    votes = voters(after, there, later, stayed)
+    new, old = ({j for j, n in votes.items() if sign * n > 0} for sign in (1, -1))
+    if len(new) >= max(SHOW, LIFTS * len(old)):
+        return (since + later, fix, float(np.hypot(*way[:2]))), set()
+    few, many = sorted(({j for j in each if abs(votes[j]) >= OFTEN} for each in (new, old)), key=len)
+    return None, few if len(many) >= max(SHOW, len(few) + MORE) else set()
+
+
+def voters(drive: Stretch, there: Tracker, later: int, stayed: Tracker) -> Counter[int]:
+    """Of each landmark the sightings that agree only with a robot put down, less those that agree only with one that was not.
+
+    Args:
+        drive: until its end, an unknown motion, or `DECIDE` more landmarks of one kind are looked at.
+        there, stayed: trackers of both, at step ``later``, where it was put down, and at step 0.
+    """
+    count, rows_at = Counter[int](), drive.rows_at
+    for step in range(drive.num_poses):
+        if len(rows := rows_at[step]):
+            b = stayed.see(step, rows, drive.landmarks[rows], drive.sightings[rows])
+        if len(rows) and step >= later:
+            a = there.see(step, rows, drive.landmarks[rows], drive.sightings[rows])
+            count.update(a.landmarks[a.agree & ~b.agree].tolist())
+            count.subtract(b.landmarks[b.agree & ~a.agree].tolist())
+        if step == drive.num_poses - 1 or abs(sum(np.sign(n) for n in count.values())) >= DECIDE:
+            break
+        motion, noise = drive.motions[step], drive.noise[step]
+        if noise[0, 0] + noise[1, 1] > NOTHING:
+            break
+        stayed.move(motion, noise)
+        if step >= later:
+            there.move(motion, noise)
+    return count
 
 
 def sure_fix(drive: Stretch, landmarks: LandmarkMap) -> Fix | None:

@@ -58,6 +58,9 @@ class Noise:
 
 
 _TURNS = "the turn rate has another sign or unit, or bearings count clockwise"
+_ORIENTATIONS = (
+    "orientations are in another unit, or are not psi = theta + phi - m_theta; correct them or leave out their column"
+)
 #: the numbers of the noise models that logs tell
 NOISE = {
     "nn": Noise(0.01, 0.3, "the speed is in another unit, or ids are wrong"),
@@ -69,7 +72,7 @@ NOISE = {
     "range_rate": Noise(0.01, 0.3, "ranges and odometry have other units, or ids are wrong"),
     "range_std": Noise(0.03, least=1e-10),
     "bearing_std": Noise(0.01, 0.3, "bearings count clockwise or from another axis, or ids are wrong", least=1e-10),
-    "orientation_std": Noise(0.02, least=1e-10),
+    "orientation_std": Noise(0.02, 1.0, _ORIENTATIONS, least=1e-10),
 }
 LEAST = {name: each.least for name, each in NOISE.items() if each.least is not None}
 

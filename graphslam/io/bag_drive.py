@@ -29,6 +29,8 @@ from .bag_topics import TF, Bag, Candidate, Topic, candidates, is_bag, open_bag,
 from .base import Format
 from .tables import Recipe, recipe_if_any
 
+#: the axes of the sightings of a bag whose frame says no others
+_PLAIN = "forward-left"
 #: names that the frame of a robot usually has
 _BASES = ("base_link", "base_footprint", "base", "robot", "chassis")
 #: frames of TF that landmarks have
@@ -116,7 +118,7 @@ def _drive(
     base: str,
 ) -> Drive:  # fmt: skip
     # fields are named by path, and times are stamps; open questions are units, clocks and axes
-    options = replace(recipe.options, columns=None, time="ns", axes="forward-left")
+    options = replace(recipe.options, columns=None, time="ns", axes=_PLAIN)
     moved, notes = _odometry_table(collectors["odometry"], recipe.place("odometry", "use"))
     odometry = odometry_of(moved, options)
     seen, offset = _sightings_table(collectors["sightings"], recipe.options, frames, base)
@@ -219,7 +221,7 @@ def _base(odometry: Collector, recipe: Recipe, frames: Frames) -> str:
 
 def _stated(options: TableOptions) -> bool:
     """Whether the user states the place of the sensor."""
-    return options.sensor_offset is not None or options.sensor_yaw is not None or options.axes != TableOptions().axes
+    return options.sensor_offset is not None or options.sensor_yaw is not None or options.axes not in (None, _PLAIN)
 
 
 def _odometry_table(collector: Collector, use: str | None) -> tuple[Columns, list[str]]:
@@ -274,7 +276,7 @@ def _sightings_table(
         values = collector.columns(names)
         if {"x", "y"} <= set(names):
             x, y = (names.index(name) for name in "xy")
-            values[:, [x, y]] = values[:, [x, y]] @ AXES[options.axes][:2, :2].T
+            values[:, [x, y]] = values[:, [x, y]] @ AXES[options.axes or _PLAIN][:2, :2].T
         columns |= dict(zip(names, values.T))
         return Columns(collector.source, columns, rows="row"), None
     for place in collector.plan.places:
@@ -287,8 +289,8 @@ def _sightings_table(
     known = np.isfinite(positions).all(axis=1)
     offset, turn = None, np.eye(3)
     if _stated(options):
-        optical = "optical" in collector.frame and options.axes == TableOptions().axes
-        turn = AXES["optical" if optical else options.axes]
+        plain = "optical" if "optical" in collector.frame else _PLAIN
+        turn = AXES[plain if options.axes in (None, _PLAIN) else options.axes]
     elif collector.frame not in ("", base):
         mounted = frames.between(base, collector.frame)
         if mounted is None:

@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import LogError, named, quoted
 from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, LONGEST, QUICKEST, WHOLE_TURN, checked_offset, first
 from ..se2 import Array, wrap
+from .cartesian import chosen_axes, polar
 from .cells import (
     Doubt,
     Ids,
@@ -192,8 +193,7 @@ class Reader:
                     number = columns["bearing" if role == "range" else "range"]
                     fault = replace(fault, rows=fault.rows & ~(np.isnan(values) & np.isfinite(number)))
                 faults.append(fault)
-                faults += range_faults(values) if role == "range" else []
-                faults += spike_faults(values, title) if role in ("nu", "omega") else []
+                faults += range_faults(values) if role == "range" else spike_faults(values, title, role)
         if "x" in columns and self.kind == "sightings":
             other = "z" if self.options.axes == "optical" else "y"
             faults += range_faults(np.hypot(columns["x"], columns.get(other, np.ones(len(self.table)))))
@@ -225,8 +225,7 @@ class Reader:
         """The times (N,) of a column in nanoseconds, by the clock of the table."""
         self.need(role)
         column = self.found[role].column
-        day = self.found["date"].column if self.has("date") else None
-        ns = nanoseconds(self.table, column, self._unit(role), day)
+        ns = nanoseconds(self.table, column, self._unit(role), self.found["date"].column if self.has("date") else None)
         if self.has("nanosec"):
             self.need("nanosec")
             ns = added(self.table, column, ns, nanoseconds(self.table, self.found["nanosec"].column, "ns"))
@@ -279,16 +278,18 @@ class Reader:
             return np.column_stack([position, np.where(known, checked_heading(self.table, quaternions), np.nan)])
         return position
 
-    def refuse(self, role: str, values: Array, limit: float, message: str, measure: str = "") -> None:
-        """Raise an error for the first value beyond a limit, which is probably in another unit, unless that is stated.
+    def refuse(
+        self, role: str, values: Array, limit: float, message: str, measure: str = "", *, also: str = ""
+    ) -> None:
+        """Raise an error for the first value beyond a limit, probably in another unit, unless that is stated.
 
-        ``measure`` is that of the role, if none is given.
+        ``measure`` is that of the role, if none is given; ``also`` ends the message.
         """
         if not self.stated(role) and (k := first(np.abs(values) > limit)) is not None:
             measure = measure or MEASURES[role]
             likely, own = {"angles": "degrees", "lengths": "mm"}[measure], UNITS_OF[measure][0]
             advice = f"Then add --{measure} {self.kind}={likely}; if not, add --{measure} {self.kind}={own}"
-            raise self.table.error(k, f"{message.format(values[k])} {advice}")
+            raise self.table.error(k, f"{message.format(values[k])} {advice}{also}")
 
     def refuse_many(self, role: str, values: Array, limit: float, message: str, measure: str = "") -> None:
         """`refuse` values of which more than one in twenty is above what robots reach; single ones may be outliers."""
@@ -377,19 +378,21 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     """
     reader = Reader("sightings", table, options)
     reader.need("t")
+    taken, doubted = tuple[str, ...](), tuple[Doubt, ...]()
+    if cartesian := (reader.has("x", "y") or reader.has("x", "z")) and not reader.has("range"):
+        axes, taken, doubted = chosen_axes(reader.table, reader.found, options.axes)
+        options = reader.options = replace(options, axes=axes)
     plane = ("x", "z") if options.axes == "optical" else ("x", "y")
-    cartesian = reader.has("x", "y") and not reader.has("range")
     measured = plane if cartesian else ("range", "bearing")
     # psi may be that of some landmarks alone
     empty = reader.without_empty("orientation")
-    # ids before range and bearing: columns in another order show first there
+    # ids first: columns in another order show there
     table = reader.leave_out("id", *measured, "orientation")
     ns = reader.times()
     found = _ids(reader)
     single = reader.single_number()
     if cartesian:
-        turn = AXES[options.axes][:2, ["xyz".index(axis) for axis in plane]]
-        rows = _polar(reader.numbers(*plane) @ turn.T)
+        rows = polar(reader.numbers(*plane) @ AXES[axes][:2, ["xyz".index(axis) for axis in plane]].T)
     elif single:
         rows = np.full((len(table), 2), np.nan)
         rows[:, ("range", "bearing").index(single)] = reader.numbers(single)[:, 0]
@@ -407,7 +410,10 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     sign = -1.0 if options.bearings == "clockwise" else 1.0
     rows[:, 1] = sign * rows[:, 1] + (options.sensor_yaw or 0.0)
     if reader.has("orientation"):
-        rows = np.column_stack([rows, sign * reader.numbers("orientation")])
+        psi, beyond = reader.numbers("orientation"), "the orientation is {:g} rad, beyond 2 pi: is it in degrees?"
+        rename = "; if it alone is in degrees, name its column orientation_deg instead"
+        reader.refuse("orientation", psi[:, 0], WHOLE_TURN, beyond, also=rename)
+        rows = np.column_stack([rows, sign * psi])
     if options.centre == "robot" and any(options.sensor_offset or ()):
         if (alone_at := np.flatnonzero(np.isnan(rows[:, :2]).any(axis=1))).size:
             raise table.error(
@@ -416,21 +422,15 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
                 "the sensor measured it, with --centre sensor",
             )
         from_centre = rows[:, :1] * np.column_stack([np.cos(rows[:, 1]), np.sin(rows[:, 1])])
-        rows[:, :2] = _polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))
+        rows[:, :2] = polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
-    doubts = repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
+    doubts = doubted + repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
     alone = (f"{table.source}: the sensor measures the {single} alone",) if single else ()
-    notes = (*found.notes, *empty, *more, *remarks, *alone)
+    notes = (*found.notes, *taken, *empty, *more, *remarks, *alone)
     return Timed(table, ns, rows, reader.described(), ids, notes, doubts, classes, found.names)
-
-
-def _polar(places: Array) -> Array:
-    """Range and bearing (N, 2) of places (N, 2), forward and left."""
-    forward, left = places.T
-    return np.column_stack([np.hypot(forward, left), np.arctan2(left, forward)])
 
 
 def _ids(reader: Reader) -> Ids:

@@ -262,7 +262,7 @@ def from_tables(
 
     Args:
         odometry: t, nu, omega; or t, x, y, theta, whose differences become controls.
-        sightings: t, id, range, bearing[, orientation]; or, by name only, t, id, x, y in the axes of the sensor.
+        sightings: t, id, range, bearing[, orientation]; or, by name only, t, id, x, y[, z] in the axes of the sensor.
         truth: t, x, y, theta; or the columns of TUM, t, x, y, z, qx, qy, qz, qw; or t, x, y.
         map: id, x, y[, theta].
         relations: t1, t2, dx, dy, dtheta and their noise, sigma_x, sigma_y, sigma_theta or cov_xx, cov_xy, ...

@@ -149,14 +149,19 @@ def range_faults(ranges: np.ndarray) -> list[Fault]:
 _SPIKE, _USUAL = 10.0, 2.0
 
 
-def spike_faults(values: np.ndarray, title: str) -> list[Fault]:
+def spike_faults(values: np.ndarray, title: str, role: str) -> list[Fault]:
     """The rows in which a speed or turn rate (N,) is far beyond all others, alone: an encoder that miscounted."""
     sizes = np.abs(values)
     known = sizes[np.isfinite(sizes)]
     usual = float(np.quantile(known, 0.99)) if len(known) else 0.0
     far = sizes > _SPIKE * usual
     neighbours = np.append(far[1:], False) | np.append(False, far[:-1])
-    if usual == 0 or np.any(far & neighbours) or np.any((known > _USUAL * usual) & (known <= _SPIKE * usual)):
+    if (
+        role not in ("nu", "omega")
+        or usual == 0
+        or np.any(far & neighbours)
+        or np.any((known > _USUAL * usual) & (known <= _SPIKE * usual))
+    ):
         return []
     return [
         Fault(
@@ -223,9 +228,9 @@ class TableOptions:
         None, "Seconds to add to the times of a table, where clocks differ: sightings=0.12,truth=-3",
         metavar="TABLE=SECONDS,...",
     )  # fmt: skip
-    axes: str = option(
-        "forward-left", "Directions of x and y of Cartesian sightings; optical is x right, z forward",
-        choices=tuple(AXES),
+    axes: str | None = option(
+        None, "Directions of x and y of Cartesian sightings; optical is x right, z forward", choices=tuple(AXES),
+        default_text="forward-left; optical where there is a z and the numbers show it",
     )  # fmt: skip
     centre: str = option(
         "sensor", "Where range and bearing, or x and y, of sightings are measured from", choices=("sensor", "robot")
@@ -256,7 +261,7 @@ class TableOptions:
             for unit in self.by_table(name).values():
                 check_choice(name, unit, choices)
         for f in fields(self):
-            if "choices" in f.metadata:
+            if "choices" in f.metadata and getattr(self, f.name) is not None:
                 check_choice(f.name, getattr(self, f.name), f.metadata["choices"])
         for name in ("sensor_offset", "truth_offset"):
             if (offset := getattr(self, name)) is not None:

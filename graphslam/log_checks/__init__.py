@@ -4,6 +4,7 @@
 
 readings     sizes; whether the odometry predicts the next sighting of a landmark, and better if numbers are read another way
 ids          single ids that are misread, and landmarks that are seen once, or twice at one time
+orientations whether the heading of a landmark stays, or another meaning of psi fits better
 changed_ids  landmarks that have other ids from some time on
 truth        the odometry against true poses
 map          the sightings against a true map
@@ -19,9 +20,10 @@ import numpy as np
 from ..log import Log
 from .given import against_map, against_truth
 from .ids import Finding, changed_ids, distances_of, ids_of, misread, misread_ids
+from .orientations import orientations_of
 from .readings import readings_of, sizes
 
-__all__ = ["Finding", "check_log"]
+__all__ = ["Finding", "check_log", "mistakes_of"]
 
 
 def check_log(log: Log) -> tuple[Finding, ...]:
@@ -34,6 +36,8 @@ def check_log(log: Log) -> tuple[Finding, ...]:
     doubts: Iterable[Finding] = (Finding(check, message) for check, message in log.doubts)
     readings, truth = tuple(readings_of(log)), tuple(against_truth(log))
     checks: list[Iterable[Finding]] = [doubts, sizes(log), readings, truth]
+    if not readings:
+        checks.append(orientations_of(log))
     # where another reading fits better, ids and map may be right, and the sightings wrong
     wrong = np.zeros(len(log.steps), dtype=bool) if readings else misread(log)
     # single misread ids are reported once
@@ -48,3 +52,9 @@ def check_log(log: Log) -> tuple[Finding, ...]:
     for finding in chain.from_iterable(checks):
         found.setdefault(finding.check, finding)
     return tuple(found.values())
+
+
+def mistakes_of(log: Log) -> tuple[Finding, ...]:
+    """Probable mistakes in the numbers of a log, whatever its ids: sizes, readings and orientations."""
+    readings = (*sizes(log), *readings_of(log))
+    return readings or tuple(orientations_of(log))

@@ -8,9 +8,10 @@ way already, which takes milliseconds and depends on no noise model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from ..errors.checks import FARTHEST, FASTEST, LONGEST, QUICKEST
 from ..log import Log
 from ..log.rows import UNIDENTIFIED
 from ..models import MotionModel, SensorModel
-from ..se2 import Array
+from ..se2 import Array, between
 from .ids import Finding
 
 #: the largest range stands for no measurement where, of at least the first number of sightings, at least the second have it,
@@ -41,6 +42,9 @@ _FEWEST, _ENOUGH = 20, 4000
 _WRONG, _BETTER, _SHARE = 0.08, 0.5, 0.65
 #: readings whose errors differ by less than this factor fit alike
 _ALIKE = 1.3
+#: a smaller unit is reported if it fits better than no motion: where the two differ by more than the first number [ranges],
+#: its median error is below the second part of that
+_DIFFERS, _MOVES = 0.1, 0.7
 #: sightings that no reading fits better than this [ranges] contradict the odometry
 _CONTRADICTION = 0.4
 
@@ -53,6 +57,7 @@ class Reading:
         check, message: as in a `Finding`.
         given, error: median error of the pairs as the log stands, and read like this, relative to the range.
         share: of the pairs for which this reading is better.
+        slower: the factors of speed and turn rate, where one is below 1.
     """
 
     check: str
@@ -60,6 +65,7 @@ class Reading:
     error: float
     share: float
     message: str
+    slower: tuple[float, float] = (1.0, 1.0)
 
 
 def readings_of(log: Log) -> Iterator[Finding]:
@@ -68,7 +74,10 @@ def readings_of(log: Log) -> Iterator[Finding]:
         return
     readings = pairs.readings()
     wrong = [each for each in readings if each.given > _WRONG]
-    likely = [each for each in wrong if each.error < _BETTER * each.given and each.share > _SHARE]
+    better = [each for each in wrong if each.error < _BETTER * each.given and each.share > _SHARE]
+    if pairs.long:
+        better = [each for each in better if min(each.slower) < 1]
+    likely = [each for each in better if _moves_like(log, each.slower)]
     given = max(each.given for each in readings)
     if likely:
         least = min(reading.error for reading in likely)
@@ -79,12 +88,32 @@ def readings_of(log: Log) -> Iterator[Finding]:
         )
         times = f"{best.given / best.error:.1f}" if best.error > 0 else "infinitely many"
         yield Finding(best.check, f"{best.message}: read like this, they fit the odometry {times} times better")
+    elif pairs.long:
+        return
+    elif better:
+        turns = min(better, key=lambda reading: reading.error).slower[1] < 1
+        yield Finding(
+            "odometry noise",
+            "over short ways a robot that does not turn fits the sightings better than the recorded turn rates: they are "
+            "very noisy, wheels slip, or rows of the odometry have wrong times"
+            if turns
+            else "over short ways a robot that only turns fits the sightings better than the recorded speeds: they are very "
+            "noisy, wheels slip, rows of the odometry have wrong times, or the sightings have other axes",
+        )
     elif given > _CONTRADICTION:
         yield Finding(
             "contradiction",
             f"sightings contradict the odometry: over short ways a landmark moves by {given:.0%} of its range (median); ids, "
             "clocks, units or axes may be wrong",
         )
+
+
+def _moves_like(log: Log, slower: tuple[float, float]) -> bool:
+    """Whether smaller units fit better than no motion, over ways that are short in these units."""
+    if min(slower) == 1:
+        return True
+    pairs = pairs_of(log, slower=1 / slower[0], degrees=slower[1] < 1)
+    return pairs is not None and pairs.move_like(slower)
 
 
 @dataclass(frozen=True)
@@ -94,11 +123,13 @@ class SightingPairs:
     Attributes:
         log: whose they are.
         first, second: (K,) rows of the sightings.
+        long: whether ways are short in other units alone. As the log stands they are long, and drift is no mistake.
     """
 
     log: Log
     first: np.ndarray
     second: np.ndarray
+    long: bool = False
 
     @cached_property
     def sightings(self) -> Array:
@@ -110,22 +141,50 @@ class SightingPairs:
         """The steps of the first and second sightings (2, K)."""
         return self.log.steps[np.stack([self.first, self.second])]
 
+    @cached_property
+    def path(self) -> Array:
+        """Dead reckoning (S+1, 3) at the ends of all controls."""
+        return self._path([1.0, 1.0])
+
+    @property
+    def poses(self) -> Array:
+        """The poses of dead reckoning at the first and second sightings (2, K, 3)."""
+        return self.path[self.log.control_starts[self.steps]]
+
     def readings(self) -> list[Reading]:
         """Every other reading of the log."""
-        path = self._path([1.0, 1.0])
-        poses = path[self.log.control_starts[self.steps]]
+        poses = self.poses
         sensor = self.log.sensor or SensorModel()
         as_given = moves(sensor, poses, self.sightings)
         turning = np.abs(poses[1, :, 2] - poses[0, :, 2]) > _TURNING
         readings = []
-        for check, message, changed_poses, changed_sightings in self._others(path, poses):
+        for check, message, changed_poses, changed_sightings, *slower in self._others(poses):
             errors = moves(sensor, changed_poses, changed_sightings)
             # where the robot drives straight on, both signs fit
             used = turning if check == "bearing sign" and np.sum(turning) >= _FEWEST else slice(None)
             before, after = as_given[used], errors[used]
             share = float(np.mean(after < before))
-            readings.append(Reading(check, float(np.median(before)), float(np.median(after)), share, message))
+            given, error = float(np.median(before)), float(np.median(after))
+            readings.append(Reading(check, given, error, share, message, *slower))
         return readings
+
+    def move_like(self, slower: Sequence[float]) -> bool:
+        """Whether the odometry with these factors of speed and turn rate fits better than one that does not move.
+
+        Where odometry is so noisy that a robot at rest fits better, any smaller unit of it does.
+        """
+        still = [factor if factor == 1 else 0.0 for factor in slower]
+        errors, places = [], []
+        for factors in (slower, still):
+            first, second = self._path(factors)[self.log.control_starts[self.steps]]
+            poses = np.stack([np.zeros_like(first), between(first, second)])
+            sensor = self.log.sensor or SensorModel()
+            errors.append(moves(sensor, poses, self.sightings))
+            places.append(sensor.h_inverse(poses[1], self.sightings[1]))
+        apart = np.linalg.norm(places[0] - places[1], axis=1) / np.maximum(*self.sightings[:, :, 0]) > _DIFFERS
+        if np.sum(apart) < _FEWEST:
+            return False
+        return bool(np.median(errors[0][apart]) < _MOVES * np.median(errors[1][apart]))
 
     def _path(self, factors: ArrayLike, order: slice = slice(None)) -> Array:
         """The poses (S+1, 3) at the ends of all controls, of which the columns are reordered and multiplied."""
@@ -133,8 +192,11 @@ class SightingPairs:
         assert controls is not None and dt is not None
         return MotionModel().dead_reckoning(self.log.initial_poses[0], controls[:, order] * factors, dt)
 
-    def _others(self, path: Array, poses: Array) -> Iterator[tuple[str, str, Array, Array]]:
-        """For each other reading the name of its check, its message, and the poses (2, K, 3) and sightings (2, K, 2)."""
+    def _others(self, poses: Array) -> Iterator[tuple[Any, ...]]:
+        """For each other reading the name of its check, its message, and the poses (2, K, 3) and sightings (2, K, 2).
+
+        Of smaller units also the factors of speed and turn rate.
+        """
         starts, z = self.log.control_starts[self.steps], self.sightings
         for sign in (1, -1):
             for degrees in range(-165, 181, 15):
@@ -146,22 +208,29 @@ class SightingPairs:
             yield "bearing unit", stated, poses, z * [1.0, 180 / np.pi]
         else:
             slowly = "the turn rates are in degrees per second (--angles odometry=degrees)"
-            yield "turn rate unit", slowly, self._path([1.0, np.pi / 180])[starts], z
+            slower = (1.0, np.pi / 180)
+            yield "turn rate unit", slowly, self._path(slower)[starts], z, slower
         swapped = "the columns of speed and turn rate are swapped (--columns)"
         yield "odometry swapped", swapped, self._path([1.0, 1.0], slice(None, None, -1))[starts], z
         for factor, message in (
             (1 / 1000, "the speeds are in mm/s"), (1 / 100, "the speeds are in cm/s"), (1 / 3.6, "the speeds are in km/h"),
             (1 / 0.3048, "the ranges are in feet"), (100.0, "the ranges are in cm"), (1000.0, "the ranges are in mm"),
         ):  # fmt: skip
-            yield "scale", f"{message}, against the other lengths", poses * [factor, factor, 1.0], z
-        yield from self._clocks(path, starts)
+            yield (
+                "scale",
+                f"{message}, against the other lengths",
+                poses * [factor, factor, 1.0],
+                z,
+                (min(factor, 1.0), 1.0),
+            )
+        yield from self._clocks(starts)
 
-    def _clocks(self, path: Array, starts: np.ndarray) -> Iterator[tuple[str, str, Array, Array]]:
+    def _clocks(self, starts: np.ndarray) -> Iterator[tuple[str, str, Array, Array]]:
         """The sightings read as later or earlier."""
         times = self.log.control_times
         for late in (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0):
             for shift in (-late, late):
-                moved = np.stack([np.interp(times[starts] + shift, times, column) for column in path.T], axis=-1)
+                moved = np.stack([np.interp(times[starts] + shift, times, column) for column in self.path.T], axis=-1)
                 message = f"the clock of the sightings is about {late:g} s {'fast' if shift < 0 else 'slow'}"
                 yield "clock", f"{message} (--clocks sightings={shift:g})", moved, self.sightings
 
@@ -195,7 +264,7 @@ def comparable(log: Log) -> SightingPairs | None:
     # at a thousandth of the speed, or with turn rates in degrees, there may be short ways
     for slower, degrees in ((1.0, False), (1000.0, False), (1.0, True), (1000.0, True)):
         if (pairs := pairs_of(log, slower=slower, degrees=degrees)) is not None:
-            return pairs
+            return replace(pairs, long=degrees or slower != 1)
     return None
 
 

@@ -259,7 +259,7 @@ class Localizer:
             self._tried = self._tried if tracker.doubt else DOUBT
             return None
         self._tried = int(np.ceil(GROWTH * tracker.doubt))
-        put_down = elsewhere(self._stretch(), tracker, self._landmarks)
+        put_down, _ = elsewhere(self._stretch(), tracker, self._landmarks)
         return None if put_down is None else put_down[:2]
 
     def _stretch(self) -> Stretch:

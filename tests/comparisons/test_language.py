@@ -38,8 +38,8 @@ from comparisons.show.report import charts, page
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults, tracking
 from graphslam.identification.result import RobotEstimate
-from graphslam.log import cells, streams
-from graphslam.log_checks import given, ids, readings
+from graphslam.log import cartesian, cells, streams
+from graphslam.log_checks import given, ids, orientations, readings
 
 #: the module, whose package has a function of the same name
 verbs = import_module("comparisons.cli.run")
@@ -59,7 +59,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     readings.readings_of, readings.SightingPairs._others, readings.SightingPairs._clocks, readings._direction, readings.sizes,
     readings.nothing_measured, given.against_truth, given._headings, given.against_map, ids.misread_ids, ids.ids_of,
     ids.changed_ids, cells.repeated_times, cells.sideways_poses, cells.sideways_speed, cells.repeated_sightings,
-    streams._why_few,
+    streams._why_few, orientations.orientations_of, cartesian.chosen_axes,
 )  # fmt: skip
 #: strings of these functions that are no sentences
 NO_SENTENCES = {
@@ -80,6 +80,7 @@ NO_SENTENCES = {
     "speed unit",
     "range unit",
     "no motion",
+    "odometry noise",
     "range limit",
     "range without measurement",
     "truth scale",
@@ -483,6 +484,15 @@ def test_the_report_is_japanese(tmp_path: Path) -> None:
         "odometry.csv: the robot drives sideways ('vy') for 65% of its way, which controls (nu, omega) leave out: dead "
         "reckoning is wrong, and estimates rest on the sightings; OnlineSolver.move(motion=..., covariance=...) takes "
         "motions in any direction",
+        "tags.csv: x, y and z are taken as right, down and ahead, the axes of a camera (--axes optical), because y seems to "
+        "be the height of the landmarks; if z is the height, add --axes forward-left",
+        "tags.csv: --axes optical is stated, but z rather than y seems to be the height of the landmarks; compare with "
+        "--axes forward-left",
+        "the orientations have the opposite sign, m_theta - theta - phi: read like this, the heading of a landmark changes "
+        "by 0.037 instead of 0.19 rad over short ways (median); make them psi = theta + phi - m_theta or leave out their "
+        "column",
+        "orientation_std, estimated as 5.8, is more than usual robots have (at most 1): perhaps orientations are in another "
+        "unit, or are not psi = theta + phi - m_theta; correct them or leave out their column",
         "oo, estimated as 0.37, is more than usual robots have (at most 0.15): perhaps the turn rate has another sign or "
         "unit, or bearings count clockwise",
     ],

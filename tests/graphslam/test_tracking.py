@@ -15,6 +15,7 @@ from graphslam import (
     simulate,
     solve,
 )
+from graphslam.association.map_states import map_states
 from graphslam.graph.constellation import Constellations, match, merged
 from graphslam.graph.localization import possible_fixes
 from graphslam.graph.tracking import follow
@@ -141,6 +142,35 @@ def test_a_landmark_that_has_moved_is_no_kidnapping():
     j = int(np.bincount(log.landmarks).argmax())
     moved = LandmarkMap({**TRUE, j: TRUE[j] + (2.0, 0.0, 0.0)[: len(TRUE[j])]})
     assert not follow(log, moved, **MODELS).lifted
+
+
+def shelf(log, step):
+    """The eight landmarks around a point 3 m ahead of the robot, and a map that has them elsewhere, by the same way."""
+    x, y, theta = log.true_poses[step]
+    ahead = np.array([x + 3 * np.cos(theta), y + 3 * np.sin(theta)])
+    near = sorted(TRUE, key=lambda j: np.hypot(*(TRUE[j][:2] - ahead)))[:8]
+    return set(near), LandmarkMap({j: m + (1.5, -1.0, 0.0)[: len(m)] if j in near else m for j, m in TRUE.items()})
+
+
+@pytest.mark.parametrize(("seed", "step"), [(22, 5), (21, 25)])
+def test_landmarks_that_moved_together_are_no_kidnapping(seed, step):
+    """At the beginning they made a wrong first fix, and later lifts to and fro: three in each of these drives."""
+    log = elsewhere(seed, (0.0, 0.0, 0.5 * seed))
+    near, known = shelf(log, step)
+    found = follow(log, known, **MODELS)
+    assert not found.lifted and set(found.moved) <= near and len(found.moved) >= 5
+    graph = Graph.from_log(log, map=known, **MODELS)
+    assert any("moved since the map was made" in note for note in graph.notes)
+    assert set(graph.map) == set(TRUE) - set(found.moved)
+    states = map_states(log, known, **MODELS)
+    assert set(found.moved) <= set(states.of("moved")) <= near and not states.of("new")
+
+
+def test_a_lift_in_a_map_with_moved_landmarks_is_noticed():
+    log = lifted(FIRST, elsewhere(11, (5.0, 6.0, -2.0)))
+    near, known = shelf(FIRST, 20)
+    found = follow(log, known, **MODELS)
+    assert list(found.lifted) == [FIRST.num_poses] and set(found.moved) <= near
 
 
 def test_a_lift_that_three_sightings_show_is_noticed():
