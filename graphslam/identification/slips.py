@@ -45,7 +45,7 @@ CELL, CELLS, ROUGH_CELLS = 1.0, 120, 30
 #: the longest stretch, as a part of the drive
 LONGEST = 1 / 3
 #: a stretch whose z is above this has an error of its own; see docs/decisions.md
-SLIPPED = 5.0
+SLIPPED = 6.0
 #: an error beyond so many times the largest speed, or turn rate, is none of wheels or gyroscopes
 FASTEST = 3.0
 #: the most stretches of one drive, and the part of it that they may have together

@@ -87,6 +87,9 @@ ROUNDS, STEPS, SETTLED = 10, 20, 0.01
 MEDIANS = {2: 2 * np.log(2), 3: 2.365974}
 #: slips are looked for where constant errors over long cells have a z above this
 SUSPECTED = 4.0
+#: where J is more than so many times its expected value, a slip explains at least this part of what is too much; where other
+#: measurements are wrong, it explains less
+MISFIT, EXPLAINED = 2.0, 0.2
 #: the fewest motions of a drive that are tested
 FEWEST_MOTIONS = 20
 #: a part of the variance of motions that rounding may leave
@@ -358,6 +361,11 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
             after = again(_with_controls(before.graph, noisier, before.state))
             if not after.converged or after.graph is None:
                 raise GraphError(f"{noisier.name}: there is no solution without the slip")
+            ratios = [each.cost / max(each.graph.expected_cost, 1.0) for each in (before, after) if each.graph]
+            if ratios[0] > MISFIT and ratios[1] - 1 > (1 - EXPLAINED) * (ratios[0] - 1):
+                raise GraphError(
+                    f"{noisier.name}: J hardly falls without the slip, so that other measurements are wrong"
+                )
             return replace(after, seconds=before.seconds + after.seconds)
 
         first = solution

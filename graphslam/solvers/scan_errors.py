@@ -30,9 +30,10 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import MarginalEdges, PositionEdges, RelativePoseEdges, SightingEdges
+from ..edges import CartesianObservationEdges, MarginalEdges, PositionEdges, RelativePoseEdges, SightingEdges
 from ..errors import GraphError
 from ..graph import Graph
+from ..graph.defaults import on_an_arc
 from ..linear.cholesky import FactorizationError
 from ..se2 import Array, turn_matrix
 from .joint import motion_edges, sighted_edges
@@ -64,7 +65,9 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     seen = any(isinstance(family, SightingEdges) and family.count for family in graph.families)
     if moved is None or log is None or log.times is None or not (once and seen) or moved.count < FEWEST:
         return C, ""
-    if not _suspected(graph, moved, state):
+    # sightings on an arc, which the Cartesian residual has along a line, have an error in common, too
+    straight = isinstance(sighted_edges(graph), CartesianObservationEdges)
+    if (straight and graph.sensor is not None and on_an_arc(log, graph.sensor)) or not _suspected(graph, moved, state):
         return C, ""
     try:
         for k in range(ROUNDS):
