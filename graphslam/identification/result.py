@@ -140,8 +140,9 @@ MIN_INFORMATION = 0.7
 FEW, MANY_MISREAD, IMPLAUSIBLE = 150, 0.2, 4.0
 #: fewer numbers that show the noise of the motion are a doubt (docs/decisions.md)
 HARDLY_SHOWN = 12.0
-#: sightings that are earlier than the odometry by more than this [s] have a remark: sensors are late
-EARLY = 0.03
+#: sightings that are earlier than the odometry by more than this [s], and by so many standard deviations, have a remark:
+#: sensors are late
+EARLY, SURELY = 0.03, 4.0
 CAUSES = {
     "wheel_scale": "are odometry and ranges in metres? A log tells only the quotient of their scales.",
     "turn_scale": "is the odometry in radians per second? Noise in recorded turns makes the scale too large.",
@@ -283,8 +284,8 @@ class RobotEstimate:
         if self.untested:
             which = ", ".join(self.untested)
             lines.append(f"not estimated from these ranges and bearings alone: {which} keep their ideal values")
-        delay = dict(zip(self.parameters.names, self.parameters.values.tolist())).get("sensor_delay", 0.0)
-        if delay < -EARLY:
+        delay = self.parameters["sensor_delay"] if "sensor_delay" in self.parameters.names else 0.0
+        if delay < -EARLY and -delay > SURELY * self.parameters.deviations["sensor_delay"]:
             lines.append(
                 f"the times of the sightings are {-delay:.2g} s before those of the odometry, and the poses have the times "
                 "of the odometry: does each row of it hold from its time to that of the next row, or are its times those of "
