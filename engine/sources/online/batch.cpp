@@ -8,6 +8,7 @@
 #include "vmslam/edges/single_numbers.hpp"
 #include "vmslam/online/system.hpp"
 #include "vmslam/solve/run.hpp"
+#include "vmslam/sparse/pattern.hpp"
 
 namespace vmslam::online {
 namespace {

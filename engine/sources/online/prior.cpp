@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "vmslam/sparse/pattern.hpp"
+
 namespace vmslam::online {
 namespace {
 
