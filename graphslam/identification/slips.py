@@ -91,19 +91,19 @@ class Slip:
     rate: float
     z: float
 
-    def sentence(self, log: Log, *, mended: bool = True) -> str:
+    def sentence(self, log: Log, *, corrected: bool = True) -> str:
         """For the notes of a solution or of an estimate.
 
         Args:
             log: the log of the drive.
-            mended: whether its controls there have more noise (`with_slip`).
+            corrected: whether its controls there have more noise (`with_slip`).
         """
         assert log.times is not None
         times = log.times - log.times[0]
         begin = int(np.searchsorted(times, self.begin, side="right")) - 1
         end = min(int(np.searchsorted(times, self.end)), len(times) - 1)
         unit = ("m/s", "rad/s")[self.column]
-        if mended:
+        if corrected:
             return (
                 f"between steps {begin} and {end} ({self.begin:.0f} to {self.end:.0f} s after the start) the odometry "
                 f"contradicts the other measurements by about {self.rate:.2g} {unit}, {self.z:.1f} times the standard error: "

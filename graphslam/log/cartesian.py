@@ -65,13 +65,13 @@ def chosen_axes(
             "they are right, down and ahead, as of a camera, add --axes optical, and else --axes forward-left"
         )
         return plain, (), (("axes", message),)
-    told = {
+    notes = {
         plain: "x and y are taken as ahead and left, because z seems to be the height of the landmarks; if y is the height, "
         "add --axes optical",
         "optical": "x, y and z are taken as right, down and ahead, the axes of a camera (--axes optical), because y seems to "
         "be the height of the landmarks; if z is the height, add --axes forward-left",
     }  # fmt: skip
-    return shown, (f"{table.source}: {told[shown]}",), ()
+    return shown, (f"{table.source}: {notes[shown]}",), ()
 
 
 def _shown(table: Table, columns: dict[str, int]) -> str | None:

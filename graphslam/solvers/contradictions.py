@@ -354,7 +354,7 @@ def without_slips_of(solution: Solution, again: Callable[[Graph], Solution] | No
         if again is None or graph.parameters is not None:
             slip, usual = _largest_slip(solution, SUSPECTED)
             found = slip is not None and slip.z > SLIPPED * max(1.0, usual)
-            return solution, (slip.sentence(graph.log, mended=False),) if slip is not None and found else ()
+            return solution, (slip.sentence(graph.log, corrected=False),) if slip is not None and found else ()
 
         def solved(before: Solution, noisier: Log) -> Solution:
             assert before.graph is not None

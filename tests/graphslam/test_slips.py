@@ -1,4 +1,4 @@
-"""Stretches on which wheels slip or a gyroscope misreads: they are found, said, and mended; other drives stay as they are."""
+"""Stretches on which wheels slip or a gyroscope misreads: they are found, reported and corrected; other drives stay as they are."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def drive(seed, *, column=None, factor=1.0, between=(40.0, 52.0), **options):
 
 @pytest.mark.parametrize("kind", FACTORS)
 @pytest.mark.parametrize("seed", range(3))
-def test_a_known_robot_that_slips_is_mended(seed, kind, monkeypatch):
+def test_a_known_robot_that_slips_is_corrected(seed, kind, monkeypatch):
     graph = graph_of(seed, factors=FACTORS[kind])
     solution, truth = solve(graph), graph.log.true_poses
     (note,) = (each for each in solution.notes if each.startswith("between steps"))
@@ -112,7 +112,7 @@ def test_z_is_that_of_a_further_unknown(monkeypatch):
 
 
 @pytest.mark.parametrize(("seed", "column", "factor"), [(1016, 0, 1.4), (1002, 1, 0.5)])
-def test_an_unknown_robot_that_slips_is_mended(seed, column, factor):
+def test_an_unknown_robot_that_slips_is_corrected(seed, column, factor):
     log, _ = drive(seed, column=column, factor=factor)
     robot = estimate_robot(log)
     assert robot.slips and all(slip.column == column for slip in robot.slips)
