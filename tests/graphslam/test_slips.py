@@ -1,4 +1,4 @@
-"""Stretches on which wheels slip or a gyroscope misreads: they are found, reported and corrected; other drives stay as they are."""
+"""Stretches on which wheels slip or a gyroscope misreads are found, reported and corrected; other drives stay as they are."""
 
 from __future__ import annotations
 
