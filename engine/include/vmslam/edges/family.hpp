@@ -100,12 +100,16 @@ class EdgeList : public Family {
     }
 
    protected:
-    EdgeList(std::vector<Edge> edges, Kernel kernel) : edges_(std::move(edges)), kernel_(kernel) {}
     /// Append the edges without their kernel; false where they do not have this form.
     virtual bool list(std::vector<ConstantEdge>& /* to */) const { return false; }
 
     std::vector<Edge> edges_;
     Kernel kernel_;
+
+   private:
+    // only the family itself is made of it
+    friend Own;
+    EdgeList(std::vector<Edge> edges, Kernel kernel) : edges_(std::move(edges)), kernel_(kernel) {}
 };
 
 }  // namespace vmslam::edges

@@ -82,7 +82,7 @@ struct IdentifiedMap::Task {
     /// whether it is the scan's first sighting of a landmark that was known before the scan
     bool leading = false;
     /// all sightings of a landmark that follows from them together
-    std::vector<RatedSighting> together = {};
+    std::vector<RatedSighting> together;
 };
 
 class IdentifiedMap::Scan {
