@@ -279,11 +279,6 @@ class CommonErrors:
     own: Array
 
 
-def are_usual(variances: Array) -> np.ndarray:
-    """False for motions (E, ...) of which next to nothing is known, such as those between two drives."""
-    return variances <= UNUSUAL * np.quantile(variances, 0.9, axis=0)
-
-
 def common_errors(first: np.ndarray, second: np.ndarray, errors: Array, covariances: Array) -> CommonErrors | None:
     """The errors of whole scans, where a drive surely shows some.
 
@@ -301,7 +296,8 @@ def common_errors(first: np.ndarray, second: np.ndarray, errors: Array, covarian
         covariances: (E, 3, 3) by the noise model.
     """
     variances = np.diagonal(covariances, axis1=1, axis2=2)
-    usual = np.all(are_usual(variances), axis=1)
+    # of motions between two drives next to nothing is known
+    usual = np.all(variances <= UNUSUAL * np.quantile(variances, 0.9, axis=0), axis=1)
     joined = (second[:-1] == first[1:]) & usual[:-1] & usual[1:]
     # inexact times make motions short, and their errors as large as those of others
     deviations = np.sqrt(np.maximum(variances, np.median(variances, axis=0)))
