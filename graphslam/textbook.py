@@ -114,15 +114,13 @@ def solve(
         raise GraphError(f"{log.name} has no controls for motion edges; use edges='virtual'")
 
     check_magnitudes(log, motion, sensor)
-    sightings = _by_landmark(log)
-    pairs = [
-        (t1, z1[:d], t2, z2[:d])
-        for seen in sightings.values()
-        for (t1, z1), (t2, z2) in combinations(seen, 2)
-        if t1 != t2
-    ]
+    times, sightings = log.steps.tolist(), log.sightings[:, :d]
+    seen: dict[int, list[int]] = {}
+    for k, j in enumerate(log.landmarks.tolist()):
+        seen.setdefault(j, []).append(k)
+    pairs = [(a, b) for of_one in seen.values() for a, b in combinations(of_one, 2) if times[a] != times[b]]
     # without motion edges, poses that saw nothing are removed, but keep their numbers
-    steps = list(range(log.num_poses)) if with_motion else sorted({t for seen in sightings.values() for t, _ in seen})
+    steps = list(range(log.num_poses)) if with_motion else sorted(set(times))
     if not steps or not (pairs or with_motion):
         raise GraphError(f"{log.name} has no landmark that was seen twice, so there are no virtual-motion edges")
     row = {t: 3 * k for k, t in enumerate(steps)}
@@ -136,9 +134,11 @@ def solve(
         # the anchor: in Omega only, as in the book
         Omega[:3, :3] += OMEGA_0
         try:
-            for t1, z1, t2, z2 in pairs:
-                e, Omega_e, B1, B2 = virtual_motion_edge(x[t1], z1, x[t2], z2, sensor)
-                _add(Omega, xi, row[t1], row[t2], e, Omega_e, B1, B2)
+            # each sighting belongs to many edges
+            places = [place_of(x[t], z, sensor) for t, z in zip(times, sightings)]
+            for a, b in pairs:
+                e, Omega_e, B1, B2 = difference(places[a], places[b])
+                _add(Omega, xi, row[times[a]], row[times[b]], e, Omega_e, B1, B2)
                 J += float(e @ Omega_e @ e)
             if with_motion:
                 assert log.controls is not None and log.dt is not None
@@ -167,7 +167,7 @@ def solve(
         reason += ", and the steps become no shorter: the graph drifts, because the anchor is not in xi"
     elif not converged:
         reason += f", and max_iterations = {max_iterations} is reached"
-    landmarks = {j: solve_map([(x[t], z[:d]) for t, z in seen], sensor) for j, seen in sightings.items()}
+    landmarks = {j: solve_map([(x[times[k]], sightings[k]) for k in of_one], sensor) for j, of_one in seen.items()}
     estimated = np.isin(np.arange(log.num_poses), steps)
     return TextbookSolution(
         x, estimated, landmarks, step_norms, costs, len(step_norms), converged, len(pairs), threshold, reason
@@ -182,13 +182,26 @@ def virtual_motion_edge(
     e = h^-1(x2, z2) - h^-1(x1, z1), Omega_e^-1 = R1 Q1 R1' + R2 Q2 R2'. Without psi the third row is missing.
     (One slide prints R1 in the second term, too, by mistake.)
     """
-    d = len(z1)
-    e = inverse_observation(x2, z2) - inverse_observation(x1, z1)
-    if d == 3:
+    return difference(place_of(x1, z1, sensor), place_of(x2, z2, sensor))
+
+
+#: the place of a landmark by one sighting: y, its covariance, and its derivative by the pose
+Place = tuple[Array, Array, Array]
+
+
+def place_of(x: Array, z: Array, sensor: SensorModel) -> Place:
+    """The landmark by one sighting z from pose x: y = h^-1(x, z), its covariance R Q R', and B = dy/dx."""
+    R = sighting_derivative(x, z)
+    return inverse_observation(x, z), R @ sighting_covariance(z, sensor) @ R.T, pose_derivative(x, z)[: len(z)]
+
+
+def difference(first: Place, second: Place) -> tuple[Array, Array, Array, Array]:
+    """The edge between two places of one landmark: e = y2 - y1, Omega_e, -B_1, B_2."""
+    (y1, covariance1, B1), (y2, covariance2, B2) = first, second
+    e = y2 - y1
+    if len(e) == 3:
         e[2] = _wrapped(e[2])
-    R1, R2 = sighting_derivative(x1, z1), sighting_derivative(x2, z2)
-    Omega = np.linalg.inv(R1 @ sighting_covariance(z1, sensor) @ R1.T + R2 @ sighting_covariance(z2, sensor) @ R2.T)
-    return e, Omega, -pose_derivative(x1, z1)[:d], pose_derivative(x2, z2)[:d]
+    return e, np.linalg.inv(covariance1 + covariance2), -B1, B2
 
 
 def inverse_observation(x: Array, z: Array) -> Array:
@@ -283,17 +296,12 @@ def solve_map(sightings: list[tuple[Array, Array]], sensor: SensorModel) -> Arra
 
 def _add(Omega: Array, xi: Array, i: int, j: int, e: Array, Omega_e: Array, B1: Array, B2: Array) -> None:
     """Omega += B' Omega_e B and xi -= B' Omega_e e, where row i belongs to the first pose and row j to the second."""
-    for a, Ba in ((i, B1), (j, B2)):
-        xi[a : a + 3] -= Ba.T @ Omega_e @ e
-        for b, Bb in ((i, B1), (j, B2)):
-            Omega[a : a + 3, b : b + 3] += Ba.T @ Omega_e @ Bb
-
-
-def _by_landmark(log: Log) -> dict[int, list[tuple[int, Array]]]:
-    sightings: dict[int, list[tuple[int, Array]]] = {}
-    for t, j, z in zip(log.steps.tolist(), log.landmarks.tolist(), log.sightings):
-        sightings.setdefault(j, []).append((t, z))
-    return sightings
+    B = np.hstack((B1, B2))
+    added, force = B.T @ Omega_e @ B, B.T @ Omega_e @ e
+    for a, at in ((i, slice(3)), (j, slice(3, 6))):
+        xi[a : a + 3] -= force[at]
+        Omega[a : a + 3, i : i + 3] += added[at, :3]
+        Omega[a : a + 3, j : j + 3] += added[at, 3:]
 
 
 def _wrapped(angle: float) -> float:
