@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from graphslam.lazy import lazy_names
 
-from . import display
+from . import results
 
 if TYPE_CHECKING:
     from .comparison import Comparison, run
@@ -43,4 +43,4 @@ if TYPE_CHECKING:
 __getattr__, __dir__, __all__ = lazy_names(__name__)
 
 # the package stands above results and presentation: results ask it for their presentation
-display.presentation.append(lambda: import_module(".show.tables", __name__))
+results.presentation.append(lambda: import_module(".show.tables", __name__))

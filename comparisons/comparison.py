@@ -20,7 +20,6 @@ from graphslam.log_checks import Finding, check_log
 from graphslam.metrics import Metrics, evaluate, position_errors
 from graphslam.se2 import Array, difference
 
-from .display import Displayed
 from .estimators import ESTIMATORS, check_estimators, default_estimators
 from .estimators.attempt import Skipped, attempts
 from .estimators.config import config_text
@@ -29,7 +28,7 @@ from .options import AUTO, DOUBTFUL, MODELS, LimitOptions, OutputOptions, RunOpt
 from .options.declaration import options_of
 from .options.reading import LogOrPath, prepare
 from .options.toml_files import write_noise
-from .results import EstimatorResult, noted, typical_costs
+from .results import Displayed, EstimatorResult, noted, typical_costs
 from .results.documents import LogDocument, describe, jsonable, one_of, write_json
 from .results.files import SavedFiles, fill_results, new_directory, texts, write_pose_graph
 from .results.results import Row, found_ids, parameters_of

@@ -33,8 +33,8 @@ from graphslam.log.table import plain
 from graphslam.log.text_table import PARQUET, TEXT, table_of
 from graphslam.se2 import Array, compose, transform
 
-from .display import Displayed
 from .options import EvaluationOptions
+from .results import Displayed
 from .results.documents import Count, jsonable
 
 #: times that differ by at most this are the same [ns]: those since 1970 are rounded in other programs

@@ -27,9 +27,9 @@ from graphslam.log_checks import Finding, check_log
 from graphslam.log_checks.readings import comparable
 from graphslam.se2 import Array
 
-from .display import Displayed
 from .options import ImportOptions, ReadingOptions
 from .options.reading import read_log
+from .results import Displayed
 from .results.documents import Count, LogDocument, Numbers, describe, one_of
 from .results.files import elapsed_of
 

@@ -1,5 +1,5 @@
 """Everything that only shows: tables, figures, the interactive report and animations.
 
-Results do not import this package; `comparisons.display` calls the functions of `tables`. Figures are loaded when the first
+Results do not import this package; `comparisons.results` calls the functions of `tables`. Figures are loaded when the first
 one is made.
 """

@@ -30,9 +30,8 @@ from graphslam.se2 import Array, turned_by
 from graphslam.solvers.gtsam_factors import from_values, to_gtsam, to_values
 from graphslam.solvers.initialize import starting_state
 
-from ..display import Displayed
 from ..options import BackendOptions
-from ..results import of_expected
+from ..results import Displayed, of_expected
 from ..results.documents import Count, jsonable
 from .execute import rows_of
 

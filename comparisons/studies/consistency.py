@@ -27,9 +27,9 @@ from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, World, s
 from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, difference
 
-from ..display import Displayed
 from ..estimators.filters import FILTERS, particle_filter
 from ..options import ConsistencyOptions, RunOptions
+from ..results import Displayed
 from ..results.documents import Band, Count, Numbers, one_of
 from .execute import rows_of
 

@@ -17,11 +17,11 @@ from graphslam.metrics import ate, evaluate
 from graphslam.processes import default_jobs
 from graphslam.se2 import Array
 
-from ..display import Displayed
 from ..estimators import ESTIMATORS
 from ..estimators.filters import Announce, announce_memory
 from ..options import ParticleStudyOptions, RunOptions
 from ..options.reading import prepare
+from ..results import Displayed
 from ..results.documents import Count, Numbers
 from .execute import rows_of
 

@@ -17,11 +17,10 @@ from graphslam.models import FRAMES, WEIGHTS
 from graphslam.se2 import difference
 from graphslam.solvers.initialize import starting_state
 
-from ..display import Displayed
 from ..options import GraphOptions, SolverCheckOptions
 from ..options.declaration import options_of
 from ..options.reading import prepare
-from ..results import of_expected
+from ..results import Displayed, of_expected
 from ..results.documents import Count
 from .execute import rows_of
 

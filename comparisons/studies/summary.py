@@ -28,7 +28,7 @@ from graphslam.errors.checks import suggestion
 from graphslam.files import write_whole
 from graphslam.metrics import METRICS as ERRORS
 
-from ..display import Displayed
+from ..results import Displayed
 from ..results.documents import Count, json_line
 from .database import COLUMNS, StudyDatabase
 from .execute import DONE, TIMEOUT

@@ -20,8 +20,7 @@ import numpy as np
 from ..log import Log
 from .given import against_map, against_truth
 from .ids import Finding, changed_ids, distances_of, ids_of, misread, misread_ids
-from .orientations import orientations_of
-from .readings import readings_of, sizes
+from .readings import orientations_of, readings_of, sizes
 
 __all__ = ["Finding", "check_log", "mistakes_of"]
 

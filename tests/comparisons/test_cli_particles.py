@@ -23,7 +23,7 @@ def test_the_numbers_are_saved_before_the_figure(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise OSError("no space left")
 
-    monkeypatch.setattr("comparisons.display.Displayed.save_figure", fail)
+    monkeypatch.setattr("comparisons.results.Displayed.save_figure", fail)
     words = ["particles", "--particles", "5", "--seeds", "1", "--filters", "fastslam1", "--jobs", "0"]
     files = ["--figure", str(tmp_path / "study.png"), "--json", str(tmp_path / "study.json")]
     result = CliRunner().invoke(app, [*words, *files])

@@ -39,7 +39,7 @@ from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults, tracking
 from graphslam.identification.result import RobotEstimate
 from graphslam.log import cartesian, cells, streams
-from graphslam.log_checks import given, ids, orientations, readings
+from graphslam.log_checks import given, ids, readings
 
 #: the module, whose package has a function of the same name
 verbs = import_module("comparisons.cli.run")
@@ -59,7 +59,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     readings.readings_of, readings.SightingPairs._others, readings.SightingPairs._clocks, readings._direction, readings.sizes,
     readings.nothing_measured, given.against_truth, given._headings, given.against_map, ids.misread_ids, ids.ids_of,
     ids.changed_ids, cells.repeated_times, cells.sideways_poses, cells.sideways_speed, cells.repeated_sightings,
-    streams._why_few, orientations.orientations_of, cartesian.chosen_axes,
+    streams._why_few, readings.orientations_of, cartesian.chosen_axes,
 )  # fmt: skip
 #: strings of these functions that are no sentences
 NO_SENTENCES = {

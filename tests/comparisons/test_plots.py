@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 
 from comparisons import run
 from comparisons.comparison import Comparison
-from comparisons.display import Displayed
-from comparisons.results import EstimatorResult
+from comparisons.results import Displayed, EstimatorResult
 from comparisons.show.canvas import (
     BACKENDS,
     CONSISTENCY,
