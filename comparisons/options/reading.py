@@ -26,8 +26,9 @@ from graphslam.graph.landmark_map import as_map
 from graphslam.graph.tracking import in_frame_of
 from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
+from graphslam.identification.known import enough_ids, unknown_noise
 from graphslam.identification.result import ESTIMATE
-from graphslam.identification.robot import enough_ids, unknown_noise, with_checked_ids
+from graphslam.identification.robot import with_checked_ids
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.rows import ReadOptions

@@ -117,8 +117,8 @@ def graph_of_log(
         families += edges_of_single_numbers(partial, nodes, sensor, kernel)
     return make(
         initial, families=tuple(families), steps=steps, trajectory=log.initial_poses, pose_ids=steps, landmark_ids=ids,
-        landmark_dimension=d, fixed=fixed, log=log, sensor=sensor, notes=(*remarks, *notes), sighting_rows=rows,
-        map=landmark_map, **declared,
+        landmark_dimension=d, fixed=fixed, log=log, motion=motion, sensor=sensor, notes=(*remarks, *notes),
+        sighting_rows=rows, map=landmark_map, **declared,
     )  # fmt: skip
 
 

@@ -24,9 +24,9 @@ from ..edges.base import EngineEdges
 from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import array_of, check_choice, make_read_only
+from ..errors.checks import array_of, make_read_only, singular
 from ..identification.declared import OF_SIGHTINGS, Parameters, declared
-from ..identification.robot import AUTO, BOOK, known_robot
+from ..identification.known import noise_of
 from ..linear.information import BlockSystem, Structure, SystemOfThread
 from ..log import Log, check_is_log
 from ..log_checks import mistakes_of
@@ -56,7 +56,7 @@ class Graph:
         pose_ids: (P,) the ids of the poses: the steps of a log, or the ids of a file.
         landmark_ids, landmark_dimension: (L,) the ids of the landmarks; 2, or 3 where these have a heading.
         fixed: (F,) nodes that do not move.
-        log, sensor: what the graph was made from, where it was made from a log.
+        log, motion, sensor: what the graph was made from, where it was made from a log.
         notes: what the user should know, one sentence each.
         sighting_rows: (M,) the row of the log's sightings that each sighting of the edges comes from.
         parameters: unknown parameters of vehicle and sensor, or None; the edges are those at its values.
@@ -74,6 +74,7 @@ class Graph:
     landmark_dimension: int = 2
     fixed: np.ndarray = field(default_factory=_none)
     log: Log | None = None
+    motion: MotionModel | None = None
     sensor: SensorModel | None = None
     notes: tuple[str, ...] = ()
     sighting_rows: np.ndarray = field(default_factory=_none)
@@ -102,8 +103,9 @@ class Graph:
         make_read_only(self, "initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed", "sighting_rows")
 
     def __repr__(self) -> str:
-        nodes = f"{len(self.steps)} poses, {len(self.landmark_ids)} landmarks"
-        return f"Graph({nodes}; {', '.join(f'{family.count} {type(family).__name__}' for family in self.families)})"
+        nodes = singular(f"{len(self.steps)} poses, {len(self.landmark_ids)} landmarks")
+        edges = ", ".join(f"{family.count} {type(family).__name__}" for family in self.families)
+        return f"<Graph: {nodes}; {edges}{f'; kernel {self.kernel.name}' if self.kernel else ''}>"
 
     def __getstate__(self) -> dict[str, Any]:
         # the system is made again where it is needed: it finds edges by the addresses of their arrays, which another
@@ -170,18 +172,14 @@ class Graph:
         """
         check_is_log(log)
         options = EdgeOptions(edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, residual=residual)
-        if noise is not None:
-            check_choice("noise", noise, (AUTO, BOOK))
-        log = with_dimensions(log, dimensions)
-        recorded = log
-        log, robot = known_robot(log, noise) if motion is None and sensor is None else (log, None)
-        motion, sensor = log.noise_models(motion, sensor)
+        recorded = with_dimensions(log, dimensions)
+        log, motion, sensor, robot = noise_of(recorded, motion, sensor, noise)
         known_map = None if map is None else as_map(map)
-        # noise and biases that were found for numbers read in the wrong way are wrong, too
-        mistakes = () if robot is None else mistakes_of(recorded)
-        # those of the log say why the noise is the book's
-        unknown = [note for note in log.notes if note not in recorded.notes]
-        notes = unknown if robot is None else [*(each.message for each in mistakes), *robot.doubts]
+        # what was estimated, or why that could not be
+        notes = [note for note in log.notes if note not in recorded.notes]
+        if robot is not None:
+            # noise and biases that were found for numbers read in the wrong way are wrong, too
+            notes = [*(each.message for each in mistakes_of(recorded)), *notes, *robot.doubts]
         if known_map is None:
             log = in_frame_of_positions(log)
         else:
@@ -267,8 +265,13 @@ class Graph:
 
     @property
     def estimated(self) -> Parameters:
-        """The parameters of a graph that has some."""
-        assert self.parameters is not None
+        """The parameters of a graph that has some.
+
+        Raises:
+            GraphError: it estimates none.
+        """
+        if self.parameters is None:
+            raise GraphError("the graph estimates no parameters: give their names to Graph.from_log (estimate=)")
         return self.parameters
 
     def check_no_parameters(self, solver: str) -> None:
@@ -294,9 +297,15 @@ class Graph:
         return any(family.state_dependent_information for family in self.families)
 
     @cached_property
+    def kernel(self) -> Kernel | None:
+        """The robust kernel of the first edges that have one; None where none do."""
+        kernels = (getattr(family, "kernel", None) for family in self.families)
+        return next((kernel for kernel in kernels if kernel is not None), None)
+
+    @property
     def reweighted(self) -> bool:
         """Whether some edges have a robust kernel, which re-weights them at every step."""
-        return any(getattr(family, "kernel", None) is not None for family in self.families)
+        return self.kernel is not None
 
     @property
     def system(self) -> BlockSystem:

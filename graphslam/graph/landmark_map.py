@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..edges import MarginalEdges
 from ..edges.robust import Kernel, kernel_of
 from ..errors import FormatError, OptionError, quoted
-from ..errors.checks import array_of, check_choice
+from ..errors.checks import array_of, check_choice, singular
 from ..files import path_of
 from ..linear.precision import check_magnitudes
 from ..log import Log
@@ -123,7 +123,7 @@ class LandmarkMap(dict[int, Array]):
         exact = len(self) - len(self.covariances)
         parts = [f"{len(self.covariances)} with {'a joint covariance' if self.joint is not None else 'covariances'}"]
         parts = parts * bool(self.covariances) + [f"{exact} exact"] * bool(exact)
-        return f"<LandmarkMap of {len(self)} landmarks: {', '.join(parts)}>"
+        return singular(f"<LandmarkMap of {len(self)} landmarks{': ' * bool(parts)}{', '.join(parts)}>")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (dict(self), self.covariances, self.classes, self.joint)

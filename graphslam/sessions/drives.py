@@ -43,7 +43,7 @@ from ..graph.constellation import Constellations, Merged, match
 from ..graph.landmark_map import LandmarkMap
 from ..graph.localization import SURE, first_fix, odds_of
 from ..graph.tracking import follow
-from ..identification.robot import known_robot
+from ..identification.known import known_robot
 from ..log import UNIDENTIFIED, Log
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
 from ..log.join import end_to_end, joined_rows

@@ -36,6 +36,7 @@ from graphslam.identification.corrections import (
     without_biases,
 )
 from graphslam.identification.declared import ParameterEstimate
+from graphslam.identification.known import known_robot
 from graphslam.identification.odometry import Odometry, motion_parts
 from graphslam.identification.robot import RobotEstimate
 from graphslam.identification.sighting_errors import LAGS, _unlikely, inflation, smoothed
@@ -226,7 +227,7 @@ def test_sightings_without_ids_are_corrected_but_tell_nothing() -> None:
     ids = log.landmarks.copy()
     nameless = np.arange(len(ids)) % 7 == 3
     ids[nameless] = UNIDENTIFIED
-    known, found = robot.known_robot(log.replace(landmarks=ids))
+    known, found = known_robot(log.replace(landmarks=ids))
     assert found is not None
     assert any(f"{nameless.sum()} of {len(ids)} sightings have no id and were not used" in note for note in known.notes)
     # they are in the log of the robot, nameless and without the biases of the sensor
@@ -239,6 +240,28 @@ def test_sightings_without_ids_are_corrected_but_tell_nothing() -> None:
     np.testing.assert_allclose(found.parameters.values, named.parameters.values, rtol=1e-6, atol=1e-9)
     with pytest.raises(LogError, match="without ids"):
         estimate_robot(log.replace(landmarks=np.full(len(ids), UNIDENTIFIED)))
+
+
+def test_what_is_taken_out_of_a_log_stands_in_the_notes_of_graph_and_solution() -> None:
+    log, _, found = warehouse()
+    graph = Graph.from_log(log)
+    assert set(found.sentences) <= set(graph.notes) and set(graph.notes) <= set(solve(graph).notes)
+    assert found.ids.sentence in graph.notes and any("biases estimated from this log" in note for note in graph.notes)
+
+
+def test_a_noise_model_that_is_given_is_kept_and_the_other_one_estimated() -> None:
+    log, truth, found = warehouse()
+    given = replace(truth.sensor, offset=(0.0, 0.0))
+    graph = Graph.from_log(log, sensor=given)
+    assert graph.sensor is not None and graph.sensor.range_std == given.range_std
+    assert graph.sensor.bearing_std == given.bearing_std and graph.sensor.offset == found.sensor.offset
+    assert graph.motion == found.motion
+    assert "the noise of the sensor is the given one, and that of the motion the estimated one" in graph.notes
+    moved = Graph.from_log(log, motion=MotionModel(nn=0.07))
+    assert moved.motion == MotionModel(nn=0.07) and moved.sensor == found.sensor
+    assert Graph.from_log(log, sensor=given, noise="book").motion == MotionModel()
+    with pytest.raises(OptionError, match="leave it out"):
+        Graph.from_log(log, motion=MotionModel(), sensor=given, noise="auto")
 
 
 @pytest.mark.slow
