@@ -1,5 +1,7 @@
 """Graphs with a map: both solvers agree, localisation by hand, and the joint prior is all that a session knows."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -52,10 +54,16 @@ LOG = simulate(seed=1)
 KINDS = list(maps_of(LOG))
 
 
+def variants():
+    """Each map with and without psi, with a kernel and without; half of them at night, in which any two occur, too."""
+    for number, kind in enumerate(KINDS):
+        for oriented, kernel in product([True, False], ["none", "cauchy"]):
+            marks = [pytest.mark.nightly] * ((number + oriented + (kernel == "none")) % 2)
+            yield pytest.param(kind, oriented, kernel, marks=marks)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", ["none", "cauchy"])
-@pytest.mark.parametrize("oriented", [True, False])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "oriented", "kernel"), variants())
 def test_both_solvers_have_one_solution(kind, oriented, kernel):
     log = LOG if oriented else LOG.without_orientation()
     graph = Graph.from_log(log, map=maps_of(LOG)[kind], kernel=kernel)

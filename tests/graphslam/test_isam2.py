@@ -10,12 +10,12 @@ from graphslam.se2 import wrap
 
 VARIANTS = [
     {},
-    {"weight": "tempered"},
+    pytest.param({"weight": "tempered"}, marks=pytest.mark.nightly),
     {"weight": "marginal"},
     {"weight": "marginal", "dimensions": 2},
     {"edges": "landmark+motion"},
     {"edges": "landmark+motion", "dimensions": 2, "kernel": "huber"},
-    {"edges": "landmark+motion", "dimensions": 2, "motion_weight": 5.0},
+    pytest.param({"edges": "landmark+motion", "dimensions": 2, "motion_weight": 5.0}, marks=pytest.mark.nightly),
 ]
 
 
