@@ -126,7 +126,7 @@ def _plain(text: str) -> str | Text:
 
 
 def _split(columns: Sequence[tuple[Column, int]], limit: int, gap: int) -> list[list[Column]]:
-    """The columns, given with their widths, in runs that are no wider than the limit, or a single column where one is wider."""
+    """The columns, given with their widths, in runs no wider than the limit, or a single column where one is wider."""
     parts: list[list[Column]] = [[]]
     used = 0
     for column, width in columns:

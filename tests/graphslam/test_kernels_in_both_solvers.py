@@ -33,7 +33,7 @@ KINDS = ["pairs", "marginal", "cartesian", "polar"]
 
 
 def is_nightly(variant):
-    """All but a quarter, in which any two of kind, frame, dimensions and kernel occur; tempered edges are pairs times a number."""
+    """All but a quarter, in which any two values of two options occur; tempered edges are pairs times a number."""
     _, kind, frame, dimensions, kernel = variant
     if kind == "tempered":
         return True

@@ -205,7 +205,8 @@ def test_one_position_leaves_the_direction_to_the_anchor_step_by_step(bare, back
     np.testing.assert_allclose(solver.covariance(), batch.covariance()[-1], rtol=1e-3, atol=1e-7)
 
 
-@pytest.mark.parametrize("epsilon", [1e-6, 1e-9, 1e-10])
+@pytest.mark.slow
+@pytest.mark.parametrize("epsilon", [1e-6, pytest.param(1e-9, marks=pytest.mark.nightly), 1e-10])
 def test_a_free_start_is_determined_step_by_step_however_precise_the_odometry_is(bare, epsilon):
     """Until the first position, or landmark of a map, what a free start says was below rounding errors."""
     motion = replace(bare.motion or MotionModel(), epsilon=epsilon)

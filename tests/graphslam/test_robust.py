@@ -88,7 +88,11 @@ def test_the_covariance_of_a_map_is_that_of_the_robust_mean(kernel, d):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kernel", "options"), [("cauchy", {"edges": "landmark+motion"}), ("geman-mcclure", {"weight": "marginal"})]
+    ("kernel", "options"),
+    [
+        ("cauchy", {"edges": "landmark+motion"}),
+        pytest.param("geman-mcclure", {"weight": "marginal"}, marks=pytest.mark.nightly),
+    ],
 )
 def test_the_covariance_of_a_trajectory(kernel, options):
     """The joint NEES of 96 clean logs lies in its band, close to that of least squares."""

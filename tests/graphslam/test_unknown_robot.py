@@ -242,7 +242,7 @@ def test_sightings_without_ids_are_corrected_but_tell_nothing() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1006, 1007])
+@pytest.mark.parametrize("seed", [1006, pytest.param(1007, marks=pytest.mark.nightly)])
 def test_silences_of_the_odometry_spoil_nothing(seed: int) -> None:
     """Poses within a silence follow their sightings; the noise of all others is found as without it."""
     errors = []
