@@ -169,6 +169,7 @@ def check_bounds(found: dict[str, Any], table: str) -> None:
     assert all(found["errors"][name] is None for name in found["bounds"])
 
 
+@pytest.mark.slow
 def test_several_logs_and_several_robots(invoke: Invoke, tmp_path: Path) -> None:
     for seed in (1, 2):
         save(simulate(seed=seed, steps=60, clean=True), tmp_path / f"{seed}.npz")
@@ -182,6 +183,7 @@ def test_several_logs_and_several_robots(invoke: Invoke, tmp_path: Path) -> None
     assert both.exit_code != 0 and "robots" in both.stderr
 
 
+@pytest.mark.slow
 def test_corrections_go_from_the_file_to_the_log(invoke: Invoke, log_file: Path) -> None:
     """Ranges 5 % and speeds 10 % too long, a gyroscope off by 0.05 rad/s: the noise file takes all of it back."""
     log = load(log_file)
@@ -304,6 +306,7 @@ def test_ranges_alone_do_not_doubt_a_file_and_their_ids_are_not_checked() -> Non
     assert not _compared_with_estimate(log, truth.motion, truth.sensor).doubts
 
 
+@pytest.mark.slow
 def test_robots_that_disagree_are_not_one(invoke: Invoke, tmp_path: Path) -> None:
     for seed, scale in ((1001, 1.02), (1003, 0.97)):
         drive = Drive(seed=seed, duration=100.0, landmarks=16, parameters={"wheel_scale": scale})

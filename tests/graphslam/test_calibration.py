@@ -75,6 +75,7 @@ def assert_found(found, name: str, true: float) -> None:
         assert true < 1.3 * found.bounds[name], name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_noise_from_truth(seed: int) -> None:
     found = calibrate(drive(seed, orientation=True))
@@ -99,6 +100,7 @@ def test_the_standard_errors_are_those_of_many_logs() -> None:
         assert 0.3 < np.sum(z**2) < 24.1, name
 
 
+@pytest.mark.slow
 def test_range_scale_and_bias() -> None:
     log = drive(5, steps=300)
     sightings = wrong(log, 1.07, 0.12).sightings
@@ -114,6 +116,7 @@ def test_range_scale_and_bias() -> None:
     assert (back.motion, back.sensor) == (found.motion, found.sensor)
 
 
+@pytest.mark.slow
 def test_residuals_do_not_look_at_the_truth() -> None:
     log, found = warehouse(1001)
     blind = calibrate(log.replace(true_poses=None, true_landmarks=None))
@@ -166,6 +169,7 @@ def test_scales_and_biases_from_truth() -> None:
     assert calibrate(log).corrections == again.corrections
 
 
+@pytest.mark.slow
 def test_a_mean_of_motions_counts_outliers_in_full() -> None:
     """A tenth of the motions slip: on average the robot drives less than the wheels say, though most motions are right."""
     log, rng = (
@@ -264,6 +268,7 @@ def test_several_logs_of_one_robot() -> None:
     assert both.sensor.offset == (both.numbers["sensor_ahead"], both.numbers["sensor_left"])
 
 
+@pytest.mark.slow
 def test_logs_of_different_robots_disagree() -> None:
     one, other = warehouse(1001)[1], warehouse(1003, wheel_scale=0.97)[1]
     (doubt,) = Calibration.of(one, other).doubts
@@ -411,6 +416,7 @@ def test_wrong_options() -> None:
         without_biases(log.replace(dt=None, controls=None), wheel_scale=1.1, sensor_delay=0.1, range_bias=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_noise_that_enters_by_the_controls(seed):
     """Speed and turn rate are off by noise, and the robot drives true arcs: nothing sideways but epsilon, 1e-8."""
@@ -486,6 +492,7 @@ def test_ranges_that_are_all_the_same_determine_no_line() -> None:
     assert np.isnan(found.errors["range_scale"])
 
 
+@pytest.mark.slow
 def test_parts_that_are_alike_have_bounds() -> None:
     """At a constant speed nn and sigma_v say the same: together they are known, each alone has only a bound."""
     log = simulate(seed=1, steps=200, clean=True)

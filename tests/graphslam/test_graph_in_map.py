@@ -118,6 +118,7 @@ def test_a_map_by_hand():
     assert np.allclose(solution.covariance(5), covariance[15:18, 15:18], rtol=1e-3, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("orientation", [True, False])
 @pytest.mark.parametrize(("noise", "sigmas", "spread"), [(1.0, 0.03, 0.01), (0.1, 5e-4, 1e-3), (0.01, 2e-5, 2e-4)])
 def test_the_map_of_a_session_is_all_that_the_next_one_needs(noise, sigmas, spread, orientation):
@@ -199,6 +200,7 @@ def test_degrees_of_freedom_count_what_the_map_says():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("initialize", ["given", "dead-reckoning", "rotation-first", "grow"])
 @pytest.mark.parametrize("kind", ["exact", "own", "joint"])
 def test_every_start_leads_to_the_solution(kind, initialize):
@@ -224,6 +226,7 @@ def test_misread_ids_are_no_part_of_the_solution():
         assert np.sqrt(np.mean((error / deviations) ** 2)) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("oriented", "above", "sigmas"), [(False, 1e-6, 1e-3), (True, 1e-4, 0.05)])
 @pytest.mark.parametrize("kind", ["exact", "own", "joint", "some joint, some exact", "of other landmarks, too"])
 def test_step_by_step_the_solution_is_the_same(kind, oriented, above, sigmas):
@@ -278,6 +281,7 @@ def test_an_exact_map_is_kept_by_g2o_files(oriented, tmp_path):
         relative_graph(Graph.from_log(log, map=maps_of(LOG)["own"]))
 
 
+@pytest.mark.slow
 def test_a_map_needs_landmark_nodes_motions_and_ids():
     with pytest.raises(GraphError, match=r"use edges='landmark\+motion'"):
         Graph.from_log(LOG, map=LOG.true_landmarks, edges="virtual+motion")

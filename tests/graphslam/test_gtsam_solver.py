@@ -38,6 +38,7 @@ def both(graph):
 LANDMARK_LOGS = [("book", 3), ("book", 2), ("gentle", 3), ("gentle", 2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residual", ["cartesian", "polar"])
 @pytest.mark.parametrize(("name", "dimensions"), LANDMARK_LOGS)
 def test_landmark_nodes_agree(book_log, name, dimensions, residual):

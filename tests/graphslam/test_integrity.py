@@ -47,6 +47,7 @@ def off(poses, true):
     return (np.hypot(*(poses - true)[:, :2].T) > BOUNDS[0]) | (np.abs(wrap(poses[:, 2] - true[:, 2])) > BOUNDS[1])
 
 
+@pytest.mark.slow
 def test_poses_do_not_follow_a_landmark_that_has_moved():
     """Without a kernel they do: then the whole map seems wrong, and few poses count as safe."""
     off_when_safe = {None: [], "none": []}

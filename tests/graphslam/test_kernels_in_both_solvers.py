@@ -90,6 +90,7 @@ def test_kernels_by_name_and_formula():
         kernel_of(3)
 
 
+@pytest.mark.slow
 def test_a_kernel_lessens_what_wrong_sightings_do():
     error = []
     for seed in range(8):

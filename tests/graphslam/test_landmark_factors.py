@@ -107,6 +107,7 @@ def test_relative_poses():
             check(RelativePoseFactor(0, 1, rng.normal(size=3), omega, frame=frame, at=a + 0.1), [a, b], angles=[2])
 
 
+@pytest.mark.slow
 @sensors
 @pytest.mark.parametrize("frame", ["world", "body"])
 @pytest.mark.parametrize("d", [3, 2])
@@ -123,6 +124,7 @@ def test_the_landmark_eliminated(frame, d, sensor):
         check(LandmarkFactor(node, z[:, :d], sensor, frame=frame, weight="marginal", at=at, trust=trust), list(state))
 
 
+@pytest.mark.slow
 @sensors
 @pytest.mark.parametrize("frame", ["world", "body"])
 @pytest.mark.parametrize("d", [3, 2])

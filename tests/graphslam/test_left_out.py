@@ -67,6 +67,7 @@ def test_the_estimate_predicts_best_what_was_left_out() -> None:
     assert any("mean log density" in sentence for sentence in warehouse()[2].sentences)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [4106, pytest.param(4114, marks=pytest.mark.nightly)])
 def test_a_short_drive_with_biases_is_not_dead_reckoning(seed: int) -> None:
     """Few sightings are left out, and dead reckoning predicts them better (by 13 and 24), but it is 3.1 and 0.8 m off."""
@@ -138,6 +139,7 @@ def test_the_zero_of_the_clock_does_not_count() -> None:
     np.testing.assert_allclose(zero.log.controls, later.log.controls, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_biases_that_are_held_stay_uncertain() -> None:
     """They are at most as uncertain as their priors, and less where the log speaks clearly against them."""
     found = estimate_robot(accurate_drive(2002, 0.0))

@@ -121,6 +121,7 @@ def drive_with_misread_ids(share, seed, steps=240, count=40, reach=5.0):
     return log, dict(enumerate(places)), poses[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share", "seed"),
     [(0.1, 2), (0.3, 1), (0.3, 2), *(pytest.param(0.2, seed, marks=pytest.mark.nightly) for seed in (1, 2))],
@@ -137,6 +138,7 @@ def test_misread_ids_of_landmarks_out_of_view_do_not_contradict_the_right_map(sh
         first_fix(log, {j: 100 * place for j, place in known.items()})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "seed"), [(0.2, 2), (0.3, 1), (0.3, 2)])
 def test_no_unit_is_blamed_whose_map_fits_the_first_sightings_by_chance(share, seed):
     """Four to six sightings at one place agree with a map in centimetres, which is but a point there."""
@@ -222,6 +224,7 @@ def refused(log, known):
     return str(caught.value)
 
 
+@pytest.mark.slow
 def test_one_landmark_with_a_heading_does_not_make_a_map_in_another_unit_fit():
     log = simulate(seed=1, clean=True)  # 118 sightings on a way whose drift leaves several places open
     for factor, unit in (
@@ -236,6 +239,7 @@ def test_one_landmark_with_a_heading_does_not_make_a_map_in_another_unit_fit():
                 first_fix(log, known)
 
 
+@pytest.mark.slow
 def test_maps_that_do_not_fit_are_refused_with_the_cause():
     log = simulate(steps=40, seed=1, clean=True, orientation=False, max_range=10.0, **MODELS)
     true = {j: m[:2] for j, m in log.true_landmarks.items()}

@@ -268,6 +268,7 @@ def test_factors_cost_what_gtsams_own_cost():
     assert again.error(values) == lever.error(values)
 
 
+@pytest.mark.slow
 def test_step_by_step_is_the_batch_solution(bare, log):
     related = log.replace(positions=None)
     for backend, each in (("own", related), ("own", log), ("isam2", related), ("isam2", log)):
@@ -307,6 +308,7 @@ def test_positions_say_where_a_drive_from_nowhere_is(bare, backend, direction):
     assert np.einsum("ti,tij,tj->", errors, np.linalg.inv(P), errors) < 3 * 63 + 4 * 19
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("backend", "options"),
     [

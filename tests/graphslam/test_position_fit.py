@@ -148,6 +148,7 @@ def test_errors_of_scans_of_a_short_drive(common):
     assert np.sqrt(solution.scan_errors[2, 2]) == pytest.approx(common, rel=0.5)
 
 
+@pytest.mark.slow
 def test_encoders_with_coarse_ticks():
     """The residuals are those of errors of scans; that speeds have few values tells the odometry is wrong."""
     log = shaken_drive(misread=0.0)
@@ -285,6 +286,7 @@ def test_errors_of_scans_without_landmark_nodes_and_in_joined_drives():
     np.testing.assert_allclose(joined.scan_errors, of_scan, rtol=0.2, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6321, 6331, 6335])
 def test_times_that_make_motions_short(seed):
     """Where two stamps nearly coincide, the motion between them has little noise, and the same error as others."""

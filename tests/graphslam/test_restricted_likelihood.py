@@ -126,6 +126,7 @@ def test_the_likelihood_is_that_of_dense_matrices() -> None:
     assert own_after - own == pytest.approx(dense_after - dense, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("d", "degrees"), [(2, DEGREES_SIGHTINGS), (3, DEGREES_SIGHTINGS), (3, DEGREES_MOTIONS)])
 def test_weights_of_student_t_overstate_the_information_of_gaussian_errors(d, degrees) -> None:
     """20,000 estimates of a place and of a variance, each from 60 errors N(0, I) of d numbers."""

@@ -147,6 +147,7 @@ def test_the_optimum_is_reached_from_odometry(number: str) -> None:
         assert found.converged and found.cost <= near.cost * (1 + 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", ["range", "bearing"])
 def test_noise_models_that_are_too_narrow_are_said(number: str) -> None:
     log = simulate_single_numbers(number, seed=31)
@@ -356,6 +357,7 @@ def test_step_by_step_a_mirror_image_is_said() -> None:
     assert solver.waiting == {7: 40} and solver.landmarks == {}
 
 
+@pytest.mark.slow
 def test_with_a_lag_single_numbers_still_place_landmarks() -> None:
     log = simulate_single_numbers("range", seed=12, poses=200, every=1)
     truth = log.true_poses
@@ -367,6 +369,7 @@ def test_with_a_lag_single_numbers_still_place_landmarks() -> None:
     assert far[1] < 3 * far[0] + 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", ["range", "bearing"])
 def test_step_by_step_with_isam2_is_the_batch_solution(number: str) -> None:
     """Numbers of a landmark without a place wait; when it has one, all of them are in the graph."""
