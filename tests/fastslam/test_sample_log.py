@@ -1,6 +1,7 @@
 """The acceptance of the foundation: FastSLAM 1.0 beside the graph on the sample log."""
 
 import numpy as np
+import pytest
 
 from fastslam import FastSLAM1
 from graphslam import Graph, load, sample_log_path, solve
