@@ -160,7 +160,7 @@ def test_a_map_stays_as_it_is_where_the_drive_cannot_be_gone_through_again(monke
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("misread", [0.0, 0.1, 0.25])
+@pytest.mark.parametrize("misread", [0.0, pytest.param(0.1, marks=pytest.mark.nightly), 0.25])
 def test_a_robot_that_drives_takes_a_right_map_for_right(misread):
     for seed in range(42, 45):
         log, known = drive(seed)
