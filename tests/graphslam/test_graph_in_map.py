@@ -63,7 +63,7 @@ def variants():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "oriented", "kernel"), variants())
+@pytest.mark.parametrize(("kind", "oriented", "kernel"), list(variants()))
 def test_both_solvers_have_one_solution(kind, oriented, kernel):
     log = LOG if oriented else LOG.without_orientation()
     graph = Graph.from_log(log, map=maps_of(LOG)[kind], kernel=kernel)
