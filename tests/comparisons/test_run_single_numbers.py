@@ -20,7 +20,7 @@ NOISE = ("--range-std", 0.1, "--range-rate", 0, "--bearing-std", 0.02, "--nn", 0
 @pytest.mark.slow
 @pytest.mark.parametrize("number", ["range", "bearing"])
 def test_empty_cells_go_through_the_command_line(invoke: Invoke, tmp_path: Path, number: str) -> None:
-    log = simulate_single_numbers(number, seed=7, poses=80, landmarks=4)
+    log = simulate_single_numbers(number, seed=7, poses=120, landmarks=4)
     partial, times = log.partial_sightings, log.times
     assert partial is not None and times is not None and log.controls is not None and log.true_poses is not None
     folder = tmp_path / "drive"

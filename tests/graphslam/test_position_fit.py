@@ -259,7 +259,7 @@ def test_covariances_with_errors_of_scans(position, monkeypatch):
 @pytest.mark.slow
 def test_errors_of_scans_do_not_see_the_way_between_drives():
     """Nothing is known of the motion from one drive to the next."""
-    log = shaken_drive(duration=50.0, misread=0.0)
+    log = shaken_drive(duration=80.0, misread=0.0)
     cuts = np.linspace(0, log.num_poses, 4).astype(int).tolist()
     joined = join_logs([log.at_steps(np.arange(*ends)) for ends in pairwise(cuts)], placed=True).log
     one, three = (solve(Graph.from_log(each)).scan_errors for each in (log, joined))
