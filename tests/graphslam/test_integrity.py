@@ -119,7 +119,7 @@ def test_residuals_at_a_solution_count_although_it_follows_them():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("when", ["driving", "after"])
+@pytest.mark.parametrize("when", ["driving", pytest.param("after", marks=pytest.mark.nightly)])
 def test_the_share_of_poses_that_are_off_is_what_was_said(when):
     """Over 15 drives, more is not off than was said, within 3.3 standard errors from drive to drive, nor much less.
 
