@@ -322,6 +322,7 @@ def test_font_of_last_resort_is_no_font() -> None:
             assert not canvas._has(font.fname, canvas._LETTERS["ja"])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(canvas.font_of("ja") is None, reason="needs a font with Japanese letters")
 def test_the_font_has_the_letters(tmp_path: Path) -> None:
     found = run(simulate(seed=2, steps=24, clean=True), estimators=["graph"])

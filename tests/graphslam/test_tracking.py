@@ -152,6 +152,7 @@ def shelf(log, step):
     return set(near), LandmarkMap({j: m + (1.5, -1.0, 0.0)[: len(m)] if j in near else m for j, m in TRUE.items()})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "step"), [(22, 5), (21, 25)])
 def test_landmarks_that_moved_together_are_no_kidnapping(seed, step):
     """At the beginning they made a wrong first fix, and later lifts to and fro: three in each of these drives."""
