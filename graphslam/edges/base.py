@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeGuard
 
 import numpy as np
 
@@ -330,6 +330,15 @@ class EngineEdges(EdgeFamily):
     def __getstate__(self) -> dict[str, Any]:
         # another process makes its own
         return {name: value for name, value in vars(self).copy().items() if name != "in_engine"}
+
+
+def is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
+    """Whether a family is of the engine, and no derived class has sums, headings or positions of its own."""
+    kind, own = type(family), EngineEdges
+    return isinstance(family, own) and (kind.accumulate, kind.headings, kind.positions) == _OF_ENGINE
+
+
+_OF_ENGINE = EngineEdges.accumulate, EngineEdges.headings, EngineEdges.positions
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -30,10 +30,11 @@ from ..errors.checks import listed
 from ..identification.declared import Parameters
 from ..linear.precision import check_magnitudes, inverses
 from ..log import UNIDENTIFIED, Log
+from ..maps.landmark_map import LandmarkMap
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .defaults import anchors, position_edges
-from .landmark_map import LandmarkMap, estimate_map
+from .mapping import estimate_map
 from .trilateration import edges_of_single_numbers, placed_single_numbers
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from os import PathLike
-from typing import Any, ClassVar, TypeGuard
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ..edges import (
     PriorEdges,
     SightingEdges,
 )
-from ..edges.base import EngineEdges
+from ..edges.base import is_of_engine
 from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
@@ -30,12 +30,13 @@ from ..identification.known import noise_of
 from ..linear.information import BlockSystem, Structure, SystemOfThread
 from ..log import Log, check_is_log
 from ..log_checks import mistakes_of
+from ..maps.landmark_map import LandmarkMap, as_map
+from ..maps.tracking import in_frame_of
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .build import graph_of_log, node_names, with_closures, with_dimensions
 from .defaults import edges_for_map, in_frame_of_positions, notes_on_options, suitable_edges, suitable_kernel
-from .landmark_map import LandmarkMap, as_map, estimate_map
-from .tracking import in_frame_of
+from .mapping import estimate_map
 
 
 def _none() -> np.ndarray:
@@ -327,7 +328,7 @@ class Graph:
         # a family in NumPy may refer to its graph, and the engine's objects are unknown to the collector of garbage, which
         # would never free the two
         if objective is None:
-            own = [family if _is_of_engine(family) else None for family in self.families]
+            own = [family if is_of_engine(family) else None for family in self.families]
             others = BlockSystem.of_arrays, self.initial.size
             both = zip(self.families, own)
             families = tuple(engine.PythonFamily(f, *others) if e is None else e.in_engine for f, e in both)
@@ -487,15 +488,6 @@ class Graph:
         poses[self.steps] = state[: len(self.steps)]
         estimated[self.steps] = True
         return poses, estimated
-
-
-def _is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
-    """Whether a family is of the engine, and no derived class has sums, headings or positions of its own."""
-    kind, own = type(family), EngineEdges
-    return isinstance(family, own) and (kind.accumulate, kind.headings, kind.positions) == _OF_ENGINE
-
-
-_OF_ENGINE = EngineEdges.accumulate, EngineEdges.headings, EngineEdges.positions
 
 
 def check_graph(graph: object, name: str = "graph") -> None:

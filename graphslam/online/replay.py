@@ -27,9 +27,9 @@ from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_known
 from ..graph import Graph
 from ..graph.defaults import suitable_for_isam2
-from ..graph.tracker import Tracker, unlocated
 from ..graph.trilateration import places_of_rows
 from ..log import Log
+from ..maps.tracker import Tracker, unlocated
 from ..models import SensorModel
 from ..se2 import Array
 from ..solvers.initialize import image_notes, partial_edges

@@ -41,12 +41,12 @@ from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, Pos
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
-from ..graph.localization import SURE
-from ..graph.tracker import middle_misfit
 from ..identification.odometry import NOTHING, STILL, Edges
 from ..identification.slips import SLIPPED, Found, Motions, largest_slip, without_slips
 from ..linear.cholesky import Bordered, FactorizationError
 from ..log import Log
+from ..maps.localization import SURE
+from ..maps.tracker import middle_misfit
 from ..models import additional_variances
 from ..se2 import Array, between, difference, perpendicular, turn_matrix
 from .iteration import end_of, levenberg_marquardt

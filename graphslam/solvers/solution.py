@@ -21,12 +21,12 @@ from ..edges import LandmarkSightings, SightingEdges
 from ..errors import OptionError, quoted
 from ..errors.checks import make_read_only, singular
 from ..graph import Graph
-from ..graph.landmark_map import LandmarkMap
-from ..graph.stretch import Stretch
-from ..graph.tracker import beyond, inflation, presence
 from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
 from ..log import Log
+from ..maps.landmark_map import LandmarkMap
+from ..maps.stretch import Stretch
+from ..maps.tracker import beyond, inflation, presence
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
@@ -285,7 +285,7 @@ class Solution:
         """The probability (T+1,) that a pose is off by more than the bounds; NaN where it is not estimated.
 
         In a map it counts that the robot may have been elsewhere; without one, errors are those against the first pose.
-        Covariances grow where residuals are larger than the noise models say. `graph.tracker` has the equations. It is as
+        Covariances grow where residuals are larger than the noise models say. `maps.tracker` has the equations. It is as
         right as the map's covariances, which `solve` widens where most landmarks contradict them (``notes``). A map of
         another drive needs its joint covariance; as "own" or "fixed" (`LandmarkMap.used_as`) too little is said.
 

@@ -36,10 +36,11 @@ from comparisons.show import canvas, log_tables, studies, tables
 from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
 from comparisons.show.report import charts, page
 from graphslam import OptionError, simulate
-from graphslam.graph import build, defaults, tracking
+from graphslam.graph import build, defaults
 from graphslam.identification.result import RobotEstimate
 from graphslam.log import cartesian, cells, streams
 from graphslam.log_checks import given, ids, readings
+from graphslam.maps import tracking
 
 #: the module, whose package has a function of the same name
 verbs = import_module("comparisons.cli.run")

@@ -1,4 +1,4 @@
-"""The probability that a pose in a map is off by more than a bound: `graphslam.graph.tracker`, online and after a drive."""
+"""The probability that a pose in a map is off by more than a bound: `graphslam.maps.tracker`, online and after a drive."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ from graphslam import (
     simulate,
     solve,
 )
-from graphslam.graph.stretch import Stretch
-from graphslam.graph.tracker import beyond, inflation, presence
+from graphslam.maps.stretch import Stretch
+from graphslam.maps.tracker import beyond, inflation, presence
 from graphslam.online import replay
 from graphslam.se2 import compose, wrap
 

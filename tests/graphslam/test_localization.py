@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from graphslam import Graph, GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, simulate, solve
-from graphslam.graph.localization import _agreed, _cause
-from graphslam.graph.map_evidence import Weighed
-from graphslam.graph.registration import Points, register
-from graphslam.graph.stretch import Stretch
+from graphslam.maps.localization import _agreed, _cause
+from graphslam.maps.map_evidence import Weighed
+from graphslam.maps.registration import Points, register
+from graphslam.maps.stretch import Stretch
 from graphslam.se2 import between, compose, wrap
 
 ANGLES, PLACES = st.floats(-np.pi, np.pi), st.floats(-50, 50)

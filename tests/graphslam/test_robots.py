@@ -23,10 +23,10 @@ from graphslam import (
     solve,
     solve_with_gtsam,
 )
-from graphslam.graph.localization import first_fix
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.continuous_time import with_poses_at
+from graphslam.maps.localization import first_fix
 from graphslam.metrics import ate
 from graphslam.se2 import between
 from graphslam.sessions import join_robots, relations_of

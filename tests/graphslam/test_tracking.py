@@ -1,4 +1,4 @@
-"""Logs without ids in a map, and robots that are lifted: `graphslam.graph.constellation` and `graphslam.graph.tracking`."""
+"""Logs without ids in a map, and robots that are lifted: `graphslam.maps.constellation` and `graphslam.maps.tracking`."""
 
 import numpy as np
 import pytest
@@ -16,10 +16,10 @@ from graphslam import (
     solve,
 )
 from graphslam.association.map_states import map_states
-from graphslam.graph.constellation import Constellations, match, merged
-from graphslam.graph.localization import possible_fixes
-from graphslam.graph.tracking import follow
 from graphslam.log import UNIDENTIFIED
+from graphslam.maps.constellation import Constellations, match, merged
+from graphslam.maps.localization import possible_fixes
+from graphslam.maps.tracking import follow
 from graphslam.online.localizer import relation_covariance
 from graphslam.se2 import inverse, turn_matrix, wrap
 
