@@ -71,9 +71,9 @@ def read_recipe(path: Path) -> Recipe:
     known = [f.name for f in fields(TableOptions)]
     file.check_keys(file.table, (*known, *TABLES))
     values: dict[str, Any] = {name: _value(file, name) for name in known if name in file.table}
-    units: dict[str, dict[str, str]] = {n: {"": values[n]} for n in _UNITS if isinstance(values.get(n), str)}
-    of_tables = {name: values.pop(name) for name in ("columns", "clocks") if name in values}
+    of_tables = {name: values.pop(name) for name in (*_UNITS, "columns", "clocks") if name in values}
     stated = file.attempt(lambda: TableOptions(**of_tables))
+    units: dict[str, dict[str, str]] = {name: stated.by_table(name) for name in _UNITS if name in of_tables}
     columns: dict[str, dict[str, Any]] = {table: dict(stated.columns_of(table)) for table in TABLES}
     clocks = stated.by_table("clocks")
     places: dict[str, dict[str, str]] = {}

@@ -117,12 +117,12 @@ class Reader:
         """The sentence about a column that is not there, with those that are."""
         have = named(self.table.names) if self.table.names else f"{self.table.width} columns without names"
         names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
-        which = f"Say which it is: --columns {self.kind}.{role}=NAME"
+        which = f"Say which it is: columns='{self.kind}.{role}=NAME'"
         if role == "id":
             # many sensors have no ids, so that only a column without another use is asked about
             if not self.unused:
                 return f"no column for id (named {names}, ...){consequence}"
-            which = f"If one has the ids, say which: --columns {self.kind}.{role}=NAME"
+            which = f"If one has the ids, say which: columns='{self.kind}.{role}=NAME'"
         return f"no column for {role} (named {names}, ...){consequence}; it has {have}. {which}"
 
     @property
@@ -162,7 +162,7 @@ class Reader:
                 None,
                 f"the column {self.table.names[self.found[role].column]} is in {named}, which is not converted: units are "
                 f"{', '.join(unit + per for unit in own)}. Convert it; if its numbers are in {own[0]}{per} after all, add "
-                f"--{measure} {self.kind}={own[0]}",
+                f"{measure}='{self.kind}={own[0]}'",
             )
         return named if named in UNITS_OF[measure] else None
 
@@ -288,7 +288,7 @@ class Reader:
         if not self.stated(role) and (k := first(np.abs(values) > limit)) is not None:
             measure = measure or MEASURES[role]
             likely, own = {"angles": "degrees", "lengths": "mm"}[measure], UNITS_OF[measure][0]
-            advice = f"Then add --{measure} {self.kind}={likely}; if not, add --{measure} {self.kind}={own}"
+            advice = f"Then add {measure}='{self.kind}={likely}'; if not, add {measure}='{self.kind}={own}'"
             raise self.table.error(k, f"{message.format(values[k])} {advice}{also}")
 
     def refuse_many(self, role: str, values: Array, limit: float, message: str, measure: str = "") -> None:
@@ -332,8 +332,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
         raise table.error(
             None,
-            f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds? Then add --time "
-            f"odometry={unit}; if they are seconds, add --time odometry=s",
+            f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds? Then add "
+            f"time='odometry={unit}'; if they are seconds, add time='odometry=s'",
         )
     if rows.shape[1] == 3:
         rows, ns, sideways = _controls(reader, rows, ns)
@@ -419,7 +419,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
             raise table.error(
                 int(alone_at[0]),
                 "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset: give it as "
-                "the sensor measured it, with --centre sensor",
+                "the sensor measured it, with centre='sensor'",
             )
         from_centre = rows[:, :1] * np.column_stack([np.cos(rows[:, 1]), np.sin(rows[:, 1])])
         rows[:, :2] = polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))

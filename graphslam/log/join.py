@@ -310,7 +310,7 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
             raise LogError(
                 f"{_name(other)} lasts {longer:.0f} times as long as {_name(odometry)}, and only {inside} of "
                 f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in milliseconds? Then "
-                f"add --time {kind}=ms"
+                f"add time='{kind}=ms'"
             )
         return
     offset = (begin - first) / 1e9
@@ -326,7 +326,7 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
         cause = "they are of different drives, or one clock was not set"
     text = f"{offset:.3f}".rstrip("0").rstrip(".")
     names = f"{_name(odometry)} ({_interval(begin, end)}) and {_name(other)} ({_interval(first, last)})"
-    raise LogError(f"the clocks of {names} do not overlap: {cause}; --clocks {kind}={text} lets both begin together")
+    raise LogError(f"the clocks of {names} do not overlap: {cause}; clocks='{kind}={text}' lets both begin together")
 
 
 def _name(stream: Timed) -> str:

@@ -306,7 +306,7 @@ def find(
                 ]
                 if len(fits) > 1:
                     titles = " and ".join(table.title(k) for k in fits[:2])
-                    raise table.error(None, f"{titles} could both be {role}; say which: --columns {kind}.{role}=NAME")
+                    raise table.error(None, f"{titles} could both be {role}; say which: columns='{kind}.{role}=NAME'")
                 if fits:
                     found[role] = Chosen(fits[0], names[fits[0]][1])
                     taken.add(fits[0])

@@ -386,7 +386,7 @@ def make_solution(
     if kernels and not run.converged:
         notes += (
             f"with the kernel {kernels[0].name} solvers may converge slowly where many sightings are wrong: raise "
-            "max_iterations of solve, or use its method gnc (--kernel gnc), which decides which sightings are wrong",
+            "max_iterations of solve, or use its method gnc (kernel='gnc' of run), which decides which sightings are wrong",
         )
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])

@@ -162,25 +162,25 @@ def changed(rows, row, column, value):
 MISTAKES = {
     "degrees": (
         {"sightings": text("t,id,range,bearing", as_deg(SEEN))},
-        r"sightings.csv:3: the bearing is -28.6479 rad, beyond 2 pi: is it in degrees\? Then add --angles "
-        "sightings=degrees",
+        r"sightings.csv:3: the bearing is -28.6479 rad, beyond 2 pi: is it in degrees\? Then add "
+        "angles='sightings=degrees'",
     ),
     "degrees per second": (
         {"odometry": text("t,nu,omega", [(t, v, np.rad2deg(w).item()) for t, v, w in ODOMETRY])},
-        r"odometry.csv:2: the turn rate is 17.1887 rad/s: is it in degrees per second\? Then add --angles odometry=deg",
+        r"odometry.csv:2: the turn rate is 17.1887 rad/s: is it in degrees per second\? Then add angles='odometry=deg",
     ),
     "millimetres": (
         {"sightings": text("t,id,range,bearing", [(t, j, 1000 * r, b) for t, j, r, b in SEEN])},
-        r"sightings.csv:2: the range is 2000 m: is it in mm\? Then add --lengths sightings=mm",
+        r"sightings.csv:2: the range is 2000 m: is it in mm\? Then add lengths='sightings=mm'",
     ),
     "millimetres per second": (
         {"odometry": text("t,nu,omega", [(t, 1000 * v, w) for t, v, w in ODOMETRY])},
-        r"odometry.csv:2: the speed is 500 m/s: is it in mm/s\? Then add --lengths odometry=mm",
+        r"odometry.csv:2: the speed is 500 m/s: is it in mm/s\? Then add lengths='odometry=mm'",
     ),
     "milliseconds": (
         {"odometry": text("t,nu,omega", [(1000 * t, v, w) for t, v, w in ODOMETRY])},
-        r"odometry.csv: neighbouring rows are 100 s apart \(median\): are the times in milliseconds\? Then add --time "
-        "odometry=ms",
+        r"odometry.csv: neighbouring rows are 100 s apart \(median\): are the times in milliseconds\? Then add "
+        "time='odometry=ms'",
     ),
     "microseconds": (
         {"odometry": text("t,nu,omega", [(1e6 * t, v, w) for t, v, w in ODOMETRY])},
@@ -193,7 +193,7 @@ MISTAKES = {
     "milliseconds that begin at zero": (
         {"sightings": text("t,id,range,bearing", [(0, 3, 2.0, 0.1), *((1000 + 999 * k, 3, 2.0, 0.1) for k in range(19))])},
         r"sightings.csv lasts 949 times as long as .*odometry.csv, and only 1 of 20 rows are within its time \(0.000 to "
-        r"20.000 s\): are its times in milliseconds\? Then add --time sightings=ms",
+        r"20.000 s\): are its times in milliseconds\? Then add time='sightings=ms'",
     ),
     "one time for all rows": (
         {"odometry": text("t,nu,omega", [(5.0, v, w) for _, v, w in ODOMETRY])},
@@ -216,7 +216,7 @@ MISTAKES = {
         {"sightings": text("t,id,range,way", [(*row[:3], 0.0) for row in SEEN])},
         r"sightings.csv: no column for bearing \(named bearing or b or phi, ...\), and none for x and y instead of range "
         r"and bearing \(a sensor that measures one of them has an empty column of the other\); "
-        r"it has t, id, range, way. Say which it is: --columns sightings.bearing=NAME",
+        r"it has t, id, range, way. Say which it is: columns='sightings.bearing=NAME'",
     ),
     "a range from the robot's centre": (
         {
@@ -228,7 +228,7 @@ MISTAKES = {
     "two columns of one meaning": (
         {"odometry": text("t,nu,omega,v_left,v_right", [(*row, 0.1, 0.2) for row in ODOMETRY]).replace("nu", "speed", 1)
          .replace("omega", "speed", 1)},
-        "'speed' and 'speed' could both be nu; say which: --columns odometry.nu=NAME",
+        "'speed' and 'speed' could both be nu; say which: columns='odometry.nu=NAME'",
     ),
     "a clock that restarts": (
         {"odometry": text("t,nu,omega", [*ODOMETRY, *ODOMETRY])},
@@ -253,15 +253,15 @@ MISTAKES = {
     "disjoint clocks": (
         {"odometry": text("t,nu,omega", [(t + 1_716_000_000, v, w) for t, v, w in ODOMETRY])},
         r"odometry.csv \(1716000000.000 to 1716000020.000 s\) and .*sightings.csv \(0.200 to 12.000 s\) do not overlap: "
-        r"one counts from 1970 and the other from its own start; --clocks sightings=1715999999.8 lets",
+        r"one counts from 1970 and the other from its own start; clocks='sightings=1715999999.8' lets",
     ),
     "time zones": (
         {"sightings": text("t,id,range,bearing", [(t + 7200, *row) for t, *row in SEEN])},
-        "do not overlap: they differ by about 2 h, as two time zones do; --clocks sightings=-7200",
+        "do not overlap: they differ by about 2 h, as two time zones do; clocks='sightings=-7200.2'",
     ),
     "no overlap with the truth": (
         {"truth": text("t,x,y,theta", [(t + 500, 0.0, 0.0, 0.0) for t in T.tolist()])},
-        r"odometry.csv \(0.000 to 20.000 s\) and .*truth.csv \(500.000 to 520.000 s\) do not overlap: .*--clocks truth=-500",
+        r"odometry.csv \(0.000 to 20.000 s\) and .*truth.csv \(500.000 to 520.000 s\) do not overlap: .*clocks='truth=-500'",
     ),
     "NaN": (
         {"odometry": text("t,nu,omega", ((t, "nan" if k % 9 == 6 else v, w) for k, (t, v, w) in enumerate(ODOMETRY)))},
