@@ -21,7 +21,7 @@ from .cells import COVERED, Doubt, seconds
 from .drive import TURNED, Reader, Timed, map_of, odometry_of, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
-from .rows import ReadOptions, TableOptions
+from .rows import UNITS_OF, ReadOptions, TableOptions
 from .streams import Stream, synchronize
 from .table import COVARIANCES, Table, ordered
 from .text_table import table_of
@@ -309,24 +309,36 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
         if inside < _FEW * len(other.times) and longer > _LONGER:
             raise LogError(
                 f"{_name(other)} lasts {longer:.0f} times as long as {_name(odometry)}, and only {inside} of "
-                f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in milliseconds? Then "
-                f"add time='{kind}=ms'"
+                f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in another unit? "
+                f"Then add time='{kind}={_finer_unit(other, longer) or 'ms'}'"
             )
         return
     offset = (begin - first) / 1e9
     hours = offset / 3600
-    ratio = max(end - begin, last - first) / max(1, min(end - begin, last - first))
-    if abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
-        cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
-    elif min(begin, first) < 1e16 < max(begin, first):
+    remedy = f"clocks='{kind}={f'{offset:.3f}'.rstrip('0').rstrip('.')}' lets both begin together"
+    longer, which, ratio = odometry, "odometry", (end - begin) / max(1, last - first)
+    if ratio < 1:
+        longer, which, ratio = other, kind, (last - first) / (end - begin)
+    if min(begin, first) < 1e16 < max(begin, first):
         cause = "one counts from 1970 and the other from its own start"
-    elif unit := next((unit for unit in (1000, 10**6, 10**9) if 0.5 < ratio / unit < 2), None):
-        cause = f"one seems to be in units {unit} times as large"
+    elif unit := _finer_unit(longer, ratio):
+        cause, remedy = f"the times of {_name(longer)} seem to be in another unit", f"if so, add time='{which}={unit}'"
+    elif abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
+        cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
     else:
         cause = "they are of different drives, or one clock was not set"
-    text = f"{offset:.3f}".rstrip("0").rstrip(".")
     names = f"{_name(odometry)} ({_interval(begin, end)}) and {_name(other)} ({_interval(first, last)})"
-    raise LogError(f"the clocks of {names} do not overlap: {cause}; clocks='{kind}={text}' lets both begin together")
+    raise LogError(f"the clocks of {names} do not overlap: {cause}; {remedy}")
+
+
+def _finer_unit(stream: Timed, ratio: float) -> str | None:
+    """The unit that times seem to have that last so many times as long as others; None where no unit explains it.
+
+    Sightings, or the odometry, may cover a tenth of the other.
+    """
+    units, steps = UNITS_OF["time"], round(np.log10(ratio) / 3)
+    read = next((k for k, unit in enumerate(units) if stream.columns[0].endswith(f"[{unit}]")), 0)
+    return units[read + steps] if steps > 0 and 0.1 < ratio / 1000**steps < 10 and read + steps < len(units) else None
 
 
 def _name(stream: Timed) -> str:

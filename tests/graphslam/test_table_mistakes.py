@@ -152,6 +152,10 @@ def test_truth_that_comes_twice_is_a_doubt(drive):
     assert "truth.csv:3: the first of 201 truth rows (of 402) with the time and numbers of the row before" in message
 
 
+#: odometry at 400 Hz: milliseconds that were read as seconds are still no pause
+FAST = [(t, 0.5, 0.1) for t in np.arange(0.1, 20.0, 0.0025).tolist()]
+
+
 def changed(rows, row, column, value):
     rows = [list(each) for each in rows]
     rows[row][column] = value
@@ -188,12 +192,21 @@ MISTAKES = {
     ),
     "milliseconds of the sightings alone": (
         {"sightings": text("t,id,range,bearing", [(1000 * t, *row) for t, *row in SEEN])},
-        r"sightings.csv \(200.000 to 12000.000 s\) do not overlap: one seems to be in units 1000 times as large",
+        r"sightings.csv \(200.000 to 12000.000 s\) do not overlap: the times of sightings.csv seem to be in another "
+        r"unit; if so, add time='sightings=ms'$",
+    ),
+    "microseconds of sightings of a tenth of the drive, stated as milliseconds": (
+        {"sightings": text("t_ms,id,range,bearing", [(5e6 + 1e5 * k, 3, 2.0, 0.1) for k in range(40)])},
+        r"the times of sightings.csv seem to be in another unit; if so, add time='sightings=us'$",
+    ),
+    "milliseconds of the odometry alone": (
+        {"odometry": text("t,nu,omega", [(1000 * t + 50, *row) for t, *row in FAST])},
+        r"do not overlap: the times of odometry.csv seem to be in another unit; if so, add time='odometry=ms'$",
     ),
     "milliseconds that begin at zero": (
         {"sightings": text("t,id,range,bearing", [(0, 3, 2.0, 0.1), *((1000 + 999 * k, 3, 2.0, 0.1) for k in range(19))])},
         r"sightings.csv lasts 949 times as long as .*odometry.csv, and only 1 of 20 rows are within its time \(0.000 to "
-        r"20.000 s\): are its times in milliseconds\? Then add time='sightings=ms'",
+        r"20.000 s\): are its times in another unit\? Then add time='sightings=ms'",
     ),
     "one time for all rows": (
         {"odometry": text("t,nu,omega", [(5.0, v, w) for _, v, w in ODOMETRY])},
