@@ -7,6 +7,7 @@ with its noise. Latitude and longitude become places in the plane that touches t
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,13 @@ from ..errors import LogError, OptionError
 from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, checked_offset, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
-from .cells import COVERED, Doubt, seconds
+from .cells import COVERED, Doubt, seconds, time_faults
 from .drive import TURNED, Reader, Timed, map_of, odometry_of, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
-from .rows import UNITS_OF, ReadOptions, TableOptions
-from .streams import Stream, synchronize
-from .table import COVARIANCES, Table, ordered
+from .rows import MOST_LEFT_OUT, UNITS_OF, ReadOptions, TableOptions
+from .streams import MOST_DISORDER, Stream, synchronize
+from .table import COVARIANCES, Kept, Table, ordered
 from .text_table import table_of
 
 #: the major half-axis [m] and the squared eccentricity of the ellipsoid
@@ -228,14 +229,58 @@ def read_drive(
         LogError: a table lacks a column or has an impossible value.
     """
     options = options or TableOptions()
-    moved = odometry_of(table_of(odometry, "odometry"), options)
-    seen = sightings_of(table_of(sightings, "sightings"), options)
-    given = ((kind, table_of(table, kind)) for kind, table in others.items() if table is not None)
+    moved = odometry_of(_in_order("odometry", table_of(odometry, "odometry"), options), options)
+    seen = sightings_of(_in_order("sightings", table_of(sightings, "sightings"), options, moved), options)
+    given = (
+        (kind, _in_order(kind, table_of(table, kind), options, moved))
+        for kind, table in others.items()
+        if table is not None
+    )
     read: dict[str, Any] = {kind: READERS[kind](table, options) for kind, table in given}
     landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
     return Drive(
         moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read
     )
+
+
+#: rows are shuffled where the time goes back by more than `MOST_DISORDER` in a larger share of them
+_SHUFFLED = 0.2
+
+
+def _in_order(kind: str, table: Table, options: TableOptions, odometry: Timed | None = None) -> Table:
+    """The table, with its rows sorted by time where they are in another order: the newest first, by landmark, or shuffled.
+
+    The last two are sorted only where their times lie within those of the odometry. Times that go back otherwise, as where a
+    clock was set, and single wrong times stay as they are: the readers refuse them, or leave them out.
+    """
+    reader = Reader(kind, table, options)
+    if not reader.has("t") or len(table) < 3:
+        return table
+    # dates are no numbers
+    with suppress(LogError):
+        if np.all(np.diff(table.numbers([reader.found["t"].column])[:, 0]) >= 0):
+            return table
+    try:
+        ns = reader.times()
+    except LogError:
+        # the reader of the table says which time cannot be
+        return table
+    steps = np.diff(ns)
+    if np.any(steps > 0) or not np.any(steps):
+        if odometry is None:
+            return table
+        outside = (ns < odometry.times[0]) | (ns > odometry.times[-1])
+        rows = np.flatnonzero(~time_faults(ns / 1e9, "", "s")[1].rows)
+        back = np.diff(ns[rows]) < -1e9 * MOST_DISORDER
+        if np.sum(back) <= 2 or np.mean(outside) > MOST_LEFT_OUT:
+            return table
+        if np.mean(back) <= _SHUFFLED:
+            ids = table.words(reader.found["id"].column)[rows] if reader.has("id") else rows
+            other = ids[1:] != ids[:-1]
+            if not np.all(other[back]) or np.sum(other) >= len(np.unique(ids)):
+                return table
+    note = f"{table.source}: the rows are not in the order of their times; they were sorted"
+    return Kept(table, np.argsort(ns, kind="stable"), (note,))
 
 
 #: the readers of tables that a drive need not have
@@ -316,7 +361,7 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
     offset = (begin - first) / 1e9
     hours = offset / 3600
     remedy = f"clocks='{kind}={f'{offset:.3f}'.rstrip('0').rstrip('.')}' lets both begin together"
-    finer, which, ratio = odometry, "odometry", (end - begin) / max(1, last - first)
+    finer, which, ratio = odometry, "odometry", (end - begin) / (last - first or end - begin)
     if ratio < 1:
         finer, which, ratio = other, kind, (last - first) / (end - begin)
     if min(begin, first) < 1e16 < max(begin, first):

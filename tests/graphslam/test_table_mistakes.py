@@ -41,6 +41,60 @@ def test_rows_that_come_late_are_sorted(drive, expected):
     assert log.equals(expected) and "the rows were sorted" in log.notes[0]
 
 
+def orders(rows):
+    """The rows of a table in other orders that people write."""
+    mixed = np.random.default_rng(5).permutation(len(rows))
+    return {
+        "by landmark": sorted(rows, key=lambda row: row[1]),
+        "the newest first": rows[::-1],
+        "by range": sorted(rows, key=lambda row: row[2]),
+        "shuffled": [rows[k] for k in mixed],
+    }
+
+
+@pytest.mark.parametrize("order", orders([]))
+def test_valid_rows_in_another_order_are_sorted(drive, order):
+    rng = np.random.default_rng(3)
+    rows = [
+        (t, j, round(float(rng.uniform(1, 5)), 3), 0.1)
+        for t in TICKS[10:190:4]
+        for j in range(5)
+        if rng.random() < 0.6 or j == 2
+    ]
+    expected = load(drive(sightings=text("t,id,range,bearing", rows)))
+    log = load(drive(sightings=text("t,id,range,bearing", orders(rows)[order])))
+    note = "sightings.csv: the rows are not in the order of their times; they were sorted"
+    assert log.notes[0].endswith(note) and log.notes[1:] == expected.notes
+
+    def seen(log):
+        return sorted(zip(log.times[log.steps].tolist(), log.landmarks.tolist(), log.sightings[:, 0].tolist()))
+
+    assert seen(log) == seen(expected)
+    # in messages rows keep their numbers
+    lines = text("t,id,range,bearing", orders(rows)[order]).splitlines()
+    lines[50] = lines[50].rsplit(",", 2)[0] + ",-2,0.1"
+    assert any(
+        "has a negative range: left out (line 51)" in note for note in load(drive(sightings="\n".join(lines))).notes
+    )
+
+
+def test_odometry_and_truth_in_another_order(drive, expected):
+    truth = [(t, 0.5 * t, 0.1, 0.0) for t in T.tolist()]
+    right = load(drive(truth=text("t,x,y,theta", truth)))
+    mixed = [truth[k] for k in np.random.default_rng(1).permutation(len(truth))]
+    log = load(drive(odometry=text("t,nu,omega", ODOMETRY[::-1]), truth=text("t,x,y,theta", mixed)))
+    assert log.equals(right) and sum("they were sorted" in note for note in log.notes) == 2
+
+
+def test_single_wrong_times_are_left_out_as_before(drive):
+    rows = [(t, 3, 2.0, 0.1) for t in TICKS]
+    for k in (5, 40, 100, 180):
+        rows[k] = (abs(rows[k][0] - 19), 3, 2.0, 0.1) if k != 100 else (0.05 + 21, 3, 2.0, 0.1)
+    log = load(drive(sightings=text("t,id,range,bearing", rows)))
+    assert not any("sorted" in note for note in log.notes)
+    assert any("4 of 200 sightings have a time that is far from those" in note for note in log.notes)
+
+
 def test_a_truth_that_counts_turns(drive):
     """Headings of many turns are radians where the poses move along them; degrees are refused."""
     theta = 2.0 * T
@@ -152,6 +206,8 @@ def test_truth_that_comes_twice_is_a_doubt(drive):
     assert "truth.csv:3: the first of 201 truth rows (of 402) with the time and numbers of the row before" in message
 
 
+#: times of sightings
+TICKS = np.round(np.arange(0.0, 20.0, 0.1), 3).tolist()
 #: odometry at 400 Hz: milliseconds that were read as seconds are still no pause
 FAST = [(t, 0.5, 0.1) for t in np.arange(0.1, 20.0, 0.0025).tolist()]
 
@@ -259,9 +315,17 @@ MISTAKES = {
         {"truth": text("t,x,y,theta", [(t - 4.0 * (t > 8), t, 0.0, 0.0) for t in T.tolist()])},
         r"truth.csv:83: the time goes back by 3.9 s",
     ),
-    "rows in the order of their ids": (
-        {"sightings": text("t,id,range,bearing", [(t, j, 2.0, 0.1) for j in range(4) for t in range(1, 19)])},
-        r"sightings.csv:20: the time goes back 3 times: sort the rows by their time if they are of one drive",
+    "a clock that starts anew again and again": (
+        {"sightings": text("t,id,range,bearing", [(t, k % 3, 2.0, 0.1) for k, t in enumerate(4 * TICKS)])},
+        r"sightings.csv:202: the time goes back 3 times: sort the rows by their time if they are of one drive",
+    ),
+    "rows in the order of their ids, beyond the odometry": (
+        {"sightings": text("t,id,range,bearing", [(t, j, 2.0, 0.1) for j in range(4) for t in range(1, 39)])},
+        r"sightings.csv:40: the time goes back 3 times: sort the rows by their time if they are of one drive",
+    ),
+    "many wrong times": (
+        {"sightings": text("t,id,range,bearing", [(19 - t if k % 9 == 8 else t, 3, 2.0, 0.1) for k, t in enumerate(TICKS)])},
+        r"sightings.csv:10: the time 't' is 18.200, far from those of the rows before and after it",
     ),
     "disjoint clocks": (
         {"odometry": text("t,nu,omega", [(t + 1_716_000_000, v, w) for t, v, w in ODOMETRY])},
