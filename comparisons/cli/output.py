@@ -67,8 +67,11 @@ def sentences(verbose: bool, options: Collection[str] | None = None, lang: str |
         if verbose:
             traceback.print_exc()
         more = None if options is None else hint_of_import(str(error), options)
-        text = f"error: {error}" if more is None else f"error: {error}. {more}"
-        text = in_flags(in_language(text, _spoken(lang, sys.stderr)), options or ())
+        language = _spoken(lang, sys.stderr)
+        said = str(error) if more is None else f"{error}. {more}"
+        text = in_language(said, language)
+        # by itself: templates that begin with a place would take "error" for a part of it
+        text = in_language("error: {}", "en" if text == said else language).format(in_flags(text, options or ()))
         typer.echo(text if not sys.stderr.isatty() else _wrapped(text), err=True)
         raise typer.Exit(WRONG_INPUT) from None
 

@@ -46,12 +46,13 @@ from .rows import (
     sound_rows,
     spike_faults,
 )
-from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find, ordered, wheels
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES, Kept, Table, find, ordered
+from .wheels import WHEELS, controls_of, motion_of
 
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
-    "odometry": ("t", "date", "nanosec", "nu", "vy", "omega", *_POSE),
+    "odometry": ("t", "date", "nanosec", *WHEELS, "nu", "vy", "omega", *_POSE),
     "sightings": ("t", "date", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
     "truth": ("t", "date", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
@@ -138,7 +139,7 @@ class Reader:
             chosen, unit = self.found[role], ""
             if role in MEASURES:
                 unit = self._unit(role) or UNITS_OF[MEASURES[role]][0]
-                unit += "/s" if role in ("nu", "omega") else ""
+                unit += "/s" if role in RATES else ""
             name = self.table.names[chosen.column] if self.table.names else f"column {chosen.column + 1}"
             parts.append((role if name == role else f"{role} = {name}") + (f" [{unit}]" if unit else ""))
         return tuple(parts)
@@ -157,7 +158,7 @@ class Reader:
         if (stated := self.options.unit(measure, self.kind)) is not None:
             return stated
         if named in OTHER_UNITS:
-            own, per = UNITS_OF[measure], "/s" if role in ("nu", "omega") else ""
+            own, per = UNITS_OF[measure], "/s" if role in RATES else ""
             raise self.table.error(
                 None,
                 f"the column {self.table.names[self.found[role].column]} is in {named}, which is not converted: units are "
@@ -305,19 +306,16 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     """
     reader = Reader("odometry", table, options)
     reader.need("t")
-    driven = reader.has("nu", "omega") or not reader.has("x", "y")
-    if driven and not reader.has("nu", "omega") and (sides := wheels(table.names)):
-        raise table.error(
-            None,
-            f"{named(sides)} seem to be of the left and the right wheel, which are not read: make columns of the speed "
-            "nu = (left + right) / 2 [m/s] and the turn rate omega = (right - left) / track [rad/s] of them, with the "
-            "distance between the wheels as track; of ticks, take their differences from row to row in metres per second",
-        )
-    table = reader.leave_out(*(("nu", "omega") if driven else _POSE))
+    motion, of_wheels = motion_of(table, reader.found, options.track), tuple[str, ...]()
+    table = reader.leave_out(*(_POSE if "x" in motion else motion))
     ns = reader.times()
-    if driven:
-        reader.need("nu", "omega", instead=", and none for x, y and theta instead of nu and omega")
-        rows = reader.numbers("nu", "omega")
+    if "x" not in motion:
+        reader.need(*motion, instead=", and none for x, y and theta instead of nu and omega")
+        rows = reader.numbers(*motion)
+        speed = rows[:, : 2 if "left" in motion else 1]
+        reader.refuse_many(motion[0], np.abs(speed).max(axis=1), FASTEST, "the speed is {:g} m/s: is it in mm/s?")
+        if "left" in motion:
+            rows, of_wheels = controls_of(table, rows, options.track)
         sideways = _sideways_speed(reader, rows[:, 0])
     else:
         rows = reader.poses()
@@ -326,7 +324,7 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     ns, order, notes = ordered(reader.table, ns)
     rows = rows[order]
     more, doubts = repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
-    notes += more
+    notes += of_wheels + more
     dt = np.diff(ns) / 1e9
     if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > LONGEST:
         unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
@@ -337,10 +335,9 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
         )
     if rows.shape[1] == 3:
         rows, ns, sideways = _controls(reader, rows, ns)
-    else:
-        speed, turn = np.abs(rows).T
-        reader.refuse_many("nu", speed, FASTEST, "the speed is {:g} m/s: is it in mm/s?")
-        reader.refuse_many("omega", turn, QUICKEST, "the turn rate is {:g} rad/s: is it in degrees per second?")
+    elif "omega" in motion:
+        message = "the turn rate is {:g} rad/s: is it in degrees per second?"
+        reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts + sideways)
 
 

@@ -465,14 +465,6 @@ def test_a_recipe_is_checked(tmp_path):
         read_recipe(path)
 
 
-def test_columns_of_two_wheels(tmp_path):
-    for left, right in (("v_left", "v_right"), ("Left ticks", "Right ticks"), ("wheel_l [m/s]", "wheel_r [m/s]")):
-        (tmp_path / "odometry.csv").write_text(f"t,{left},{right}\n0,0.5,0.6\n1,0.5,0.6\n")
-        (tmp_path / "sightings.csv").write_text("t,id,range,bearing\n0,1,2,0.1\n1,1,1.5,0.1\n")
-        with pytest.raises(LogError, match=r"odometry.csv: .*right.* wheel.*nu = \(left \+ right\) / 2"):
-            load(tmp_path)
-
-
 def test_a_header_with_another_separator(tmp_path):
     (tmp_path / "odometry.csv").write_text("t;nu;omega\n" + "".join(f"1,700,000,00{k}.5;0.5;0.1\n" for k in range(9)))
     (tmp_path / "sightings.csv").write_text("t,id,range,bearing\n1700000001.0,1,2,0.1\n1700000003.3,1,1.5,0.1\n")
