@@ -342,7 +342,8 @@ def in_flags(text: str, known: Collection[str]) -> str:
         of_tables, of_run = _names() if name else (frozenset(), frozenset())
         if name in of_tables and name not in known:
             return f"{name} = " + value.replace("'", '"')
-        if name in known or name in of_run:
+        # particles=100 is a label of a study
+        if (name in known or name in of_run) and (name in of_tables or not value[-1].isdigit()):
             return f"{_flag(name)} " + shlex.quote(value.strip("'[]").replace(", ", ","))
         return option[0]
 
