@@ -180,7 +180,7 @@ def evaluate(
             trajectory = read_trajectory(path, name, tables)
         except LogError as error:
             # the reader's advice names the table "truth"
-            advice = re.sub(r"(?<= )truth(?=[=.])", ESTIMATES, str(error))
+            advice = re.sub(r"(?<==')truth(?=[=.])", ESTIMATES, str(error))
             raise error if advice == str(error) else LogError(advice) from None
         places = None if of_map == NO_MAP else LandmarkMap.load(of_map)
         found.append(_evaluated(right, trajectory, true_map, places, options))

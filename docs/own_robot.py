@@ -55,5 +55,5 @@ try:
 except SlamError as error:
     message = str(error)
 print(message)
-assert "is it in degrees? Then add --angles sightings=degrees" in message
+assert "is it in degrees? Then add angles='sightings=degrees'" in message
 print(Log.from_tables(odometry, sightings, angles={"sightings": "degrees"}))

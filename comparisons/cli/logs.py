@@ -227,7 +227,7 @@ def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawin
     found = inspect_log(log, **reading.keywords())
     output.show(found)
     output.draw(found, drawing.figure)
-    output.hint_at_import(found, reading)
+    output.hint_at_import(found)
     output.hint(f"Next: {command('run', log, options=reading)}")
     output.json(found.to_json())
 

@@ -1,6 +1,7 @@
 """The output of a verb: tables and sentences on standard output, progress on standard error, and JSON.
 
-`hint_of_import` says what to do next where a message names options that only another verb has.
+Messages spell options as Python does; `in_flags` writes them as the command line has them, and `hint_of_import` says what to
+do next where only another verb has them.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import textwrap
 import traceback
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from json import dumps
 from pathlib import Path
 from typing import Any, Protocol
@@ -41,14 +43,12 @@ class Advance(Protocol):
 
 
 @contextmanager
-def sentences(
-    verbose: bool, advice: Callable[[str], str | None] = lambda _: None, lang: str | None = None
-) -> Iterator[None]:
+def sentences(verbose: bool, options: Collection[str] | None = None, lang: str | None = None) -> Iterator[None]:
     """Turn user errors into one sentence and exit status 2, and Ctrl-C into 130; other errors keep their traceback.
 
     Args:
         verbose: also the traceback of user errors.
-        advice: of the text of a user error, what to add to it.
+        options: names of those of the verb; None before they are known.
         lang: the language that was asked for; None for that of the environment.
     """
     try:
@@ -66,9 +66,12 @@ def sentences(
             raise
         if verbose:
             traceback.print_exc()
-        more = advice(str(error))
-        text = f"error: {error}" if more is None else f"error: {error}. {more}"
-        text = in_language(text, _spoken(lang, sys.stderr))
+        more = None if options is None else hint_of_import(str(error), options)
+        language = _spoken(lang, sys.stderr)
+        said = str(error) if more is None else f"{error}. {more}"
+        text = in_language(said, language)
+        # by itself: templates that begin with a place would take "error" for a part of it
+        text = in_language("error: {}", "en" if text == said else language).format(in_flags(text, options or ()))
         typer.echo(text if not sys.stderr.isatty() else _wrapped(text), err=True)
         raise typer.Exit(WRONG_INPUT) from None
 
@@ -109,6 +112,7 @@ class Output:
         quiet: results only: no progress, no hints.
         verbose: also each step of the work, and the traceback of errors.
         lang: the language of tables and sentences; None for that of the environment.
+        options: names of those of the verb.
 
     Raises:
         FormatError: the JSON file could not be written later.
@@ -116,7 +120,13 @@ class Output:
     """
 
     def __init__(
-        self, json: str | None, *, quiet: bool = False, verbose: bool = False, lang: str | None = None
+        self,
+        json: str | None,
+        *,
+        quiet: bool = False,
+        verbose: bool = False,
+        lang: str | None = None,
+        options: Collection[str] = (),
     ) -> None:
         from rich.console import Console
 
@@ -124,7 +134,7 @@ class Output:
         from ..show.language import language_of
 
         self._to_stdout, self._file = json == "-", None if json in (None, "-") else Path(str(json))
-        self.quiet, self.verbose = quiet, verbose
+        self.quiet, self.verbose, self._options = quiet, verbose, options
         if self._file is not None:
             check_can_write(self._file)
         stream = sys.stderr if self._to_stdout else sys.stdout
@@ -175,7 +185,7 @@ class Output:
         Commands are not broken, so that they can be copied, and ``slam-compare`` is named so that it runs.
         """
         for line in lines:
-            text = in_language(printable(line), self.language)
+            text = in_flags(in_language(printable(line), self.language), self._options)
             if "slam-compare " in text:
                 text = text.replace("slam-compare ", f"{program()} ")
             elif self.console.is_terminal:
@@ -206,12 +216,10 @@ class Output:
         if not self.quiet:
             self.say(*lines)
 
-    def hint_at_import(self, found: Any, options: Any) -> None:
-        """Hint at ``import`` where notes or findings of a log name options that the options of the verb do not have."""
-        from ..options.declaration import options_of
-
+    def hint_at_import(self, found: Any) -> None:
+        """Hint at ``import`` where notes or findings of a log name options that the verb does not have."""
         texts = [*found.log.notes, *(finding.message for finding in found.findings)]
-        if advice := hint_of_import(" ".join(texts), options_of(type(options))):
+        if advice := hint_of_import(" ".join(texts), self._options):
             self.hint(f"{advice}.")
 
     def detail(self, line: str) -> None:
@@ -301,22 +309,58 @@ def program() -> str:
     return shlex.quote(os.path.relpath(called))
 
 
-def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
-    """Where options of ``import`` that a sentence advises stand for a verb that does not have them; None where it names none.
+#: an option of a command with its value; or one as Python spells it, with a text, numbers, or capitals for any value
+_SPELLED = re.compile(
+    r"--[\w-]+[ =]\S+|(?<![\w.\]'-])(?P<name>[a-z][a-z_]*)=(?P<value>'[^']*'|\[[^]']*\]|-?\d[\d.]*|[A-Z]+\b)", re.ASCII
+)
 
-    Args:
-        text: the sentence.
-        known: names of the options of the verb.
-    """
-    # options are not imported until an error needs them, so that help is shown at once
+
+@cache
+def _names() -> tuple[frozenset[str], frozenset[str]]:
+    """The names of the options of tables, and of those of ``run``."""
+    # options are not imported until a sentence needs them, so that help is shown at once
     from graphslam.log.rows import TableOptions
 
+    from ..options import RunOptions
     from ..options.declaration import options_of
 
-    names = [f"--{name.replace('_', '-')}" for name in options_of(TableOptions) if name not in known]
-    if not (named := [name for name in names if re.search(rf"{name}\b", text)]):
+    return frozenset(options_of(TableOptions)), frozenset(options_of(RunOptions))
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def in_flags(text: str, known: Collection[str]) -> str:
+    """A text with options as the command line has them: name='text', as Python spells it, becomes --name text.
+
+    Options of tables that the verb, with the options ``known``, does not have become lines of import.toml, name = "text".
+    """
+
+    def spelled(option: re.Match[str]) -> str:
+        name, value = option["name"], option["value"]
+        of_tables, of_run = _names() if name else (frozenset(), frozenset())
+        if name in of_tables and name not in known:
+            return f"{name} = " + value.replace("'", '"')
+        # particles=100 is a label of a study
+        if (name in known or name in of_run) and (name in of_tables or not value[-1].isdigit()):
+            return f"{_flag(name)} " + shlex.quote(value.strip("'[]").replace(", ", ","))
+        return option[0]
+
+    return _SPELLED.sub(spelled, text)
+
+
+def hint_of_import(text: str, known: Collection[str] = ()) -> str | None:
+    """Where options of tables that a sentence names stand for a verb that does not have them; None where it names none.
+
+    Args:
+        text: the sentence, with options as Python spells them.
+        known: names of the options of the verb.
+    """
+    names = dict.fromkeys(option["name"] for option in _SPELLED.finditer(text))
+    if not (flags := [_flag(name) for name in names if name and name in _names()[0] and name not in known]):
         return None
     return (
-        f"slam-compare import has {', '.join(named)}; other verbs read such options from import.toml in the folder of the "
+        f"slam-compare import has {', '.join(flags)}; other verbs read such options from import.toml in the folder of the "
         "tables, or from the TOML file of the bag's name (docs/own_robot.md)"
     )

@@ -48,7 +48,6 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
     """
     from .. import options as declared
     from ..options.declaration import Options, options_of
-    from .output import hint_of_import
 
     # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
     hints = get_type_hints(function, localns=vars(declared), include_extras=True)
@@ -66,14 +65,14 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
     ) -> None:
         # of the command line, where the verb has none of its own
         lang = lang or ctx.obj
-        with sentences(verbose, lambda text: hint_of_import(text, options), lang):
+        with sentences(verbose, options, lang):
             values = _without_outranked(ctx, values, options)
             if config is not None:
                 _check_logs(ctx, [values.get("log"), *(values.get("others") or ())])
                 if "log" in ctx.meta[_META] and len(values.get("words") or ()) == 1:
                     # of the words [LOG] OUT
                     values["words"] = [str(ctx.meta[_META]["log"]), *values["words"]]
-            output = Output(values.pop("json"), quiet=quiet, verbose=verbose, lang=lang)
+            output = Output(values.pop("json"), quiet=quiet, verbose=verbose, lang=lang, options=options)
             for name, group in groups.items():
                 values[name] = group.of(**{o: values.pop(o) for o in options_of(group) if o in values})
                 _check_places(values[name])

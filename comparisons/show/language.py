@@ -81,7 +81,11 @@ def translated(text: str, language: str) -> str:
 
 
 #: what is between sentences, and between a name and a sentence, in English and in the other language
-_BETWEEN = ((re.compile(r"(?<=[a-z)\]%])\. "), "。"), (re.compile("; "), "。"), (re.compile(": "), ": "))
+_BETWEEN = (
+    (re.compile(r"(?:(?<=[a-z)\]%'])|(?<=[A-Z]{2}))\. "), "。"),
+    (re.compile("; "), "。"),
+    (re.compile(": "), ": "),
+)
 
 
 @cache

@@ -272,7 +272,7 @@ def _heavy_tails(fits: dict[str, VarianceFit]) -> tuple[str, ...]:
         f"{what} have heavy tails ({fits[name].degrees:.1f} degrees of freedom): the values describe typical {what}, "
         f"without the outliers{advice}"
         for name, what, advice in (
-            ("sensor", "sightings", ", so run with a robust kernel (--kernel cauchy, or huber)"),
+            ("sensor", "sightings", ", so run with a robust kernel (kernel='cauchy', or huber)"),
             ("motion", "motions", ""),
         )
         if name in fits and fits[name].degrees < HEAVY

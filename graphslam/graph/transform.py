@@ -274,9 +274,7 @@ def _relative(family: EdgeFamily, state: Array) -> EdgeFamily:
     if isinstance(family, RelativePoseEdges):
         return replace(family, frame="body")
     if isinstance(family, (LandmarkPriors, PriorEdges)):
-        raise GraphError(
-            "pose-graph files have no line for the priors of a map; use it as fixed (map_use='fixed', or --map-use fixed)"
-        )
+        raise GraphError("pose-graph files have no line for the priors of a map; use it as fixed (map_use='fixed')")
     if isinstance(family, (AnchorEdges, RelativePointEdges)):
         return family
     if isinstance(family, VirtualMotionEdges):

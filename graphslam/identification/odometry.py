@@ -277,7 +277,7 @@ class Edges:
             degrees: of freedom of Student's t.
             hidden: (E,) tr(W F) without the weights.
         """
-        remedy = "give the noise of the robot as a file: --noise FILE"
+        remedy = "give the noise of the robot: motion and sensor models, or noise=FILE"
         inverse = inverses(covariances, "motion or sighting", remedy, least=0.0)
         self.squares = np.einsum("ei,ei->e", self.residuals, (inverse @ self.residuals[:, :, None])[:, :, 0])
         self.weights = (degrees + numbers) / (degrees + self.squares + hidden)

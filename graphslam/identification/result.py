@@ -253,12 +253,13 @@ class RobotEstimate:
             lines.append(
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "
                 "is too poor to show is missing in the standard deviations of the poses; noise that is known goes into "
-                "--noise FILE"
+                "motion and sensor models, or noise=FILE"
             )
         if self.on_motion < HARDLY_SHOWN:
             lines.append(
                 "the drive is too short, or the sensor too poor, to tell the noise of the odometry: the standard deviations "
-                "of the poses may be half as large as they should be; noise that is known goes into --noise FILE"
+                "of the poses may be half as large as they should be; noise that is known goes into motion and "
+                "sensor models, or noise=FILE"
             )
         if self.ids.share > MANY_MISREAD:
             lines.append(
@@ -268,7 +269,7 @@ class RobotEstimate:
         if (count := np.count_nonzero(self.ids.identified)) < FEW:
             lines.append(
                 f"the log has only {count} sightings with ids, which tell the noise roughly: the trajectory may be several "
-                "times less accurate than with the true noise, which --noise FILE or the noise options give"
+                "times less accurate than with the true noise, which motion and sensor models, or noise=FILE, give"
             )
         return tuple(lines)
 
@@ -289,7 +290,7 @@ class RobotEstimate:
             lines.append(
                 f"the times of the sightings are {-delay:.2g} s before those of the odometry, and the poses have the times "
                 "of the odometry: does each row of it hold from its time to that of the next row, or are its times those of "
-                f"the ends? In the second case, or where its clock is late, state --clocks odometry={delay:.2g}"
+                f"the ends? In the second case, or where its clock is late, state clocks='odometry={delay:.2g}'"
             )
         if self.left_out.sentence is not None:
             lines.append(self.left_out.sentence)

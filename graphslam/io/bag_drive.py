@@ -109,7 +109,7 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
     if "positions" in choices or recipe.place("positions", "file") is not None:
         return drive
     unused = [each.topic.name for each in found if each.could_be == "positions" and each.topic.count]
-    offer = "{0} has absolute positions, which are used where they are named: --positions {0}"
+    offer = "{0} has absolute positions, which are used where they are named: positions='{0}'"
     return replace(drive, notes=(*drive.notes, *map(offer.format, unused)))
 
 
@@ -295,7 +295,7 @@ def _sightings_table(
         mounted = frames.between(base, collector.frame)
         if mounted is None:
             lost = f"no fixed transform in TF leads from there to {quoted(base)}, the robot"
-            advice = "state where the sensor is: --sensor-offset FORWARD,LEFT, and --sensor-yaw or --axes"
+            advice = "state where the sensor is: sensor_offset=[FORWARD, LEFT], and sensor_yaw=RADIANS or axes=NAME"
             frame = f"its positions are in the frame {quoted(collector.frame)}"
             raise FormatError(collector.source, None, f"{frame}, and {lost}; {advice}")
         offset, turn = (float(mounted[0][0]), float(mounted[0][1])), mounted[1]

@@ -58,7 +58,7 @@ def _robot(folder: Path, robot: int | None) -> int:
     there = robots(folder)
     names = ", ".join(map(str, there))
     if robot is None and len(there) > 1:
-        raise OptionError(f"{folder} has robots {names}: say which (robot=N, or --robot N)")
+        raise OptionError(f"{folder} has robots {names}: say which (robot=N)")
     if robot is not None and there and robot not in there:
         raise OptionError(f"{folder} has no files of robot {quoted(robot)}; its robots are {names}")
     return robot if robot is not None else (there or [1])[0]

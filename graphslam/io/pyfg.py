@@ -178,7 +178,7 @@ def _log_of(file: _File, robot: int | None) -> Log:
     notes = Counter[str]()
     if robot is not None:
         left_out = sum(len(_outside(row, step)) > 0 and bool(step.keys() & row.names) for row in others)
-        notes[f"edges to other robots are left out, because --robot names one: {left_out:,}"] += left_out
+        notes[f"edges to other robots are left out, because one robot is named: {left_out:,}"] += left_out
     others = [row for row in others if not _outside(row, step)]
     truth = np.array([file.vertices[name].numbers for name in every])
     known = _is_truth(chains, odometry, file)

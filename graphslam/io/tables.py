@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError, OptionError, quoted
+from ..errors.checks import declared_in
 from ..files import TomlFile, check_unpacked, first_bytes
 from ..log import Log
 from ..log.drive import ROLES
@@ -33,8 +34,9 @@ from .base import Format, errors_name
 
 #: keys of the table of a stream that are not its columns
 _UNITS = ("time", "angles", "lengths")
-#: the types of the options of all tables that are not text alone
-_TYPES = {"strict": (bool,), "sensor_yaw": (float,), **dict.fromkeys((*_UNITS, "columns", "clocks"), (str, dict))}
+#: the types of the options of all tables
+_TYPES: dict[str, tuple[type, ...]] = {name: (each.kind,) for name, each in declared_in(TableOptions).items()}
+_TYPES |= dict.fromkeys((*_UNITS, "columns", "clocks"), (str, dict))
 _WHERE = ("file", "topic", "child", "parent", "use")
 #: of topics of relations and positions: standard deviations [m, rad] instead of those of the messages, and the point of the
 #: robot that is measured, forward and left [m]
@@ -71,9 +73,9 @@ def read_recipe(path: Path) -> Recipe:
     known = [f.name for f in fields(TableOptions)]
     file.check_keys(file.table, (*known, *TABLES))
     values: dict[str, Any] = {name: _value(file, name) for name in known if name in file.table}
-    units: dict[str, dict[str, str]] = {n: {"": values[n]} for n in _UNITS if isinstance(values.get(n), str)}
-    of_tables = {name: values.pop(name) for name in ("columns", "clocks") if name in values}
+    of_tables = {name: values.pop(name) for name in (*_UNITS, "columns", "clocks") if name in values}
     stated = file.attempt(lambda: TableOptions(**of_tables))
+    units: dict[str, dict[str, str]] = {name: stated.by_table(name) for name in _UNITS if name in of_tables}
     columns: dict[str, dict[str, Any]] = {table: dict(stated.columns_of(table)) for table in TABLES}
     clocks = stated.by_table("clocks")
     places: dict[str, dict[str, str]] = {}
@@ -116,7 +118,7 @@ def _value(file: TomlFile, name: str) -> Any:
         if len(value) != 2 or not all(type(number) in (int, float) for number in value):
             raise file.error(name, f"{name} should be a list of two numbers, [forward, left]")
         return tuple(file.value({name: number}, name, float) for number in value)
-    return file.value(file.table, name, *_TYPES.get(name, (str,)))
+    return file.value(file.table, name, *_TYPES[name])
 
 
 def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:

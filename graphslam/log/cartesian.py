@@ -45,7 +45,7 @@ def chosen_axes(
         return stated or plain, (), ()
     if "y" not in found:
         note = (
-            f"{table.source}: x and z are taken as right and ahead, the axes of a camera (--axes optical), because there is "
+            f"{table.source}: x and z are taken as right and ahead, the axes of a camera (axes='optical'), because there is "
             "no y"
         )
         return stated or "optical", () if stated else (note,), ()
@@ -55,21 +55,21 @@ def chosen_axes(
     if stated:
         one, other = ("y", "z") if shown == "optical" else ("z", "y")
         message = (
-            f"{table.source}: --axes {stated} is stated, but {one} rather than {other} seems to be the height of the "
-            f"landmarks; compare with --axes {shown}"
+            f"{table.source}: axes='{stated}' is stated, but {one} rather than {other} seems to be the height of the "
+            f"landmarks; compare with axes='{shown}'"
         )
         return stated, (), (("axes", message),)
     if shown is None:
         message = (
             f"{table.source}: x and y are taken as ahead and left, and z as the height, but the numbers do not show that; if "
-            "they are right, down and ahead, as of a camera, add --axes optical, and else --axes forward-left"
+            "they are right, down and ahead, as of a camera, add axes='optical', and else axes='forward-left'"
         )
         return plain, (), (("axes", message),)
     notes = {
         plain: "x and y are taken as ahead and left, because z seems to be the height of the landmarks; if y is the height, "
-        "add --axes optical",
-        "optical": "x, y and z are taken as right, down and ahead, the axes of a camera (--axes optical), because y seems to "
-        "be the height of the landmarks; if z is the height, add --axes forward-left",
+        "add axes='optical'",
+        "optical": "x, y and z are taken as right, down and ahead, the axes of a camera (axes='optical'), because y seems to "
+        "be the height of the landmarks; if z is the height, add axes='forward-left'",
     }  # fmt: skip
     return shown, (f"{table.source}: {notes[shown]}",), ()
 

@@ -46,12 +46,13 @@ from .rows import (
     sound_rows,
     spike_faults,
 )
-from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, Kept, Table, find, ordered, wheels
+from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES, Kept, Table, find, ordered
+from .wheels import WHEELS, controls_of, motion_of
 
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")
 ROLES = {
-    "odometry": ("t", "date", "nanosec", "nu", "vy", "omega", *_POSE),
+    "odometry": ("t", "date", "nanosec", *WHEELS, "nu", "vy", "omega", *_POSE),
     "sightings": ("t", "date", "nanosec", "id", "class", "range", "bearing", "orientation", "x", "y", "z"),
     "truth": ("t", "date", "nanosec", *_POSE),
     "map": ("id", "x", "y", "theta"),
@@ -117,12 +118,12 @@ class Reader:
         """The sentence about a column that is not there, with those that are."""
         have = named(self.table.names) if self.table.names else f"{self.table.width} columns without names"
         names = " or ".join(dict.fromkeys((role, *NAMES[role][:3])))
-        which = f"Say which it is: --columns {self.kind}.{role}=NAME"
+        which = f"Say which it is: columns='{self.kind}.{role}=NAME'"
         if role == "id":
             # many sensors have no ids, so that only a column without another use is asked about
             if not self.unused:
                 return f"no column for id (named {names}, ...){consequence}"
-            which = f"If one has the ids, say which: --columns {self.kind}.{role}=NAME"
+            which = f"If one has the ids, say which: columns='{self.kind}.{role}=NAME'"
         return f"no column for {role} (named {names}, ...){consequence}; it has {have}. {which}"
 
     @property
@@ -138,7 +139,7 @@ class Reader:
             chosen, unit = self.found[role], ""
             if role in MEASURES:
                 unit = self._unit(role) or UNITS_OF[MEASURES[role]][0]
-                unit += "/s" if role in ("nu", "omega") else ""
+                unit += "/s" if role in RATES else ""
             name = self.table.names[chosen.column] if self.table.names else f"column {chosen.column + 1}"
             parts.append((role if name == role else f"{role} = {name}") + (f" [{unit}]" if unit else ""))
         return tuple(parts)
@@ -157,12 +158,12 @@ class Reader:
         if (stated := self.options.unit(measure, self.kind)) is not None:
             return stated
         if named in OTHER_UNITS:
-            own, per = UNITS_OF[measure], "/s" if role in ("nu", "omega") else ""
+            own, per = UNITS_OF[measure], "/s" if role in RATES else ""
             raise self.table.error(
                 None,
                 f"the column {self.table.names[self.found[role].column]} is in {named}, which is not converted: units are "
                 f"{', '.join(unit + per for unit in own)}. Convert it; if its numbers are in {own[0]}{per} after all, add "
-                f"--{measure} {self.kind}={own[0]}",
+                f"{measure}='{self.kind}={own[0]}'",
             )
         return named if named in UNITS_OF[measure] else None
 
@@ -288,7 +289,7 @@ class Reader:
         if not self.stated(role) and (k := first(np.abs(values) > limit)) is not None:
             measure = measure or MEASURES[role]
             likely, own = {"angles": "degrees", "lengths": "mm"}[measure], UNITS_OF[measure][0]
-            advice = f"Then add --{measure} {self.kind}={likely}; if not, add --{measure} {self.kind}={own}"
+            advice = f"Then add {measure}='{self.kind}={likely}'; if not, add {measure}='{self.kind}={own}'"
             raise self.table.error(k, f"{message.format(values[k])} {advice}{also}")
 
     def refuse_many(self, role: str, values: Array, limit: float, message: str, measure: str = "") -> None:
@@ -305,19 +306,16 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     """
     reader = Reader("odometry", table, options)
     reader.need("t")
-    driven = reader.has("nu", "omega") or not reader.has("x", "y")
-    if driven and not reader.has("nu", "omega") and (sides := wheels(table.names)):
-        raise table.error(
-            None,
-            f"{named(sides)} seem to be of the left and the right wheel, which are not read: make columns of the speed "
-            "nu = (left + right) / 2 [m/s] and the turn rate omega = (right - left) / track [rad/s] of them, with the "
-            "distance between the wheels as track; of ticks, take their differences from row to row in metres per second",
-        )
-    table = reader.leave_out(*(("nu", "omega") if driven else _POSE))
+    motion, of_wheels = motion_of(table, reader.found, options.track), tuple[str, ...]()
+    table = reader.leave_out(*(_POSE if "x" in motion else motion))
     ns = reader.times()
-    if driven:
-        reader.need("nu", "omega", instead=", and none for x, y and theta instead of nu and omega")
-        rows = reader.numbers("nu", "omega")
+    if "x" not in motion:
+        reader.need(*motion, instead=", and none for x, y and theta instead of nu and omega")
+        rows = reader.numbers(*motion)
+        speed = rows[:, : 2 if "left" in motion else 1]
+        reader.refuse_many(motion[0], np.abs(speed).max(axis=1), FASTEST, "the speed is {:g} m/s: is it in mm/s?")
+        if "left" in motion:
+            rows, of_wheels = controls_of(table, rows, options.track)
         sideways = _sideways_speed(reader, rows[:, 0])
     else:
         rows = reader.poses()
@@ -326,21 +324,20 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     ns, order, notes = ordered(reader.table, ns)
     rows = rows[order]
     more, doubts = repeated_times("odometry", table, ns, rows, np.arange(len(ns))[order])
-    notes += more
+    notes += of_wheels + more
     dt = np.diff(ns) / 1e9
     if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > LONGEST:
         unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
         raise table.error(
             None,
-            f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds? Then add --time "
-            f"odometry={unit}; if they are seconds, add --time odometry=s",
+            f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds? Then add "
+            f"time='odometry={unit}'; if they are seconds, add time='odometry=s'",
         )
     if rows.shape[1] == 3:
         rows, ns, sideways = _controls(reader, rows, ns)
-    else:
-        speed, turn = np.abs(rows).T
-        reader.refuse_many("nu", speed, FASTEST, "the speed is {:g} m/s: is it in mm/s?")
-        reader.refuse_many("omega", turn, QUICKEST, "the turn rate is {:g} rad/s: is it in degrees per second?")
+    elif "omega" in motion:
+        message = "the turn rate is {:g} rad/s: is it in degrees per second?"
+        reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts + sideways)
 
 
@@ -419,7 +416,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
             raise table.error(
                 int(alone_at[0]),
                 "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset: give it as "
-                "the sensor measured it, with --centre sensor",
+                "the sensor measured it, with centre='sensor'",
             )
         from_centre = rows[:, :1] * np.column_stack([np.cos(rows[:, 1]), np.sin(rows[:, 1])])
         rows[:, :2] = polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))

@@ -7,6 +7,7 @@ with its noise. Latitude and longitude become places in the plane that touches t
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,13 +18,13 @@ from ..errors import LogError, OptionError
 from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, checked_offset, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
-from .cells import COVERED, Doubt, seconds
+from .cells import COVERED, Doubt, seconds, time_faults
 from .drive import TURNED, Reader, Timed, map_of, odometry_of, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
-from .rows import ReadOptions, TableOptions
-from .streams import Stream, synchronize
-from .table import COVARIANCES, Table, ordered
+from .rows import MOST_LEFT_OUT, UNITS_OF, ReadOptions, TableOptions
+from .streams import MOST_DISORDER, Stream, synchronize
+from .table import COVARIANCES, Kept, Table, ordered
 from .text_table import table_of
 
 #: the major half-axis [m] and the squared eccentricity of the ellipsoid
@@ -228,14 +229,58 @@ def read_drive(
         LogError: a table lacks a column or has an impossible value.
     """
     options = options or TableOptions()
-    moved = odometry_of(table_of(odometry, "odometry"), options)
-    seen = sightings_of(table_of(sightings, "sightings"), options)
-    given = ((kind, table_of(table, kind)) for kind, table in others.items() if table is not None)
+    moved = odometry_of(_in_order("odometry", table_of(odometry, "odometry"), options), options)
+    seen = sightings_of(_in_order("sightings", table_of(sightings, "sightings"), options, moved), options)
+    given = (
+        (kind, _in_order(kind, table_of(table, kind), options, moved))
+        for kind, table in others.items()
+        if table is not None
+    )
     read: dict[str, Any] = {kind: READERS[kind](table, options) for kind, table in given}
     landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
     return Drive(
         moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read
     )
+
+
+#: rows are shuffled where the time goes back by more than `MOST_DISORDER` in a larger share of them
+_SHUFFLED = 0.2
+
+
+def _in_order(kind: str, table: Table, options: TableOptions, odometry: Timed | None = None) -> Table:
+    """The table, with its rows sorted by time where they are in another order: the newest first, by landmark, or shuffled.
+
+    The last two are sorted only where their times lie within those of the odometry. Times that go back otherwise, as where a
+    clock was set, and single wrong times stay as they are: the readers refuse them, or leave them out.
+    """
+    reader = Reader(kind, table, options)
+    if not reader.has("t") or len(table) < 3:
+        return table
+    # dates are no numbers
+    with suppress(LogError):
+        if np.all(np.diff(table.numbers([reader.found["t"].column])[:, 0]) >= 0):
+            return table
+    try:
+        ns = reader.times()
+    except LogError:
+        # the reader of the table says which time cannot be
+        return table
+    steps = np.diff(ns)
+    if np.any(steps > 0) or not np.any(steps):
+        if odometry is None:
+            return table
+        outside = (ns < odometry.times[0]) | (ns > odometry.times[-1])
+        rows = np.flatnonzero(~time_faults(ns / 1e9, "", "s")[1].rows)
+        back = np.diff(ns[rows]) < -1e9 * MOST_DISORDER
+        if np.sum(back) <= 2 or np.mean(outside) > MOST_LEFT_OUT:
+            return table
+        if np.mean(back) <= _SHUFFLED:
+            ids = table.words(reader.found["id"].column)[rows] if reader.has("id") else rows
+            other = ids[1:] != ids[:-1]
+            if not np.all(other[back]) or np.sum(other) >= len(np.unique(ids)):
+                return table
+    note = f"{table.source}: the rows are not in the order of their times; they were sorted"
+    return Kept(table, np.argsort(ns, kind="stable"), (note,))
 
 
 #: the readers of tables that a drive need not have
@@ -309,24 +354,36 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
         if inside < _FEW * len(other.times) and longer > _LONGER:
             raise LogError(
                 f"{_name(other)} lasts {longer:.0f} times as long as {_name(odometry)}, and only {inside} of "
-                f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in milliseconds? Then "
-                f"add --time {kind}=ms"
+                f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in another unit? "
+                f"Then add time='{kind}={_finer_unit(other, longer) or 'ms'}'"
             )
         return
     offset = (begin - first) / 1e9
     hours = offset / 3600
-    ratio = max(end - begin, last - first) / max(1, min(end - begin, last - first))
-    if abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
-        cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
-    elif min(begin, first) < 1e16 < max(begin, first):
+    remedy = f"clocks='{kind}={f'{offset:.3f}'.rstrip('0').rstrip('.')}' lets both begin together"
+    finer, which, ratio = odometry, "odometry", (end - begin) / (last - first or end - begin)
+    if ratio < 1:
+        finer, which, ratio = other, kind, (last - first) / (end - begin)
+    if min(begin, first) < 1e16 < max(begin, first):
         cause = "one counts from 1970 and the other from its own start"
-    elif unit := next((unit for unit in (1000, 10**6, 10**9) if 0.5 < ratio / unit < 2), None):
-        cause = f"one seems to be in units {unit} times as large"
+    elif unit := _finer_unit(finer, ratio):
+        cause, remedy = f"the times of {_name(finer)} seem to be in another unit", f"if so, add time='{which}={unit}'"
+    elif abs(hours) >= 0.9 and abs(hours - round(hours)) < 0.05 and abs(hours) < 26:
+        cause = f"they differ by about {abs(round(hours))} h, as two time zones do"
     else:
         cause = "they are of different drives, or one clock was not set"
-    text = f"{offset:.3f}".rstrip("0").rstrip(".")
     names = f"{_name(odometry)} ({_interval(begin, end)}) and {_name(other)} ({_interval(first, last)})"
-    raise LogError(f"the clocks of {names} do not overlap: {cause}; --clocks {kind}={text} lets both begin together")
+    raise LogError(f"the clocks of {names} do not overlap: {cause}; {remedy}")
+
+
+def _finer_unit(stream: Timed, ratio: float) -> str | None:
+    """The unit that times seem to have that last so many times as long as others; None where no unit explains it.
+
+    Sightings, or the odometry, may cover a tenth of the other.
+    """
+    units, steps = UNITS_OF["time"], round(np.log10(ratio) / 3)
+    read = next((k for k, unit in enumerate(units) if stream.columns[0].endswith(f"[{unit}]")), 0)
+    return units[read + steps] if steps > 0 and 0.1 < ratio / 1000**steps < 10 and read + steps < len(units) else None
 
 
 def _name(stream: Timed) -> str:

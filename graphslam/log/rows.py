@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import LogError, OptionError, quoted
-from ..errors.checks import check_choice, check_number, check_options, checked_offset, option, suggestion
+from ..errors.checks import check_choice, check_options, checked_offset, declared_in, option, suggestion
 
 #: the id of a landmark that the sensor could not identify
 UNIDENTIFIED = -(2**63)
@@ -157,7 +157,7 @@ def spike_faults(values: np.ndarray, title: str, role: str) -> list[Fault]:
     far = sizes > _SPIKE * usual
     neighbours = np.append(far[1:], False) | np.append(False, far[:-1])
     if (
-        role not in ("nu", "omega")
+        role not in ("left", "right", "nu", "omega")
         or usual == 0
         or np.any(far & neighbours)
         or np.any((known > _USUAL * usual) & (known <= _SPIKE * usual))
@@ -247,6 +247,10 @@ class TableOptions:
         None, "Point of the robot that the truth is of, such as a GPS antenna: forward, left", "m", default_text="0,0",
         metavar="FORWARD,LEFT",
     )  # fmt: skip
+    track: float | None = option(
+        None, "Distance between the left and the right wheel, whose speeds the odometry has", "m", positive=True,
+        maximum=20.0,
+    )  # fmt: skip
     sensor_yaw: float | None = option(
         None, "Direction in which the sensor looks, 0 is forward, positive to the left", "rad",
         default_text="0, or as the bag says",
@@ -266,8 +270,8 @@ class TableOptions:
         for name in ("sensor_offset", "truth_offset"):
             if (offset := getattr(self, name)) is not None:
                 checked_offset(name, offset)
-        if self.sensor_yaw is not None:
-            check_number(sensor_yaw=self.sensor_yaw)
+        for name in ("track", "sensor_yaw"):
+            declared_in(TableOptions)[name].checked(getattr(self, name))
         for table in TABLES:
             self.clock(table)
         self._columns()

@@ -151,6 +151,24 @@ class Kept(Table):
 #: the columns of the noise of relations and positions: standard deviations, or covariances [m², m rad, rad²]
 DEVIATIONS = ("sigma_x", "sigma_y", "sigma_theta")
 COVARIANCES = ("cov_xx", "cov_xy", "cov_xtheta", "cov_yy", "cov_ytheta", "cov_thetatheta")
+
+
+def _of_wheel(side: str) -> tuple[str, ...]:
+    """The names of the speed of the "left" or "right" wheel."""
+    forms = (
+        "{0}_{2}",
+        "{2}_{0}",
+        "{2}_{1}",
+        "{1}_{2}",
+        "{0}_wheel_{2}",
+        "wheel_{0}_{2}",
+        "wheel_{2}_{0}",
+        "{2}_{0}_wheel",
+    )
+    names = (form.format(side, side[0], word) for word in ("speed", "velocity", "vel", "v") for form in forms)
+    return (*names, f"v{side}", f"v{side[0]}")
+
+
 #: what a column can be -> the names it has in other people's tables, after `plain`
 NAMES: dict[str, tuple[str, ...]] = {
     "t": (
@@ -159,6 +177,8 @@ NAMES: dict[str, tuple[str, ...]] = {
     ),
     "date": ("date", "day"),
     "nanosec": ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"),
+    "left": _of_wheel("left"),
+    "right": _of_wheel("right"),
     "nu": (
         "nu", "v", "vel", "velocity", "speed", "linear_x", "linear_velocity", "forward_velocity", "forward_speed",
         "lin_vel", "linear", "vx", "v_x", "v_lin", "translational_velocity",
@@ -231,7 +251,25 @@ OTHER_UNITS = frozenset((
 ))  # fmt: skip
 #: units at the end of a name; range_min and x_in are rather a minimum and an input
 _ENDS = UNITS | {unit: unit for unit in OTHER_UNITS - {"in", "min", "mi", "h", "hz", "kn", "kt", "grad", "foot"}}
-_LENGTHS = ("nu", "vy", "x", "y", "z", "range", "dx", "dy", "sigma", "sigma_x", "sigma_y", "lever_x", "lever_y")
+#: what is per second
+RATES = ("left", "right", "nu", "vy", "omega")
+_LENGTHS = (
+    "left",
+    "right",
+    "nu",
+    "vy",
+    "x",
+    "y",
+    "z",
+    "range",
+    "dx",
+    "dy",
+    "sigma",
+    "sigma_x",
+    "sigma_y",
+    "lever_x",
+    "lever_y",
+)
 _ANGLES = ("omega", "theta", "bearing", "orientation", "dtheta", "sigma_theta")
 #: what each column measures, a key of `rows.UNITS_OF`
 MEASURES = {
@@ -306,7 +344,7 @@ def find(
                 ]
                 if len(fits) > 1:
                     titles = " and ".join(table.title(k) for k in fits[:2])
-                    raise table.error(None, f"{titles} could both be {role}; say which: --columns {kind}.{role}=NAME")
+                    raise table.error(None, f"{titles} could both be {role}; say which: columns='{kind}.{role}=NAME'")
                 if fits:
                     found[role] = Chosen(fits[0], names[fits[0]][1])
                     taken.add(fits[0])
@@ -379,10 +417,3 @@ def _set_back(ns: np.ndarray, jumps: np.ndarray) -> bool:
         if again > TWICE * usual * lasting:
             return True
     return False
-
-
-def wheels(names: Sequence[str]) -> list[str]:
-    """The names of columns of a left and a right wheel; empty unless there are both."""
-    words = {name: set(plain(name)[0].split("_")) for name in names}
-    sides = [[name for name, parts in words.items() if parts & side] for side in ({"left", "l"}, {"right", "r"})]
-    return [*sides[0], *sides[1]] if all(sides) else []

@@ -209,13 +209,13 @@ class SightingPairs:
                     yield *_direction(sign, degrees), poses, z * [1, sign] + [0.0, np.deg2rad(degrees)]
         # no sensor sees three degrees to each side only; slower turns would fit such bearings, too
         if np.max(np.abs(z[..., 1])) <= np.pi * np.pi / 180:
-            stated = "the bearings are in radians and were read as degrees (--angles sightings=radians)"
+            stated = "the bearings are in radians and were read as degrees (angles='sightings=radians')"
             yield "bearing unit", stated, poses, z * [1.0, 180 / np.pi]
         else:
-            slowly = "the turn rates are in degrees per second (--angles odometry=degrees)"
+            slowly = "the turn rates are in degrees per second (angles='odometry=degrees')"
             slower = (1.0, np.pi / 180)
             yield "turn rate unit", slowly, self._path(slower)[starts], z, slower
-        swapped = "the columns of speed and turn rate are swapped (--columns)"
+        swapped = "the columns of speed and turn rate are swapped (columns='odometry.nu=NAME,odometry.omega=NAME')"
         yield "odometry swapped", swapped, self._path([1.0, 1.0], slice(None, None, -1))[starts], z
         for factor, message in (
             (1 / 1000, "the speeds are in mm/s"), (1 / 100, "the speeds are in cm/s"), (1 / 3.6, "the speeds are in km/h"),
@@ -237,7 +237,7 @@ class SightingPairs:
             for shift in (-late, late):
                 moved = np.stack([np.interp(times[starts] + shift, times, column) for column in self.path.T], axis=-1)
                 message = f"the clock of the sightings is about {late:g} s {'fast' if shift < 0 else 'slow'}"
-                yield "clock", f"{message} (--clocks sightings={shift:g})", moved, self.sightings
+                yield "clock", f"{message} (clocks='sightings={shift:g}')", moved, self.sightings
 
 
 def moves(sensor: SensorModel, poses: Array, sightings: Array) -> Array:
@@ -248,14 +248,14 @@ def moves(sensor: SensorModel, poses: Array, sightings: Array) -> Array:
 
 def _direction(sign: int, degrees: int) -> tuple[str, str]:
     """The name of the check, and the finding about a sensor whose bearings b are read as sign * b + degrees."""
-    yaw = f"--sensor-yaw {np.deg2rad(degrees):.4f}"
+    yaw = f"sensor_yaw={np.deg2rad(degrees):.4f}"
     if (sign, degrees) == (-1, 0):
-        return "bearing sign", "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise)"
+        return "bearing sign", "the bearings, or else the turn rates, have the wrong sign (bearings='clockwise')"
     if (sign, degrees) == (-1, 90):
-        others = f"or bearings count clockwise from the left (--bearings clockwise {yaw})"
-        return "axes swapped", f"x and y of the sightings are swapped (--axes left-forward), {others}"
+        others = f"or bearings count clockwise from the left (bearings='clockwise', {yaw})"
+        return "axes swapped", f"x and y of the sightings are swapped (axes='left-forward'), {others}"
     if sign < 0:
-        message = f"bearings grow clockwise, from about {degrees} degrees left of ahead (--bearings clockwise {yaw})"
+        message = f"bearings grow clockwise, from about {degrees} degrees left of ahead (bearings='clockwise', {yaw})"
         return "bearing sign", message.replace("about ", "") if degrees % 90 == 0 else message
     if degrees == 180:
         return "sensor direction", f"the sensor looks to the back ({yaw}), or the speeds have the wrong sign"

@@ -304,7 +304,7 @@ def _inverse(name: str, matrix: Array) -> Array:
         root = np.linalg.inv(np.linalg.cholesky(matrix / np.outer(deviations, deviations))) / deviations
     except np.linalg.LinAlgError:
         raise OptionError(
-            f"{name} is singular, so that it has no inverse; leave covariances out (map_use='fixed', or "
-            "--map-use fixed) if landmarks are exact"
+            f"{name} is singular, so that it has no inverse; leave covariances out (map_use='fixed') if landmarks "
+            "are exact"
         ) from None
     return root.T @ root

@@ -175,7 +175,7 @@ def _check(log: Log, first: Log) -> None:
     if log.sightings.shape[1] != first.sightings.shape[1]:
         raise LogError(
             f"{log.name} has sightings of {log.sightings.shape[1]} numbers and {first.name} of {first.sightings.shape[1]}; "
-            "leave psi out: --dimensions 2, or Log.without_orientation of the one that has it"
+            "leave psi out: dimensions=2, or Log.without_orientation of the one that has it"
         )
     for name in ("motion", "sensor", "truth_offset"):
         if getattr(log, name) != getattr(first, name):

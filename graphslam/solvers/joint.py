@@ -176,7 +176,7 @@ def _remedy(graph: Graph) -> str:
     if graph.log.controls is None:
         return "The log has no odometry to hold them: add it, or remove the sightings from there"
     if motion_edges(graph) is None:
-        return "Use motion edges, which hold every pose: edges='landmark+motion' (--edges landmark+motion)"
+        return "Use motion edges, which hold every pose: edges='landmark+motion'"
     return (
         "The odometry and the sightings there count for nothing beside the others: look for extreme noise models, units, or "
         "motions (slam-compare show)"

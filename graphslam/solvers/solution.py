@@ -387,7 +387,7 @@ def make_solution(
     if graph.kernel is not None and not run.converged:
         notes += (
             f"with the kernel {graph.kernel.name} solvers may converge slowly where many sightings are wrong: raise "
-            "max_iterations of solve, or use its method gnc (--kernel gnc), which decides which sightings are wrong",
+            "max_iterations of solve, or use its method gnc (kernel='gnc' of run), which decides which sightings are wrong",
         )
     poses, estimated = graph.trajectory_of(state)
     poses[:, 2] = wrap(poses[:, 2])

@@ -100,7 +100,7 @@ def test_units_of_the_truth_are_not_those_of_the_estimate(tmp_path: Path) -> Non
     nameless = tmp_path / "names.csv"
     nameless.write_text(estimate.read_text().replace("t,x,y", "when,x,y", 1))
     # the advice is one that helps
-    with pytest.raises(LogError, match=r"--columns estimates\.t=NAME"):
+    with pytest.raises(LogError, match=r"columns='estimates\.t=NAME'"):
         comparisons.evaluate(estimate, nameless)
     assert comparisons.evaluate(estimate, nameless, columns="estimates.t=when").estimates[0].ate_m < 1e-9
     covariances = np.broadcast_to(np.eye(3), (len(TIMES), 3, 3))

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import comparisons
 from comparisons.cli import app
-from comparisons.cli.output import Output
+from comparisons.cli.output import Output, in_flags
 from comparisons.options import RunOptions
 from comparisons.show.log_tables import bars, pictures, plan
 from graphslam import OptionError, load, sample_log_path, simulate
@@ -67,14 +67,32 @@ def test_options_of_the_command_line(call, folder):
 
 def test_a_flipped_bearing_is_announced_by_import_show_and_run(call, folder):
     (folder / "import.toml").write_text('bearings = "clockwise"\n')
-    warning = "WARNING: the bearings, or else the turn rates, have the wrong sign (--bearings clockwise)"
+    warning = "WARNING: the bearings, or else the turn rates, have the wrong sign"
     advice = "slam-compare import has --bearings; other verbs read such options from import.toml"
     output = call("import", folder)
-    assert warning in output and advice not in output
+    assert f"{warning} (--bearings clockwise)" in output and advice not in output
     for verb in (["show", folder], ["run", folder, "--estimators", "dead-reckoning", "--out", "out", "--figures", ""]):
         output = call(*verb)
-        assert warning in output and advice in output
-    assert "wrong sign" in json.loads(Path("out/comparison.json").read_text())["warnings"][0]
+        assert f'{warning} (bearings = "clockwise")' in output and advice in output
+    assert "wrong sign (bearings='clockwise')" in json.loads(Path("out/comparison.json").read_text())["warnings"][0]
+
+
+def test_options_are_spelled_as_the_command_line_has_them():
+    text = "add axes='optical', clocks='sightings=-0.5', sensor_yaw=-1.5, kernel='cauchy' or noise=FILE"
+    known = ("axes", "clocks", "sensor_yaw", "sensor_offset")
+    flags = "add --axes optical, --clocks sightings=-0.5, --sensor-yaw -1.5, --kernel cauchy or --noise FILE"
+    assert in_flags(text, known) == flags
+    # a command stays as it is, and so do a verb's own words
+    assert in_flags(flags, known) == flags
+    assert in_flags("fastslam1 particles=100 kernel=huber", ("particles",)) == "fastslam1 particles=100 kernel=huber"
+    assert in_flags("import FOLDER --columns odometry.t=T,odometry.nu=V", ("odometry", "t")).endswith(
+        "=T,odometry.nu=V"
+    )
+    assert in_flags("sensor_offset=[FORWARD, LEFT]、columns='odometry.nu=a b'", ("sensor_offset", "columns")) == (
+        "--sensor-offset FORWARD,LEFT、--columns 'odometry.nu=a b'"
+    )
+    lines = in_flags(text, ()).removeprefix("add ").split(", ")
+    assert lines[:2] == ['axes = "optical"', 'clocks = "sightings=-0.5"'] and lines[2] == "sensor_yaw = -1.5"
 
 
 def test_mistakes_end_with_one_sentence(call, folder):

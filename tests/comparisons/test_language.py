@@ -99,9 +99,9 @@ NO_SENTENCES = {
     "ids change",
     "{} repeats",
     # parts that are put together, whose wholes `test_warnings_of_a_log` translates
-    "{} (--clocks sightings={})",
+    "{} (clocks='sightings={}')",
     "the clock of the sightings is about {} s {}",
-    "--sensor-yaw {}",
+    "sensor_yaw={}",
     "the sensor looks {}{} degrees to the {} ({})",
     "{} (of {}) with the time",
     "{} (of {}) with the time, id and numbers of another row",

@@ -10,16 +10,16 @@ from comparisons.show.language import translated
 @pytest.mark.parametrize(
     "message",
     [
-        "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise): read like this, they fit the "
+        "the bearings, or else the turn rates, have the wrong sign (bearings='clockwise'): read like this, they fit the "
         "odometry 23.0 times better",
-        "x and y of the sightings are swapped (--axes left-forward), or bearings count clockwise from the left (--bearings "
-        "clockwise --sensor-yaw 1.5708): read like this, they fit the odometry 3.0 times better",
-        "the sensor looks about 75 degrees to the right (--sensor-yaw -1.3090): read like this, they fit the odometry 16.3 "
+        "x and y of the sightings are swapped (axes='left-forward'), or bearings count clockwise from the left "
+        "(bearings='clockwise', sensor_yaw=1.5708): read like this, they fit the odometry 3.0 times better",
+        "the sensor looks about 75 degrees to the right (sensor_yaw=-1.3090): read like this, they fit the odometry 16.3 "
         "times better",
-        "the sensor looks 90 degrees to the left (--sensor-yaw 1.5708): read like this, they fit the odometry infinitely "
+        "the sensor looks 90 degrees to the left (sensor_yaw=1.5708): read like this, they fit the odometry infinitely "
         "many times better",
         "the ranges are in cm, against the other lengths: read like this, they fit the odometry 18.3 times better",
-        "the clock of the sightings is about 0.5 s fast (--clocks sightings=-0.5): read like this, they fit the odometry 2.3 "
+        "the clock of the sightings is about 0.5 s fast (clocks='sightings=-0.5'): read like this, they fit the odometry 2.3 "
         "times better",
         "the odometry turns the other way than the truth; one of them has the wrong sign; or x and y of the truth are "
         "swapped, with the headings",
@@ -36,10 +36,10 @@ from comparisons.show.language import translated
         "odometry.csv: the robot drives sideways ('vy') for 65% of its way, which controls (nu, omega) leave out: dead "
         "reckoning is wrong, and estimates rest on the sightings; OnlineSolver.move(motion=..., covariance=...) takes "
         "motions in any direction",
-        "tags.csv: x, y and z are taken as right, down and ahead, the axes of a camera (--axes optical), because y seems to "
-        "be the height of the landmarks; if z is the height, add --axes forward-left",
-        "tags.csv: --axes optical is stated, but z rather than y seems to be the height of the landmarks; compare with "
-        "--axes forward-left",
+        "tags.csv: x, y and z are taken as right, down and ahead, the axes of a camera (axes='optical'), because y seems to "
+        "be the height of the landmarks; if z is the height, add axes='forward-left'",
+        "tags.csv: axes='optical' is stated, but z rather than y seems to be the height of the landmarks; compare with "
+        "axes='forward-left'",
         "the orientations have the opposite sign, m_theta - theta - phi: read like this, the heading of a landmark changes "
         "by 0.037 instead of 0.19 rad over short ways (median); make them psi = theta + phi - m_theta or leave out their "
         "column",

@@ -151,7 +151,7 @@ def test_the_robots_of_a_data_set_are_solved_together_unless_one_is_named(invoke
     assert json.loads(one.stdout)["sessions"] is None
     # verbs that follow one robot still ask which
     which = invoke("particles", "set")
-    assert which.exit_code == 2 and "say which (robot=N, or --robot N)" in which.stderr
+    assert which.exit_code == 2 and "say which (--robot N)" in which.stderr
 
 
 def test_a_changed_log_is_not_repeated(invoke: Invoke, files: list[Path]) -> None:

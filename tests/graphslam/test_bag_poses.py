@@ -106,7 +106,7 @@ def test_fixes_are_positions_of_the_antenna(tmp_path: Path, ros: int, name: str,
     assert np.abs(compose(solution.poses, [0.3, 0.1, 0.0])[:, :2] - (antenna - antenna[0])).max() < 0.01
     # a topic that is not named is not used
     assert log_of(path, {}).positions is None
-    assert "--positions /gps/fix" in " ".join(log_of(path, {}).notes)
+    assert "positions='/gps/fix'" in " ".join(log_of(path, {}).notes)
 
 
 def test_the_plane_is_that_of_the_earth() -> None:

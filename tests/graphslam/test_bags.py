@@ -391,7 +391,7 @@ MISTAKES = {
     "wrong type": r"a.mcap: /tags: its messages, apriltag_ros/msg/AprilTagDetectionArray, give no odometry; "
     "nav_msgs/Odometry, geometry_msgs/Twist, TwistStamped and TF do",
     "unknown frame": r"a.mcap: /tags: its positions are in the frame 'camera_link', and no fixed transform in TF leads from "
-    r"there to 'base_link', the robot; state where the sensor is: --sensor-offset FORWARD,LEFT",
+    r"there to 'base_link', the robot; state where the sensor is: sensor_offset=\[FORWARD, LEFT\]",
     "moving frame": "no fixed transform in TF leads from there to 'base_link'",
     "frames of TF": "there is no topic of TF, which should have sightings from frames",
     "no positions": "a.mcap: /seen: its detections have no positions, all are zero or absent",

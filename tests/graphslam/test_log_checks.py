@@ -68,7 +68,7 @@ def test_mistakes_are_found(sample, name):
 def test_the_message_names_the_cause_and_the_option(sample):
     (finding,) = check_log(bearings(sample, lambda b: -b))
     assert finding.message.startswith(
-        "the bearings, or else the turn rates, have the wrong sign (--bearings clockwise): read like this, they fit the "
+        "the bearings, or else the turn rates, have the wrong sign (bearings='clockwise'): read like this, they fit the "
         "odometry "
     )
 
@@ -117,7 +117,7 @@ def test_a_clock_that_is_late_is_found():
     assert not checks(precise())
     (finding,) = check_log(precise(1.2))
     assert finding.check == "clock"
-    assert "the clock of the sightings is about 1.2 s fast (--clocks sightings=-1.2)" in finding.message
+    assert "the clock of the sightings is about 1.2 s fast (clocks='sightings=-1.2')" in finding.message
 
 
 def test_other_units_and_directions_are_found():
@@ -125,7 +125,7 @@ def test_other_units_and_directions_are_found():
     (finding,) = check_log(log.replace(sightings=log.sightings / [0.3048, 1]))
     assert finding.message.startswith("the ranges are in feet, against the other lengths")
     (finding,) = check_log(bearings(log, lambda b: b - np.pi / 3))
-    assert finding.message.startswith("the sensor looks about 60 degrees to the left (--sensor-yaw 1.0472)")
+    assert finding.message.startswith("the sensor looks about 60 degrees to the left (sensor_yaw=1.0472)")
     (finding,) = check_log(bearings(log, lambda b: np.pi / 2 - b))
     assert finding.check == "axes swapped"
 
@@ -323,7 +323,7 @@ def test_large_errors_among_many_landmarks_are_no_misread_ids(seed):
 def test_bearings_that_are_no_degrees(own):
     wrong = own.sightings.copy()
     wrong[:, 1] *= np.pi / 180
-    assert "--angles sightings=radians" in message(own.replace(sightings=wrong), "bearing unit")
+    assert "angles='sightings=radians'" in message(own.replace(sightings=wrong), "bearing unit")
 
 
 def test_a_truth_at_every_other_pose_is_compared(own):

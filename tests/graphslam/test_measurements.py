@@ -465,7 +465,7 @@ def test_covariances_and_clocks_that_cannot_be(tmp_path):
     with pytest.raises(LogError, match=r"relations.csv:2: the covariance is not symmetric and positive definite"):
         load(folder)
     folder = write_tables(tmp_path / "b", positions="t,x,y,sigma\n50,1,1,1\n51,1,2,1\n")
-    with pytest.raises(LogError, match=r"--clocks positions=-50 lets both begin together"):
+    with pytest.raises(LogError, match=r"clocks='positions=-50' lets both begin together"):
         load(folder)
 
 

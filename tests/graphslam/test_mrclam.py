@@ -64,7 +64,7 @@ def test_a_pose_every_so_often(folder):
 def test_of_several_robots_one_must_be_named(folder):
     for kind in ("Odometry", "Measurement"):
         (folder / f"Robot4_{kind}.dat").write_bytes((folder / f"Robot2_{kind}.dat").read_bytes())
-    with pytest.raises(OptionError, match=r"robots 2, 4: say which \(robot=N, or --robot N\)"):
+    with pytest.raises(OptionError, match=r"robots 2, 4: say which \(robot=N\)"):
         load(folder)
     with pytest.raises(OptionError, match="no files of robot 3; its robots are 2, 4"):
         load(folder, robot=3)

@@ -50,7 +50,7 @@ def test_the_axes_of_a_camera_are_chosen_by_the_numbers(names, ids):
         tables = {kind: {name: column for name, column in t.items() if name != "id"} for kind, t in tables.items()}
     camera, robot = (Log.from_tables(odometry, table) for table in tables.values())
     np.testing.assert_allclose(camera.sightings, robot.sightings, atol=1e-12)
-    assert any("right, down and ahead, the axes of a camera (--axes optical)" in note for note in camera.notes)
+    assert any("right, down and ahead, the axes of a camera (axes='optical')" in note for note in camera.notes)
     assert any("because z seems to be the height" in note for note in robot.notes)
     assert not findings(camera) and not findings(robot)
     assert camera.equals(Log.from_tables(odometry, tables["camera"], axes="optical"))
@@ -63,10 +63,10 @@ def test_axes_that_the_numbers_do_not_show_are_doubted():
     odometry, seen, places = drive()
     unclear = np.column_stack([places[:, 0], places[:, 1], places[:, 1] + 0.1 * places[:, 0]])
     message = findings(Log.from_tables(odometry, cartesian(seen, unclear)))["axes"]
-    assert "add --axes optical, and else --axes forward-left" in message
+    assert "add axes='optical', and else axes='forward-left'" in message
     assert not findings(Log.from_tables(odometry, cartesian(seen, unclear), axes="forward-left"))
     stated = findings(Log.from_tables(odometry, cartesian(seen, places), axes="optical"))["axes"]
-    assert "--axes optical is stated, but z rather than y seems to be the height" in stated
+    assert "axes='optical' is stated, but z rather than y seems to be the height" in stated
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -131,7 +131,7 @@ def test_psi_in_degrees_is_refused():
     right = Log.from_tables(odometry, seen)
     degrees = np.rad2deg(seen.pop("orientation"))
     with pytest.raises(
-        FormatError, match=r"beyond 2 pi: is it in degrees\? .*--angles sightings=degrees.*orientation_deg"
+        FormatError, match=r"beyond 2 pi: is it in degrees\? .*angles='sightings=degrees'.*orientation_deg"
     ):
         Log.from_tables(odometry, seen | {"orientation": degrees})
     named = Log.from_tables(odometry, seen | {"orientation_deg": degrees})

@@ -277,7 +277,7 @@ def test_a_column_that_may_have_the_ids_is_asked_for(drive):
     rows = [(t, "a", r, b) for t, _, r, b in SEEN]
     log = load(drive(sightings=text("t,serial,range,bearing", rows)))
     note, _ = log.notes
-    assert note.endswith("it has t, serial, range, bearing. If one has the ids, say which: --columns sightings.id=NAME")
+    assert note.endswith("it has t, serial, range, bearing. If one has the ids, say which: columns='sightings.id=NAME'")
 
 
 def test_names_of_columns():
@@ -299,11 +299,11 @@ def test_names_of_columns():
 @pytest.mark.parametrize(
     ("table", "names", "unit", "option"),
     [
-        ("odometry", "t,Speed [km/h],omega", "km/h", "--lengths odometry=m"),
-        ("odometry", "t,v_kmh,omega", "kmh", "--lengths odometry=m"),
-        ("sightings", "t,id,range [ft],bearing", "ft", "--lengths sightings=m"),
-        ("sightings", "t,id,range,bearing (mrad)", "mrad", "--angles sightings=radians"),
-        ("sightings", "t [min],id,range,bearing", "min", "--time sightings=s"),
+        ("odometry", "t,Speed [km/h],omega", "km/h", "lengths='odometry=m'"),
+        ("odometry", "t,v_kmh,omega", "kmh", "lengths='odometry=m'"),
+        ("sightings", "t,id,range [ft],bearing", "ft", "lengths='sightings=m'"),
+        ("sightings", "t,id,range,bearing (mrad)", "mrad", "angles='sightings=radians'"),
+        ("sightings", "t [min],id,range,bearing", "min", "time='sightings=s'"),
     ],
 )
 def test_units_in_names_that_are_not_converted_are_refused(drive, table, names, unit, option):
@@ -311,7 +311,7 @@ def test_units_in_names_that_are_not_converted_are_refused(drive, table, names, 
     rows = {"odometry": ODOMETRY, "sightings": SEEN}[table]
     with pytest.raises(FormatError, match=f"is in {unit}, which is not converted: units are .*{option}"):
         load(drive(**{table: text(names, rows)}))
-    measure, stated = option.removeprefix("--").split(" ")
+    measure, stated = option.removesuffix("'").split("='")
     kind, own = stated.split("=")
     recipe = f'[{kind}]\n{measure} = "{own}"\n'
     load(drive(**{table: text(names, rows)}, recipe=recipe))

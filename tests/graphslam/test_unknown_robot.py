@@ -502,5 +502,5 @@ def test_sightings_that_are_early_are_said():
     assert k is None or parameters.values[k] > -0.03
     early = ParameterEstimate(("sensor_delay",), np.array([-0.2]), np.full((1, 1), 1e-6), {"sensor_delay": (0.0, 0.3)})
     for found, expected in ((parameters, 0), (early, 1)):
-        said = [each for each in replace(estimate, parameters=found).remarks if "--clocks odometry=-0.2" in each]
+        said = [each for each in replace(estimate, parameters=found).remarks if "clocks='odometry=-0.2'" in each]
         assert len(said) == expected
