@@ -21,8 +21,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Generic
 
+import numpy as np
+
+from fastslam.particles import FilterResult
 from graphslam import Log, LogError, OptionError
 from graphslam.identification.declared import CORRECTIONS
+from graphslam.metrics import ate
 from graphslam.processes import default_jobs, processes
 
 from ..comparison import compare
@@ -32,6 +36,7 @@ from ..options import NoiseOptions, ReadingOptions, RunOptions
 from ..options.declaration import options_of
 from ..options.reading import read_log, sha256_of
 from ..results import Figures, sentence
+from ..results.documents import Count
 from .plan import Run, simulated_log
 
 #: a run ended well, raised (or its process died), or took longer than the limit
@@ -47,6 +52,10 @@ class Outcome(Figures):
         status: `DONE`, `ERROR` or `TIMEOUT`.
         error: one sentence where the status is not `DONE`.
         proven: whether the end is proven to be the global minimum of J; None where no proof applies.
+        mean_ate_m: error of the weighted mean of the histories of a particle filter that have survived [m]. It decreases
+            with more particles; the history of one particle is one sample of the posterior, however many there are.
+        ess_share: of a particle filter, the mean of ESS / N over the steps with sightings, before resampling.
+        ancestors: of a particle filter, how many distinct particles of the step half-way have descendants at the end.
         total_seconds: the whole run, with reading the log, setting up and computing the errors.
         poses_sha256: the first 16 digits of the digest of the estimated poses, equal where the poses are exactly equal.
         process: host and process that did it.
@@ -57,17 +66,20 @@ class Outcome(Figures):
     status: str = DONE
     error: str | None = None
     proven: bool | None = None
+    mean_ate_m: float | None = None
+    ess_share: float | None = None
+    ancestors: Count | None = None
     total_seconds: float | None = None
     poses_sha256: str | None = None
     process: str = field(default_factory=lambda: f"{platform.node()}:{os.getpid()}")
     ended: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="milliseconds"))
 
 
-def execute(run: Run) -> Outcome:
-    """Do a run. Any exception becomes an outcome with the sentence of the error."""
+def execute(run: Run, log: Log | None = None) -> Outcome:
+    """Do a run, on its own log or on one that is given. Any exception becomes an outcome with the sentence of the error."""
     begin = time.perf_counter()
     try:
-        outcome = _execute(run)
+        outcome = _execute(run, log_of(run) if log is None else log)
     except Exception as error:
         outcome = {"status": ERROR, "error": sentence(error)}
     return Outcome(key=run.key, total_seconds=time.perf_counter() - begin, **outcome)
@@ -96,8 +108,7 @@ def log_of(run: Run) -> Log:
     return _log(json.dumps(dict(run.source)), json.dumps(reading), run.log, seed)
 
 
-def _execute(run: Run) -> dict[str, Any]:
-    log = log_of(run)
+def _execute(run: Run, log: Log) -> dict[str, Any]:
     options = {name: value for name, value in run.options.items() if name not in options_of(ReadingOptions)}
     if isinstance(options.get("noise"), Mapping):
         # single numbers take precedence over those of the noise file, and those over the log's
@@ -113,6 +124,13 @@ def _execute(run: Run) -> dict[str, Any]:
     certificate = result.certificate
     if certificate is not None and certificate.applicable:
         figures["proven"] = certificate.proven
+    if isinstance(found := result.origin, FilterResult):
+        sighted = np.unique(comparison.log.steps)
+        if figures["ate_m"] is not None and (truth := comparison.log.true_poses) is not None:
+            figures["mean_ate_m"] = ate(truth, comparison.log.at_truth(found.mean_poses))
+        if len(sighted):
+            figures["ess_share"] = float(np.mean(found.ess[sighted]) / len(found.log_weights))
+        figures["ancestors"] = int(found.ancestors[len(found.ancestors) // 2])
     return figures | {"poses_sha256": hashlib.sha256(result.poses.tobytes()).hexdigest()[:16]}
 
 

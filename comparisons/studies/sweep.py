@@ -1,4 +1,4 @@
-"""Execute the runs that a study lacks, here or on a Dask cluster, and write a row as each run ends.
+"""Execute the runs that a study lacks, here or on a Dask cluster, and write a row as each run ends; `study_particles`.
 
 On an existing cluster (the extra ``cluster``) each worker of the cluster has a pool of local processes:
 a worker of Dask cannot stop a run or survive its crash, so its pool does, as on a single machine.
@@ -12,13 +12,13 @@ import multiprocessing
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from importlib.metadata import PackageNotFoundError, version
-from itertools import islice
+from itertools import islice, product
 from os import PathLike
 from pathlib import Path
 from queue import SimpleQueue
@@ -26,22 +26,26 @@ from threading import Lock
 from typing import Any, ClassVar
 from urllib.parse import urlsplit
 
+import numpy as np
 from pebble import ProcessPool
 
 from graphslam import Log, OptionError, SlamError
 from graphslam.errors import quoted
 from graphslam.processes import default_jobs, process_pool
+from graphslam.se2 import Array
 
 from ..estimators import ESTIMATORS
 from ..estimators.attempt import add_estimators, added_estimators, ended, loading
 from ..estimators.filters import FILTERS, Announce, announce_memory
-from ..options import RunOptions, SweepOptions
+from ..options import JobsOptions, ParticleStudyOptions, RunOptions, SweepOptions
 from ..options.declaration import options_of
-from ..results import sentence
+from ..options.reading import prepare
+from ..results import Displayed, sentence
 from ..results.documents import Count, jsonable
-from .database import StudyDatabase
-from .execute import DONE, ERROR, Outcome, Place, execute, local_processes, log_of, stopped, this_process
+from .database import StudyDatabase, row_of
+from .execute import DONE, ERROR, Outcome, Place, execute, local_processes, log_of, rows_of, stopped, this_process
 from .plan import Run, Study, read_study
+from .summary import MethodSummary, Summary, summarise
 
 #: how long to wait for a connection, and again for an answer [s]; with importing Dask it stays below 10 s
 PATIENCE = 4.0
@@ -254,8 +258,7 @@ def sweep(
         missing = [run for run in plan.runs if run.key not in present]
         before = len(plan.runs) - len(missing)
         # a cluster has memory of its own
-        jobs = 1 if given.dask is not None else default_jobs() if given.jobs is None else max(given.jobs, 1)
-        announce_memory(_large(missing), announce, jobs=jobs)
+        announce_memory(_large(missing), announce, jobs=1 if given.dask is not None else _jobs(given))
         report(before, len(plan.runs), None, None)
         with _ctrl_c() as events:
             for run, outcome in _outcomes(place, missing, events):
@@ -267,6 +270,11 @@ def sweep(
                 report(before + ran, len(plan.runs), run, outcome)
     counts = {"planned": len(plan.runs), "before": before, "ran": ran, "failed": failed}
     return SweepOutcome(study=plan.path, database=plan.database, interrupted=interrupted, **counts)
+
+
+def _jobs(options: JobsOptions) -> int:
+    """The number of runs at a time on this machine."""
+    return default_jobs() if options.jobs is None else max(options.jobs, 1)
 
 
 def _large(runs: Sequence[Run]) -> Iterator[tuple[str, Log, RunOptions]]:
@@ -341,3 +349,80 @@ def _ctrl_c() -> Iterator[Events]:
         yield events
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleStudy(Displayed):
+    """Particle filters with growing numbers of particles and several random seeds on one log.
+
+    Attributes:
+        log: the name of the log.
+        runs: every run, with the columns of the database of a study; its options have the number of particles.
+    """
+
+    log: str
+    runs: tuple[Mapping[str, Any], ...]
+    shown: ClassVar = {"summary": "summary"}
+
+    @cached_property
+    def summary(self) -> Summary:
+        """The medians and quartiles over the seeds; a method is a filter with its number of particles."""
+        return summarise(self.runs)
+
+    @property
+    def methods(self) -> dict[tuple[str, int], MethodSummary]:
+        """The summary of each filter and number of particles."""
+        of = {line.method: line for line in self.summary.methods}
+        return {(run["estimator"], run["options"]["particles"]): of[run["method"]] for run in self.runs}
+
+    def bands(self, name: str, figure: str) -> tuple[np.ndarray, Array]:
+        """Of one filter and one of `METRICS`: the numbers of particles (k,), and the quartiles over the seeds (3, k).
+
+        Empty where the figure is not known.
+        """
+        known = [(n, m) for (each, n), line in self.methods.items() if each == name and (m := line.figures[figure])]
+        bands = [(m.quartiles[0], m.median, m.quartiles[1]) for _, m in known]
+        return np.array([n for n, _ in known], dtype=int), np.array(bands).reshape(-1, 3).T
+
+
+def study_particles(
+    log: Log | str | PathLike[str] | None = None, *, progress: Progress | None = None, announce: Announce | None = None,
+    **options: Any,
+) -> ParticleStudy:  # fmt: skip
+    """Run filters with growing numbers of particles and several random seeds on one log.
+
+    Args:
+        log: a log, the file or folder of one, or None for the sample log; with the ground truth the errors are known.
+        progress, announce: as for `sweep`.
+        options: the fields of `options.ParticleStudyOptions`: filters, particles, seeds, resampling, association, jobs,
+            time_limit, and those that read the log. In local processes a filter has one thread; with ``jobs=0`` it has all.
+
+    Raises:
+        FormatError: a file cannot be read.
+        OptionError: an option has an impossible value.
+        SlamError: no run has a result.
+    """
+    data, _, given = prepare(log, ParticleStudyOptions.of(**options))
+    data = data.replace(motion=given.motion, sensor=given.sensor)
+    runs = [
+        Run(data.name, {}, seed, name, f"{name} particles={n}", given.of_component("filter") | {"particles": n})
+        for name, n, seed in product(given.filters, sorted(set(given.particles)), range(given.seeds))
+    ]
+    announce_memory(((run.estimator, data, RunOptions.of(**run.options)) for run in runs), announce, jobs=_jobs(given))
+    late = None if given.time_limit is None else partial(stopped, limit=given.time_limit)
+    outcomes = rows_of(
+        partial(execute, log=data),
+        runs,
+        jobs=given.jobs,
+        estimators=given.filters,
+        limit=given.time_limit,
+        instead=late,
+    )
+    rows = []
+    for outcome, run in zip(outcomes, runs):
+        rows.append(row_of(run, outcome))
+        if progress is not None:
+            progress(len(rows), len(runs), run, outcome)
+    if all(row["status"] != DONE for row in rows):
+        raise SlamError(f"no run has a result: {rows[0]['error']}")
+    return ParticleStudy(data.name, tuple(rows))
