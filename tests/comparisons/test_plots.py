@@ -118,7 +118,7 @@ def test_a_colour_means_one_thing() -> None:
 @pytest.mark.slow
 def test_an_estimator_has_its_colour_in_every_figure() -> None:
     nees = np.ones((3, 5))
-    consistency = ConsistencyStudy(3, 0.1, 5, 3, 0, 4.0, (Consistency("fastslam2", nees, None),))
+    consistency = ConsistencyStudy(3, 0.1, 5, 3, 0, 4.0, (Consistency("fastslam2", nees, nees[:, 0] * np.nan),))
     particles = ParticleStudy("log", tuple(
         row_of(
             Run("log", {}, 0, "fastslam2", f"fastslam2 particles={n}", {"particles": n}),
