@@ -169,10 +169,10 @@ def compare_solvers(
     if len(data.steps) == 0:
         raise GraphError(f"{data.name} has no sightings at all, so there is nothing to solve")
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
-    outcomes = list(rows_of(
+    outcomes = rows_of(
         work, variants(data, given), jobs=given.jobs, progress=progress, limit=given.time_limit,
         instead=lambda variant, reason: SkippedVariant(variant.name, reason),
-    ))  # fmt: skip
+    )  # fmt: skip
     solved = tuple(each for each in outcomes if isinstance(each, VariantResult))
     skipped = tuple(each for each in outcomes if isinstance(each, SkippedVariant))
     if not solved:

@@ -18,7 +18,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from importlib.metadata import PackageNotFoundError, version
-from itertools import islice, product
+from itertools import count, product
 from os import PathLike
 from pathlib import Path
 from queue import SimpleQueue
@@ -43,7 +43,7 @@ from ..options.reading import prepare
 from ..results import Displayed, sentence
 from ..results.documents import Count, jsonable
 from .database import StudyDatabase, row_of
-from .execute import DONE, ERROR, Outcome, Place, execute, local_processes, log_of, rows_of, stopped, this_process
+from .execute import DONE, ERROR, Events, Outcome, Place, as_they_end, execute, log_of, place_of, rows_of, stopped
 from .plan import Run, Study, read_study
 from .summary import MethodSummary, Summary, summarise
 
@@ -248,7 +248,6 @@ def sweep(
     given = SweepOptions.of(**options)
     plan = study if isinstance(study, Study) else read_study(study)
     before = ran = failed = 0
-    interrupted = False
     # the place first: a cluster that does not answer leaves no database behind
     with _place(plan, given) as place, StudyDatabase.writing(plan.database) as database:
         database.plan(plan)
@@ -261,15 +260,12 @@ def sweep(
         announce_memory(_large(missing), announce, jobs=1 if given.dask is not None else _jobs(given))
         report(before, len(plan.runs), None, None)
         with _ctrl_c() as events:
-            for run, outcome in _outcomes(place, missing, events):
-                if run is None or outcome is None:
-                    interrupted = True
-                    break
-                database.add(run, outcome)
+            for k, outcome in as_they_end(place, missing, events):
+                database.add(missing[k], outcome)
                 ran, failed = ran + 1, failed + (outcome.status != DONE)
-                report(before + ran, len(plan.runs), run, outcome)
+                report(before + ran, len(plan.runs), missing[k], outcome)
     counts = {"planned": len(plan.runs), "before": before, "ran": ran, "failed": failed}
-    return SweepOutcome(study=plan.path, database=plan.database, interrupted=interrupted, **counts)
+    return SweepOutcome(study=plan.path, database=plan.database, interrupted=before + ran < len(plan.runs), **counts)
 
 
 def _jobs(options: JobsOptions) -> int:
@@ -292,49 +288,18 @@ def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place[
         if options.jobs is not None:
             raise OptionError("give --jobs for processes of this machine or --dask for a cluster, not both")
         return dask_cluster(options.dask, study.time_limit)
-    if options.jobs == 0:
-        return this_process(execute)
     estimators, limit = tuple(dict.fromkeys(run.estimator for run in study.runs)), study.time_limit
     late = partial(stopped, limit=limit)
-    return local_processes(execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=late)
-
-
-#: futures that are done, and None for Ctrl-C
-Events = SimpleQueue[Future[Outcome] | None]
-
-
-def _outcomes(
-    place: Place[Run, Outcome], runs: Sequence[Run], events: Events
-) -> Iterator[tuple[Run, Outcome] | tuple[None, None]]:
-    """Every run with its outcome, as they end; at Ctrl-C those that have ended, and a last pair of None."""
-    waiting = iter(runs)
-    pending: dict[Future[Outcome], Run] = {}
-
-    def submit(count: int) -> None:
-        for run in islice(waiting, count):
-            future = place.submit(run)
-            pending[future] = run
-            future.add_done_callback(events.put)
-
-    submit(place.room)
-    while pending:
-        event = events.get()
-        for future in [event] if event is not None else [future for future in pending if future.done()]:
-            run = pending.pop(future)
-            yield run, place.row(future, run)
-        if event is None:
-            yield None, None
-            return
-        submit(1)
+    return place_of(execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=late)
 
 
 @contextmanager
-def _ctrl_c() -> Iterator[Events]:
+def _ctrl_c() -> Iterator[Events[Outcome]]:
     """A queue into which Ctrl-C puts None, so that it never interrupts between a run's end and its row.
 
     A second Ctrl-C interrupts as always.
     """
-    events: Events = SimpleQueue()
+    events: Events[Outcome] = SimpleQueue()
     if threading.current_thread() is not threading.main_thread():
         yield events
         return
@@ -409,20 +374,12 @@ def study_particles(
         for name, n, seed in product(given.filters, sorted(set(given.particles)), range(given.seeds))
     ]
     announce_memory(((run.estimator, data, RunOptions.of(**run.options)) for run in runs), announce, jobs=_jobs(given))
-    late = None if given.time_limit is None else partial(stopped, limit=given.time_limit)
+    of_key, done = {run.key: run for run in runs}, count(1)
+    report = None if progress is None else lambda each: progress(next(done), len(runs), of_key[each.key], each)
     outcomes = rows_of(
-        partial(execute, log=data),
-        runs,
-        jobs=given.jobs,
-        estimators=given.filters,
-        limit=given.time_limit,
-        instead=late,
-    )
-    rows = []
-    for outcome, run in zip(outcomes, runs):
-        rows.append(row_of(run, outcome))
-        if progress is not None:
-            progress(len(rows), len(runs), run, outcome)
-    if all(row["status"] != DONE for row in rows):
-        raise SlamError(f"no run has a result: {rows[0]['error']}")
-    return ParticleStudy(data.name, tuple(rows))
+        partial(execute, log=data), runs, jobs=given.jobs, progress=report, estimators=given.filters,
+        limit=given.time_limit, instead=partial(stopped, limit=given.time_limit),
+    )  # fmt: skip
+    if all(each.status != DONE for each in outcomes):
+        raise SlamError(f"no run has a result: {outcomes[0].error}")
+    return ParticleStudy(data.name, tuple(map(row_of, runs, outcomes)))
