@@ -20,9 +20,8 @@ from comparisons.evaluation import Evaluated
 from comparisons.options import METRICS, SummaryOptions
 from comparisons.options.declaration import options_of
 from comparisons.results import EstimatorResult
-from comparisons.results.documents import shown_by
+from comparisons.results.documents import SessionErrors, shown_by
 from comparisons.results.results import Row
-from comparisons.results.sessions import SessionErrors
 from comparisons.show.cells import LeanTable, number, seconds
 from comparisons.show.tables import as_text, tables_of
 from comparisons.show.tables import tables_as_html as as_html
