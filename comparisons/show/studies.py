@@ -109,9 +109,10 @@ def particle_tables(study: ParticleStudy) -> Tables:
     """Medians over the seeds, a row per filter and number of particles."""
     headings = ("particles", "ATE\n[m]", "ATE of\nmean [m]", "map\n[m]", "ESS / N", "ancestors", "time")
     table = LeanTable(f"{study.log}: medians over random seeds", ["filter"], headings)
-    for (name, particles), line in study.methods.items():
-        *values, ancestors, time = (None if (m := line.figures[each]) is None else m.median for each in _OF_FILTERS)
-        table.add_row(name, str(particles), *(number(each) for each in values), number(ancestors, 0), seconds(time))
+    for name, lines in study.methods.items():
+        for particles, line in lines.items():
+            *values, ancestors, time = (None if (m := line.figures[each]) is None else m.median for each in _OF_FILTERS)
+            table.add_row(name, str(particles), *(number(each) for each in values), number(ancestors, 0), seconds(time))
     return [table], [
         f"{run['method']} with the random seed {run['seed']} has no result: {run['error']}."
         for run in study.runs
@@ -213,20 +214,19 @@ def _panels(count: int, **options: Any) -> Iterator[tuple[Figure, np.ndarray]]:
 
 def particles_figure(study: ParticleStudy) -> Figure:
     """One panel per quantity over the number of particles: medians over the seeds, with bands between the quartiles."""
-    names = list(dict.fromkeys(name for name, _ in study.methods))
-    known = [quantity for quantity in _OF_FILTERS if any(len(study.bands(name, quantity)[0]) for name in names)]
+    known = [each for each in _OF_FILTERS if any(line.figures[each] is not None for line in study.summary.methods)]
     with _panels(len(known), sharex=True) as (figure, panels):
         for axes, quantity in zip(panels, known):
-            for name in names:
-                numbers, quartiles = study.bands(name, quantity)
-                if len(numbers):
-                    axes.plot(numbers, quartiles[1], label=name, **style_of(name, len(numbers)))
-                    axes.fill_between(numbers, *quartiles[::2], color=colour_of(name), alpha=0.2, linewidth=0)
+            for name, lines in study.methods.items():
+                if medians := {n: m for n, line in lines.items() if (m := line.figures[quantity])}:
+                    values, low, high = zip(*((m.median, *m.quartiles) for m in medians.values()))
+                    axes.plot(list(medians), values, label=name, **style_of(name, len(medians)))
+                    axes.fill_between(list(medians), low, high, color=colour_of(name), alpha=0.2, linewidth=0)
             axes.set(xscale="log", yscale="log", title=METRICS[quantity])
         for axes in panels[max(len(known) - 3, 0) : len(known)]:
             axes.set_xlabel("particles")
             axes.tick_params(labelbottom=True)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names))
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(study.methods))
     return figure
 
 

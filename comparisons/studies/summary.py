@@ -303,19 +303,19 @@ def write_summary_csv(summary: Summary, path: Path) -> None:
     counts = ("log", "method", "runs", "failed", "timeouts", "converged", "proven")
     parts = ("", "_low", "_high", "_count", "_difference", "_difference_low", "_difference_high", "_lower", "_pairs")
     head = (*counts, *(f"{metric}{part}" for metric in METRICS for part in parts))
-    rows: list[list[Any]] = []
+    rows = []
     for line in summary.methods:
-        cells: list[Any] = [getattr(line, name) for name in counts]
-        against = differences.get((line.log, line.method))
+        cells, against = [getattr(line, name) for name in counts], differences.get((line.log, line.method))
         for metric in METRICS:
-            median, gap = line.figures[metric], None if against is None else against.figures[metric]
-            cells += [None] * 4 if median is None else [median.median, median.low, median.high, median.count]
-            if against is None or gap is None:
-                cells += [None] * 5
-            else:
-                cells += [gap.median, gap.low, gap.high, against.lower[metric], gap.count]
+            *gap, pairs = _cells(None if against is None else against.figures[metric])
+            lower = None if against is None or pairs is None else against.lower[metric]
+            cells += [*_cells(line.figures[metric]), *gap, lower, pairs]
         rows.append(cells)
     _write_table(path, head, rows)
+
+
+def _cells(median: Median | None) -> tuple[float | None, ...]:
+    return (None,) * 4 if median is None else (median.median, median.low, median.high, median.count)
 
 
 def _write_table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

@@ -26,13 +26,11 @@ from threading import Lock
 from typing import Any, ClassVar
 from urllib.parse import urlsplit
 
-import numpy as np
 from pebble import ProcessPool
 
 from graphslam import Log, OptionError, SlamError
 from graphslam.errors import quoted
 from graphslam.processes import default_jobs, process_pool
-from graphslam.se2 import Array
 
 from ..estimators import ESTIMATORS
 from ..estimators.attempt import add_estimators, added_estimators, ended, loading
@@ -273,14 +271,14 @@ def _jobs(options: JobsOptions) -> int:
     return default_jobs() if options.jobs is None else max(options.jobs, 1)
 
 
-def _large(runs: Sequence[Run]) -> Iterator[tuple[str, Log, RunOptions]]:
+def _large(runs: Sequence[Run], log: Log | None = None) -> Iterator[tuple[str, Log, RunOptions]]:
     """The runs of filters that may need much memory, with their logs; a log that cannot be read becomes an error row."""
     known = options_of(RunOptions)
     for run in runs:
         if run.estimator in FILTERS and run.options.get("particles", 0) >= MANY:
             of_filter = {name: value for name, value in run.options.items() if known[name].model == "filter"}
             with suppress(SlamError):
-                yield run.estimator, log_of(run), RunOptions.of(**of_filter)
+                yield run.estimator, log or log_of(run), RunOptions.of(**of_filter)
 
 
 def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place[Run, Outcome]]:
@@ -335,19 +333,12 @@ class ParticleStudy(Displayed):
         return summarise(self.runs)
 
     @property
-    def methods(self) -> dict[tuple[str, int], MethodSummary]:
+    def methods(self) -> dict[str, dict[int, MethodSummary]]:
         """The summary of each filter and number of particles."""
-        of = {line.method: line for line in self.summary.methods}
-        return {(run["estimator"], run["options"]["particles"]): of[run["method"]] for run in self.runs}
-
-    def bands(self, name: str, figure: str) -> tuple[np.ndarray, Array]:
-        """Of one filter and one of `METRICS`: the numbers of particles (k,), and the quartiles over the seeds (3, k).
-
-        Empty where the figure is not known.
-        """
-        known = [(n, m) for (each, n), line in self.methods.items() if each == name and (m := line.figures[figure])]
-        bands = [(m.quartiles[0], m.median, m.quartiles[1]) for _, m in known]
-        return np.array([n for n, _ in known], dtype=int), np.array(bands).reshape(-1, 3).T
+        of, found = {line.method: line for line in self.summary.methods}, dict[str, dict[int, MethodSummary]]()
+        for run in self.runs:
+            found.setdefault(run["estimator"], {})[run["options"]["particles"]] = of[run["method"]]
+        return found
 
 
 def study_particles(
@@ -373,7 +364,7 @@ def study_particles(
         Run(data.name, {}, seed, name, f"{name} particles={n}", given.of_component("filter") | {"particles": n})
         for name, n, seed in product(given.filters, sorted(set(given.particles)), range(given.seeds))
     ]
-    announce_memory(((run.estimator, data, RunOptions.of(**run.options)) for run in runs), announce, jobs=_jobs(given))
+    announce_memory(_large(runs, data), announce, jobs=_jobs(given))
     of_key, done = {run.key: run for run in runs}, count(1)
     report = None if progress is None else lambda each: progress(next(done), len(runs), of_key[each.key], each)
     outcomes = rows_of(

@@ -15,7 +15,7 @@ from graphslam import MotionModel, OptionError, SensorModel, SlamError, simulate
 from graphslam.metrics import ate
 
 
-def test_rows_bands_and_json() -> None:
+def test_rows_summary_figure_and_json() -> None:
     log, calls = simulate(seed=1, steps=20), []
     filters = ("mcl", "fastslam1", "fastslam2")
     outcome = study_particles(
@@ -23,12 +23,12 @@ def test_rows_bands_and_json() -> None:
         progress=lambda done, planned, run, _: calls.append((done, planned, run.key)),
     )  # fmt: skip
     assert calls == [(k, 18, run["key"]) for k, run in enumerate(outcome.runs, start=1)]
-    assert list(outcome.methods) == [(name, n) for name in filters for n in (10, 100)]
-    numbers, quartiles = outcome.bands("fastslam1", "ate_m")
-    np.testing.assert_array_equal(numbers, [10, 100])
+    assert {name: list(lines) for name, lines in outcome.methods.items()} == {name: [10, 100] for name in filters}
     runs = [run for run in outcome.runs if run["method"] == "fastslam1 particles=100"]
     values = [run["ate_m"] for run in runs]
-    np.testing.assert_allclose(quartiles[:, 1], np.percentile(values, (25, 50, 75)))
+    found = outcome.methods["fastslam1"][100].figures["ate_m"]
+    low, high = found.quartiles
+    np.testing.assert_allclose([low, found.median, high], np.percentile(values, (25, 50, 75)))
     # one run by hand
     by_hand = FastSLAM1(log, particles=100, seed=2, motion=MotionModel(), sensor=SensorModel()).run()
     last, sighted = runs[2], np.unique(log.steps)
@@ -37,13 +37,20 @@ def test_rows_bands_and_json() -> None:
     assert last["ess_share"] == pytest.approx(by_hand.ess[sighted].mean() / 100)
     assert last["ancestors"] == by_hand.ancestors[10]
     # localisation makes no map
-    assert outcome.methods["mcl", 10].figures["landmark_rmse_m"] is None
-    assert outcome.bands("mcl", "landmark_rmse_m")[1].shape == (3, 0)
+    assert outcome.methods["mcl"][10].figures["landmark_rmse_m"] is None
     payload = json.loads(json.dumps(outcome.to_json(), allow_nan=False))
     assert payload["log"] == log.name
-    low, median, high = outcome.bands("fastslam1", "ate_m")[1][:, 0]
-    shown = payload["summary"]["methods"][2]["figures"]["ate_m"]
-    assert (shown["median"], shown["quartiles"]) == (pytest.approx(median), [pytest.approx(low), pytest.approx(high)])
+    shown = payload["summary"]["methods"][3]
+    assert (shown["method"], shown["figures"]["ate_m"]["median"]) == ("fastslam1 particles=100", found.median)
+    assert shown["figures"]["ate_m"]["quartiles"] == [low, high]
+    # the figure has a line of each filter between bands of quartiles
+    first, _, of_maps = outcome.figure().axes[:3]
+    lines = {line.get_label(): line for line in first.lines}
+    np.testing.assert_array_equal(lines["fastslam1"].get_xdata(), [10, 100])
+    assert lines["fastslam1"].get_ydata()[1] == found.median
+    edges = first.collections[filters.index("fastslam1")].get_paths()[0].vertices
+    assert {low, high} <= set(edges[edges[:, 0] == 100, 1])
+    assert [line.get_label() for line in of_maps.lines] == ["fastslam1", "fastslam2"]
 
 
 @pytest.mark.slow
