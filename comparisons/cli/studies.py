@@ -151,7 +151,7 @@ def _progress(advance: Advance, output: Output) -> Progress:
             return
         failed += outcome.status != DONE
         advance(1, f"{failed} failed" if failed else "")
-        error = f", {outcome.error}" if outcome.error else ""
-        output.detail(f"{run.log} {run.method} seed {run.seed}: {outcome.status}{error}")
+        how = outcome.error or ("" if outcome.seconds is None else f"{outcome.seconds:.2f} s")
+        output.detail(f"{run.log} {run.method} seed {run.seed}: {outcome.status}, {how}")
 
     return report
