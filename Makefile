@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 FETCH := $(PIP) install --no-compile
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: compare test pytest test-nightly test-some test-all check lint wheel-check later-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
+.PHONY: compare test pytest test-nightly test-all check lint wheel-check engine-test engine-fuzz engine-lint engine-format engine-wasm docs docs-check clean
 
 compare: .venv/.installed
 	$(BIN)/slam-compare run
@@ -18,24 +18,22 @@ compare: .venv/.installed
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 # mypy takes one core, so that it runs beside the tests
-test: ONLY := -m "not nightly and not browser and not cluster"
+# with SOME=6, one in six of the tests of the night, which the commit chooses, are among them
+test: ONLY := $(if $(SOME),--one-in $(SOME),-m "not nightly and not browser and not cluster")
 test: .venv/.installed-test
 	$(MAKE) --jobs=2 lint pytest ONLY='$(ONLY)'
 
 pytest: .venv/.installed-test
 	$(PYTEST) $(ONLY)
 
-# the tests that take too long for every change, and one in six of them, which the commit chooses
+# the tests that take too long for every change
 NIGHTLY := -m "nightly or browser or cluster"
 test-nightly: .venv/.installed-test
 	$(PYTEST) $(NIGHTLY)
 	EXAMPLES=100 $(PYTEST) -m hypothesis
 
-test-some: .venv/.installed-test
-	$(PYTEST) $(NIGHTLY) --one-in 6
-
 # the site comes first, because its tests are skipped without it
-test-all: docs engine-test engine-fuzz engine-lint wheel-check later-check test test-nightly
+test-all: docs engine-test engine-fuzz engine-lint wheel-check test test-nightly
 
 check: ONLY := -m "not slow and not nightly and not browser and not cluster"
 check: .venv/.installed-test
@@ -76,28 +74,19 @@ INSTALL = @echo "Installing packages and building the engine"; mkdir -p build; r
 	$(call INSTALL,test)
 	@touch $@ .venv/.installed
 
-# a wheel as it would be published, for every processor, in an environment that has nothing else; used once on the sample log
-wheel-check: .venv/.tools
+# a wheel as it would be published, for every processor, which is built, and used on the sample log, in an environment that has
+# nothing else. A later Python makes it, if this machine has one: from 3.12 on the engine has the stable ABI and is built
+# otherwise, and that of 3.11 is what most tests have run. The other one: make wheel-check LATER=python3.11
+LATER ?= $(or $(lastword $(sort $(wildcard $(HOME)/.pyenv/versions/3.1[2-9].*/bin/python3 /usr/bin/python3.1[2-9] \
+	/usr/local/bin/python3.1[2-9] /opt/hostedtoolcache/Python/3.1[2-9].*/x64/bin/python3))),$(PYTHON))
+WHEEL_PIP := build/wheel-venv/bin/python -m pip --quiet --disable-pip-version-check
+wheel-check:
 	rm -rf build/wheels build/wheel-venv build/wheel-run
-	VMSLAM_NATIVE=OFF $(PIP) wheel --no-deps --no-build-isolation --wheel-dir build/wheels \
-		--config-settings build-dir=build/portable .
-	$(BIN)/python -m venv build/wheel-venv
-	build/wheel-venv/bin/python -m pip --quiet --disable-pip-version-check install build/wheels/*.whl
+	$(LATER) -m venv build/wheel-venv
+	VMSLAM_NATIVE=OFF $(WHEEL_PIP) wheel --no-deps --wheel-dir build/wheels --config-settings build-dir=build/portable .
+	$(WHEEL_PIP) install --no-compile build/wheels/*.whl
 	mkdir build/wheel-run
 	cd build/wheel-run && ../wheel-venv/bin/slam-compare run
-
-# the same with a later Python, if this machine has one: from 3.12 on the engine has the stable ABI and is built otherwise
-LATER ?= $(lastword $(sort $(wildcard $(HOME)/.pyenv/versions/3.1[2-9].*/bin/python3 /usr/bin/python3.1[2-9] \
-	/usr/local/bin/python3.1[2-9] /opt/hostedtoolcache/Python/3.1[2-9].*/x64/bin/python3)))
-later-check:
-ifeq ($(LATER),)
-	@echo "There is no Python later than 3.11 in the usual places; name it with: make later-check LATER=/path/to/python"
-else
-	rm -rf build/later
-	$(LATER) -m venv build/later
-	build/later/bin/python -m pip --quiet --disable-pip-version-check install .
-	cd build/later && bin/slam-compare run --estimators graph,gtsam,fastslam1
-endif
 
 # the tests of the engine that need no Python, with sanitizers
 engine-test: build/engine-test/CMakeCache.txt

@@ -7,7 +7,7 @@ Landmarks are spread evenly, one on 8 m² on average, and the sensor sees 8 m fa
 deviation of 3 % of the range and of 0.02 rad. A drive has 36 m. A share of its sightings is anywhere in the field. A fix is
 right within 1 m and 0.3 rad: it may come from sightings at the end of the drive, carried back. With ``--rooms`` the map is
 two places that are alike. With ``--kidnap`` a second drive from another random start follows without a motion of the
-odometry, with and without ids: `graphslam.graph.tracking`.
+odometry, with and without ids: `graphslam.maps.tracking`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import time
 import numpy as np
 
 from graphslam import Graph, GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, solve
-from graphslam.graph.localization import possible_fixes
-from graphslam.graph.tracking import follow
 from graphslam.log import UNIDENTIFIED
+from graphslam.maps.localization import possible_fixes
+from graphslam.maps.tracking import follow
 from graphslam.se2 import wrap
 
 MOTION = MotionModel(nn=0.02, no=0.001, on=0.02, oo=0.05)

@@ -27,7 +27,7 @@ from dataclasses import replace
 import numpy as np
 
 from graphslam import GraphError, LandmarkMap, Log, MotionModel, SensorModel, first_fix, simulate
-from graphslam.graph.localization import SURE
+from graphslam.maps.localization import SURE
 from graphslam.se2 import wrap
 
 BOOK = MotionModel(), SensorModel()

@@ -14,7 +14,7 @@ import argparse
 import numpy as np
 
 from graphslam import Graph, GraphError, LandmarkMap, Log, first_fix, load, solve
-from graphslam.identification.robot import known_robot
+from graphslam.identification.known import known_robot
 from graphslam.metrics import align, ate
 from graphslam.se2 import Array, compose, rotation
 

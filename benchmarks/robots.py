@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from graphslam import Graph, Log, Solution, solve
-from graphslam.identification.robot import known_robot
+from graphslam.identification.known import known_robot
 from graphslam.io.formats import load_robots
 from graphslam.log import UNIDENTIFIED
 from graphslam.metrics import ate

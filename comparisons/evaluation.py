@@ -1,7 +1,7 @@
 """`evaluate`: trajectories and maps of any program against the ground truth.
 
 A trajectory is a table of times and poses (CSV, TSV, TUM, Parquet), as `run` writes them; its rows may have the
-covariances of the poses in world axes, in the columns `graphslam.graph.map_files.COVARIANCE`. It is also the topic of a bag
+covariances of the poses in world axes, in the columns `graphslam.maps.map_files.COVARIANCE`. It is also the topic of a bag
 with poses, BAG:TOPIC where there are several, or an .npz archive of the arrays times (N,) [s], poses (N, 3) and, if
 known, covariances (N, 3, 3). Each pose of an estimate is compared with the truth at its time: between two true poses, on
 the arc that leads from one to the other.
@@ -22,7 +22,6 @@ import numpy as np
 from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics
 from graphslam.errors import named
 from graphslam.files import check_file, read_archive
-from graphslam.graph.map_files import COVARIANCE, UPPER
 from graphslam.io.bag_poses import POSES, Poses
 from graphslam.io.bag_topics import SUFFIXES, is_bag, open_bag
 from graphslam.log.drive import truth_of
@@ -31,6 +30,7 @@ from graphslam.log.rows import TableOptions
 from graphslam.log.streams import poses_at
 from graphslam.log.table import plain
 from graphslam.log.text_table import PARQUET, TEXT, table_of
+from graphslam.maps.map_files import COVARIANCE, UPPER
 from graphslam.se2 import Array, compose, transform
 
 from .options import EvaluationOptions

@@ -29,9 +29,9 @@ from graphslam import Graph, solve
 graph = Graph.from_log(log, edges="landmark+motion")
 solution = solve(graph)
 print(solution.reason)
-print(f"J {solution.cost:.1f} for {graph.degrees_of_freedom} degrees of freedom")
-# J has the standard deviation sqrt(2 dof)
-assert solution.cost < graph.degrees_of_freedom - 4 * (2 * graph.degrees_of_freedom) ** 0.5
+print(f"J {solution.cost:.0f}, expected {graph.expected_cost:.0f}")
+print(graph.notes[0])
+assert 0.8 < solution.cost / graph.expected_cost < 1.2
 
 # %% map
 fig, ax = plt.subplots()

@@ -12,7 +12,7 @@ import numpy as np
 from graphslam.association import Association, AssociationOptions, associate_from, known_noise
 from graphslam.association.associate import Begin, Start
 from graphslam.errors.checks import check_known, check_type
-from graphslam.identification.robot import unknown_noise
+from graphslam.identification.known import unknown_noise
 from graphslam.log import UNIDENTIFIED, Log, check_is_log
 from graphslam.models import MotionModel, SensorModel
 

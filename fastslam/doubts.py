@@ -53,7 +53,8 @@ def _shared_history(result: FilterResult) -> str:
         return ""
     return (
         f"all particles have one history up to step {last} of {len(result.poses) - 1}: they are one sample of the poses "
-        "there and of the landmarks seen from them, whose covariances are too small; take more particles, or smoothing"
+        "there and of the landmarks seen from them, so that covariances, also of the present pose, are too small; take more "
+        "particles, or smoothing"
     )
 
 

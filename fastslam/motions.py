@@ -28,10 +28,10 @@ from graphslam.edges import AnchorEdges
 from graphslam.engine import available_threads, engine
 from graphslam.errors import GraphError, OptionError
 from graphslam.errors.checks import finite_numbers
-from graphslam.graph.landmark_map import LandmarkMap
-from graphslam.graph.localization import SURE, Fix, first_fix
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
+from graphslam.maps.landmark_map import LandmarkMap
+from graphslam.maps.localization import SURE, Fix, first_fix
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, between, difference, mounted, perpendicular, transform, wrap
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from graphslam.engine import engine
 from graphslam.errors import OptionError
-from graphslam.graph.landmark_map import LandmarkMap
+from graphslam.maps.landmark_map import LandmarkMap
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array, difference, wrap
 from graphslam.solvers.uncertainty import ids_of, shaped, split

@@ -14,13 +14,14 @@ if TYPE_CHECKING:
     from .calibration import calibrate
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
-    from .graph.landmark_map import LandmarkMap, estimate_map
-    from .graph.localization import first_fix
+    from .graph.mapping import estimate_map
     from .io.formats import load, save
     from .log import Log
     from .log.continuous_time import control_path
     from .log.measurements import AbsolutePositions, PartialSightings, PoseRelations
     from .log.streams import Stream, synchronize
+    from .maps.landmark_map import LandmarkMap
+    from .maps.localization import first_fix
     from .models import MotionModel, SensorModel
     from .online import OnlineSolver, solve_online
     from .sessions import Graph, join_logs

@@ -25,20 +25,22 @@ DATA = Path(os.environ.get("SLAM_DATA", Path(__file__).parents[2] / "shared" / "
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--one-in", type=int, default=1, metavar="N", help="only one in N tests, which the commit chooses")
+    parser.addoption("--one-in", type=int, default=1, metavar="N", help="of the tests of the night only one in N")
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Files with slow tests come first, so that no process is left with a long one at the end."""
+    """The commit chooses some tests of the night; files with slow tests come first, so that none is left to the end."""
+    night = [item for item in items if any(map(item.get_closest_marker, ("nightly", "browser", "cluster")))]
     if (count := config.getoption("--one-in")) > 1:
         commit = subprocess.run(
             ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, check=True
         )
         chosen = random.Random(commit.stdout).randrange(count)
-        config.hook.pytest_deselected(items=[item for k, item in enumerate(items) if k % count != chosen])
-        items[:] = items[chosen::count]
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
+        left_out = {item for k, item in enumerate(night) if k % count != chosen}
+        config.hook.pytest_deselected(items=list(left_out))
+        items[:] = [item for item in items if item not in left_out]
+    slow = {item.path for item in items if item.get_closest_marker("slow")} | {item.path for item in night}
     items.sort(key=lambda item: item.path not in slow)
 
 

@@ -26,7 +26,7 @@ from graphslam.log.measurements import MEASURED
 from graphslam.online import replay
 from graphslam.se2 import wrap
 from graphslam.solvers.iteration import Run
-from graphslam.solvers.minimize import takes_estimated_ranges
+from graphslam.solvers.minimize import AT_MEASURED, takes_estimated_ranges
 from graphslam.solvers.solution import BEYOND_NOISE, make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions
@@ -423,10 +423,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         at_estimate = any(getattr(family, "noise_at", None) is not None for family in families)
         estimated = at_estimate or options.filter.range_noise == "estimated"
         values["options"]["range_noise"] = "estimated" if estimated else "measured"
-    elif graph is not None and takes_estimated_ranges(graph, "auto"):
-        notes.append(
-            "takes the noise of ranges at the measured ones, and graph at the estimated ones, so that J differs"
-        )
+    elif graph is not None and takes_estimated_ranges(graph, "auto") and AT_MEASURED not in notes:
+        notes.append(AT_MEASURED)
     parameters = solution.parameters
     if parameters is not None:
         notes.append(f"estimated with the poses: {parameters.sentence}")

@@ -19,9 +19,9 @@ from fastslam.options import FilterOptions, FrontEndOptions, GibbsOptions
 from graphslam.edges.robust import KERNELS as ROBUST
 from graphslam.errors import OptionError, quoted
 from graphslam.errors.checks import option
-from graphslam.graph.landmark_map import USES, LandmarkMap
 from graphslam.identification.declared import PARAMETERS, parsed
 from graphslam.log.rows import ReadOptions
+from graphslam.maps.landmark_map import USES, LandmarkMap
 from graphslam.metrics import METRICS as ERRORS
 from graphslam.models import EDGES, EdgeOptions, MotionModel, SensorModel
 from graphslam.simulation.simulator import MotionFaults, SensorFaults

@@ -22,15 +22,16 @@ from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
 from graphslam.errors import quoted
 from graphslam.files import check_file
-from graphslam.graph.landmark_map import as_map
-from graphslam.graph.tracking import in_frame_of
 from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
+from graphslam.identification.known import enough_ids, unknown_noise
 from graphslam.identification.result import ESTIMATE
-from graphslam.identification.robot import enough_ids, unknown_noise, with_checked_ids
+from graphslam.identification.robot import with_checked_ids
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.rows import ReadOptions
+from graphslam.maps.landmark_map import as_map
+from graphslam.maps.tracking import in_frame_of
 from graphslam.sessions import ClockOffsets, clock_offsets, join_robots, with_common_noise
 from graphslam.solvers.unknown_robot import estimate_robot
 

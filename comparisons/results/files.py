@@ -31,10 +31,10 @@ import numpy as np
 
 from graphslam import FormatError, GraphError, Log, OptionError, control_path
 from graphslam.files import check_path, check_place
-from graphslam.graph.map_files import map_text
 from graphslam.graph.transform import relative_graph
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.continuous_time import ControlPath
+from graphslam.maps.map_files import map_text
 from graphslam.se2 import Array, wrap
 
 from .results import EstimatorResult, status_of

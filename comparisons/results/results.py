@@ -22,9 +22,9 @@ from graphslam.association import Ambiguity, Association, AssociationScore
 from graphslam.association.associate import Verdict
 from graphslam.edges import EdgeFamily, PositionEdges, RelationEdges
 from graphslam.errors import printable, shortened
-from graphslam.graph.stretch import drifted
 from graphslam.identification.declared import ParameterEstimate
 from graphslam.log import UNIDENTIFIED
+from graphslam.maps.stretch import drifted
 from graphslam.metrics import Errors, Metrics, mean_nees
 from graphslam.se2 import Array
 from graphslam.solvers.joint import motion_edges, sighted_edges

@@ -97,17 +97,18 @@ class LeanTable(Table):
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The table, with narrow gaps where that lets it fit, else as few tables with the same rows as possible."""
+        widths = [_width(column) for column in self.columns]
         names = [column for column in self.columns if not column.no_wrap]
-        numbers = self.columns[len(names) :]
+        numbers = list(zip(self.columns, widths))[len(names) :]
 
         def split(gap: int, limit: int = options.max_width) -> list[list[Column]]:
-            used = sum(min(NAMES, _width(column)) + gap for column in names) - gap
+            used = sum(min(NAMES, width) + gap for width in widths[: len(names)]) - gap
             return _split(numbers, limit - used, gap)
 
         gap = 1 if len(split(2)) > 1 == len(split(1)) else 2
         # as even as possible
-        widths = range(1, options.max_width + 1)
-        parts = next(even for limit in widths if len(even := split(gap, limit)) == len(split(gap)))
+        fewest, limits = len(split(gap)), range(1, options.max_width + 1)
+        parts = next(even for limit in limits if len(even := split(gap, limit)) == fewest)
         for k, part in enumerate(parts):
             table = LeanTable("", (), ())
             table.title = None if k else self.title
@@ -124,12 +125,15 @@ def _plain(text: str) -> str | Text:
     return Text(printable(text)) if "[" in text else printable(text)
 
 
-def _split(columns: Sequence[Column], limit: int, gap: int) -> list[list[Column]]:
-    """The columns in runs that are no wider than the limit, or a single column each where one is wider."""
+def _split(columns: Sequence[tuple[Column, int]], limit: int, gap: int) -> list[list[Column]]:
+    """The columns, given with their widths, in runs no wider than the limit, or a single column where one is wider."""
     parts: list[list[Column]] = [[]]
-    for column in columns:
-        if parts[-1] and sum(_width(other) + gap for other in (*parts[-1], column)) > limit:
+    used = 0
+    for column, width in columns:
+        used += width + gap
+        if parts[-1] and used > limit:
             parts.append([])
+            used = width + gap
         parts[-1].append(column)
     return parts
 

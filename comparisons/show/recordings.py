@@ -36,8 +36,8 @@ from matplotlib.colors import to_rgb
 
 from graphslam import Log, OptionError, control_path
 from graphslam.files import write_whole
-from graphslam.graph.map_files import COVARIANCE, UPPER
 from graphslam.log.measurements import NO_HEADING
+from graphslam.maps.map_files import COVARIANCE, UPPER
 from graphslam.se2 import Array
 
 from ..comparison import Comparison

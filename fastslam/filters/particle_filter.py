@@ -19,9 +19,9 @@ from graphslam.association import known_noise
 from graphslam.engine import available_threads, engine
 from graphslam.errors import LogError, OptionError, quoted
 from graphslam.errors.checks import check_known, check_move, check_type
-from graphslam.graph.localization import Fix
 from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
+from graphslam.maps.localization import Fix
 from graphslam.models import MotionModel, SensorModel
 from graphslam.se2 import Array
 

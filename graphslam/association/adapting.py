@@ -22,10 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..graph import Graph
-from ..graph.registration import evenly
 from ..identification.corrections import corrected_log, corrected_sensor
 from ..identification.declared import ParameterEstimate
 from ..log import Log
+from ..maps.registration import evenly
 from ..metrics import ate
 from ..models import MotionModel, SensorModel
 from ..se2 import Array

@@ -20,8 +20,8 @@ from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import array_of, check_choice, check_known, check_type
 from ..identification.corrections import honest_variances, without_biases
 from ..identification.declared import PLACE, ParameterEstimate, parsed
-from ..identification.result import RobotEstimate, not_used, with_book
-from ..identification.robot import AUTO, BOOK, enough_ids, known_robot, unknown_noise
+from ..identification.known import AUTO, BOOK, enough_ids, known_robot, not_used, unknown_noise, with_book
+from ..identification.result import RobotEstimate
 from ..linear.precision import check_magnitudes
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..log.measurements import MEASURED

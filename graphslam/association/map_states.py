@@ -38,9 +38,9 @@ from ..edges import PriorEdges, Way
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import listed
 from ..graph import Graph
-from ..graph.landmark_map import LandmarkMap, as_map
-from ..graph.map_evidence import log_sum
 from ..log import Log
+from ..maps.landmark_map import LandmarkMap, as_map
+from ..maps.map_evidence import log_sum
 from ..se2 import Array, wrap
 from ..solvers.solution import Solution
 from ..solvers.solve import solve

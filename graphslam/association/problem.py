@@ -12,9 +12,9 @@ import numpy as np
 
 from ..errors import LogError
 from ..errors.checks import check_options, option
-from ..graph.map_evidence import log_sum
 from ..log import UNIDENTIFIED, Log
 from ..log.rows import MOST_CLASSES
+from ..maps.map_evidence import log_sum
 from ..models import SensorModel
 from ..se2 import Array
 

@@ -9,7 +9,7 @@ So it is looked for by itself (`leaps`). At a step t the map begins again where
 - of the landmarks seen in the moment from t on hardly any had been seen before (`NEW`),
 - landmarks of before should have been in view then, or those of afterwards before t, and were not seen; with n such views the
   evidence against it is -n log(1 - P_D) > log(`SURE`),
-- and the landmarks from t on are a constellation of those before (`graph.constellation`): with a rigid motion T at least
+- and the landmarks from t on are a constellation of those before (`maps.constellation`): with a rigid motion T at least
   `FEWEST` coincide within their covariances, and the evidence for T over none is above log(`SURE`).
 
 The covariances are those given the pose at t, and given the last pose with sightings before it, so that the drift of the
@@ -40,12 +40,12 @@ import numpy as np
 from ..edges import ANCHOR_INFORMATION, AnchorEdges
 from ..engine import engine
 from ..errors import GraphError
-from ..graph.constellation import Constellations, Merged, match
-from ..graph.landmark_map import LandmarkMap
-from ..graph.localization import FEWEST, SURE
-from ..graph.registration import GATE
 from ..identification.odometry import ordinary
 from ..log import Log
+from ..maps.constellation import Constellations, Merged, match
+from ..maps.landmark_map import LandmarkMap
+from ..maps.localization import FEWEST, SURE
+from ..maps.registration import GATE
 from ..models import additional_variances
 from ..se2 import Array, between, chained, compose, difference, in_frame, inverse
 from ..solvers.uncertainty import Uncertainty

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeGuard
 
 import numpy as np
 
@@ -40,6 +40,8 @@ class Linearization:
     jacobians: tuple[Array, ...]
 
     def __post_init__(self) -> None:
+        if self.residuals.ndim != 2:
+            raise GraphError(f"residuals must have the shape (E, d), a row for each edge, not {self.residuals.shape}")
         E, d = self.residuals.shape
         shapes = [self.information.shape, *(B.shape for B in self.jacobians), *(np.shape(node) for node in self.nodes)]
         if shapes != [(E, d, d), *[(E, d, 3)] * len(self.jacobians), *[(E,)] * len(self.nodes)]:
@@ -175,8 +177,14 @@ class EdgeFamily(ABC):
 
     @property
     def numbers(self) -> tuple[int, float]:
-        """The number of independent numbers that the edges measure, and the mean of their cost at the true state."""
-        return 0, 0.0
+        """The number of independent numbers that the edges measure, and the mean of their cost at the true state.
+
+        Here these are the residuals of `linearize`, as if all were independent and had no kernel.
+        """
+        origin = np.zeros((self.node_range[1] + 1, 3))
+        with np.errstate(all="ignore"):
+            count = self.linearize(origin, origin).residuals.size
+        return count, float(count)
 
     @property
     def state_dependent_information(self) -> bool:
@@ -322,6 +330,15 @@ class EngineEdges(EdgeFamily):
     def __getstate__(self) -> dict[str, Any]:
         # another process makes its own
         return {name: value for name, value in vars(self).copy().items() if name != "in_engine"}
+
+
+def is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
+    """Whether a family is of the engine, and no derived class has sums, headings or positions of its own."""
+    kind, own = type(family), EngineEdges
+    return isinstance(family, own) and (kind.accumulate, kind.headings, kind.positions) == _OF_ENGINE
+
+
+_OF_ENGINE = EngineEdges.accumulate, EngineEdges.headings, EngineEdges.positions
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -52,6 +52,11 @@ class AnchorEdges(NodeEdges, EngineEdges):
         jacobians = np.broadcast_to(np.eye(3), (self.count, 3, 3))
         return Linearization(residuals, self.information, (self.nodes,), (jacobians,))
 
+    @property
+    def numbers(self) -> tuple[int, float]:
+        # they choose the frame of the world, and measure nothing
+        return 0, 0.0
+
     def _to_engine(self) -> Any:
         no_lever = np.zeros((self.count, 2))
         return engine.PositionEdges(self.nodes, self.values, self.information, no_lever, *code_and_width(None))

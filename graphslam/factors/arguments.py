@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import OptionError
+from ..errors import OptionError, quoted
 from ..errors.checks import check_choice, check_heading, check_sighted, finite_numbers
 from ..linear.precision import SMALLEST, check_size, small_inverse
 from ..models import FRAMES, SensorModel
@@ -102,15 +102,19 @@ def in_world_frame(frame: str) -> bool:
     return frame == "world"
 
 
-def positive_definite(information: ArrayLike, size: int = 3) -> Array:
-    """A symmetric positive definite matrix (size, size).
+def positive_definite(information: ArrayLike | gtsam.noiseModel.Gaussian, size: int | None = 3) -> Array:
+    """A symmetric positive definite matrix (size, size), or of any size; a noise model of GTSAM gives its information.
 
     Raises:
         OptionError: the matrix is something else.
     """
+    given, shape = information, f"{size or 'd'} x {size or 'd'}"
+    if isinstance(information, gtsam.noiseModel.Gaussian):
+        information = information.information()
     try:
         omega = np.asarray(information, dtype=float)
         rows = omega.tolist()
+        size = len(rows) if size is None else size
         # most are exactly symmetric, which is soon known
         possible = size > 0 and omega.shape == (size, size) and (rows == [*map(list, zip(*rows))] or _symmetric(rows))
         if possible and size <= 3:
@@ -120,7 +124,10 @@ def positive_definite(information: ArrayLike, size: int = 3) -> Array:
     except Exception:  # objects that NumPy asks for numbers may raise anything
         possible = False
     if not possible:
-        raise OptionError(f"information must be a symmetric positive definite {size or 'd'} x {size or 'd'} matrix")
+        raise OptionError(
+            f"information must be a symmetric positive definite {shape} matrix, or a Gaussian noise model of GTSAM of this "
+            f"size, not {quoted(given)}"
+        )
     return (omega + omega.T) / 2
 
 

@@ -350,12 +350,7 @@ class ResidualFactor(Factor):
             raise OptionError(f"ResidualFactor needs one kind per key, not {len(kinds)} for {len(keys)} keys")
         if not callable(residual):
             raise OptionError(f"residual must be a function, not {quoted(residual)}")
-        try:
-            shape = np.shape(np.asarray(information, dtype=float))
-            rows = shape[0] if len(shape) == 2 else 0
-        except Exception:  # objects that NumPy asks for numbers may raise anything
-            rows = 0
-        omega = positive_definite(information, rows)
+        omega = positive_definite(information, None)
 
         def evaluated(*at: Coordinates) -> Linearized:
             values = [np.array(value, dtype=float) for value in at]

@@ -1,4 +1,4 @@
-"""The graph of a log, its landmark map, and where it begins."""
+"""The graph of a log or of a pose-graph file, other graphs made of it, and the map from its solution."""
 
 from typing import TYPE_CHECKING
 

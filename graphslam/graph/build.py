@@ -30,10 +30,11 @@ from ..errors.checks import listed
 from ..identification.declared import Parameters
 from ..linear.precision import check_magnitudes, inverses
 from ..log import UNIDENTIFIED, Log
+from ..maps.landmark_map import LandmarkMap
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .defaults import anchors, position_edges
-from .landmark_map import LandmarkMap, estimate_map
+from .mapping import estimate_map
 from .trilateration import edges_of_single_numbers, placed_single_numbers
 
 if TYPE_CHECKING:
@@ -117,8 +118,8 @@ def graph_of_log(
         families += edges_of_single_numbers(partial, nodes, sensor, kernel)
     return make(
         initial, families=tuple(families), steps=steps, trajectory=log.initial_poses, pose_ids=steps, landmark_ids=ids,
-        landmark_dimension=d, fixed=fixed, log=log, sensor=sensor, notes=(*remarks, *notes), sighting_rows=rows,
-        map=landmark_map, **declared,
+        landmark_dimension=d, fixed=fixed, log=log, motion=motion, sensor=sensor, notes=(*remarks, *notes),
+        sighting_rows=rows, map=landmark_map, **declared,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from os import PathLike
-from typing import Any, ClassVar, TypeGuard
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,22 +20,23 @@ from ..edges import (
     PriorEdges,
     SightingEdges,
 )
-from ..edges.base import EngineEdges
+from ..edges.base import is_of_engine
 from ..edges.robust import Kernel, expected_cost, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import array_of, check_choice, make_read_only
+from ..errors.checks import array_of, make_read_only, singular
 from ..identification.declared import OF_SIGHTINGS, Parameters, declared
-from ..identification.robot import AUTO, BOOK, known_robot
+from ..identification.known import noise_of
 from ..linear.information import BlockSystem, Structure, SystemOfThread
 from ..log import Log, check_is_log
 from ..log_checks import mistakes_of
+from ..maps.landmark_map import LandmarkMap, as_map
+from ..maps.tracking import in_frame_of
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .build import graph_of_log, node_names, with_closures, with_dimensions
 from .defaults import edges_for_map, in_frame_of_positions, notes_on_options, suitable_edges, suitable_kernel
-from .landmark_map import LandmarkMap, as_map, estimate_map
-from .tracking import in_frame_of
+from .mapping import estimate_map
 
 
 def _none() -> np.ndarray:
@@ -56,7 +57,7 @@ class Graph:
         pose_ids: (P,) the ids of the poses: the steps of a log, or the ids of a file.
         landmark_ids, landmark_dimension: (L,) the ids of the landmarks; 2, or 3 where these have a heading.
         fixed: (F,) nodes that do not move.
-        log, sensor: what the graph was made from, where it was made from a log.
+        log, motion, sensor: what the graph was made from, where it was made from a log.
         notes: what the user should know, one sentence each.
         sighting_rows: (M,) the row of the log's sightings that each sighting of the edges comes from.
         parameters: unknown parameters of vehicle and sensor, or None; the edges are those at its values.
@@ -74,6 +75,7 @@ class Graph:
     landmark_dimension: int = 2
     fixed: np.ndarray = field(default_factory=_none)
     log: Log | None = None
+    motion: MotionModel | None = None
     sensor: SensorModel | None = None
     notes: tuple[str, ...] = ()
     sighting_rows: np.ndarray = field(default_factory=_none)
@@ -102,8 +104,9 @@ class Graph:
         make_read_only(self, "initial", "steps", "trajectory", "pose_ids", "landmark_ids", "fixed", "sighting_rows")
 
     def __repr__(self) -> str:
-        nodes = f"{len(self.steps)} poses, {len(self.landmark_ids)} landmarks"
-        return f"Graph({nodes}; {', '.join(f'{family.count} {type(family).__name__}' for family in self.families)})"
+        nodes = singular(f"{len(self.steps)} poses, {len(self.landmark_ids)} landmarks")
+        edges = ", ".join(f"{family.count} {type(family).__name__}" for family in self.families)
+        return f"<Graph: {nodes}; {edges}{f'; kernel {self.kernel.name}' if self.kernel else ''}>"
 
     def __getstate__(self) -> dict[str, Any]:
         # the system is made again where it is needed: it finds edges by the addresses of their arrays, which another
@@ -157,7 +160,8 @@ class Graph:
                 ideal value; {"wheel_scale": 0.1, "range_bias": None} is the same for both. Default: none is estimated.
             noise: "auto": estimate noise and biases of the robot and misread ids from the log, and take them out of it
                 (`graphslam.estimate_robot`); "book": the values of the lectures. Default: the models of the log, the book's
-                for logs of `simulate`, and else "auto" where the log determines them. Not used where models are given.
+                for logs of `simulate`, and else "auto" where the log determines them. Where one of ``motion`` and ``sensor``
+                is given, it is kept, and the other one is as said here; with both there is nothing left to choose.
             map: a `LandmarkMap`, {id: (x, y)}, the path of its file, or a solution of another log. Its landmarks are nodes:
                 without a covariance they are fixed, otherwise they have priors, together where the map has a joint
                 covariance. Landmarks that it does not have are added. psi is not used where a fixed landmark that is seen
@@ -170,18 +174,14 @@ class Graph:
         """
         check_is_log(log)
         options = EdgeOptions(edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, residual=residual)
-        if noise is not None:
-            check_choice("noise", noise, (AUTO, BOOK))
-        log = with_dimensions(log, dimensions)
-        recorded = log
-        log, robot = known_robot(log, noise) if motion is None and sensor is None else (log, None)
-        motion, sensor = log.noise_models(motion, sensor)
+        recorded = with_dimensions(log, dimensions)
+        log, motion, sensor, robot = noise_of(recorded, motion, sensor, noise)
         known_map = None if map is None else as_map(map)
-        # noise and biases that were found for numbers read in the wrong way are wrong, too
-        mistakes = () if robot is None else mistakes_of(recorded)
-        # those of the log say why the noise is the book's
-        unknown = [note for note in log.notes if note not in recorded.notes]
-        notes = unknown if robot is None else [*(each.message for each in mistakes), *robot.doubts]
+        # what was estimated, or why that could not be
+        notes = [note for note in log.notes if note not in recorded.notes]
+        if robot is not None:
+            # noise and biases that were found for numbers read in the wrong way are wrong, too
+            notes = [*(each.message for each in mistakes_of(recorded)), *notes, *robot.doubts]
         if known_map is None:
             log = in_frame_of_positions(log)
         else:
@@ -267,8 +267,13 @@ class Graph:
 
     @property
     def estimated(self) -> Parameters:
-        """The parameters of a graph that has some."""
-        assert self.parameters is not None
+        """The parameters of a graph that has some.
+
+        Raises:
+            GraphError: it estimates none.
+        """
+        if self.parameters is None:
+            raise GraphError("the graph estimates no parameters: give their names to Graph.from_log (estimate=)")
         return self.parameters
 
     def check_no_parameters(self, solver: str) -> None:
@@ -294,9 +299,15 @@ class Graph:
         return any(family.state_dependent_information for family in self.families)
 
     @cached_property
+    def kernel(self) -> Kernel | None:
+        """The robust kernel of the first edges that have one; None where none do."""
+        kernels = (getattr(family, "kernel", None) for family in self.families)
+        return next((kernel for kernel in kernels if kernel is not None), None)
+
+    @property
     def reweighted(self) -> bool:
         """Whether some edges have a robust kernel, which re-weights them at every step."""
-        return any(getattr(family, "kernel", None) is not None for family in self.families)
+        return self.kernel is not None
 
     @property
     def system(self) -> BlockSystem:
@@ -318,7 +329,7 @@ class Graph:
         # a family in NumPy may refer to its graph, and the engine's objects are unknown to the collector of garbage, which
         # would never free the two
         if objective is None:
-            own = [family if _is_of_engine(family) else None for family in self.families]
+            own = [family if is_of_engine(family) else None for family in self.families]
             others = BlockSystem.of_arrays, self.initial.size
             both = zip(self.families, own)
             families = tuple(engine.PythonFamily(f, *others) if e is None else e.in_engine for f, e in both)
@@ -478,15 +489,6 @@ class Graph:
         poses[self.steps] = state[: len(self.steps)]
         estimated[self.steps] = True
         return poses, estimated
-
-
-def _is_of_engine(family: EdgeFamily) -> TypeGuard[EngineEdges]:
-    """Whether a family is of the engine, and no derived class has sums, headings or positions of its own."""
-    kind, own = type(family), EngineEdges
-    return isinstance(family, own) and (kind.accumulate, kind.headings, kind.positions) == _OF_ENGINE
-
-
-_OF_ENGINE = EngineEdges.accumulate, EngineEdges.headings, EngineEdges.positions
 
 
 def check_graph(graph: object, name: str = "graph") -> None:

@@ -337,17 +337,3 @@ def without_found(
         tuple(names), parameters.values[free], last.parameter_covariance()[np.ix_(free, free)],
         {name: (m, s) for name, m, s in zip(names, means, deviations)},
     )  # fmt: skip
-
-
-def with_book(log: Log, error: Exception) -> Log:
-    """The log with a note why its noise is the book's."""
-    note = f"the noise models are the book's, because noise cannot be estimated: {error}"
-    return log.replace(notes=(*log.notes, note))
-
-
-def not_used(log: Log) -> tuple[str, ...]:
-    """A note of what the log has beside sightings and odometry, which say nothing about noise and biases here."""
-    # a log without whole sightings is estimated from its ranges and bearings alone
-    used = () if len(log.steps) else ("partial_sightings",)
-    kinds = ", ".join(name for name in log.measured if name not in used).replace("_", " ")
-    return (f"noise and biases were estimated without the {kinds} of the log",) if kinds else ()

@@ -42,8 +42,6 @@ from .result import (
     LeftOut,
     RobotEstimate,
     left_out,
-    not_used,
-    with_book,
     without_found,
 )
 from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, common_errors, correlations, inflation, smoothed
@@ -80,22 +78,6 @@ FEWEST = {"sightings": 60, "poses": 20}
 MOST, MOST_CORRELATED, MOST_COMPARED = 6000, 12_000, 500
 
 
-#: the choices of the option ``noise``: from the log, or the lectures' values
-AUTO, BOOK = "auto", "book"
-
-
-def unknown_noise(log: Log) -> bool:
-    """Whether the noise of a log with controls is unknown."""
-    if log.simulated or log.motion is not None or log.controls is None:
-        return False
-    return log.sensor is None or log.sensor.of_book
-
-
-def enough_ids(log: Log) -> bool:
-    """Whether the sightings that have ids may be enough for `estimate_robot`."""
-    return bool(log.identified or np.count_nonzero(log.landmarks != UNIDENTIFIED) >= FEWEST["sightings"])
-
-
 def estimate_from_sightings(log: Log, sensor: Any = None, given: Any = None, seed: int = 0) -> RobotEstimate:
     """`solvers.unknown_robot.estimate_robot` for logs with whole sightings, whose arguments it has checked."""
     _check(log)
@@ -115,35 +97,6 @@ def check_robot_options(log: Any, sensor: Any, given: Any, seed: Any) -> None:
             raise OptionError(f"given must be a MotionModel and a SensorModel, not {quoted(given)}")
         check_type(MotionModel, given=given[0])
         check_type(SensorModel, given=given[1])
-
-
-def known_robot(log: Log, noise: str | None = None) -> tuple[Log, RobotEstimate | None]:
-    """The log with the noise of its robot, and the estimate where that is asked for, or where nothing else is known.
-
-    The log has ids; `association.known_noise` is for all logs.
-
-    Args:
-        noise: "auto" estimates noise, biases and misread ids; "book" takes the values of the lectures. Default: the models of
-            the log where it brings some, the book's for logs of `simulate`, and else "auto" where the noise is identifiable.
-
-    Raises:
-        LogError, GraphError: the log does not determine its noise, and ``noise`` is "auto".
-    """
-    if noise == BOOK:
-        place = {name: getattr(log.sensor or SensorModel(), name) for name in SensorModel.GEOMETRY}
-        return log.replace(motion=MotionModel(), sensor=SensorModel(**place)), None
-    if noise is None and not unknown_noise(log):
-        return log, None
-    # it solves graphs, which ask for this; so it is looked up at the call, by the name that users have
-    from .. import estimate_robot
-
-    try:
-        found = estimate_robot(log)
-    except (GraphError, LogError) as error:
-        if noise == AUTO:
-            raise
-        return with_book(log, error), None
-    return found.log.replace(notes=(*found.log.notes, *found.sentences, *not_used(log))), found
 
 
 def _estimate(
@@ -368,7 +321,7 @@ def _local(
         start.odometry = Odometry(noisier)
         return fit(Unknowns(noisier, episodes, sensor, start), ROUNDS[1])[0]
 
-    local, log, slips = without_slips(local, log, slip_of_drive, again)
+    local, log, slips, _ = without_slips(local, log, slip_of_drive, again)
     doubtful = alone.copy()
     doubtful[np.flatnonzero(local.used)] |= local.linearized().edges[1].squares > CONTRADICTS
     return log, local, doubtful, alone, slips

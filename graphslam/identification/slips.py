@@ -115,7 +115,8 @@ class Slip:
             f"contradicts the other measurements by about {self.rate:.2g} {unit}, {self.z:.1f} times the standard error: "
             "wheels slipped or were blocked, a gyroscope misread, the robot was moved, or many ids are wrong. The poses "
             "there may be off, those after it and landmarks, too, and covariances do not contain it. Controls that are wrong "
-            "need more noise (Log.control_variances)"
+            "need more noise (Log.control_variances); where the robot was carried, cut the log there and solve both parts as "
+            "two drives (join_logs)"
         )
 
 
@@ -266,34 +267,39 @@ def slip_of_drive(solved: Unknowns) -> Found:
 
 
 def without_slips(
-    problem: Problem, log: Log, test: Callable[[Problem], Found], again: Callable[[Problem, Log], Problem]
-) -> tuple[Problem, Log, tuple[Slip, ...]]:
-    """The problem of a log in which the stretches with errors of their own have more noise, and these stretches.
+    problem: Problem, log: Log, test: Callable[[Problem], Found], again: Callable[[Problem, Log], Problem | None]
+) -> tuple[Problem, Log, tuple[Slip, ...], Slip | None]:
+    """The problem of a log in which the stretches with errors of their own have more noise, these stretches, and another one
+    that stays in it, if any.
 
     Args:
         test: the largest slip of a solved problem.
-        again: the problem solved with another log.
+        again: the problem solved with another log; None where that explains too little of what is wrong.
+
+    One stays where its error is beyond all speeds, where the problem has no solution without it, or where it is one too many.
     """
     found: tuple[Slip, ...] = ()
     first, recorded = problem, log
-    slip, _ = test(problem)
-    while len(found) < MOST and slip is not None and slip.z > SLIPPED:
+    slip, usual = test(problem)
+    while slip is not None and slip.z > SLIPPED:
         assert log.controls is not None
-        if slip.rate > FASTEST * np.abs(log.controls[:, slip.column]).max():
-            # other units
+        if len(found) == MOST or slip.rate > FASTEST * np.abs(log.controls[:, slip.column]).max():
+            # a robot that was carried far, or other units
             break
         noisier = with_slip(log, slip)
         try:
             trial = again(problem, noisier)
         except GraphError:
             break
-        following, usual = test(trial)
-        z = slip.z / max(1.0, usual)
-        if z < SLIPPED:
+        following, left = (None, np.inf) if trial is None else test(trial)
+        z = slip.z / max(1.0, left)
+        if trial is None or z < SLIPPED:
+            slip = None
             break
         problem, log, found = trial, noisier, (*found, replace(slip, z=z))
-        slip = following
+        slip, usual = following, left
     if sum(slip.end - slip.begin for slip in found) > WRONG * log.control_times[-1]:
         # models or units that are wrong all the time
-        return first, recorded, ()
-    return problem, log, found
+        return first, recorded, (), None
+    stays = slip is not None and slip.z > SLIPPED * max(1.0, usual)
+    return problem, log, found, slip if stays else None

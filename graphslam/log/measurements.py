@@ -446,6 +446,8 @@ def checked_sightings(ids: Any, sightings: Any, refused: Collection[int], advice
         OptionError: a value is impossible.
     """
     z = array_or_none(sightings)
+    if z is not None and z.ndim == 1 and z.size:
+        z = z[None]
     if ids is None:
         ids = np.full(len(z) if z is not None and z.ndim else 0, UNIDENTIFIED)
     numbers = np.zeros((0, 0)) if (given := _array_or_none(ids)) is None else np.atleast_1d(given)

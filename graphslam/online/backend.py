@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors.checks import checked_covariance
-from ..graph.tracker import Tracker
 from ..graph.trilateration import NumberRow
 from ..linear.precision import inverses
+from ..maps.tracker import Tracker
 from ..se2 import Array
 
 #: the variances [m², m², rad²] of a first pose that only a map or absolute positions hold

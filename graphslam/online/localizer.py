@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import GraphError
-from ..graph.landmark_map import LandmarkMap
-from ..graph.localization import SURE, Fix
-from ..graph.registration import evenly
-from ..graph.stretch import Stretch, backwards, drifted
-from ..graph.tracker import LARGE, Tracker, inflation
-from ..graph.tracking import DOUBT, elsewhere, sure_fix
 from ..linear.precision import inverses
 from ..log import UNIDENTIFIED
+from ..maps.landmark_map import LandmarkMap
+from ..maps.localization import SURE, Fix
+from ..maps.registration import evenly
+from ..maps.stretch import Stretch, backwards, drifted
+from ..maps.tracker import LARGE, Tracker, inflation
+from ..maps.tracking import DOUBT, elsewhere, sure_fix
 from ..models import SensorModel
 from ..se2 import Array, between, rotation
 from ..solvers.contradictions import TAKEN_FOR_RIGHT

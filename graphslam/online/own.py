@@ -19,9 +19,9 @@ from ..edges.robust import Kernel, code_and_width
 from ..engine import engine
 from ..errors import GraphError
 from ..errors.checks import check_count, check_positive
-from ..graph.landmark_map import HELD_STD, LandmarkMap, as_map
 from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..linear.precision import inverses
+from ..maps.landmark_map import HELD_STD, LandmarkMap, as_map
 from ..models import SensorModel
 from ..se2 import Array, compose, difference, inverse
 from .backend import RELEASED_START, Backend, Relation, information_of

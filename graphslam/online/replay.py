@@ -27,14 +27,15 @@ from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import check_known
 from ..graph import Graph
 from ..graph.defaults import suitable_for_isam2
-from ..graph.tracker import Tracker, unlocated
 from ..graph.trilateration import places_of_rows
 from ..log import Log
+from ..maps.tracker import Tracker, unlocated
 from ..models import SensorModel
 from ..se2 import Array
 from ..solvers.initialize import image_notes, partial_edges
 from ..solvers.iteration import Run
 from ..solvers.joint import motion_edges
+from ..solvers.minimize import AT_MEASURED, takes_estimated_ranges
 from ..solvers.solution import Solution, doubted, make_solution
 from .backend import FREE_START, Relation
 from .solver import OnlineSolver, backend_options
@@ -101,6 +102,8 @@ def solve_online(
     state[graph.fixed] = graph.initial[graph.fixed]
     run = Run(state, 0.0, converged=solver.converged, reason=reason)
     notes, cost = image_notes(graph, state) if partial_edges(graph) else (), None
+    if takes_estimated_ranges(graph, "auto"):
+        notes = (*notes, AT_MEASURED)
     if solver.num_final:
         cost = np.nan
         notes = (

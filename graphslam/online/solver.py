@@ -27,11 +27,11 @@ from ..errors.checks import (
     finite_numbers,
     singular,
 )
-from ..graph.landmark_map import as_map
-from ..graph.tracker import beyond, inflation
 from ..linear.precision import inverses, model_of
 from ..log.measurements import checked_sightings
 from ..log.rows import NO_ID, UNIDENTIFIED
+from ..maps.landmark_map import as_map
+from ..maps.tracker import beyond, inflation
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, transform, wrap
 from ..solvers.uncertainty import ids_of, split
@@ -357,7 +357,7 @@ class OnlineSolver:
         """The probability that the newest pose is off by more than the bounds; in a map 1 before the robot is `located`.
 
         Without a map, errors are those against the first pose, and covariances count as they are: the sizes of residuals, by
-        which a map enlarges them, are known after the drive (`Solution.integrity_risk`). `graph.tracker` has the equations.
+        which a map enlarges them, are known after the drive (`Solution.integrity_risk`). `maps.tracker` has the equations.
         It is as right as the map's covariances: see `notes`, which `replay` does not have. A map of another drive needs its
         joint covariance; as "own" or "fixed" (`LandmarkMap.used_as`) too little is said.
 

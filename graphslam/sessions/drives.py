@@ -8,8 +8,8 @@ sightings fit the map of those before (`first_fix`).
 **Without ids.** Each log is associated alone, and their maps are matched:
 
 1. Each log gets ids, a trajectory and a map of its own (`associate_from`).
-2. The map of each log is a constellation that is looked for in the map of those before (`graph.constellation.match`), and the
-   log is followed through that map (`graph.tracking`). Landmarks that agree get one id.
+2. The map of each log is a constellation that is looked for in the map of those before (`maps.constellation.match`), and the
+   log is followed through that map (`maps.tracking`). Landmarks that agree get one id.
 3. From both starts the graph of all logs so far is solved, and association and solving take turns
    (`association.refining`), which merges landmarks that the drift of a log had held apart. The end with more evidence counts.
 
@@ -39,16 +39,16 @@ from ..association.map_solution import Problem
 from ..association.refining import refine
 from ..errors import GraphError, LogError, OptionError, named
 from ..graph import Graph
-from ..graph.constellation import Constellations, Merged, match
-from ..graph.landmark_map import LandmarkMap
-from ..graph.localization import SURE, first_fix, odds_of
-from ..graph.tracking import follow
-from ..identification.robot import known_robot
+from ..identification.known import known_robot
 from ..log import UNIDENTIFIED, Log
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
 from ..log.join import end_to_end, joined_rows
 from ..log.measurements import PoseRelations
 from ..log.rows import robot_class
+from ..maps.constellation import Constellations, Merged, match
+from ..maps.landmark_map import LandmarkMap
+from ..maps.localization import SURE, first_fix, odds_of
+from ..maps.tracking import follow
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, begun_at, between, compose, in_frame
 from ..solvers.solve import solve

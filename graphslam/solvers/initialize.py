@@ -50,7 +50,6 @@ from ..errors import GraphError, quoted
 from ..errors.checks import check_choice
 from ..graph import Graph
 from ..graph.defaults import into_world
-from ..graph.localization import registered
 from ..graph.transform import (
     coarse,
     filled,
@@ -62,6 +61,7 @@ from ..graph.transform import (
     without_positions,
 )
 from ..graph.trilateration import Places, other_places, places_of
+from ..maps.localization import registered
 from ..se2 import Array, chained, compose, wrap
 from .iteration import end_of, gauss_newton, levenberg_marquardt, rough
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..engine import engine
+from ..errors.checks import first
 from ..graph import Graph
 from ..linear.cholesky import Factor, FactorizationError
 from ..linear.information import BlockSystem
@@ -96,8 +97,20 @@ def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: fl
     if inside.end == engine.End.not_determined:
         refuse(graph, run.state, inside.damping)
     run.reason = _reason(run, inside)
+    if inside.end == engine.End.diverged and not run.step_norms:
+        run.reason += _not_finite(graph, run.state)
     if inside.damped_from >= 0:
         run.reason += f", with damped steps from step {inside.damped_from + 1} on because plain ones oscillated"
+
+
+def _not_finite(graph: Any, state: Array) -> str:
+    """Which edge has a cost that is no finite number at a state, for a sentence."""
+    for family in graph.families if isinstance(graph, Graph) else ():
+        with np.errstate(all="ignore"):
+            squares = family.linearize(state, state).mahalanobis
+        if (k := first(~np.isfinite(squares))) is not None:
+            return f": edge {k} of the {type(family).__name__} has a residual or an information that is not finite"
+    return ""
 
 
 def refuse(graph: Any, state: Array, damping: float) -> None:

@@ -25,9 +25,9 @@ from ..edges import LandmarkPriors, PriorEdges
 from ..errors import GraphError
 from ..graph import Graph
 from ..graph.build import priors_of_map
-from ..graph.landmark_map import LandmarkMap
-from ..graph.localization import SURE
-from ..graph.registration import evenly
+from ..maps.landmark_map import LandmarkMap
+from ..maps.localization import SURE
+from ..maps.registration import evenly
 from ..se2 import Array
 from .uncertainty import Uncertainty
 

@@ -115,6 +115,10 @@ def solve_jointly(graph: Graph, start: Array, search: Callable[[JointGraph, Run]
 PASSES, SAME, PART = 100, 1e-7, 3e-3
 
 
+#: what a solver says that cannot do this, where `solve` does
+AT_MEASURED = "the noise of ranges is taken at the measured ones, and by solve at the estimated ones, so that J differs"
+
+
 def takes_estimated_ranges(graph: Graph, range_noise: str) -> bool:
     """Whether a graph is solved with its noise at estimated ranges: "auto" does so where the noise was estimated from it.
 

@@ -30,7 +30,15 @@ from typing import Any
 
 import numpy as np
 
-from ..edges import CartesianObservationEdges, MarginalEdges, PositionEdges, RelativePoseEdges, SightingEdges
+from ..edges import (
+    CartesianObservationEdges,
+    MarginalEdges,
+    PositionEdges,
+    PriorEdges,
+    RelativePoseEdges,
+    SightingEdges,
+)
+from ..edges.base import EngineEdges
 from ..errors import GraphError
 from ..graph import Graph
 from ..graph.defaults import on_an_arc
@@ -63,7 +71,9 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     # pairs of sightings count these more than once, so that poses follow their errors
     once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
     seen = any(isinstance(family, SightingEdges) and family.count for family in graph.families)
-    if moved is None or log is None or log.times is None or not (once and seen) or moved.count < FEWEST:
+    # what edges of a user's own say about the noise is not known
+    known = all(isinstance(family, (EngineEdges, PriorEdges)) for family in graph.families)
+    if moved is None or log is None or log.times is None or not (once and seen and known) or moved.count < FEWEST:
         return C, ""
     # sightings on an arc, which the Cartesian residual has along a line, have an error in common, too
     straight = isinstance(sighted_edges(graph), CartesianObservationEdges)

@@ -17,16 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges import AnchorEdges, LandmarkSightings, SightingEdges
+from ..edges import LandmarkSightings, SightingEdges
 from ..errors import OptionError, quoted
-from ..errors.checks import make_read_only
+from ..errors.checks import make_read_only, singular
 from ..graph import Graph
-from ..graph.landmark_map import LandmarkMap
-from ..graph.stretch import Stretch
-from ..graph.tracker import beyond, inflation, presence
 from ..graph.transform import with_landmark_nodes
 from ..identification.declared import ParameterEstimate
 from ..log import Log
+from ..maps.landmark_map import LandmarkMap
+from ..maps.stretch import Stretch
+from ..maps.tracker import beyond, inflation, presence
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
@@ -163,9 +163,11 @@ class Solution:
     def __repr__(self) -> str:
         """One line: solver, outcome, cost and sizes."""
         outcome = "converged" if self.converged else "not converged"
-        return (
-            f"<Solution by {self.solver}: {outcome} after {self.iterations} iterations, J = {self.cost:.6g}, "
-            f"{len(self.poses)} poses, {len(self.landmarks)} landmarks, {self.seconds:.3g} s>"
+        if self.iterations:
+            outcome += f" after {self.iterations} iterations"
+        return singular(
+            f"<Solution by {self.solver}: {outcome}, J = {self.cost:.6g}, {len(self.poses)} poses, "
+            f"{len(self.landmarks)} landmarks, {self.seconds:.3g} s>"
         )
 
     @cached_property
@@ -283,7 +285,7 @@ class Solution:
         """The probability (T+1,) that a pose is off by more than the bounds; NaN where it is not estimated.
 
         In a map it counts that the robot may have been elsewhere; without one, errors are those against the first pose.
-        Covariances grow where residuals are larger than the noise models say. `graph.tracker` has the equations. It is as
+        Covariances grow where residuals are larger than the noise models say. `maps.tracker` has the equations. It is as
         right as the map's covariances, which `solve` widens where most landmarks contradict them (``notes``). A map of
         another drive needs its joint covariance; as "own" or "fixed" (`LandmarkMap.used_as`) too little is said.
 
@@ -382,10 +384,9 @@ def make_solution(
     Its ``cost`` and ``certificate`` are taken over where the solver knows them.
     """
     state = run.state
-    kernels = [each for family in graph.families if (each := getattr(family, "kernel", None)) is not None]
-    if kernels and not run.converged:
+    if graph.kernel is not None and not run.converged:
         notes += (
-            f"with the kernel {kernels[0].name} solvers may converge slowly where many sightings are wrong: raise "
+            f"with the kernel {graph.kernel.name} solvers may converge slowly where many sightings are wrong: raise "
             "max_iterations of solve, or use its method gnc (--kernel gnc), which decides which sightings are wrong",
         )
     poses, estimated = graph.trajectory_of(state)
@@ -433,13 +434,8 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     graph = solution.graph or graph
     common, of_scans = errors_of_scans(graph, solution.state)
     notes += filter(None, (doubt_of_positions(graph, solution.state), *of_odometry, of_scans))
-    # families with edges that do not say how many numbers they measure leave the expected cost open
-    counted = all(
-        family.numbers[0] or isinstance(family, AnchorEdges) or not len(family.cliques()[1])
-        for family in graph.families
-    )
     expected = max(graph.expected_cost, 1.0)
-    ratio = solution.cost / expected if counted else 0.0
+    ratio = solution.cost / expected
     if graph.log is None and ratio > MISFIT:
         notes.append(
             f"J is {ratio:,.0f} times what the information of the edges lets expect: edges are wrong, which method gnc "

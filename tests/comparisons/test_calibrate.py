@@ -75,6 +75,7 @@ def test_from_log_to_run(invoke: Invoke, log_file: Path) -> None:
     assert found["source"] == "truth"
     assert found["range_scale"] == pytest.approx(1.05, abs=4 * found["errors"]["range_scale"])
     assert read_noise(Path("noise.toml"))[0]["bearing_std"] == found["sensor"]["bearing_std"]
+    check_bounds(found, result.stdout)
 
     options = ["--estimators", "graph", "--json", "-", "--figures", ""]
     (plain,) = json.loads(invoke("run", "log.npz", "--out", "a", *options).stdout)["estimators"]
@@ -157,20 +158,18 @@ def test_wrong_use(invoke: Invoke, log_file: Path) -> None:
     assert not Path("n.toml").exists()
 
 
-@pytest.mark.slow
-def test_numbers_near_zero_have_bounds(invoke: Invoke, log_file: Path) -> None:
-    result = invoke("calibrate", "log.npz", "--json", "c.json")
-    assert result.exit_code == 0, result.output
-    found = json.loads(Path("c.json").read_text())
+def check_bounds(found: dict[str, Any], table: str) -> None:
+    """Numbers near zero have a bound in place of an error."""
     near_zero = [name for name, error in found["errors"].items() if error is None and found["bounds"].get(name)]
     assert near_zero
     for name in near_zero:
-        row = next(line for line in result.stdout.splitlines() if line.startswith(f"{name} "))
+        row = next(line for line in table.splitlines() if line.startswith(f"{name} "))
         assert f"< {found['bounds'][name]:.2g}" in row
     # a number has an error or a bound, not both
     assert all(found["errors"][name] is None for name in found["bounds"])
 
 
+@pytest.mark.slow
 def test_several_logs_and_several_robots(invoke: Invoke, tmp_path: Path) -> None:
     for seed in (1, 2):
         save(simulate(seed=seed, steps=60, clean=True), tmp_path / f"{seed}.npz")
@@ -184,6 +183,7 @@ def test_several_logs_and_several_robots(invoke: Invoke, tmp_path: Path) -> None
     assert both.exit_code != 0 and "robots" in both.stderr
 
 
+@pytest.mark.slow
 def test_corrections_go_from_the_file_to_the_log(invoke: Invoke, log_file: Path) -> None:
     """Ranges 5 % and speeds 10 % too long, a gyroscope off by 0.05 rad/s: the noise file takes all of it back."""
     log = load(log_file)
@@ -292,6 +292,7 @@ def test_no_command_that_fails_is_named_for_single_numbers() -> None:
         assert advice is not None and advice.startswith(begin)
 
 
+@pytest.mark.nightly
 def test_ranges_alone_do_not_doubt_a_file_and_their_ids_are_not_checked() -> None:
     """Nothing of them is left out, so that the noise of the motion is not known to be better than that of the file."""
     drive = replace(Drive.random(6000), duration=60.0, misread=0.0, clutter=0.0, parameters={})
@@ -305,6 +306,7 @@ def test_ranges_alone_do_not_doubt_a_file_and_their_ids_are_not_checked() -> Non
     assert not _compared_with_estimate(log, truth.motion, truth.sensor).doubts
 
 
+@pytest.mark.slow
 def test_robots_that_disagree_are_not_one(invoke: Invoke, tmp_path: Path) -> None:
     for seed, scale in ((1001, 1.02), (1003, 0.97)):
         drive = Drive(seed=seed, duration=100.0, landmarks=16, parameters={"wheel_scale": scale})
@@ -326,8 +328,10 @@ def test_logs_without_ids(tmp_path: Path) -> None:
     assert options.sensor.bearing_std == pytest.approx(estimate_robot(log).sensor.bearing_std, rel=1e-3)
     assert [note for note in data.notes if note.startswith("noise estimated from this log")]
     assert [note for note in data.notes if "with 13 landmarks that were found" in note]
-    # the default is the same for a log of whose noise nothing is known
-    unnamed = unknown.replace(simulated=False)
+    # the default is the same for a log of whose noise nothing is known, here the first half
+    half = unknown.at_steps(np.arange(unknown.num_poses // 2))
+    data, _, options = prepare(half, RunOptions.of(noise="auto"))
+    unnamed = half.replace(simulated=False)
     by_default, _, chosen = prepare(unnamed, RunOptions())
     assert (chosen.sensor, chosen.motion) == (options.sensor, options.motion) and by_default.notes == data.notes
     assert FastSLAM2(unnamed, particles=2, seed=0).sensor == options.sensor

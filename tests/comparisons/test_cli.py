@@ -188,17 +188,24 @@ def test_an_interrupt_within_an_import_is_an_interrupt(
 # -- solvers -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def short_file(log: Log, tmp_path: Path) -> Path:
+    """The first half of the log: some 50 graphs are solved twice."""
+    save(log.at_steps(np.arange(13)), tmp_path / "log.npz")
+    return tmp_path / "log.npz"
+
+
 @pytest.mark.slow
-def test_solvers_agree(invoke: Invoke, log_file: Path) -> None:
-    result = invoke("solvers", log_file, "--motion-weights", "1", "--jobs", 0, "--json", "a.json")
+def test_solvers_agree(invoke: Invoke, short_file: Path) -> None:
+    result = invoke("solvers", short_file, "--motion-weights", "1", "--jobs", 0, "--json", "a.json")
     assert result.exit_code == 0, result.output
     assert "agree in all" in result.stdout
     assert {"variants", "skipped"} == set(json.loads(Path("a.json").read_text()))
 
 
 @pytest.mark.slow
-def test_only_the_graphs_that_are_named(invoke: Invoke, log_file: Path) -> None:
-    command = ["solvers", log_file, "--motion-weights", "2", "--jobs", 0]
+def test_only_the_graphs_that_are_named(invoke: Invoke, short_file: Path) -> None:
+    command = ["solvers", short_file, "--motion-weights", "2", "--jobs", 0]
     result = invoke(*command, "--edges", "virtual+motion", "--json", "-")
     assert {entry["name"].split()[0] for entry in json.loads(result.stdout)["variants"]} == {"virtual+motion"}
     unknown = invoke(*command, "--edges", "virtual,some")
@@ -207,10 +214,10 @@ def test_only_the_graphs_that_are_named(invoke: Invoke, log_file: Path) -> None:
 
 
 @pytest.mark.slow
-def test_solvers_that_differ_exit_with_one(invoke: Invoke, log_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_solvers_that_differ_exit_with_one(invoke: Invoke, short_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sloppy = solvers.solve
     monkeypatch.setattr(solvers, "solve", lambda graph, **_: sloppy(graph, tolerance=1e-3))
-    result = invoke("solvers", log_file, "--motion-weights", "1", "--jobs", 0, "--json", "-")
+    result = invoke("solvers", short_file, "--motion-weights", "1", "--jobs", 0, "--json", "-")
     assert result.exit_code == 1
     assert "DIFFERENT" in result.stderr
     assert not all(entry["agree"] for entry in json.loads(result.stdout)["variants"])

@@ -150,6 +150,7 @@ def test_a_kernel_says_how_many_sightings_it_weighs_down(log: Log) -> None:
         assert any("6.9% would be usual" in note for note in after.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["huber", "cauchy", "geman-mcclure"])
 def test_j_per_degree_of_freedom_is_about_one_with_every_kernel(kernel: str) -> None:
     ratios = []

@@ -13,7 +13,7 @@ import comparisons
 from comparisons.cli import make_app
 from comparisons.results.files import tum_text
 from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics, sample_log_path, save, simulate
-from graphslam.graph.map_files import COVARIANCE, UPPER
+from graphslam.maps.map_files import COVARIANCE, UPPER
 from graphslam.se2 import compose
 
 TIMES = 100.0 + 0.1 * np.arange(200)

@@ -13,7 +13,7 @@ import pytest
 import comparisons
 from comparisons.results.files import tum_text
 from graphslam import Graph, OptionError, simulate, solve
-from graphslam.graph.map_files import map_text
+from graphslam.maps.map_files import map_text
 
 
 @pytest.fixture(scope="module")

@@ -50,6 +50,7 @@ def test_the_graph_finds_ids_that_the_log_lacks(log):
     assert known["graph"].association is None
 
 
+@pytest.mark.slow
 def test_a_map_that_cannot_be_relied_on_is_a_warning(log):
     hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
     for front_end, warned in (("fastslam2", True), ("auto", False)):
@@ -60,6 +61,7 @@ def test_a_map_that_cannot_be_relied_on_is_a_warning(log):
         assert not [note for note in comparison["graph"].notes if "do not rely" in note]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("front_end", ["auto", "fastslam2", "batch", "best"])
 def test_ignored_ids_are_compared_with_those_found(log, front_end):
     comparison = run(log, estimators="graph", association="maximum-likelihood", front_end=front_end)
@@ -85,6 +87,7 @@ def test_ignored_ids_are_compared_with_those_found(log, front_end):
         np.testing.assert_array_equal(comparison["graph"].association == int(j), log.landmarks == true)
 
 
+@pytest.mark.slow
 def test_classes_and_matches_are_in_tables_files_and_film(log):
     names = np.array(["big, [red]", "green", "blue", ""])
     shown = names[np.where(np.arange(len(log.steps)) % 10 == 0, 3, log.landmarks % 3)]
@@ -131,6 +134,7 @@ def test_a_filter_gives_the_association_of_each_sighting(log):
     assert FastSLAM2(log, particles=50, seed=0).run().association is None
 
 
+@pytest.mark.slow
 def test_filters_find_the_landmarks_of_a_log_without_ids(log):
     """By default, and they say so; localisation, which needs ids, is left out with advice."""
     hidden = log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED))
@@ -183,6 +187,7 @@ def test_where_no_ids_can_be_found_the_filters_go_on(log):
 
 @pytest.mark.slow
 def test_whatever_uses_the_ids_all_the_same_says_so_and_has_no_association(log):
+    log = log.at_steps(np.arange(40))
     comparison = run(
         log,
         estimators=["textbook", "graph", "online", "isam2"],
@@ -205,6 +210,7 @@ def test_ids_are_found_anew_with_other_options(log):
     assert run(log, **given, new_landmark_threshold=1e-3)["graph"].found is not first
 
 
+@pytest.mark.slow
 def test_ids_that_cannot_be_used_are_told(log):
     partly = log.replace(landmarks=np.where(np.arange(len(log.steps)) == 5, UNIDENTIFIED, log.landmarks))
     comparison = run(partly, estimators=["graph", "fastslam2"], particles=30)

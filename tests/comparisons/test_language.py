@@ -36,10 +36,11 @@ from comparisons.show import canvas, log_tables, studies, tables
 from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
 from comparisons.show.report import charts, page
 from graphslam import OptionError, simulate
-from graphslam.graph import build, defaults, tracking
+from graphslam.graph import build, defaults
 from graphslam.identification.result import RobotEstimate
 from graphslam.log import cartesian, cells, streams
 from graphslam.log_checks import given, ids, readings
+from graphslam.maps import tracking
 
 #: the module, whose package has a function of the same name
 verbs = import_module("comparisons.cli.run")
@@ -322,6 +323,7 @@ def test_font_of_last_resort_is_no_font() -> None:
             assert not canvas._has(font.fname, canvas._LETTERS["ja"])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(canvas.font_of("ja") is None, reason="needs a font with Japanese letters")
 def test_the_font_has_the_letters(tmp_path: Path) -> None:
     found = run(simulate(seed=2, steps=24, clean=True), estimators=["graph"])

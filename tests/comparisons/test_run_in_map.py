@@ -126,6 +126,7 @@ def test_positions_in_another_frame_than_the_map_are_said() -> None:
     assert warned((0.0, 0.0, 0.0), landmark_map=known) == [] == warned((3.0, 1.0, 1.5))
 
 
+@pytest.mark.slow
 def test_nees_in_a_map_is_that_of_errors_against_the_first_pose() -> None:
     """The first pose is not held in a map: the covariances against it come from the joint one of both poses."""
     values = []

@@ -15,7 +15,7 @@ from graphslam import Graph, load, sample_log_path, save, simulate, solve, solve
 from graphslam.edges.robust import KERNELS
 from graphslam.factors import arguments, landmark
 from graphslam.graph.defaults import suitable_edges, suitable_kernel
-from graphslam.identification.robot import known_robot
+from graphslam.identification.known import known_robot
 from graphslam.models import EDGES
 from graphslam.solvers import solve as solve_module
 

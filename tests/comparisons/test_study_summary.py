@@ -54,6 +54,7 @@ def test_quartiles_of_five_values() -> None:
     assert found["ess_share"] is None
 
 
+@pytest.mark.slow
 def test_the_interval_covers_the_true_median_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
     covered = 0

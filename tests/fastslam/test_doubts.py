@@ -41,6 +41,7 @@ def contradictions(notes: tuple[str, ...]) -> list[str]:
     return [note for note in notes if CONTRADICTION in note]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FILTERS)
 def test_a_lifted_robot_is_noted(kind: Any) -> None:
     """As the filter goes on: before it was lifted nothing is said. Measurements by hand are not kept, and not judged."""

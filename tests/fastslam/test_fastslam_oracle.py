@@ -11,11 +11,11 @@ from graphslam import Log, OptionError, simulate
 TOLERANCE = {"rtol": 1e-10, "atol": 1e-10}
 
 LOGS = {
-    "sample": lambda: simulate(seed=0),
-    "clean": lambda: simulate(seed=4, clean=True, steps=50),
+    "sample": lambda: simulate(seed=0, steps=40),
+    "clean": lambda: simulate(seed=4, clean=True, steps=40),
     "way points": lambda: simulate(
         seed=2,
-        steps=40,
+        steps=30,
         dt=1.0,
         speed=0.5,
         turn_rate=0.6,
@@ -51,8 +51,8 @@ def assert_same(fast: ParticleFilter, slow: list[textbook.Particle], maps: bool 
 @pytest.mark.parametrize("ess_threshold", [1.0, 0.5])
 def test_step_by_step(log: Log, ess_threshold: float, version: int) -> None:
     filters = {1: (FastSLAM1, textbook.fastslam1), 2: (FastSLAM2, textbook.fastslam2)}
-    fast = filters[version][0](log, particles=8, seed=np.random.default_rng(3), ess_threshold=ess_threshold)
-    slow = filters[version][1](log, particles=8, rng=np.random.default_rng(3), ess_threshold=ess_threshold)
+    fast = filters[version][0](log, particles=6, seed=np.random.default_rng(3), ess_threshold=ess_threshold)
+    slow = filters[version][1](log, particles=6, rng=np.random.default_rng(3), ess_threshold=ess_threshold)
     steps = 0
     for _, particles in zip(fast, slow, strict=True):
         assert_same(fast, particles)

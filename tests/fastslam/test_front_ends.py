@@ -11,6 +11,7 @@ from graphslam.log import UNIDENTIFIED
 LOG = load(sample_log_path())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("front_end", "starts"), [("auto", 2), ("fastslam2", 1), ("batch", 1), ("best", 4)])
 def test_each_front_end_finds_the_ids(front_end, starts):
     found = associate(LOG, front_end=front_end)
@@ -45,6 +46,7 @@ def test_options_are_checked():
     assert "with 5 particles" in few.notes[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [True, False])
 def test_noise_that_nobody_knows_is_estimated_first(hidden):
     """As in `slam-compare run`: with the book's noise, several times too wide, neighbouring landmarks were joined."""

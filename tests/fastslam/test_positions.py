@@ -81,6 +81,7 @@ def test_one_position_and_a_gaussian_prior(kind: type[ParticleFilter], offset: t
     assert abs(slam.result().log_evidence - evidence) < 4 * np.sqrt(weights @ weights - 1 / N)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FILTERS)
 def test_positions_lower_the_error_and_draw_nothing(kind: type[ParticleFilter]) -> None:
     gains = []
@@ -106,6 +107,7 @@ def test_position_of_the_step_before_it_is_resampled() -> None:
     assert len(drawn) == len(set(drawn)) and set(log.positions.steps) <= set(drawn)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", [(500.0, 300.0, 0.0), (0.0, 0.0, 2.0), (3.0, -5.0, 1.0)])
 @pytest.mark.parametrize("precise", [MotionModel(nn=0.03, no=0.01, on=0.01, oo=0.03), MotionModel()])
 def test_start_is_in_the_frame_of_the_positions(motion: tuple[float, float, float], precise: MotionModel) -> None:

@@ -14,6 +14,7 @@ from fastslam import FastSLAM1, FastSLAM2
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "fastslam_webmap.py"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [FastSLAM1, FastSLAM2])
 def test_drive(kind: type, shared_data: Callable[[str], Path]) -> None:
     world = runpy.run_path(str(BENCHMARK))

@@ -58,6 +58,7 @@ def test_slip_over_long_ways_is_found_where_there_is_some(slip: float, raised: b
     assert ate(second.poses, log.true_poses) < 0.9 * ate(first.poses, log.true_poses)
 
 
+@pytest.mark.slow
 def test_association_estimates_parameters_on_the_way() -> None:
     log = drifting(0.0, seed=1, steps=120)
     biased = log.replace(sightings=log.sightings + [0.1, 0.06])

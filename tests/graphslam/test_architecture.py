@@ -58,6 +58,7 @@ def module_of(name: str) -> str | None:
     return name or None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", FORBIDDEN)
 def test_no_package_imports_one_above_it(package):
     names = [name for name in MODULES if name.split(".")[0] == package]

@@ -119,6 +119,7 @@ def test_evidence_for_one_landmark_instead_of_two_is_that_of_their_distance(psi:
     assert gained == pytest.approx(float(log_density(nu, S)[0] - densities.new), abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("psi", [True, False])
 def test_sample_log_with_hidden_ids(psi: bool) -> None:
     log = load(sample_log_path())
@@ -164,6 +165,7 @@ def test_a_search_takes_a_limited_number_of_pairs_at_a_time(monkeypatch: pytest.
     assert few.landmarks == whole.landmarks == 13 and np.array_equal(few.ids, whole.ids)
 
 
+@pytest.mark.slow
 def test_less_likely_pairs_are_tried_where_the_likely_ones_lead_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[tuple[int, ...]] = []
 

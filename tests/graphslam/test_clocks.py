@@ -82,6 +82,7 @@ def test_clocks_that_agree_stay_as_they_are() -> None:
     assert alone == ClockOffsets({1: 0.0}, {1: 0.0}, 0)
 
 
+@pytest.mark.slow
 def test_the_joined_log_says_the_offsets(tmp_path: Path) -> None:
     robots = late(team(3), {2: -2.5})
     found = clock_offsets(robots)

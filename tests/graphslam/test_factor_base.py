@@ -314,3 +314,20 @@ def test_every_wrong_argument_is_refused_in_a_sentence(kind):
                 kind(**{**GOOD[kind], name: wrong})
             except SlamError as error:
                 assert "\n" not in str(error)
+
+
+def test_noise_models_of_gtsam_are_taken_as_information() -> None:
+    deviations = np.array([0.1, 0.2, 0.05])
+    values = gtsam.Values()
+    values.insert(X1, gtsam.Pose2(0.1, 0.2, 0.3))
+    values.insert(X2, gtsam.Pose2(1.2, 0.1, 0.2))
+    model = gtsam.noiseModel.Diagonal.Sigmas(deviations)
+    for given in (model, gtsam.noiseModel.Gaussian.Covariance(np.diag(deviations**2))):
+        one = RelativePoseFactor(X1, X2, (1, 0, 0.1), given)
+        other = RelativePoseFactor(X1, X2, (1, 0, 0.1), np.diag(deviations**-2.0))
+        assert one.error(values) == pytest.approx(other.error(values), rel=1e-12)
+    fix = ResidualFactor([X1], lambda x: x[:2], gtsam.noiseModel.Isotropic.Sigma(2, 0.5))
+    assert fix.error(values) == pytest.approx(0.5 * 4 * (0.1**2 + 0.2**2))
+    for wrong in (gtsam.noiseModel.Isotropic.Sigma(2, 0.1), [0.1, 0.1, 0.1]):
+        with pytest.raises(OptionError, match="or a Gaussian noise model of GTSAM of this size, not "):
+            RelativePoseFactor(X1, X2, (1, 0, 0.1), wrong)

@@ -40,6 +40,7 @@ OPTIMIZERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factors", ["fastest", "per-edge"])
 @pytest.mark.parametrize("name", OPTIMIZERS)
 def test_every_optimizer_reaches_the_hand_written_solution(name, factors, small):

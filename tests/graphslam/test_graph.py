@@ -28,10 +28,9 @@ def test_the_books_numbers_of_edges(book_log, shared_data):
 
 def test_repr_is_one_line_with_the_counts(book_log):
     edges = "1 AnchorEdges, 807 VirtualMotionEdges, 61 RelativePoseEdges"
-    assert (
-        repr(Graph.from_log(book_log, edges="virtual+motion", kernel="none"))
-        == f"Graph(62 poses, 0 landmarks; {edges})"
-    )
+    for kernel, shown in {"none": "", "cauchy": "; kernel cauchy"}.items():
+        graph = Graph.from_log(book_log, edges="virtual+motion", kernel=kernel)
+        assert repr(graph) == f"<Graph: 62 poses, 0 landmarks; {edges}{shown}>"
 
 
 def test_poses_without_sightings_leave_the_graph_but_keep_their_numbers():
@@ -192,6 +191,6 @@ def test_noise_models_that_are_given_choose_the_edges_like_those_of_the_log():
     # with the lectures' edges each of K sightings of a landmark would count up to K/2 times
     log, book = simulate(seed=1, steps=40).replace(simulated=False), {"motion": MotionModel(), "sensor": SensorModel()}
     for models in ({"motion": MotionModel(nn=0.1)}, {"sensor": SensorModel(range_rate=0.1)}):
-        given, of_log = Graph.from_log(log, **models), Graph.from_log(log.replace(**{**book, **models}))
+        given, of_log = Graph.from_log(log, **{**book, **models}), Graph.from_log(log.replace(**{**book, **models}))
         assert repr(given) == repr(of_log) and len(given.landmark_ids) > 0
     assert len(Graph.from_log(log, **book).landmark_ids) == 0

@@ -1,5 +1,7 @@
 """Graphs with a map: both solvers agree, localisation by hand, and the joint prior is all that a session knows."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -52,10 +54,16 @@ LOG = simulate(seed=1)
 KINDS = list(maps_of(LOG))
 
 
+def variants():
+    """Each map with and without psi, with a kernel and without; half of them at night, in which any two occur, too."""
+    for number, kind in enumerate(KINDS):
+        for oriented, kernel in product([True, False], ["none", "cauchy"]):
+            marks = [pytest.mark.nightly] * ((number + oriented + (kernel == "none")) % 2)
+            yield pytest.param(kind, oriented, kernel, marks=marks)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", ["none", "cauchy"])
-@pytest.mark.parametrize("oriented", [True, False])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("kind", "oriented", "kernel"), list(variants()))
 def test_both_solvers_have_one_solution(kind, oriented, kernel):
     log = LOG if oriented else LOG.without_orientation()
     graph = Graph.from_log(log, map=maps_of(LOG)[kind], kernel=kernel)
@@ -110,6 +118,7 @@ def test_a_map_by_hand():
     assert np.allclose(solution.covariance(5), covariance[15:18, 15:18], rtol=1e-3, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("orientation", [True, False])
 @pytest.mark.parametrize(("noise", "sigmas", "spread"), [(1.0, 0.03, 0.01), (0.1, 5e-4, 1e-3), (0.01, 2e-5, 2e-4)])
 def test_the_map_of_a_session_is_all_that_the_next_one_needs(noise, sigmas, spread, orientation):
@@ -191,6 +200,7 @@ def test_degrees_of_freedom_count_what_the_map_says():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("initialize", ["given", "dead-reckoning", "rotation-first", "grow"])
 @pytest.mark.parametrize("kind", ["exact", "own", "joint"])
 def test_every_start_leads_to_the_solution(kind, initialize):
@@ -216,6 +226,7 @@ def test_misread_ids_are_no_part_of_the_solution():
         assert np.sqrt(np.mean((error / deviations) ** 2)) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("oriented", "above", "sigmas"), [(False, 1e-6, 1e-3), (True, 1e-4, 0.05)])
 @pytest.mark.parametrize("kind", ["exact", "own", "joint", "some joint, some exact", "of other landmarks, too"])
 def test_step_by_step_the_solution_is_the_same(kind, oriented, above, sigmas):
@@ -270,6 +281,7 @@ def test_an_exact_map_is_kept_by_g2o_files(oriented, tmp_path):
         relative_graph(Graph.from_log(log, map=maps_of(LOG)["own"]))
 
 
+@pytest.mark.slow
 def test_a_map_needs_landmark_nodes_motions_and_ids():
     with pytest.raises(GraphError, match=r"use edges='landmark\+motion'"):
         Graph.from_log(LOG, map=LOG.true_landmarks, edges="virtual+motion")

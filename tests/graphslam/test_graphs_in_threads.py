@@ -57,6 +57,7 @@ def assert_same(found: object, expected: Solution) -> None:
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [2, 4])
 def test_threads_solve_one_graph(graph: Graph, threads: int) -> None:
     expected = solve(replace(graph))
@@ -67,6 +68,7 @@ def test_threads_solve_one_graph(graph: Graph, threads: int) -> None:
             assert_same(solution, expected)
 
 
+@pytest.mark.slow
 def test_threads_solve_variants_of_one_graph(graph: Graph) -> None:
     moved = graph.initial + np.random.default_rng(0).normal(scale=0.01, size=graph.initial.shape)
     trust = np.linspace(0.5, 1.0, graph.measurements)
@@ -82,6 +84,7 @@ def test_threads_solve_variants_of_one_graph(graph: Graph) -> None:
                 assert_same(solution, one)
 
 
+@pytest.mark.slow
 def test_covariances_while_another_thread_solves_the_same_graph(graph: Graph) -> None:
     alone = solve(replace(graph))
     P, risk = alone.covariance(), alone.integrity_risk(0.1)
@@ -120,6 +123,7 @@ def test_threads_prove_solutions_of_one_graph(graph: Graph) -> None:
         assert found == [certificate()] * REPEATS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [None, 4])
 def test_solve_many_of_the_same_graph(graph: Graph, jobs: int | None) -> None:
     expected = solve(replace(graph))

@@ -325,6 +325,7 @@ def test_other_turns_lead_out_of_a_wrong_minimum():
     assert lower_by_turns(graph, best.state)[0] is None
 
 
+@pytest.mark.slow
 def test_without_halves_of_the_sightings_a_wrong_minimum_of_a_kernel_is_left(hard_logs):
     """At number 74 of seed 40 the plain optimum leads to a minimum where nine sightings agree on a wrong place, 1.3 m off."""
     graph = Graph.from_log(hard_logs.hard_log(74, 40), edges="landmark+motion", kernel="cauchy")

@@ -1,4 +1,4 @@
-"""The probability that a pose in a map is off by more than a bound: `graphslam.graph.tracker`, online and after a drive."""
+"""The probability that a pose in a map is off by more than a bound: `graphslam.maps.tracker`, online and after a drive."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ from graphslam import (
     simulate,
     solve,
 )
-from graphslam.graph.stretch import Stretch
-from graphslam.graph.tracker import beyond, inflation, presence
+from graphslam.maps.stretch import Stretch
+from graphslam.maps.tracker import beyond, inflation, presence
 from graphslam.online import replay
 from graphslam.se2 import compose, wrap
 
@@ -47,6 +47,7 @@ def off(poses, true):
     return (np.hypot(*(poses - true)[:, :2].T) > BOUNDS[0]) | (np.abs(wrap(poses[:, 2] - true[:, 2])) > BOUNDS[1])
 
 
+@pytest.mark.slow
 def test_poses_do_not_follow_a_landmark_that_has_moved():
     """Without a kernel they do: then the whole map seems wrong, and few poses count as safe."""
     off_when_safe = {None: [], "none": []}
@@ -118,7 +119,7 @@ def test_residuals_at_a_solution_count_although_it_follows_them():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("when", ["driving", "after"])
+@pytest.mark.parametrize("when", ["driving", pytest.param("after", marks=pytest.mark.nightly)])
 def test_the_share_of_poses_that_are_off_is_what_was_said(when):
     """Over 15 drives, more is not off than was said, within 3.3 standard errors from drive to drive, nor much less.
 

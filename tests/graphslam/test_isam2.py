@@ -10,12 +10,12 @@ from graphslam.se2 import wrap
 
 VARIANTS = [
     {},
-    {"weight": "tempered"},
+    pytest.param({"weight": "tempered"}, marks=pytest.mark.nightly),
     {"weight": "marginal"},
     {"weight": "marginal", "dimensions": 2},
     {"edges": "landmark+motion"},
     {"edges": "landmark+motion", "dimensions": 2, "kernel": "huber"},
-    {"edges": "landmark+motion", "dimensions": 2, "motion_weight": 5.0},
+    pytest.param({"edges": "landmark+motion", "dimensions": 2, "motion_weight": 5.0}, marks=pytest.mark.nightly),
 ]
 
 
@@ -186,6 +186,7 @@ def test_parameters_of_isam2(book_log):
         smoother.move(motion=[1, 0, 0], covariance=np.diag([1e-20, 1.0, 1e20]))
 
 
+@pytest.mark.slow
 def test_an_ordinary_drive_needs_no_option():
     log, _ = Drive(seed=22, duration=40).simulate()
     with pytest.raises(GraphError, match="Indeterminate"):

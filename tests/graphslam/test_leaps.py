@@ -70,6 +70,7 @@ def two_rooms(seed: int, apart: float) -> Log:
     return _log(poses, controls, steps, sightings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("push", [(1.0, 0.0, 0.5), (-1.5, 1.0, -1.0), (4.0, 3.0, 2.5)])
 def test_a_motion_that_odometry_missed_is_found_and_not_used(push: tuple[float, float, float]) -> None:
     """The result has each landmark once, and the graph of its log is right by default."""
@@ -90,7 +91,15 @@ def test_a_motion_that_odometry_missed_is_found_and_not_used(push: tuple[float, 
     assert np.flatnonzero(found.log.control_variances.any(axis=1)).tolist() == [PUSHED - 1]
 
 
-@pytest.mark.parametrize(("seed", "push"), [(1, (4.0, 3.0, 2.5)), (20, (4.0, 3.0, 2.5)), (101, (1.0, 0.0, 0.5))])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "push"),
+    [
+        (1, (4.0, 3.0, 2.5)),
+        (101, (1.0, 0.0, 0.5)),
+        pytest.param(20, (4.0, 3.0, 2.5), marks=pytest.mark.nightly),
+    ],
+)
 def test_a_missed_motion_is_named_where_the_noise_is_unknown(seed: int, push: tuple[float, float, float]) -> None:
     """The noise is found by the same repair, which does not keep the ids from being found with it."""
     log = circling(seed, push).replace(motion=None, sensor=None)
@@ -105,7 +114,8 @@ def test_a_missed_motion_is_named_where_the_noise_is_unknown(seed: int, push: tu
     assert any("odometry missed a motion between steps 29 and 30" in note for note in found.log.notes)
 
 
-@pytest.mark.parametrize("seed", [1, 7, 20])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 20, pytest.param(7, marks=pytest.mark.nightly)])
 def test_the_place_after_a_declared_gap_is_found(seed: int) -> None:
     """The copies of the map need not overlap there, and chance matches across the gap are given up."""
     log, variances = circling(seed, (4.0, 3.0, 2.5)), np.zeros((STEPS, 3))
@@ -123,6 +133,7 @@ def test_two_rooms_that_look_alike_stay_two(apart: float, doubted: bool) -> None
     assert any("two places look alike" in reason for reason in found.verdict.reasons) == doubted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden_behind", [False, True])
 def test_drives_without_a_leap_are_not_doubted(hidden_behind: bool) -> None:
     """Neither two rounds in one place, nor a door behind which other landmarks hide those of before."""

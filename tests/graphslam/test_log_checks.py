@@ -73,6 +73,7 @@ def test_the_message_names_the_cause_and_the_option(sample):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_correct_logs_are_left_alone(seed):
     assert not checks(simulate(seed=seed))
@@ -297,6 +298,7 @@ def test_ids_that_change_are_told_among_misread_ones(own):
     assert "counted them anew" in message(own.replace(landmarks=ids, true_poses=None), "ids change")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_landmarks_that_are_close_to_each_other_have_not_changed_their_ids(seed):
     """Several new landmarks at a time are beside others by chance where 600 stand on 48 m x 48 m."""

@@ -60,6 +60,7 @@ def test_errors_of_a_map_are_said_unless_its_covariances_say_them():
     assert not doubts(log, LandmarkMap(wrong, {j: 0.01 * np.eye(2) for j in wrong}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("said", [None, 0.03])
 def test_a_solution_counts_the_errors_that_the_log_shows_in_its_map(said):
     squares, risks, off = [], [], []
@@ -120,6 +121,7 @@ def test_a_robot_that_drives_believes_covariances_that_are_right(said):
         assert robot.located and not robot.notes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("id", [0, UNIDENTIFIED])
 def test_a_refused_sighting_leaves_a_drive_in_a_wrong_map_as_it_was(id):
     log, known = drive(41)
@@ -138,6 +140,7 @@ def test_a_refused_sighting_leaves_a_drive_in_a_wrong_map_as_it_was(id):
     assert ends[1].integrity_risk(0.1) == pytest.approx(ends[0].integrity_risk(0.1), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_map_stays_as_it_is_where_the_drive_cannot_be_gone_through_again(monkeypatch):
     log, known = drive(41)
     wrong = {j: place + 0.3 * np.sin([j, 2 * j]) for j, place in known.items()}
@@ -156,7 +159,8 @@ def test_a_map_stays_as_it_is_where_the_drive_cannot_be_gone_through_again(monke
     assert "Poses and their risks take the map for right" in note and "ids are misread" in note
 
 
-@pytest.mark.parametrize("misread", [0.0, 0.1, 0.25])
+@pytest.mark.slow
+@pytest.mark.parametrize("misread", [0.0, pytest.param(0.1, marks=pytest.mark.nightly), 0.25])
 def test_a_robot_that_drives_takes_a_right_map_for_right(misread):
     for seed in range(42, 45):
         log, known = drive(seed)
@@ -223,6 +227,7 @@ def test_gtsam_says_the_same():
     assert [n for n in solve_with_gtsam(graph).notes if n.startswith(DOUBT)] == doubts(log, stretched(known, 1.02))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10, 20))
 def test_right_maps_are_not_doubted(seed):
     log, known = drive(seed, landmarks=4 + 2 * (seed - 10))

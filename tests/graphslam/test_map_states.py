@@ -70,6 +70,7 @@ def test_logs_of_two_places_with_the_same_ids_share_nothing_that_stayed():
         session_states(join_logs(logs).log)
 
 
+@pytest.mark.slow
 def test_chi_square_has_its_distribution_where_nothing_has_changed():
     squares = []
     for seed in range(20, 30):
@@ -81,6 +82,7 @@ def test_chi_square_has_its_distribution_where_nothing_has_changed():
     assert len(squares) > 100 and abs(np.mean(squares) - 3) < 4 * np.sqrt(6 / (len(squares) / 5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("use", ["joint", "own", "fixed"])
 def test_every_use_of_a_map(use):
     known = MAP if use != "fixed" else LandmarkMap(FIRST.true_landmarks)

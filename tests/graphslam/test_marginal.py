@@ -60,6 +60,7 @@ def with_landmark_nodes(edges, state, reference, means):
     return omega, xi, cost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["world", "body"])
 @pytest.mark.parametrize("d", [3, 2])
 @given(seed=seeds, kernel=kernels)

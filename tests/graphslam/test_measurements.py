@@ -121,8 +121,17 @@ def test_jacobians_and_gradient_against_finite_differences(family, kernel):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, {"edges": "landmark+motion", "kernel": "cauchy"}, {"weight": "marginal"}])
-@pytest.mark.parametrize("factors", ["fastest", "per-edge"])
+@pytest.mark.parametrize(
+    ("factors", "options"),
+    [
+        ("fastest", {}),
+        ("fastest", {"edges": "landmark+motion", "kernel": "cauchy"}),
+        ("fastest", {"weight": "marginal"}),
+        ("per-edge", {"edges": "landmark+motion", "kernel": "cauchy"}),
+        pytest.param("per-edge", {}, marks=pytest.mark.nightly),
+        pytest.param("per-edge", {"weight": "marginal"}, marks=pytest.mark.nightly),
+    ],
+)
 def test_both_solvers_have_the_same_optimum_which_is_proven(log, options, factors):
     graph = Graph.from_log(log, **options)
     own, other = solve(graph), solve_with_gtsam(graph, factors=factors)
@@ -205,7 +214,8 @@ def test_one_position_leaves_the_direction_to_the_anchor_step_by_step(bare, back
     np.testing.assert_allclose(solver.covariance(), batch.covariance()[-1], rtol=1e-3, atol=1e-7)
 
 
-@pytest.mark.parametrize("epsilon", [1e-6, 1e-9, 1e-10])
+@pytest.mark.slow
+@pytest.mark.parametrize("epsilon", [1e-6, pytest.param(1e-9, marks=pytest.mark.nightly), 1e-10])
 def test_a_free_start_is_determined_step_by_step_however_precise_the_odometry_is(bare, epsilon):
     """Until the first position, or landmark of a map, what a free start says was below rounding errors."""
     motion = replace(bare.motion or MotionModel(), epsilon=epsilon)
@@ -267,6 +277,7 @@ def test_factors_cost_what_gtsams_own_cost():
     assert again.error(values) == lever.error(values)
 
 
+@pytest.mark.slow
 def test_step_by_step_is_the_batch_solution(bare, log):
     related = log.replace(positions=None)
     for backend, each in (("own", related), ("own", log), ("isam2", related), ("isam2", log)):
@@ -306,6 +317,7 @@ def test_positions_say_where_a_drive_from_nowhere_is(bare, backend, direction):
     assert np.einsum("ti,tij,tj->", errors, np.linalg.inv(P), errors) < 3 * 63 + 4 * 19
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("backend", "options"),
     [

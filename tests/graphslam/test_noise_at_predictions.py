@@ -27,6 +27,7 @@ GRAPHS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factors", ["fastest", "per-edge"])
 @pytest.mark.parametrize("orientation", [True, False])
 @pytest.mark.parametrize("kind", GRAPHS)
@@ -44,6 +45,7 @@ def test_factors_have_the_cost_of_the_graph(kind: str, orientation: bool, factor
     assert error != pytest.approx(measured.cost(state), rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", GRAPHS)
 def test_both_solvers_agree(kind: str) -> None:
     graph = Graph.from_log(simulate(seed=4, steps=30), **({"kernel": "none"} | GRAPHS[kind]))
@@ -55,6 +57,7 @@ def test_both_solvers_agree(kind: str) -> None:
     assert np.abs(difference(ours.state, theirs.state)).max() < 1e-7
 
 
+@pytest.mark.slow
 def test_a_robot_whose_noise_is_estimated_has_it_at_estimated_ranges() -> None:
     sensor = SensorModel(range_rate=0.1, range_std=0.0, bearing_std=0.015, max_range=6.0)
     log, _ = Drive(seed=3, duration=150.0, misread=0, sensor=sensor).simulate()
@@ -71,6 +74,7 @@ def test_a_robot_whose_noise_is_estimated_has_it_at_estimated_ranges() -> None:
     assert np.array_equal(solve(given).state, solve(given, range_noise="measured").state)
 
 
+@pytest.mark.slow
 def test_maps_of_clean_robots_keep_their_size() -> None:
     """Short readings no longer weigh more than long ones, which makes maps too small by some per cent."""
     sizes, errors = [], []

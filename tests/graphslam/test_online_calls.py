@@ -195,6 +195,15 @@ def test_a_call_that_leaves_a_node_undetermined_is_taken_back(call):
     np.testing.assert_array_equal(solver.covariance(landmarks=3), other.covariance(landmarks=3))
 
 
+def test_one_sighting_needs_no_list():
+    one, other = OnlineSolver(), OnlineSolver()
+    one.observe(7, [3.0, 0.3])
+    other.observe([7], [[3.0, 0.3]])
+    np.testing.assert_array_equal(one.landmarks[7], other.landmarks[7])
+    with pytest.raises(OptionError, match="there are 1 sightings"):
+        one.observe([7, 8], [3.0, 0.3])
+
+
 def test_refused_first_sightings_leave_no_kernel():
     solver = OnlineSolver(kernel="cauchy")
     before = everything(solver)

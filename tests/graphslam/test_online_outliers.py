@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from graphslam import GraphError, OnlineSolver, SensorModel
-from graphslam.graph.landmark_map import LandmarkMap
+from graphslam.maps.landmark_map import LandmarkMap
 from graphslam.online.other_ends import _square, _squares
 from graphslam.se2 import compose, inverse, wrap
 

@@ -114,6 +114,7 @@ MEANINGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("expected", MEANINGS, ids=["robot", "sign", "nothing", "zero"])
 def test_another_meaning_of_psi_is_found(expected):
     odometry, seen, _ = drive()
@@ -140,6 +141,7 @@ def test_psi_in_degrees_is_refused():
     assert "orientation" in findings(stated)
 
 
+@pytest.mark.slow
 def test_an_orientation_noise_beyond_a_radian_is_a_doubt():
     odometry, seen, _ = drive()
     seen["orientation"] = np.random.default_rng(1).uniform(-3, 3, len(seen["t"]))

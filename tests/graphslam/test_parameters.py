@@ -100,7 +100,7 @@ def test_derivatives_are_those_of_the_corrections(biased: Log) -> None:
         {"edges": "landmark+motion", "kernel": "cauchy"},
         pytest.param({"edges": "landmark+motion", "frame": "world", "dimensions": 2}, marks=pytest.mark.nightly),
         {"weight": "marginal"},
-        {"weight": "tempered", "kernel": "huber"},
+        pytest.param({"weight": "tempered", "kernel": "huber"}, marks=pytest.mark.nightly),
         {"weight": "pairs", "dimensions": 2},
     ],
     ids=str,

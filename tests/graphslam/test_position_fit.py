@@ -118,8 +118,10 @@ def test_a_motion_of_which_nothing_is_known_is_no_doubt(variance):
     assert not solution.notes
 
 
-@pytest.mark.parametrize("given", [False, True])
-@pytest.mark.parametrize("common", [0.0, 0.03])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("common", "given"), [pytest.param(0.0, False, marks=pytest.mark.nightly), (0.0, True), (0.03, False), (0.03, True)]
+)
 def test_an_error_that_the_sightings_of_a_scan_have_in_common(common, given):
     """An estimate takes it for noise of the odometry; without it in the covariances NEES / 3 is 10 and more in both cases."""
     nees = []
@@ -146,6 +148,7 @@ def test_errors_of_scans_of_a_short_drive(common):
     assert np.sqrt(solution.scan_errors[2, 2]) == pytest.approx(common, rel=0.5)
 
 
+@pytest.mark.slow
 def test_encoders_with_coarse_ticks():
     """The residuals are those of errors of scans; that speeds have few values tells the odometry is wrong."""
     log = shaken_drive(misread=0.0)
@@ -217,7 +220,8 @@ def test_what_the_error_of_a_scan_does_to_the_solution():
     np.testing.assert_allclose(found, expected, atol=0.01 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("position", [None, 0.01, 1e-6])
+@pytest.mark.slow
+@pytest.mark.parametrize("position", [None, pytest.param(0.01, marks=pytest.mark.nightly), 1e-6])
 def test_covariances_with_errors_of_scans(position, monkeypatch):
     """Each error of a scan moves the whole solution; an anchor and positions hold their poses against it."""
     draws = 4000
@@ -252,6 +256,7 @@ def test_covariances_with_errors_of_scans(position, monkeypatch):
     assert np.median(joint[at[1:-1, 2], at[2:, 2]]) > 0.85 * C[2, 2]
 
 
+@pytest.mark.slow
 def test_errors_of_scans_do_not_see_the_way_between_drives():
     """Nothing is known of the motion from one drive to the next."""
     log = shaken_drive(duration=80.0, misread=0.0)
@@ -261,6 +266,7 @@ def test_errors_of_scans_do_not_see_the_way_between_drives():
     np.testing.assert_allclose(three, one, rtol=0.1, atol=0.02 * one[2, 2])
 
 
+@pytest.mark.slow
 def test_errors_of_scans_without_landmark_nodes_and_in_joined_drives():
     drives = [
         Drive(
@@ -280,6 +286,7 @@ def test_errors_of_scans_without_landmark_nodes_and_in_joined_drives():
     np.testing.assert_allclose(joined.scan_errors, of_scan, rtol=0.2, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [6321, 6331, 6335])
 def test_times_that_make_motions_short(seed):
     """Where two stamps nearly coincide, the motion between them has little noise, and the same error as others."""

@@ -23,10 +23,10 @@ from graphslam import (
     solve,
     solve_with_gtsam,
 )
-from graphslam.graph.localization import first_fix
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.continuous_time import with_poses_at
+from graphslam.maps.localization import first_fix
 from graphslam.metrics import ate
 from graphslam.se2 import between
 from graphslam.sessions import join_robots, relations_of
@@ -169,6 +169,7 @@ def test_the_robots_of_a_team_need_one_clock_and_their_classes() -> None:
         with_poses_at(robots[1], np.array([1e6]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("unit", "factor"), [("millimetres", 1000.0), ("centimetres", 100.0), ("feet", 1 / 0.3048)])
 def test_the_unit_of_a_map_is_named_to_several_robots(unit: str, factor: float) -> None:
     """A wrong unit may fit some drives of a joined log; the one that is named fits most sightings."""

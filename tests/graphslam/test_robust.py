@@ -88,7 +88,11 @@ def test_the_covariance_of_a_map_is_that_of_the_robust_mean(kernel, d):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kernel", "options"), [("cauchy", {"edges": "landmark+motion"}), ("geman-mcclure", {"weight": "marginal"})]
+    ("kernel", "options"),
+    [
+        ("cauchy", {"edges": "landmark+motion"}),
+        pytest.param("geman-mcclure", {"weight": "marginal"}, marks=pytest.mark.nightly),
+    ],
 )
 def test_the_covariance_of_a_trajectory(kernel, options):
     """The joint NEES of 96 clean logs lies in its band, close to that of least squares."""
@@ -208,6 +212,7 @@ def _weighted_cost(graph, held, state):
     return total
 
 
+@pytest.mark.slow
 def test_no_kernel_ends_above_the_plain_optimum_or_the_end_from_the_truth(shared_data):
     """Robot 3 of MR.CLAM 6 with noise by hand, its first half: from the virtual motions J ends 1e-4 too high."""
     motion, sensor = MotionModel.constant(0.1, 0.3, epsilon=1e-8), SensorModel.constant(0.12, 0.02)

@@ -134,6 +134,7 @@ def test_logs_without_ids_are_joined_by_their_maps() -> None:
     assert all("agree" in sentence and "moved" not in sentence for sentence in states)
 
 
+@pytest.mark.slow
 def test_a_log_without_ids_of_another_place_is_refused() -> None:
     other = simulate(
         seed=5, steps=20, clean=True, landmarks=scattered(8), orientation=False, motion=QUIET, max_range=6.0, name="other",

@@ -105,6 +105,7 @@ def test_velocity_bias_scales_the_whole_run():
     assert abs(lengths[0] / np.linalg.norm(np.diff(log.initial_poses[:2, :2], axis=0)) - 1) > 0.01
 
 
+@pytest.mark.slow
 def test_pebbles_turn_the_robot_at_the_given_rate():
     log = simulate(motion_faults=MotionFaults(kicks_per_metre=5, kick_std=0.1, velocity_bias_std=0), steps=9000, seed=1)
     # variance of the heading per metre is rate times kick variance: 0.05 rad² per metre, 5,400 m driven

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from comparisons.show.language import translated
 from graphslam import Drive, Graph, MotionModel, SensorModel, estimate_robot, simulate, solve
 from graphslam.identification import slips
 from graphslam.identification.robot import with_checked_ids
+from graphslam.log.join import end_to_end
 from graphslam.metrics import ate
 from graphslam.solvers import contradictions
 
@@ -57,6 +59,20 @@ def test_a_known_robot_that_slips_is_corrected(seed, kind, monkeypatch):
     if kind == "speed":
         # sightings tell headings well
         assert ate(truth, wrong.poses) > 2 * ate(truth, solution.poses)
+
+
+@pytest.mark.parametrize("seed", [1002, 1004])
+def test_a_robot_that_is_carried_far_is_said(seed):
+    """Between two parts of a drive somebody carries the robot for 12 and 18 m, of which the odometry knows nothing."""
+    log, _ = replace(Drive.random(seed), duration=200.0).simulate()
+    parts = log.at_steps(np.flatnonzero(log.times < 90)), log.at_steps(np.flatnonzero(log.times > 110))
+    carried = end_to_end(*parts).replace(control_variances=None, sessions=())
+    solution = solve(Graph.from_log(carried.replace(initial_poses=carried.dead_reckoning())))
+    assert ate(carried.true_poses, solution.poses) > 5 * solution.expected_ate
+    (note,) = (each for each in solution.notes if each.startswith("between steps"))
+    assert "covariances do not contain it" in note
+    first, last = map(int, re.findall(r"\d+", note)[:2])
+    assert first <= parts[0].num_poses - 1 < last
 
 
 @pytest.mark.parametrize("seed", range(3))

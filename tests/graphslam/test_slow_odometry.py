@@ -28,6 +28,7 @@ def test_speeds_that_change_between_rows_of_odometry_are_no_delay() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [316, 400, 410])
 def test_right_ids_stay_where_the_predictions_are_wide(seed) -> None:
     # landmarks that are seen two or three times at the beginning; on seed 316 five sightings closed false loops: 1.13 m

@@ -1,4 +1,4 @@
-"""Logs without ids in a map, and robots that are lifted: `graphslam.graph.constellation` and `graphslam.graph.tracking`."""
+"""Logs without ids in a map, and robots that are lifted: `graphslam.maps.constellation` and `graphslam.maps.tracking`."""
 
 import numpy as np
 import pytest
@@ -16,10 +16,10 @@ from graphslam import (
     solve,
 )
 from graphslam.association.map_states import map_states
-from graphslam.graph.constellation import Constellations, match, merged
-from graphslam.graph.localization import possible_fixes
-from graphslam.graph.tracking import follow
 from graphslam.log import UNIDENTIFIED
+from graphslam.maps.constellation import Constellations, match, merged
+from graphslam.maps.localization import possible_fixes
+from graphslam.maps.tracking import follow
 from graphslam.online.localizer import relation_covariance
 from graphslam.se2 import inverse, turn_matrix, wrap
 
@@ -152,6 +152,7 @@ def shelf(log, step):
     return set(near), LandmarkMap({j: m + (1.5, -1.0, 0.0)[: len(m)] if j in near else m for j, m in TRUE.items()})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "step"), [(22, 5), (21, 25)])
 def test_landmarks_that_moved_together_are_no_kidnapping(seed, step):
     """At the beginning they made a wrong first fix, and later lifts to and fro: three in each of these drives."""

@@ -21,7 +21,7 @@ from graphslam import (
 )
 from graphslam.association import known_noise
 from graphslam.identification.corrections import without_biases
-from graphslam.identification.robot import known_robot
+from graphslam.identification.known import known_robot
 from graphslam.log.rows import NO_ID, UNIDENTIFIED
 from graphslam.metrics import ate, mean_nees
 from graphslam.solvers import unknown_robot

@@ -36,6 +36,7 @@ from graphslam.identification.corrections import (
     without_biases,
 )
 from graphslam.identification.declared import ParameterEstimate
+from graphslam.identification.known import known_robot
 from graphslam.identification.odometry import Odometry, motion_parts
 from graphslam.identification.robot import RobotEstimate
 from graphslam.identification.sighting_errors import LAGS, _unlikely, inflation, smoothed
@@ -103,6 +104,7 @@ def test_implausible_estimates_are_doubted() -> None:
     assert not warehouse()[2].doubts
 
 
+@pytest.mark.slow
 def test_numbers_that_are_read_in_the_wrong_way_are_said_in_python() -> None:
     log, _, _ = warehouse()
     assert not any("read like this" in note for note in Graph.from_log(log).notes)
@@ -111,6 +113,7 @@ def test_numbers_that_are_read_in_the_wrong_way_are_said_in_python() -> None:
     assert "the sensor looks to the back" in note
 
 
+@pytest.mark.slow
 def test_noise_that_grows_with_the_range_is_not_a_scale() -> None:
     """With the noise at measured ranges, short readings weighed too much, and this scale came out at 1.047 +- 0.005."""
     sensor = SensorModel(range_rate=0.14, range_std=0.0, bearing_std=0.05, max_range=8.0, field_of_view=3.0)
@@ -138,6 +141,7 @@ def test_noise_that_no_robot_has_is_doubted() -> None:
     assert any("range_rate, estimated as" in doubt and "units" in doubt for doubt in centimetres.doubts)
 
 
+@pytest.mark.slow
 def test_noise_of_ways_is_doubted_by_the_speed() -> None:
     """A drive a hundred times as large has ten times the noise in m/√m; speeds that are all noise are doubted in any unit."""
     log, _, found = warehouse()
@@ -221,12 +225,13 @@ def test_what_cannot_tell_its_noise_keeps_the_books() -> None:
         Graph.from_log(log, noise="perfect")
 
 
+@pytest.mark.slow
 def test_sightings_without_ids_are_corrected_but_tell_nothing() -> None:
     log, _, whole = warehouse()
     ids = log.landmarks.copy()
     nameless = np.arange(len(ids)) % 7 == 3
     ids[nameless] = UNIDENTIFIED
-    known, found = robot.known_robot(log.replace(landmarks=ids))
+    known, found = known_robot(log.replace(landmarks=ids))
     assert found is not None
     assert any(f"{nameless.sum()} of {len(ids)} sightings have no id and were not used" in note for note in known.notes)
     # they are in the log of the robot, nameless and without the biases of the sensor
@@ -241,8 +246,30 @@ def test_sightings_without_ids_are_corrected_but_tell_nothing() -> None:
         estimate_robot(log.replace(landmarks=np.full(len(ids), UNIDENTIFIED)))
 
 
+def test_what_is_taken_out_of_a_log_stands_in_the_notes_of_graph_and_solution() -> None:
+    log, _, found = warehouse()
+    graph = Graph.from_log(log)
+    assert set(found.sentences) <= set(graph.notes) and set(graph.notes) <= set(solve(graph).notes)
+    assert found.ids.sentence in graph.notes and any("biases estimated from this log" in note for note in graph.notes)
+
+
+def test_a_noise_model_that_is_given_is_kept_and_the_other_one_estimated() -> None:
+    log, truth, found = warehouse()
+    given = replace(truth.sensor, offset=(0.0, 0.0))
+    graph = Graph.from_log(log, sensor=given)
+    assert graph.sensor is not None and graph.sensor.range_std == given.range_std
+    assert graph.sensor.bearing_std == given.bearing_std and graph.sensor.offset == found.sensor.offset
+    assert graph.motion == found.motion
+    assert "the noise of the sensor is the given one, and that of the motion the estimated one" in graph.notes
+    moved = Graph.from_log(log, motion=MotionModel(nn=0.07))
+    assert moved.motion == MotionModel(nn=0.07) and moved.sensor == found.sensor
+    assert Graph.from_log(log, sensor=given, noise="book").motion == MotionModel()
+    with pytest.raises(OptionError, match="leave it out"):
+        Graph.from_log(log, motion=MotionModel(), sensor=given, noise="auto")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1006, 1007])
+@pytest.mark.parametrize("seed", [1006, pytest.param(1007, marks=pytest.mark.nightly)])
 def test_silences_of_the_odometry_spoil_nothing(seed: int) -> None:
     """Poses within a silence follow their sightings; the noise of all others is found as without it."""
     errors = []

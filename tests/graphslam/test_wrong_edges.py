@@ -206,6 +206,34 @@ def test_a_linearisation_of_another_shape() -> None:
         replace(edges, jacobians=(np.zeros((4, 3, 2)),))
 
 
+def test_residuals_of_a_family_in_numpy_in_one_row() -> None:
+    with pytest.raises(GraphError, match=r"residuals must have the shape \(E, d\), a row for each edge, not \(4,\)"):
+        Linearization(np.zeros(4), np.ones((4, 1, 1)), (np.arange(4),), (np.zeros((4, 1, 3)),))
+
+
+def test_a_cost_that_is_no_number_names_its_edge() -> None:
+    places = np.zeros((4, 2))
+    places[2, 1] = np.nan
+    solution = solve(replace(ring(6), families=(*ring(6).families, FixEdges(np.arange(4), places))), initialize="given")
+    assert not solution.converged
+    assert "edge 2 of the FixEdges has a residual or an information that is not finite" in solution.reason
+
+
+def test_residuals_of_a_family_in_numpy_count_as_numbers() -> None:
+    """So a misfit of such edges is said, and is not taken for an error that the sightings of a scan have in common."""
+    graph = Graph.from_log(load(sample_log_path()), edges="landmark+motion")
+    log = graph.log
+    assert log is not None and log.true_poses is not None
+    nodes = np.arange(len(log.true_poses))
+    for spread, misfit in ((1.0, False), (7.0, True)):
+        places = log.true_poses[:, :2] + np.random.default_rng(0).normal(0, spread, (len(nodes), 2))
+        more = replace(graph, families=(*graph.families, FixEdges(nodes, places)))
+        assert more.degrees_of_freedom == graph.degrees_of_freedom + 2 * len(nodes)
+        notes = solve(more).notes
+        assert any("times what the noise models let expect" in note for note in notes) == misfit
+        assert not any("in common" in note for note in notes)
+
+
 def test_states_of_another_shape() -> None:
     graph = ring(6)
     for call in (graph.cost, graph.linearize):

@@ -9,7 +9,7 @@ believed to be, and with 1 / A, A the area of the map, where it is anywhere else
 
     log(RIGHT p A + 1 - RIGHT)
 
-as in `graph.registration`; without ids p is the mean over the landmarks, whose number over A is their density.
+as in `maps.registration`; without ids p is the mean over the landmarks, whose number over A is their density.
 
 Contradictions count 1, agreements -1, and the sum, the doubt, is never below 0.
 

@@ -2,7 +2,7 @@
 
 Two measured landmarks at a distance d match the pairs of landmarks of the map at the same distance, and each match is a
 hypothesis of the pose T. All are scored by how many measurements have a landmark of the map nearby; the best are refined and
-compared by their evidence, as in `graph.registration`. There the id says which of the L landmarks a measurement is of.
+compared by their evidence, as in `maps.registration`. There the id says which of the L landmarks a measurement is of.
 Here it may be any of them: with the density rho = L / A of the landmarks of the map, a measurement adds
 
     log(RIGHT sum over j of p_kj / rho + 1 - RIGHT),

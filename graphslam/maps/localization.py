@@ -1,12 +1,12 @@
 """A log in the frame of a map: which sightings are of its landmarks, and where the robot was at the first pose.
 
 The first fix needs no start pose: the first sightings of landmarks of the map, carried back to the first pose by the
-odometry, are registered in the map (`graph.registration`). More of them are taken until the odds of the fix, against any
-other place and against the map of another place, are above `SURE` by their joint evidence (`graph.map_evidence`), and until
+odometry, are registered in the map (`maps.registration`). More of them are taken until the odds of the fix, against any
+other place and against the map of another place, are above `SURE` by their joint evidence (`maps.map_evidence`), and until
 three landmarks agree, because two fit a mirrored map as well, or two with headings, because one fits a map in any unit. More
 landmarks must agree than contradict, and most sightings or twice as many landmarks (`_agreed`). Where all sightings together
 do not reach `SURE`, the fix says its odds. The pose and its covariance are those of the drive smoothed by the sightings that
-agree (`graph.stretch`).
+agree (`maps.stretch`).
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ def possible_fixes(
 ) -> list[Fix]:
     """Where a log without ids may begin in a map, the most probable place first, each with its odds.
 
-    The first sightings, merged into landmarks, are matched as a constellation (`graph.constellation`). More are taken
+    The first sightings, merged into landmarks, are matched as a constellation (`maps.constellation`). More are taken
     until the odds of the best place against all others and none are above `SURE` and at least `FEWEST` landmarks agree, more
     than contradict. If all, or `LONGEST`, do not suffice, the first odds are below that: the map is ambiguous.
 

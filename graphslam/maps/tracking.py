@@ -1,6 +1,6 @@
 """A log followed through a map: what its sightings are of where it has no ids, and where the robot was lifted.
 
-From the first fix on, a filter says of each sighting whether it agrees with the map (`graph.tracker`). Where its doubt
+From the first fix on, a filter says of each sighting whether it agrees with the map (`maps.tracker`). Where its doubt
 reaches `DOUBT`, the sightings since it left 0 are given a fix of their own. If that is a sure one, at another place, the
 robot was lifted and put down there (*kidnapped*): the control before says nothing about this, and what follows begins at the
 new fix.
