@@ -34,11 +34,10 @@ if TYPE_CHECKING:
     from .show.report.page import write_report
     from .studies.backends import compare_backends
     from .studies.consistency import study_consistency
-    from .studies.particles import study_particles
     from .studies.plan import read_study
     from .studies.solvers import compare_solvers
     from .studies.summary import summarise
-    from .studies.sweep import sweep
+    from .studies.sweep import study_particles, sweep
 
 __getattr__, __dir__, __all__ = lazy_names(__name__)
 

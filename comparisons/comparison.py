@@ -29,10 +29,9 @@ from .options.declaration import options_of
 from .options.reading import LogOrPath, prepare
 from .options.toml_files import write_noise
 from .results import Displayed, EstimatorResult, noted, typical_costs
-from .results.documents import LogDocument, describe, jsonable, one_of, write_json
+from .results.documents import LogDocument, SolvedSession, describe, jsonable, one_of, solved_sessions, write_json
 from .results.files import SavedFiles, fill_results, new_directory, texts, write_pose_graph
 from .results.results import Row, found_ids, parameters_of
-from .results.sessions import SolvedSession, solved_sessions
 
 
 @dataclass(frozen=True, repr=False)

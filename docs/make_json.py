@@ -23,10 +23,9 @@ from comparisons.importing import Import, Overview
 from comparisons.results.documents import AnimateDocument, SimulateDocument, shown_by
 from comparisons.studies.backends import BackendComparison
 from comparisons.studies.consistency import ConsistencyStudy
-from comparisons.studies.particles import ParticleStudy
 from comparisons.studies.solvers import SolverComparison
 from comparisons.studies.summary import Summary
-from comparisons.studies.sweep import SweepOutcome
+from comparisons.studies.sweep import ParticleStudy, SweepOutcome
 from graphslam.calibration import Calibration
 from graphslam.se2 import Array
 

@@ -14,7 +14,6 @@ from .verb import LogFile, argument, command
 if TYPE_CHECKING:
     from ..options import ConsistencyOptions, FigureOptions, ParticleStudyOptions, SummaryOptions, SweepOptions
     from ..studies.execute import Outcome
-    from ..studies.particles import ParticleRun
     from ..studies.plan import Run
     from ..studies.sweep import Progress
 
@@ -26,16 +25,11 @@ def particles(output: Output, log: LogFile = None, *, options: ParticleStudyOpti
         slam-compare particles --particles 10,100,1000 --seeds 5
         slam-compare particles LOG --figure particles.png --json particles.json
     """
-    from ..studies.particles import study_particles
+    from ..studies.sweep import study_particles
 
-    runs = len(options.filters) * len(options.particles) * options.seeds
-    with output.bar("runs", runs) as advance:
-
-        def progress(run: ParticleRun) -> None:
-            advance(1, f"{run.name} N={run.particles}")
-            output.detail(f"{run.name} N={run.particles} seed {run.seed}: {run.seconds:.2f} s")
-
-        outcome = study_particles(log, progress=progress, announce=output.progress, **options.keywords())
+    with output.bar("runs") as advance:
+        report = _progress(advance, output)
+        outcome = study_particles(log, progress=report, announce=output.progress, **options.keywords())
     output.result(outcome, drawing.figure)
 
 
@@ -157,7 +151,7 @@ def _progress(advance: Advance, output: Output) -> Progress:
             return
         failed += outcome.status != DONE
         advance(1, f"{failed} failed" if failed else "")
-        error = f", {outcome.error}" if outcome.error else ""
-        output.detail(f"{run.log} {run.method} seed {run.seed}: {outcome.status}{error}")
+        how = outcome.error or ("" if outcome.seconds is None else f"{outcome.seconds:.2f} s")
+        output.detail(f"{run.log} {run.method} seed {run.seed}: {outcome.status}, {how}")
 
     return report

@@ -430,6 +430,18 @@ class SweepOptions(JobsOptions):
     retry: bool = option(False, "Repeat the runs that failed or exceeded the time limit.")
 
 
+#: the figures that studies summarise, and their names in tables and on axes
+METRICS = {
+    **{name: f"{about['title']} [{about['unit']}]" for name, about in ERRORS.items()},
+    "cost_per_dof": "J per degree of freedom",
+    "iterations": "iterations",
+    "mean_ate_m": "ATE, mean of histories [m]",
+    "ess_share": "ESS / N",
+    "ancestors": "ancestors half-way",
+    "seconds": "time [s]",
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class SummaryOptions(FigureOptions):
     """Options of `studies.summarise`."""
@@ -437,7 +449,7 @@ class SummaryOptions(FigureOptions):
     baseline: str | None = option(
         None, "Method that the others are compared with.", metavar="METHOD", default_text="graph, or the first"
     )
-    metric: str = option("ate_m", "Metric of the figure.", choices=(*ERRORS, "cost_per_dof", "iterations", "seconds"))
+    metric: str = option("ate_m", "Metric of the figure.", choices=tuple(METRICS))
     csv: Path | None = option(None, "Write every run as CSV.", metavar="FILE", writes=(), panel=OUTPUT)
     summary: Path | None = option(
         None, "Write the summary, not the runs: .csv with all digits, or .tex with the printed tables.", metavar="FILE",

@@ -17,15 +17,16 @@ from rich.text import Text
 from graphslam import OptionError
 from graphslam.metrics import headings as metric_headings
 
+from ..options import METRICS
 from .canvas import WIDTH, as_text, colour_of, paper_figure, style_of
 from .cells import NOTHING, LeanTable, number, optimum, seconds, written, yes_no
 
 if TYPE_CHECKING:
     from ..studies.backends import BackendComparison
     from ..studies.consistency import ConsistencyStudy
-    from ..studies.particles import ParticleStudy
     from ..studies.solvers import SolverComparison
     from ..studies.summary import Median, Summary
+    from ..studies.sweep import ParticleStudy
     from .tables import Tables
 
 #: with more logs than this only the group of all logs is drawn
@@ -100,21 +101,23 @@ _METRICS = metric_headings(studies=True, separator=" ")
 _MOST_ERRORS = 5
 
 
+#: the figures of a study of particle filters
+_OF_FILTERS = ("ate_m", "mean_ate_m", "landmark_rmse_m", "ess_share", "ancestors", "seconds")
+
+
 def particle_tables(study: ParticleStudy) -> Tables:
     """Medians over the seeds, a row per filter and number of particles."""
-    from ..studies.particles import FIGURES
-
-    metrics = {
-        "ate_m": "ATE\n[m]", "mean_ate_m": "ATE of\nmean [m]", "landmark_rmse_m": "map\n[m]", "ess_share": "ESS / N",
-    }  # fmt: skip
-    headings = ("particles", *metrics.values(), "ancestors", "time")
+    headings = ("particles", "ATE\n[m]", "ATE of\nmean [m]", "map\n[m]", "ESS / N", "ancestors", "time")
     table = LeanTable(f"{study.log}: medians over random seeds", ["filter"], headings)
-    for row in study.quartiles:
-        median = {figure: None if (found := getattr(row, figure)) is None else found[1] for figure in FIGURES}
-        values = (number(median[metric]) for metric in metrics)
-        ancestors = number(median["ancestors"], 0)
-        table.add_row(row.name, str(row.particles), *values, ancestors, seconds(median["seconds"]))
-    return [table], [f"{note}." for note in study.notes]
+    for name, lines in study.methods.items():
+        for particles, line in lines.items():
+            *values, ancestors, time = (None if (m := line.figures[each]) is None else m.median for each in _OF_FILTERS)
+            table.add_row(name, str(particles), *(number(each) for each in values), number(ancestors, 0), seconds(time))
+    return [table], [
+        f"{run['method']} with the random seed {run['seed']} has no result: {run['error']}."
+        for run in study.runs
+        if run["status"] != "done"
+    ]
 
 
 def consistency_tables(study: ConsistencyStudy) -> Tables:
@@ -211,22 +214,19 @@ def _panels(count: int, **options: Any) -> Iterator[tuple[Figure, np.ndarray]]:
 
 def particles_figure(study: ParticleStudy) -> Figure:
     """One panel per quantity over the number of particles: medians over the seeds, with bands between the quartiles."""
-    from ..studies.particles import FIGURES
-
-    names = study.names()
-    known = [quantity for quantity in FIGURES if any(len(study.bands(name, quantity)[0]) for name in names)]
+    known = [each for each in _OF_FILTERS if any(line.figures[each] is not None for line in study.summary.methods)]
     with _panels(len(known), sharex=True) as (figure, panels):
         for axes, quantity in zip(panels, known):
-            for name in names:
-                numbers, quartiles = study.bands(name, quantity)
-                if len(numbers):
-                    axes.plot(numbers, quartiles[1], label=name, **style_of(name, len(numbers)))
-                    axes.fill_between(numbers, *quartiles[::2], color=colour_of(name), alpha=0.2, linewidth=0)
-            axes.set(xscale="log", yscale="log", title=FIGURES[quantity])
+            for name, lines in study.methods.items():
+                if medians := {n: m for n, line in lines.items() if (m := line.figures[quantity])}:
+                    values, low, high = zip(*((m.median, *m.quartiles) for m in medians.values()))
+                    axes.plot(list(medians), values, label=name, **style_of(name, len(medians)))
+                    axes.fill_between(list(medians), low, high, color=colour_of(name), alpha=0.2, linewidth=0)
+            axes.set(xscale="log", yscale="log", title=METRICS[quantity])
         for axes in panels[max(len(known) - 3, 0) : len(known)]:
             axes.set_xlabel("particles")
             axes.tick_params(labelbottom=True)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names))
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(study.methods))
     return figure
 
 
@@ -285,7 +285,7 @@ def study_figure(summary: Summary, metric: str = "ate_m") -> Figure:
     Raises:
         OptionError: no run has been executed.
     """
-    from ..studies.summary import ALL, METRICS
+    from ..studies.summary import ALL
 
     logs = [log for log in dict.fromkeys(line.log for line in summary.methods) if log != ALL]
     if not logs:

@@ -25,8 +25,8 @@ from graphslam.metrics import exchanged
 from graphslam.metrics import headings as metric_headings
 
 from ..options import DOUBTFUL
+from ..results.documents import errors_of_sessions
 from ..results.results import sightings_of
-from ..results.sessions import errors_of_sessions
 from .canvas import placement_of_result, png_as_html, save_figure  # noqa: F401
 from .cells import NOTHING, LeanTable, number, optimum, seconds, word, written, yes_no
 

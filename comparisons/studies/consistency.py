@@ -13,6 +13,7 @@ Source: Bar-Shalom, Li and Kirubarajan, *Estimation with applications to trackin
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from itertools import count
@@ -21,24 +22,21 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from scipy.special import gammaincinv
 
-from fastslam import ParticleGibbs
-from fastslam.options import GibbsOptions
-from graphslam import Graph, GraphError, Log, MotionModel, SensorModel, World, simulate, solve
+from graphslam import GraphError, Log, MotionModel, SensorModel, Solution, World, simulate
 from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, difference
 
+from ..estimators import ESTIMATORS
 from ..estimators.filters import FILTERS, particle_filter
 from ..options import ConsistencyOptions, RunOptions
 from ..results import Displayed
 from ..results.documents import Band, Count, Numbers, one_of
 from .execute import rows_of
 
-#: the graphs that can be tested, by name: keywords of `Graph.from_log`
+#: the graphs that can be tested, by name: options of the estimator ``graph``
 GRAPHS: dict[str, dict[str, Any]] = {
     "landmark nodes": {"edges": "landmark+motion"},
-    "marginal": {"weight": "marginal"},
-    "tempered": {"weight": "tempered"},
-    "pairs": {"weight": "pairs"},
+    **{weight: {"edges": "virtual+motion", "weight": weight} for weight in ("marginal", "tempered", "pairs")},
 }
 PARTICLES = 1000
 
@@ -53,12 +51,12 @@ class Consistency:
     Attributes:
         name: of the estimator.
         per_step: (n, T) NEES / 3 of each pose but the first, on each log; NaN where an estimator failed.
-        joint: (n,) NEES / (3 T) of the whole trajectory; None for filters, which have no joint covariance.
+        joint: (n,) NEES / (3 T) of the whole trajectory; NaN for filters, which have no joint covariance.
     """
 
     name: str
     per_step: Array = field(repr=False)
-    joint: Array | None = field(repr=False)
+    joint: Array = field(repr=False)
     shown: ClassVar = {
         "logs": "logs", "failed": "failed", "anees": "anees", "band": "joint_band", "consistent": "consistent",
         "anees_per_step": "steps", "step_band": "step_band", "steps_inside": "steps_inside",
@@ -97,7 +95,7 @@ class Consistency:
     @property
     def anees(self) -> float | None:
         """ANEES / (3 T) of the whole trajectory."""
-        return None if self.joint is None or np.isnan(self.joint).all() else float(np.nanmean(self.joint))
+        return None if np.isnan(self.joint).all() else float(np.nanmean(self.joint))
 
     @property
     def joint_band(self) -> Band:
@@ -150,10 +148,7 @@ def study_consistency(*, progress: Callable[[int], None] | None = None, **option
     seeds, work = range(given.seed, given.seed + given.logs), partial(_one_log, options=given)
     report = None if progress is None else lambda _: progress(next(done))
     sightings, rows = zip(*rows_of(work, seeds, jobs=given.jobs, progress=report, estimators=warm))
-    outcome = []
-    for name in given.estimators:
-        joint = np.array([row[name][1] for row in rows]) if name in GRAPHS else None
-        outcome.append(Consistency(name, np.array([row[name][0] for row in rows]), joint))
+    outcome = (Consistency(name, *map(np.array, zip(*(row[name] for row in rows)))) for name in given.estimators)
     common = {f.name for f in fields(ConsistencyStudy)} & {f.name for f in fields(given)}
     same = {name: getattr(given, name) for name in common}
     return ConsistencyStudy(**same, sightings_per_landmark=float(np.mean(sightings)), results=tuple(outcome))
@@ -181,50 +176,34 @@ def band(degrees: int) -> tuple[float, float]:
 
 
 def _one_log(seed: int, options: ConsistencyOptions) -> tuple[float, dict[str, tuple[Array, float]]]:
-    """Sightings per landmark, and per estimator the NEES of each step (T,) and of the trajectory; NaN where it failed."""
+    """Sightings per landmark, and the NEES of each estimator."""
     motion, sensor = models(options.noise)
-    noise = {"motion": motion, "sensor": sensor}
     world = World(steps=options.steps, clean=True, orientation=options.dimensions == 3)
     log = simulate(world, seed=seed, motion=motion, sensor=sensor)
-    truth = log.robot_truth
-    assert truth is not None
-    row = {}
-    for name in options.estimators:
-        if name == "particle-gibbs":
-            row[name] = (_smoother_nees(log, truth, seed, options.gibbs, noise), np.nan)
-        elif name in FILTERS:
-            row[name] = (_filter_nees(name, log, truth, seed, noise), np.nan)
-        else:
-            row[name] = _graph_nees(log, truth, GRAPHS[name] | noise) or (np.full(options.steps, np.nan), np.nan)
+    of_run = RunOptions.of(motion=motion, sensor=sensor, seed=seed, particles=PARTICLES, **options.numbers)
+    row = {name: _nees(name, log, of_run) for name in options.estimators}
     return len(log.steps) / max(len(log.landmark_ids), 1), row
 
 
-def _graph_nees(log: Log, truth: Array, keywords: dict[str, Any]) -> tuple[Array, float] | None:
-    """NEES / 3 of each step, (T,), and NEES / (3 T) of the trajectory; None where the solver failed."""
-    try:
-        solution = solve(Graph.from_log(log, **keywords), initialize="auto", max_iterations=500)
-        covariances = solution.covariance()
-    except GraphError:
-        return None
-    if not solution.converged:
-        return None
-    return pose_nees(difference(solution.poses, truth)[1:], covariances[1:]), solution.joint_nees(truth)
+def _nees(name: str, log: Log, options: RunOptions) -> tuple[Array, float]:
+    """NEES / 3 of each step, (T,), and NEES / (3 T) of the trajectory.
 
-
-def _smoother_nees(log: Log, truth: Array, seed: int, options: GibbsOptions, noise: dict[str, Any]) -> Array:
-    """NEES / 3 of the mean and covariance of the samples of particle Gibbs at each step, given the whole log; (T,).
-
-    NaN where its chains have not mixed, as their covariances are then those of the start.
+    Those of a filter are of mean and covariance of its particles at each step, as it stood then, those of others are given
+    the whole log. NaN where an estimator failed or has not converged: covariances of chains that have not mixed are those of
+    their start.
     """
-    result = ParticleGibbs(log, seed=seed, threads=1, options=options, **noise).run()
-    if not result.mixing.mixed:
-        return np.full(log.num_poses - 1, np.nan)
-    return pose_nees(difference(result.poses, truth)[1:], result.covariance()[1:])
-
-
-def _filter_nees(name: str, log: Log, truth: Array, seed: int, noise: dict[str, Any]) -> Array:
-    """NEES / 3 of the particles' mean and covariance at each step, as it stood then; (T,)."""
-    states = particle_filter(name, log, RunOptions.of(particles=PARTICLES, seed=seed, **noise))
-    means, covariances = map(np.array, zip(*((state.mean_pose, state.covariance()) for state in states)))
-    # a little of the identity: all particles may descend from one
-    return pose_nees(difference(means, truth)[1:], covariances[1:] + 1e-12 * np.eye(3))
+    truth, joint = log.robot_truth, np.nan
+    assert truth is not None
+    if name in FILTERS:
+        states = particle_filter(name, log, options)
+        poses, covariances = map(np.array, zip(*((state.mean_pose, state.covariance()) for state in states)))
+        # a little of the identity: all particles may descend from one
+        covariances = covariances + 1e-12 * np.eye(3)
+    else:
+        poses, covariances = truth, np.full((len(truth), 3, 3), np.nan)
+        with suppress(GraphError):
+            result = ESTIMATORS["graph" if name in GRAPHS else name].run(log, replace(options, **GRAPHS.get(name, {})))
+            if result.converged and result.pose_covariances is not None:
+                poses, covariances = result.poses, result.pose_covariances
+                joint = result.origin.joint_nees(truth) if isinstance(result.origin, Solution) else np.nan
+    return pose_nees(difference(poses, truth)[1:], covariances[1:]), joint

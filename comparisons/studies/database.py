@@ -12,7 +12,7 @@ import json
 import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,11 @@ PRAGMA application_id = {APPLICATION};
 PRAGMA user_version = {VERSION};
 COMMIT;
 """
+
+
+def row_of(run: Run, outcome: Outcome) -> dict[str, Any]:
+    """A run with its outcome as {column: value}."""
+    return {name: getattr(outcome if hasattr(outcome, name) else run, name) for name in COLUMNS}
 
 
 class StudyDatabase:
@@ -130,8 +135,8 @@ class StudyDatabase:
         Raises:
             sqlite3.IntegrityError: the run has a row already.
         """
-        texts = {name: json.dumps(dict(getattr(run, name))) for name in ("source", "options")}
-        row = {**vars(run), **texts, **asdict(outcome)}
+        row = row_of(run, outcome)
+        row |= {name: json.dumps(row[name]) for name in ("source", "options")}
         marks = ", ".join(f":{name}" for name in COLUMNS)
         with self._transaction():
             self._connection.execute(f"INSERT INTO runs ({', '.join(COLUMNS)}) VALUES ({marks})", row)

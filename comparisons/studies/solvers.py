@@ -66,19 +66,19 @@ class VariantResult:
         cost, cost_per_dof: J of the hand-written solver, and J per degree of freedom (`results.of_expected`).
         iterations, gtsam_iterations, seconds, gtsam_seconds, converged, gtsam_converged: of each.
         certificate, gtsam_certificate: whether the end of each is proven to be the global minimum of J.
-        failure: the error of a solver that failed where the other did not; the figures are NaN or 0 then.
+        failure: the error of a solver that failed where the other did not; its figures are NaN or 0 then.
     """
 
     name: str
-    pose_difference: float
-    cost_difference: float
-    cost: float
-    iterations: Count
-    gtsam_iterations: Count
-    seconds: float
-    gtsam_seconds: float
-    converged: bool
-    gtsam_converged: bool
+    pose_difference: float = np.nan
+    cost_difference: float = np.nan
+    cost: float = np.nan
+    iterations: Count = 0
+    gtsam_iterations: Count = 0
+    seconds: float = np.nan
+    gtsam_seconds: float = np.nan
+    converged: bool = False
+    gtsam_converged: bool = False
     failure: str | None = None
     cost_per_dof: float | None = None
     certificate: Certificate | None = None
@@ -169,10 +169,10 @@ def compare_solvers(
     if len(data.steps) == 0:
         raise GraphError(f"{data.name} has no sightings at all, so there is nothing to solve")
     work = partial(_solve_both, log=data, models={"motion": given.motion, "sensor": given.sensor})
-    outcomes = list(rows_of(
+    outcomes = rows_of(
         work, variants(data, given), jobs=given.jobs, progress=progress, limit=given.time_limit,
         instead=lambda variant, reason: SkippedVariant(variant.name, reason),
-    ))  # fmt: skip
+    )  # fmt: skip
     solved = tuple(each for each in outcomes if isinstance(each, VariantResult))
     skipped = tuple(each for each in outcomes if isinstance(each, SkippedVariant))
     if not solved:
@@ -217,23 +217,18 @@ def _solve_both(variant: Variant, log: Log, models: dict[str, Any]) -> VariantRe
     if not variant.plain and ours is not None and not ours.converged:
         ours, our_error = _attempt(solve, graph)
     theirs, their_error = _attempt(solve_with_gtsam, graph)
-    if ours is not None and theirs is not None:
-        compare = compare_solutions if variant.plain else partial(_compare_robust, graph=graph)
-        outcome = compare(variant.name, ours=ours, theirs=theirs)
-        if isinstance(outcome, SkippedVariant):
-            return outcome
-        proofs: dict[str, Any] = {"certificate": ours.certificate, "gtsam_certificate": theirs.certificate}
-        return replace(outcome, cost_per_dof=of_expected(ours.cost, graph), **proofs)
-    if ours is None and theirs is None:
-        return SkippedVariant(variant.name, str(our_error))
-    # that one solver finds the graph underdetermined and the other does not is a difference, not a reason to skip
-    failure = f"graphslam gave up: {our_error}" if ours is None else str(their_error)
-    return VariantResult(
-        name=variant.name, pose_difference=np.nan, cost_difference=np.nan, cost=np.nan,
-        iterations=0 if ours is None else ours.iterations, gtsam_iterations=0 if theirs is None else theirs.iterations,
-        seconds=np.nan, gtsam_seconds=np.nan, converged=ours is not None and bool(ours.converged),
-        gtsam_converged=theirs is not None and bool(theirs.converged), failure=failure,
-    )  # fmt: skip
+    if ours is None or theirs is None:
+        if ours is theirs:
+            return SkippedVariant(variant.name, str(our_error))
+        # that one solver finds the graph underdetermined and the other does not is a difference, not a reason to skip
+        failure = f"graphslam gave up: {our_error}" if ours is None else str(their_error)
+        return VariantResult(variant.name, failure=failure, **_one(ours), **_one(theirs, "gtsam_"))
+    compare = compare_solutions if variant.plain else partial(_compare_robust, graph=graph)
+    outcome = compare(variant.name, ours=ours, theirs=theirs)
+    if isinstance(outcome, SkippedVariant):
+        return outcome
+    outcome = replace(outcome, certificate=ours.certificate, gtsam_certificate=theirs.certificate)
+    return replace(outcome, cost_per_dof=of_expected(ours.cost, graph))
 
 
 def _compare_robust(name: str, graph: Graph, ours: Solution, theirs: Solution) -> VariantResult | SkippedVariant:
@@ -274,8 +269,12 @@ def compare_solutions(name: str, ours: Solution, theirs: Solution) -> VariantRes
     # a cost of (numerically) zero, as noise-free logs have, has no relative error
     scale = max(abs(ours.cost), abs(theirs.cost), 1e-6)
     return VariantResult(
-        name=name, pose_difference=float(np.max(np.abs(off), initial=0.0)) if not np.isnan(off).any() else float("nan"),
-        cost_difference=abs(ours.cost - theirs.cost) / scale, cost=ours.cost, iterations=ours.iterations,
-        gtsam_iterations=theirs.iterations, seconds=ours.seconds, gtsam_seconds=theirs.seconds,
-        converged=bool(ours.converged), gtsam_converged=bool(theirs.converged),
+        name, float(np.max(np.abs(off), initial=0.0)), abs(ours.cost - theirs.cost) / scale, ours.cost,
+        **_one(ours), **_one(theirs, "gtsam_"),
     )  # fmt: skip
+
+
+def _one(solution: Solution | None, of: str = "") -> dict[str, Any]:
+    """The figures of one solver; none where it failed."""
+    names = () if solution is None else ("iterations", "seconds", "converged")
+    return {f"{of}{name}": getattr(solution, name) for name in names}

@@ -14,7 +14,7 @@ import csv
 import json
 from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from os import PathLike
 from pathlib import Path
@@ -26,10 +26,10 @@ import numpy as np
 from graphslam.errors import OptionError, printable, quoted
 from graphslam.errors.checks import suggestion
 from graphslam.files import write_whole
-from graphslam.metrics import METRICS as ERRORS
 
+from ..options import METRICS
 from ..results import Displayed
-from ..results.documents import Count, json_line
+from ..results.documents import Band, Count, json_line
 from .database import COLUMNS, StudyDatabase
 from .execute import DONE, TIMEOUT
 
@@ -48,12 +48,14 @@ class Median:
         median: of the values.
         low, high: the interval; None where there is only one unit to draw from.
         count: the number of values.
+        quartiles: the first and the third one, between which half of the values lie.
     """
 
     median: float
     low: float | None
     high: float | None
-    count: int
+    count: Count
+    quartiles: Band
 
 
 def median_of(values: Sequence[float], units: Sequence[Hashable]) -> Median | None:
@@ -74,9 +76,10 @@ def median_of(values: Sequence[float], units: Sequence[Hashable]) -> Median | No
     members: dict[Hashable, list[float]] = {}
     for value, unit in zip(values, units, strict=True):
         members.setdefault(unit, []).append(value)
-    median, count = float(np.median(values)), len(members)
+    first, median, third = map(float, np.percentile(values, (25, 50, 75)))
+    found, count = Median(median, None, None, len(values), (first, third)), len(members)
     if count < 2:
-        return Median(median, None, None, len(values))
+        return found
     # a row for each unit, NaN after its last value
     groups = np.array(list(zip_longest(*members.values(), fillvalue=np.nan)), dtype=float).T
     # the same values give the same interval
@@ -85,16 +88,9 @@ def median_of(values: Sequence[float], units: Sequence[Hashable]) -> Median | No
     draws = (rng.integers(count, size=(min(step, RESAMPLES - k), count)) for k in range(0, RESAMPLES, step))
     medians = np.concatenate([np.nanmedian(groups[draw].reshape(len(draw), -1), axis=1) for draw in draws])
     low, high = np.percentile(medians, (50 * (1 - LEVEL), 50 * (1 + LEVEL)))
-    return Median(median, float(low), float(high), len(values))
+    return replace(found, low=float(low), high=float(high))
 
 
-#: the figures that are summarised, and their names in tables and on axes
-METRICS = {
-    **{name: f"{about['title']} [{about['unit']}]" for name, about in ERRORS.items()},
-    "cost_per_dof": "J per degree of freedom",
-    "iterations": "iterations",
-    "seconds": "time [s]",
-}
 #: the name of the group that holds the runs of all logs
 ALL = "all logs"
 
@@ -307,19 +303,19 @@ def write_summary_csv(summary: Summary, path: Path) -> None:
     counts = ("log", "method", "runs", "failed", "timeouts", "converged", "proven")
     parts = ("", "_low", "_high", "_count", "_difference", "_difference_low", "_difference_high", "_lower", "_pairs")
     head = (*counts, *(f"{metric}{part}" for metric in METRICS for part in parts))
-    rows: list[list[Any]] = []
+    rows = []
     for line in summary.methods:
-        cells: list[Any] = [getattr(line, name) for name in counts]
-        against = differences.get((line.log, line.method))
+        cells, against = [getattr(line, name) for name in counts], differences.get((line.log, line.method))
         for metric in METRICS:
-            median, gap = line.figures[metric], None if against is None else against.figures[metric]
-            cells += [None] * 4 if median is None else [median.median, median.low, median.high, median.count]
-            if against is None or gap is None:
-                cells += [None] * 5
-            else:
-                cells += [gap.median, gap.low, gap.high, against.lower[metric], gap.count]
+            *gap, pairs = _cells(None if against is None else against.figures[metric])
+            lower = None if against is None or pairs is None else against.lower[metric]
+            cells += [*_cells(line.figures[metric]), *gap, lower, pairs]
         rows.append(cells)
     _write_table(path, head, rows)
+
+
+def _cells(median: Median | None) -> tuple[float | None, ...]:
+    return (None,) * 4 if median is None else (median.median, median.low, median.high, median.count)
 
 
 def _write_table(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

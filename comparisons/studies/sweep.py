@@ -1,4 +1,4 @@
-"""Execute the runs that a study lacks, here or on a Dask cluster, and write a row as each run ends.
+"""Execute the runs that a study lacks, here or on a Dask cluster, and write a row as each run ends; `study_particles`.
 
 On an existing cluster (the extra ``cluster``) each worker of the cluster has a pool of local processes:
 a worker of Dask cannot stop a run or survive its crash, so its pool does, as on a single machine.
@@ -12,13 +12,13 @@ import multiprocessing
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from importlib.metadata import PackageNotFoundError, version
-from itertools import islice
+from itertools import count, product
 from os import PathLike
 from pathlib import Path
 from queue import SimpleQueue
@@ -35,13 +35,15 @@ from graphslam.processes import default_jobs, process_pool
 from ..estimators import ESTIMATORS
 from ..estimators.attempt import add_estimators, added_estimators, ended, loading
 from ..estimators.filters import FILTERS, Announce, announce_memory
-from ..options import RunOptions, SweepOptions
+from ..options import JobsOptions, ParticleStudyOptions, RunOptions, SweepOptions
 from ..options.declaration import options_of
-from ..results import sentence
+from ..options.reading import prepare
+from ..results import Displayed, sentence
 from ..results.documents import Count, jsonable
-from .database import StudyDatabase
-from .execute import DONE, ERROR, Outcome, Place, execute, local_processes, log_of, stopped, this_process
+from .database import StudyDatabase, row_of
+from .execute import DONE, ERROR, Events, Outcome, Place, as_they_end, execute, log_of, place_of, rows_of, stopped
 from .plan import Run, Study, read_study
+from .summary import MethodSummary, Summary, summarise
 
 #: how long to wait for a connection, and again for an answer [s]; with importing Dask it stays below 10 s
 PATIENCE = 4.0
@@ -244,7 +246,6 @@ def sweep(
     given = SweepOptions.of(**options)
     plan = study if isinstance(study, Study) else read_study(study)
     before = ran = failed = 0
-    interrupted = False
     # the place first: a cluster that does not answer leaves no database behind
     with _place(plan, given) as place, StudyDatabase.writing(plan.database) as database:
         database.plan(plan)
@@ -254,29 +255,30 @@ def sweep(
         missing = [run for run in plan.runs if run.key not in present]
         before = len(plan.runs) - len(missing)
         # a cluster has memory of its own
-        jobs = 1 if given.dask is not None else default_jobs() if given.jobs is None else max(given.jobs, 1)
-        announce_memory(_large(missing), announce, jobs=jobs)
+        announce_memory(_large(missing), announce, jobs=1 if given.dask is not None else _jobs(given))
         report(before, len(plan.runs), None, None)
         with _ctrl_c() as events:
-            for run, outcome in _outcomes(place, missing, events):
-                if run is None or outcome is None:
-                    interrupted = True
-                    break
-                database.add(run, outcome)
+            for k, outcome in as_they_end(place, missing, events):
+                database.add(missing[k], outcome)
                 ran, failed = ran + 1, failed + (outcome.status != DONE)
-                report(before + ran, len(plan.runs), run, outcome)
+                report(before + ran, len(plan.runs), missing[k], outcome)
     counts = {"planned": len(plan.runs), "before": before, "ran": ran, "failed": failed}
-    return SweepOutcome(study=plan.path, database=plan.database, interrupted=interrupted, **counts)
+    return SweepOutcome(study=plan.path, database=plan.database, interrupted=before + ran < len(plan.runs), **counts)
 
 
-def _large(runs: Sequence[Run]) -> Iterator[tuple[str, Log, RunOptions]]:
+def _jobs(options: JobsOptions) -> int:
+    """The number of runs at a time on this machine."""
+    return default_jobs() if options.jobs is None else max(options.jobs, 1)
+
+
+def _large(runs: Sequence[Run], log: Log | None = None) -> Iterator[tuple[str, Log, RunOptions]]:
     """The runs of filters that may need much memory, with their logs; a log that cannot be read becomes an error row."""
     known = options_of(RunOptions)
     for run in runs:
         if run.estimator in FILTERS and run.options.get("particles", 0) >= MANY:
             of_filter = {name: value for name, value in run.options.items() if known[name].model == "filter"}
             with suppress(SlamError):
-                yield run.estimator, log_of(run), RunOptions.of(**of_filter)
+                yield run.estimator, log or log_of(run), RunOptions.of(**of_filter)
 
 
 def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place[Run, Outcome]]:
@@ -284,49 +286,18 @@ def _place(study: Study, options: SweepOptions) -> AbstractContextManager[Place[
         if options.jobs is not None:
             raise OptionError("give --jobs for processes of this machine or --dask for a cluster, not both")
         return dask_cluster(options.dask, study.time_limit)
-    if options.jobs == 0:
-        return this_process(execute)
     estimators, limit = tuple(dict.fromkeys(run.estimator for run in study.runs)), study.time_limit
     late = partial(stopped, limit=limit)
-    return local_processes(execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=late)
-
-
-#: futures that are done, and None for Ctrl-C
-Events = SimpleQueue[Future[Outcome] | None]
-
-
-def _outcomes(
-    place: Place[Run, Outcome], runs: Sequence[Run], events: Events
-) -> Iterator[tuple[Run, Outcome] | tuple[None, None]]:
-    """Every run with its outcome, as they end; at Ctrl-C those that have ended, and a last pair of None."""
-    waiting = iter(runs)
-    pending: dict[Future[Outcome], Run] = {}
-
-    def submit(count: int) -> None:
-        for run in islice(waiting, count):
-            future = place.submit(run)
-            pending[future] = run
-            future.add_done_callback(events.put)
-
-    submit(place.room)
-    while pending:
-        event = events.get()
-        for future in [event] if event is not None else [future for future in pending if future.done()]:
-            run = pending.pop(future)
-            yield run, place.row(future, run)
-        if event is None:
-            yield None, None
-            return
-        submit(1)
+    return place_of(execute, jobs=options.jobs, estimators=estimators, limit=limit, instead=late)
 
 
 @contextmanager
-def _ctrl_c() -> Iterator[Events]:
+def _ctrl_c() -> Iterator[Events[Outcome]]:
     """A queue into which Ctrl-C puts None, so that it never interrupts between a run's end and its row.
 
     A second Ctrl-C interrupts as always.
     """
-    events: Events = SimpleQueue()
+    events: Events[Outcome] = SimpleQueue()
     if threading.current_thread() is not threading.main_thread():
         yield events
         return
@@ -341,3 +312,65 @@ def _ctrl_c() -> Iterator[Events]:
         yield events
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleStudy(Displayed):
+    """Particle filters with growing numbers of particles and several random seeds on one log.
+
+    Attributes:
+        log: the name of the log.
+        runs: every run, with the columns of the database of a study; its options have the number of particles.
+    """
+
+    log: str
+    runs: tuple[Mapping[str, Any], ...]
+    shown: ClassVar = {"summary": "summary"}
+
+    @cached_property
+    def summary(self) -> Summary:
+        """The medians and quartiles over the seeds; a method is a filter with its number of particles."""
+        return summarise(self.runs)
+
+    @property
+    def methods(self) -> dict[str, dict[int, MethodSummary]]:
+        """The summary of each filter and number of particles."""
+        of, found = {line.method: line for line in self.summary.methods}, dict[str, dict[int, MethodSummary]]()
+        for run in self.runs:
+            found.setdefault(run["estimator"], {})[run["options"]["particles"]] = of[run["method"]]
+        return found
+
+
+def study_particles(
+    log: Log | str | PathLike[str] | None = None, *, progress: Progress | None = None, announce: Announce | None = None,
+    **options: Any,
+) -> ParticleStudy:  # fmt: skip
+    """Run filters with growing numbers of particles and several random seeds on one log.
+
+    Args:
+        log: a log, the file or folder of one, or None for the sample log; with the ground truth the errors are known.
+        progress, announce: as for `sweep`.
+        options: the fields of `options.ParticleStudyOptions`: filters, particles, seeds, resampling, association, jobs,
+            time_limit, and those that read the log. In local processes a filter has one thread; with ``jobs=0`` it has all.
+
+    Raises:
+        FormatError: a file cannot be read.
+        OptionError: an option has an impossible value.
+        SlamError: no run has a result.
+    """
+    data, _, given = prepare(log, ParticleStudyOptions.of(**options))
+    data = data.replace(motion=given.motion, sensor=given.sensor)
+    runs = [
+        Run(data.name, {}, seed, name, f"{name} particles={n}", given.of_component("filter") | {"particles": n})
+        for name, n, seed in product(given.filters, sorted(set(given.particles)), range(given.seeds))
+    ]
+    announce_memory(_large(runs, data), announce, jobs=_jobs(given))
+    of_key, done = {run.key: run for run in runs}, count(1)
+    report = None if progress is None else lambda each: progress(next(done), len(runs), of_key[each.key], each)
+    outcomes = rows_of(
+        partial(execute, log=data), runs, jobs=given.jobs, progress=report, estimators=given.filters,
+        limit=given.time_limit, instead=partial(stopped, limit=given.time_limit),
+    )  # fmt: skip
+    if all(each.status != DONE for each in outcomes):
+        raise SlamError(f"no run has a result: {outcomes[0].error}")
+    return ParticleStudy(data.name, tuple(map(row_of, runs, outcomes)))

@@ -14,7 +14,14 @@ def test_a_small_study(tmp_path):
     assert result.exit_code == 0, result.output
     payload = json.loads(result.stdout)
     assert len(payload["runs"]) == 4
-    assert [band["particles"] for band in payload["bands"]] == [5, 10]
+    assert [run["options"]["particles"] for run in payload["runs"]] == [5, 5, 10, 10]
+    methods = payload["summary"]["methods"]
+    assert [line["method"] for line in methods] == ["fastslam1 particles=5", "fastslam1 particles=10"]
+    assert all(
+        low <= line["figures"]["ate_m"]["median"] <= high
+        for line in methods
+        for low, high in [line["figures"]["ate_m"]["quartiles"]]
+    )
     assert picture.stat().st_size > 10_000
 
 

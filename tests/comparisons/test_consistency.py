@@ -69,6 +69,14 @@ def test_exact_variants_are_consistent_and_pairs_are_not(outcome):
     assert all(r.failed == 0 for r in outcome.results)
 
 
+def test_without_psi_the_weights_are_those_of_pairs_of_sightings() -> None:
+    marginal, pairs = study_consistency(logs=2, dimensions=2, estimators=["marginal", "pairs"], jobs=0).results
+    # J of 2 logs of 62 poses; a pair of sightings counts about 10 times
+    low, high = chi_square_bounds(3 * 62 * 2, 2)
+    assert low < 3 * 62 * 2 * marginal.anees < high
+    assert pairs.anees > 3
+
+
 def test_noise_scales_all_standard_deviations():
     motion, sensor = models(0.5)
     u, z = np.array([0.3, 0.2]), np.array([2.0, 0.1, 0.2])

@@ -33,8 +33,11 @@ from comparisons.show.studies import study_figure
 from comparisons.show.tables import RESULTS
 from comparisons.studies.backends import BackendComparison, BackendRow
 from comparisons.studies.consistency import Consistency, ConsistencyStudy
-from comparisons.studies.particles import ParticleRun, ParticleStudy
+from comparisons.studies.database import row_of
+from comparisons.studies.execute import Outcome
+from comparisons.studies.plan import Run
 from comparisons.studies.summary import Summary
+from comparisons.studies.sweep import ParticleStudy
 from graphslam import FormatError, Log, OptionError, simulate
 from graphslam.se2 import compose
 
@@ -115,10 +118,12 @@ def test_a_colour_means_one_thing() -> None:
 @pytest.mark.slow
 def test_an_estimator_has_its_colour_in_every_figure() -> None:
     nees = np.ones((3, 5))
-    consistency = ConsistencyStudy(3, 0.1, 5, 3, 0, 4.0, (Consistency("fastslam2", nees, None),))
+    consistency = ConsistencyStudy(3, 0.1, 5, 3, 0, 4.0, (Consistency("fastslam2", nees, nees[:, 0] * np.nan),))
     particles = ParticleStudy("log", tuple(
-        ParticleRun(name="fastslam2", particles=n, seed=0, ate_m=0.1 * n, mean_ate_m=0.1, landmark_rmse_m=0.2,
-                    ess_share=0.5, ancestors=2, seconds=0.1)
+        row_of(
+            Run("log", {}, 0, "fastslam2", f"fastslam2 particles={n}", {"particles": n}),
+            Outcome(key="", ate_m=0.1 * n, mean_ate_m=0.1, ess_share=0.5, ancestors=2, seconds=0.1),
+        )
         for n in (1, 2)
     ))  # fmt: skip
     for study in (consistency, particles):
@@ -238,7 +243,7 @@ def test_every_class_of_results_has_a_renderer() -> None:
     # the classes that are defined so far count
     for module in ("comparison", "datasets", "evaluation", "importing", "studies.summary", "studies.consistency"):
         import_module(f"comparisons.{module}")
-    for module in ("backends", "particles", "solvers"):
+    for module in ("backends", "sweep", "solvers"):
         import_module(f"comparisons.studies.{module}")
     kinds = {kind.__name__ for kind in Displayed.__subclasses__()}
     assert kinds | {"Calibration"} == set(RESULTS)

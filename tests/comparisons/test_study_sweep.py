@@ -184,16 +184,16 @@ def test_a_task_that_dies_or_takes_too_long_costs_only_itself() -> None:
 @pytest.mark.nightly
 def test_results_come_in_order_and_a_death_is_an_error() -> None:
     numbers = list(range(-9, 0))
-    assert list(rows_of(abs, numbers, jobs=2)) == list(map(abs, numbers)) == list(rows_of(abs, numbers, jobs=0))
+    assert rows_of(abs, numbers, jobs=2) == list(map(abs, numbers)) == rows_of(abs, numbers, jobs=0)
     with pytest.raises(SlamError, match="exit status 3"):
-        list(rows_of(os._exit, [3], jobs=1))
+        rows_of(os._exit, [3], jobs=1)
 
 
 @pytest.mark.nightly
 def test_a_script_without_a_guard_can_use_the_pool(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(
         # more processes than tasks: some are still starting when the work is done, and must be silent then
-        "from comparisons.studies.execute import rows_of\nprint('once')\nprint(list(rows_of(abs, [-1, -2], jobs=3)))\n"
+        "from comparisons.studies.execute import rows_of\nprint('once')\nprint(rows_of(abs, [-1, -2], jobs=3))\n"
     )
     done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, env=ENVIRONMENT)
     assert (done.stdout, done.stderr) == ("once\n[1, 2]\n", "")

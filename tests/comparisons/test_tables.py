@@ -17,22 +17,22 @@ from comparisons.comparison import Comparison, ResultTable, run
 from comparisons.datasets import DATA_SETS, Found, Survey
 from comparisons.estimators.attempt import Skipped
 from comparisons.evaluation import Evaluated
-from comparisons.options import SummaryOptions
+from comparisons.options import METRICS, SummaryOptions
 from comparisons.options.declaration import options_of
 from comparisons.results import EstimatorResult
-from comparisons.results.documents import shown_by
+from comparisons.results.documents import SessionErrors, shown_by
 from comparisons.results.results import Row
-from comparisons.results.sessions import SessionErrors
 from comparisons.show.cells import LeanTable, number, seconds
 from comparisons.show.tables import as_text, tables_of
 from comparisons.show.tables import tables_as_html as as_html
 from comparisons.studies.backends import BackendComparison, BackendRow
 from comparisons.studies.consistency import Consistency, ConsistencyStudy
-from comparisons.studies.database import COLUMNS
+from comparisons.studies.database import COLUMNS, row_of
 from comparisons.studies.execute import Outcome
-from comparisons.studies.particles import ParticleRun, ParticleStudy
+from comparisons.studies.plan import Run
 from comparisons.studies.solvers import SkippedVariant, SolverComparison, VariantResult
-from comparisons.studies.summary import METRICS, Median, MethodSummary, PairedDifference, Summary
+from comparisons.studies.summary import Median, MethodSummary, PairedDifference, Summary
+from comparisons.studies.sweep import ParticleStudy
 from fastslam import FastSLAM1, MonteCarloLocalization, ParticleGibbs
 from graphslam import Graph, Log, MotionModel, SensorModel, load, sample_log_path, simulate
 from graphslam.calibration import Calibration
@@ -118,12 +118,10 @@ def _backends() -> object:
 
 
 def _particles() -> object:
-    runs = [
-        ParticleRun(name="fastslam1", particles=n, seed=0, ate_m=12345.678, mean_ate_m=23456.789, landmark_rmse_m=34567.891,
-                    ess_share=0.123, ancestors=98765, seconds=1234.56)
-        for n in (31_623, 1_000_000)
-    ]  # fmt: skip
-    return ParticleStudy(LONG, tuple(runs))
+    outcome = Outcome(key="", ate_m=12345.678, mean_ate_m=23456.789, landmark_rmse_m=34567.891, ess_share=0.123,
+                      ancestors=98765, seconds=1234.56)  # fmt: skip
+    runs = (Run(LONG, {}, 0, "fastslam1", str(n), {"particles": n}) for n in (31_623, 1_000_000))
+    return ParticleStudy(LONG, tuple(row_of(run, outcome) for run in runs))
 
 
 def _consistency() -> object:
@@ -132,7 +130,7 @@ def _consistency() -> object:
 
 
 def _study() -> object:
-    figures = {metric: Median(12345.678, 11111.111, 23456.789, 500) for metric in METRICS}
+    figures = {metric: Median(12345.678, 11111.111, 23456.789, 500, (11111.111, 23456.789)) for metric in METRICS}
     method = MethodSummary("simulated world noise=0.1", LONG, 12345, 12, 34, 0.875, figures)
     other = PairedDifference("simulated world noise=0.1", LONG, "graph", figures, dict.fromkeys(METRICS, 321))
     return Summary(12345, 12345, "graph", (method,), (other,), {})
@@ -289,10 +287,10 @@ def test_backends_table_and_remarks() -> None:
 
 def test_study_tables() -> None:
     def method(log: str, name: str, failed: int, ate: Median) -> MethodSummary:
-        figures = dict.fromkeys(METRICS) | {"ate_m": ate, "seconds": Median(0.5, None, None, 3)}
+        figures = dict.fromkeys(METRICS) | {"ate_m": ate, "seconds": Median(0.5, None, None, 3, (0.5, 0.5))}
         return MethodSummary(log, name, 3, failed, 0, None, figures)
 
-    wide, alone = Median(0.25, 0.125, 0.5, 3), Median(-0.5, None, None, 1)
+    wide, alone = Median(0.25, 0.125, 0.5, 3, (0.125, 0.5)), Median(-0.5, None, None, 1, (-0.5, -0.5))
     summary = Summary(
         9, 6, "graph", (method("w", "graph", 0, wide), method("w", "mcl", 2, alone), method("v", "graph", 0, wide)),
         (PairedDifference("w", "mcl", "graph", dict.fromkeys(METRICS) | {"ate_m": wide}, {"ate_m": 2}),),
