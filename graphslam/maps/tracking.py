@@ -140,7 +140,8 @@ def _followed(log: Log, drive: Stretch, landmarks: LandmarkMap, leave_out: bool)
             raise GraphError(f"{log.name} has no controls, and sightings without ids need them in a map")
         return result
     tracker = Tracker(landmarks, drive.sensor, fix.pose, fix.covariance)
-    rows_at, step, last, tried = drive.rows_at, 0, 0, DOUBT
+    # each search that finds nothing, as in a map that is wrong, makes the next ones rarer
+    rows_at, step, last, tried, least = drive.rows_at, 0, 0, DOUBT, DOUBT
     while True:
         rows = rows_at[step]
         if len(rows):
@@ -149,9 +150,9 @@ def _followed(log: Log, drive: Stretch, landmarks: LandmarkMap, leave_out: bool)
             for row, id in seen.earlier.items():
                 named[row] = id
             if tracker.doubt == 0:
-                tried, last = DOUBT, step if seen.agree.any() else last
+                tried, last = least, step if seen.agree.any() else last
             if tracker.doubt >= tried and tracker.since > 0:
-                tried = 2 * tracker.doubt
+                tried, least = 2 * tracker.doubt, least + DOUBT
                 put_down, moved = elsewhere(drive, tracker, landmarks)
                 if moved and leave_out:
                     return moved
@@ -164,7 +165,7 @@ def _followed(log: Log, drive: Stretch, landmarks: LandmarkMap, leave_out: bool)
                     result.fixes[since] = found
                     result.lifted[since] = min(last, since - 1), way
                     tracker.place(found.pose, found.covariance)
-                    step, last, tried = since, since, DOUBT
+                    step, last, tried, least = since, since, DOUBT, DOUBT
                     # sightings from here on are judged again
                     again = np.flatnonzero(log.steps >= since)
                     tracker.forget(again)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from graphslam import (
+    Drive,
     Graph,
     GraphError,
     LandmarkMap,
@@ -17,8 +18,11 @@ from graphslam import (
 )
 from graphslam.association.map_states import map_states
 from graphslam.log import UNIDENTIFIED
+from graphslam.maps import tracking
 from graphslam.maps.constellation import Constellations, match, merged
 from graphslam.maps.localization import possible_fixes
+from graphslam.maps.stretch import Stretch
+from graphslam.maps.tracker import Tracker
 from graphslam.maps.tracking import follow
 from graphslam.online.localizer import relation_covariance
 from graphslam.se2 import inverse, turn_matrix, wrap
@@ -292,3 +296,18 @@ def test_the_axes_of_a_relation_from_the_new_pose():
     rng = np.random.default_rng(0)
     drawn = inverse(inverse(z) + rng.multivariate_normal(np.zeros(3), turned.T @ P @ turned * 1e-6, 200_000)) - z
     assert np.allclose(np.cov(drawn.T) * 1e6, back, atol=0.003)
+
+
+def test_searches_that_find_nothing_become_rarer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In an exact map that is off by 0.15 m every doubt is a false one, and each search takes a second."""
+    log, truth = Drive(seed=3003, duration=300.0, landmarks=30).simulate()
+    rng, steps = np.random.default_rng(3003), list[int]()
+    wrong = LandmarkMap({j: place[:2] + rng.normal(0, 0.15, 2) for j, place in log.true_landmarks.items()})
+
+    def nothing(drive: Stretch, tracker: Tracker, landmarks: LandmarkMap) -> tuple[None, set[int]]:
+        steps.append(tracker.since)
+        return None, set()
+
+    monkeypatch.setattr(tracking, "elsewhere", nothing)
+    tracking.follow(log, wrong, motion=truth.motion, sensor=truth.sensor)
+    assert 4 <= len(steps) <= 8 and steps[-1] > 500
