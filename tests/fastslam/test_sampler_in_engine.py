@@ -99,9 +99,9 @@ def test_chains_take_what_belongs_together(log: Log, target: Target) -> None:
             chain.run(*given, particles, block, 3, 2, True)
     with pytest.raises(ValueError, match="another number of poses"):
         engine.GibbsChain(key, x[:3], target.problem.motions[:2]).run(*given, 2, 1, 3, 2, True)
-    for wrong in (-1, 2**64, np.random.default_rng(0)):
+    for other in (-1, 2**64, np.random.default_rng(0)):
         with pytest.raises(TypeError):
-            engine.GibbsChain(wrong, x, target.problem.motions)
+            engine.GibbsChain(other, x, target.problem.motions)
     with pytest.raises(ValueError, match="rows"):
         engine.GibbsChain(key, x, target.problem.motions[:2])
 
