@@ -259,7 +259,7 @@ VMSLAM_EXPORT(vm_fastslam_landmark)
 int vm_fastslam_landmark(FastSlam* slam, int particle, double name, double* landmark) {
     const particles::LandmarkView view = slam->filter.view(static_cast<std::int64_t>(name));
     if (!view.numbers) return 0;
-    const auto rows = slam->robot.oriented ? std::array{0, 1, 3, 4, 6} : std::array{0, 1, 2, 3, 4};
-    for (const int row : rows) *landmark++ = view.numbers->at(row, view.at(static_cast<std::size_t>(particle)));
+    const auto [x, y, xx, xy, yy] = particles::position_rows(slam->robot.oriented);
+    for (const int row : {x, y, xx, xy, yy}) *landmark++ = view.numbers->at(row, view.at(static_cast<std::size_t>(particle)));
     return 1;
 }
