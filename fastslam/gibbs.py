@@ -32,7 +32,7 @@ from graphslam.se2 import Array, difference, wrap
 from .filters import FastSLAM2
 from .motions import Problem, robot_poses
 from .options import GIGABYTE, FilterOptions, GibbsOptions, available_memory, forecast
-from .particles import Samples
+from .particles import Samples, draw_key
 
 #: the most directions, and the share of all dimensions
 DIRECTIONS, SHARE = 150, 0.5
@@ -344,9 +344,9 @@ class ParticleGibbs:
         with ThreadPoolExecutor(min(o.chains, self._threads or o.chains)) as pool:
             poses = list(pool.map(_start, self._filters, generators))
             target = Target.of(problem, o)
-            marks = target.in_engine.draw_map(poses[0], generators[0].bit_generator)
+            marks = target.in_engine.draw_map(poses[0], draw_key(generators[0]))
             chains = [
-                engine.GibbsChain(rng.bit_generator, x, problem.motions_of(x[None]))
+                engine.GibbsChain(draw_key(rng), x, problem.motions_of(x[None]))
                 for rng, x in zip(generators, poses, strict=True)
             ]
             quarter = o.warm_up // 4

@@ -219,9 +219,9 @@ class Record:
         sampler = engine.BackwardSampler(particles, problem, CANDIDATES)
         trajectories, maps = np.empty((count, T + 1, 3)), np.empty((count, J, 3))
 
-        def draw(s: int, seed: int) -> None:
+        def draw(s: int, key: int) -> None:
             # of its own, so that the result does not depend on the threads
-            trajectories[s], maps[s] = sampler.draw(np.random.default_rng(seed).bit_generator)
+            trajectories[s], maps[s] = sampler.draw(key)
 
         with ThreadPoolExecutor(threads or available_threads()) as pool:
             list(pool.map(draw, range(count), rng.integers(2**63, size=count).tolist()))

@@ -148,13 +148,11 @@ void bind(nb::module_& m) {
         const Split s = split(records<edges::Symmetric>(w, 1)[0], share);
         return std::pair(s.beta, s.kappa);
     });
-    // of a factor: c (N,) in the order of elimination, the errors (N, 2) for blocks of a matrix, the parts (N,) of its
-    // diagonal that bound them by the structure, in the order of elimination, and the bound on b^H A^-1 b
-    m.def("rounding_bounds", [](HermitianFactor& factor, In<Complex> values, In<Index> start, In<Complex> b) {
+    // of a factor of A: c (N,) in the order of elimination, the parts (N,) of the diagonal of A that bound the errors, in the
+    // same order, and the bound on b^H A^-1 b
+    m.def("rounding_bounds", [](HermitianFactor& factor, In<Complex> b) {
         const std::vector<double> c = rounding_of(factor.symbolic());
-        const double square = square_bound(factor, span(b), c);
-        return std::tuple(array(c), array(factor_errors(factor, span(values), {span(start), {}}, c), {c.size(), 2}),
-                          array(errors_by_structure(factor.symbolic(), c)), square);
+        return std::tuple(array(c), array(factor_errors(factor.symbolic(), c)), square_bound(factor, span(b), c));
     });
 }
 

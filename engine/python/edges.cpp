@@ -123,14 +123,14 @@ void bind_families(nb::module_& m) {
         .def("__init__",
              [](VirtualMotionEdges* at, In<Index> starts, In<Index> nodes, In<double> z, In<double> noisy, In<double> trust,
                 std::array<double, 6> sensor, int code, double width, bool tempered, bool body) {
-                 new (at) VirtualMotionEdges(copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width),
+                 new (at) VirtualMotionEdges({copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width)},
                                              tempered, body);
              });
     nb::class_<MarginalEdges, Family>(m, "MarginalEdges")
         .def("__init__",
              [](MarginalEdges* at, In<Index> starts, In<Index> nodes, In<double> z, In<double> noisy, In<double> trust,
                 std::array<double, 6> sensor, int code, double width, bool body) {
-                 new (at) MarginalEdges(copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width), body);
+                 new (at) MarginalEdges({copy_of(starts), copy_of(nodes), seen(z, noisy, trust, sensor, code, width)}, body);
              })
         // e (M, 3), W (M, 6), its factor of trust and kernel (M,), the lever (M, 2), m̂ (G, 3) and the cost
         .def("around_means", [](const MarginalEdges& edges, In<double> state, In<double> reference) {

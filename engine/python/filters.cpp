@@ -100,8 +100,6 @@ LandmarkView checked_view(Filter& f, LandmarkId id) {
 
 /// Means (k, n), covariances (k, n, n) and the evidence (k,) for a landmark in particles `first` to `first + count`.
 nb::tuple landmark(SharedFilter& shared, LandmarkId id, std::size_t first, std::size_t count) {
-    // the stored rows of the covariance, row by row of the matrix
-    static constexpr int of_point[]{2, 3, 3, 4}, of_slice[]{3, 4, 4, 6}, of_three[]{3, 4, 5, 4, 6, 7, 5, 7, 8};
     std::vector<double> means, covariances, evidence;
     const int n = shared.with([&](Filter& f) {
         require(first <= f.particles() && count <= f.particles() - first, "particles of the filter");
@@ -109,11 +107,15 @@ nb::tuple landmark(SharedFilter& shared, LandmarkId id, std::size_t first, std::
         const Blocks& rows = *view.numbers;
         const bool oriented = f.identified() ? f.identified()->oriented() : anonymous(f).oriented();
         const int coordinates = oriented ? 3 : 2;
-        const int* const entries = oriented ? of_three : f.identified() ? of_point : of_slice;
+        // the stored rows of the covariance, row by row of the matrix; maps of sightings without ids always have headings
+        const auto [x, y, xx, xy, yy] = position_rows(oriented || !f.identified());
+        constexpr int xh = 5, yh = 7, hh = 8;
+        const std::vector<int> entries =
+            oriented ? std::vector{xx, xy, xh, xy, yy, yh, xh, yh, hh} : std::vector{xx, xy, xy, yy};
         for (std::size_t i = first; i < first + count; ++i) {
             const std::size_t at = view.at(i);
             for (int k = 0; k < coordinates; ++k) means.push_back(rows.at(k, at));
-            for (int k = 0; k < coordinates * coordinates; ++k) covariances.push_back(rows.at(entries[k], at));
+            for (const int row : entries) covariances.push_back(rows.at(row, at));
             evidence.push_back(f.identified() ? infinity : rows.at(evidence_row, at));
         }
         return coordinates;
@@ -191,14 +193,6 @@ void branch(Filter& f, const In<Index>& ancestors) {
     f.branch(a);
 }
 
-std::vector<std::int64_t> ancestors(Filter& f, std::int64_t level) {
-    if (level < 0 || level > f.history().level()) throw std::out_of_range("there is no such level");
-    const LandmarkView written{nullptr, f.history().ancestors(level)};
-    std::vector<std::int64_t> out(f.particles());
-    for (std::size_t i = 0; i < out.size(); ++i) out[i] = static_cast<std::int64_t>(written.at(i));
-    return out;
-}
-
 nb::tuple summary(SharedFilter& shared) {
     History::Summary out = shared.with([](Filter& f) {
         std::vector<double> weights(f.particles());
@@ -264,8 +258,6 @@ void bind(nb::module_& m) {
         .def_prop_ro("threads", locked(+[](Filter& f) { return f.ranges().count(); }))
         .def_prop_ro("stored_poses", locked(+[](Filter& f) { return f.history().stored_rows(); }))
         .def_prop_ro("history_bytes", locked(+[](Filter& f) { return f.history().bytes(); }))
-        .def("level", locked(+[](Filter& f) { return f.history().level(); }))
-        .def("ancestors", locked(ancestors))
         .def("trajectory",
              [](SharedFilter& s, std::size_t particle) {
                  return rows_of(s.with([&](Filter& f) { return f.history().trajectory(checked_particle(f, particle)); }));

@@ -52,25 +52,15 @@ std::pair<double, Out<double>> cost_of(const Problem& problem, const In<double>&
     return {value, array(std::move(squares))};
 }
 
-/// The bits of one of NumPy's bit generators, which must live as long. Its struct begins with its state and the function of
-/// the next 64 bits; see `bitgen.h` of NumPy.
-BitSource source_of(nb::handle generator) {
-    const nb::object bits = generator.attr("capsule");
-    require(PyCapsule_IsValid(bits.ptr(), "BitGenerator"), "random numbers come from a BitGenerator of NumPy");
-    return *static_cast<BitSource*>(PyCapsule_GetPointer(bits.ptr(), "BitGenerator"));
-}
-
-Out<double> drawn_map(const Problem& problem, const In<double>& poses, nb::object generator) {
-    Random random(source_of(generator));
+Out<double> drawn_map(const Problem& problem, const In<double>& poses, std::uint64_t key) {
+    Random random(key);
     const Trajectory x = records<Vector>(poses, problem.steps() + 1);
     return rows_of(draw_map(random, x, problem.sightings, problem.marks, problem.oriented));
 }
 
-/// A chain with the generator that it keeps alive.
 class SharedChain {
    public:
-    SharedChain(nb::object generator, const In<double>& poses, const In<double>& guess)
-        : generator_(std::move(generator)), random_(source_of(generator_)) {
+    SharedChain(std::uint64_t key, const In<double>& poses, const In<double>& guess) : random_(key) {
         require(poses.size() >= 6 && poses.size() % 3 == 0, "a chain has at least two poses");
         chain_.poses = records<Vector>(poses, poses.size() / 3);
         set_guess(guess);
@@ -115,7 +105,6 @@ class SharedChain {
         return lock;
     }
 
-    nb::object generator_;
     Random random_;
     Chain chain_;
     mutable std::mutex busy_;
@@ -129,8 +118,8 @@ std::unique_ptr<BackwardSampler> sampler_of(SharedFilter& shared, const Problem&
     });
 }
 
-nb::tuple draw_backwards(const BackwardSampler& sampler, nb::object generator) {
-    Random random(source_of(generator));
+nb::tuple draw_backwards(const BackwardSampler& sampler, std::uint64_t key) {
+    Random random(key);
     std::pair<Trajectory, Map> drawn;
     {
         const nb::gil_scoped_release other_threads;
@@ -143,7 +132,7 @@ void bind(nb::module_& m) {
     nb::class_<Problem>(m, "GibbsProblem").def(nb::new_(&problem_of)).def("cost", &cost_of).def("draw_map", &drawn_map);
     nb::class_<BackwardSampler>(m, "BackwardSampler").def(nb::new_(&sampler_of)).def("draw", &draw_backwards);
     nb::class_<SharedChain>(m, "GibbsChain")
-        .def(nb::init<nb::object, In<double>, In<double>>())
+        .def(nb::init<std::uint64_t, In<double>, In<double>>())
         .def("set_guess", &SharedChain::set_guess)
         .def("run", &SharedChain::run)
         .def_prop_ro("poses", &SharedChain::poses, nb::rv_policy::move)

@@ -2,7 +2,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <random>
 
 #include "expect.hpp"
 #include "gibbs/moves.hpp"
@@ -11,15 +10,6 @@
 namespace {
 
 using namespace vmslam::gibbs;
-
-/// A source of random bits.
-struct Bits {
-    std::mt19937_64 state;
-    explicit Bits(unsigned seed) : state(seed) {}
-    BitSource source() {
-        return {&state, [](void* at) -> std::uint64_t { return (*static_cast<std::mt19937_64*>(at))(); }};
-    }
-};
 
 double farthest(const Vector& a, const Vector& b) {
     return std::max({std::abs(a.x - b.x), std::abs(a.y - b.y), std::abs(wrap_angle(a.t - b.t))});
@@ -31,8 +21,7 @@ Symmetric covariance(Random& random) {
 }
 
 void random_numbers_have_their_moments() {
-    Bits bits{1};
-    Random random(bits.source());
+    Random random(1);
     constexpr int count = 200'000;
     double mean = 0.0, square = 0.0, beyond = 0.0, gammas = 0.0;
     std::array<double, 3> weights{1.0, 2.0, 1.0};
@@ -43,7 +32,7 @@ void random_numbers_have_their_moments() {
         gammas += random.gamma(2.5);
         middle += random.pick(weights) == 1;
     }
-    // five standard errors; P(|n| > 3.7) = 2.156e-4 tests the tail of the ziggurat
+    // five standard errors; P(|n| > 3.7) = 2.156e-4 is their tail
     const double error = 5 / std::sqrt(count);
     expect(std::abs(mean / count) < error && std::abs(square / count - 1) < error * std::sqrt(2.0), "normal numbers", 0);
     expect(std::abs(beyond / count - 2.156e-4) < error * std::sqrt(2.156e-4), "their tail", 0);
@@ -55,8 +44,7 @@ void random_numbers_have_their_moments() {
 
 /// The order of sightings does not matter, and neither do the axes.
 void gaussians_are_fused(unsigned seed) {
-    Bits bits{seed};
-    Random random(bits.source());
+    Random random(seed);
     const Vector y[] = {normals(random), normals(random), normals(random)};
     const Symmetric C[] = {covariance(random), covariance(random), covariance(random)};
     Gaussian forward, backward;
@@ -97,8 +85,7 @@ Problem straight(bool exact) {
 
 void chains_sample_the_posterior(bool exact) {
     const Problem problem = straight(exact);
-    Bits bits{3};
-    Random random(bits.source());
+    Random random(3);
     Chain chain;
     chain.poses = {{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {3.0, 0.0, 0.0}};
     chain.guess.assign(3, {1.0, 0.0, 0.0});
@@ -117,8 +104,7 @@ void chains_sample_the_posterior(bool exact) {
 /// Particles of equal weights: the rest of a trajectory is attached where the landmark has been seen.
 void trajectories_are_drawn_backwards(Number candidates) {
     constexpr Number N = 400;
-    Bits bits{5};
-    Random random(bits.source());
+    Random random(5);
     using vmslam::particles::Rows;
     const auto log_weights = std::make_shared<Rows>(1, N);
     log_weights->fill(-std::log(static_cast<double>(N)));
@@ -147,8 +133,7 @@ void trajectories_are_drawn_backwards(Number candidates) {
 void moves_leave_a_gaussian_unchanged() {
     Problem problem = straight(false);
     for (Motion& motion : problem.motions) motion.information = {1e6, 0.0, 1e6, 0.0, 0.0, 1e12};
-    Bits bits{4};
-    Random random(bits.source());
+    Random random(4);
     Trajectory x{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {2.0, 0.0, 0.0}, {3.0, 0.0, 0.0}};
     Map m{{5.0, 0.0, 0.0}};
     // the heading of the landmark has the information 100 of each sighting

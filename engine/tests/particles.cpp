@@ -43,7 +43,7 @@ void test_history(unsigned seed) {
         tree.open_level();
         tree.write(poses, 0, count);
         for (unsigned again = random() % 3; again > 0; --again) {
-            const std::int64_t level = tree.level();
+            const std::int64_t level = tree.level_to_write();
             for (std::size_t i = 0; i < count; ++i) names[i][level] = static_cast<Index>(i);
             std::vector<Index> ancestors(count);
             for (Index& a : ancestors) a = static_cast<Index>(random() % count);

@@ -8,6 +8,7 @@
 #include "expect.hpp"
 #include "vmslam/solve/graph.hpp"
 #include "vmslam/solve/grow.hpp"
+#include "vmslam/solve/restarts.hpp"
 
 namespace {
 
@@ -63,6 +64,19 @@ void test_ring(unsigned seed) {
     expect(other && (seed % 2 || other->lowest <= least->cost), "a lower bound is below the minimum", seed);
 }
 
+/// The motions of a log, and the variances of their turns.
+struct Motions {
+    std::vector<double> ends{0.0, 0.0, 0.0}, variances{0.0};
+
+    explicit Motions(const Log& log, const MotionNoise& noise = {}) {
+        for (std::size_t t = 0; t + 1 < log.poses(); ++t) {
+            const auto [end, covariance] = moved(log.motion(t), noise);
+            ends.insert(ends.end(), {end.x, end.y, end.t});
+            variances.push_back(covariance.tt);
+        }
+    }
+};
+
 /// Growth along odometry that turns 3 % too fast ends near the minimum, because sightings correct it on the way.
 void test_growth(unsigned seed) {
     const double turn = 2 * std::numbers::pi / 20;
@@ -92,13 +106,27 @@ void test_growth(unsigned seed) {
                 std::max(farthest, std::hypot(state[3 * t] - run.state[3 * t], state[3 * t + 1] - run.state[3 * t + 1]));
         return farthest;
     };
-    const auto grown = graph.grown(7);
+    const auto one_by_one = solve::graph_of(log, {}, book_sensor, {}, {.one_by_one = true}).costs(truth);
+    const auto all = graph.costs(truth);
+    expect(one_by_one.size() == 1 + 45 + 6 && std::abs(std::accumulate(one_by_one.begin(), one_by_one.end(), 0.0) -
+                                                       std::accumulate(all.begin(), all.end(), 0.0)) < 1e-9,
+           "edges one by one cost as much", seed);
+    const std::vector<std::vector<std::size_t>> pairs{{0, 6}, {1, 7}};
+    const auto virtual_motions = solve::graph_of(log, {}, book_sensor, {}, {.motions = false, .virtual_motions = pairs});
+    const auto pair_costs = virtual_motions.costs(truth);
+    expect(pair_costs.size() == 2 && pair_costs[1] < 1e-20 && virtual_motions.costs(dead_reckoning(log))[1] > 1e-6,
+           "virtual motions of perfect sightings", seed);
+
+    const Motions odometry(log);
+    std::vector<solve::Index> parents(log.poses()), from(log.poses());
+    std::iota(parents.begin(), parents.end(), -1);
+    std::iota(from.begin(), from.end(), 0);
+    std::vector<double> start(3 * log.poses(), 0.0);
+    std::copy(log.start.begin(), log.start.end(), start.begin());
+    const auto poses = static_cast<solve::Index>(log.poses());
+    const auto grown = grow(*solve::Graph::Assembled(graph).objective, start, {poses, 7, parents, odometry.ends, from});
     expect(grown && apart(*grown) < 0.02 && apart(dead_reckoning(log)) > 0.5, "growth corrects drift", seed);
 
-    solve::Graph broken(3);
-    broken.add_relative({{0, 1, {1.0, 0.0, 0.0}, {1.0, 0.0, 1.0, 0.0, 0.0, 1.0}}});
-    expect(!broken.grown(), "no edge leads to the last pose", seed);
-    expect(refused([&] { graph.grown(0); }), "growth by no node", seed);
     expect(std::abs(solve::Growth{25, 10, {}, {}, {}}.most_steps() - 4.0 * (11 + 21 + 25) / 25) < 1e-12,
            "the steps of growth", seed);
 }
@@ -115,7 +143,8 @@ void test_other_turns() {
             log.sightings.push_back({t, j, {std::hypot(seen.x, seen.y), std::atan2(seen.y, seen.x), 0.0}});
         }
     log.oriented = false;
-    const solve::Graph graph = solve::graph_of(log, {.nn = 0.1, .no = 0.01, .on = 0.1, .oo = 0.6});
+    const MotionNoise noise{.nn = 0.1, .no = 0.01, .on = 0.1, .oo = 0.6};
+    const solve::Graph graph = solve::graph_of(log, noise);
     solve::Run best{{.tolerance = 1e-9}, truth}, wrong = best;
     graph.solve(best);
     // from pose 1 on the headings turn to the other side, so that the last ones are what they were, less a full turn
@@ -126,17 +155,21 @@ void test_other_turns() {
         return std::accumulate(costs.begin(), costs.end(), 0.0);
     };
     expect(wrong.converged && cost(wrong.state) > cost(best.state) + 1, "a wrong minimum", 0);
-    const solve::Lowered lowered = graph.lowered_by_restarts(wrong.state);
+    const Motions odometry(log, noise);
+    solve::Graph::Assembled assembled(graph);
+    const auto lowered_from = [&](const std::vector<double>& state, double limit) {
+        return lowered_by_turns(*assembled.objective, state, {odometry.ends, odometry.variances}, limit);
+    };
+    const solve::Lowered lowered = lowered_from(wrong.state, 1e4);
     expect(lowered.state && std::abs(cost(*lowered.state) - cost(best.state)) < 1e-6, "another turn leads out of it", 0);
-    expect(!graph.lowered_by_restarts(best.state).state, "no turn leads below the minimum", 0);
-    expect(graph.lowered_by_restarts(wrong.state, 0).steps == 0, "no steps are left", 0);
+    expect(!lowered_from(best.state, 1e4).state, "no turn leads below the minimum", 0);
+    expect(lowered_from(wrong.state, 0).steps == 0, "no steps are left", 0);
 
     // after an unknown motion other turns are tried as before
-    std::vector<double> motions(39, 0.0), unknown(13, 0.04);
-    for (std::size_t t = 1; t < 13; ++t) motions[3 * t + 2] = std::numbers::pi / 12;
+    std::vector<double> unknown(13, 0.04);
     for (const double missing : {std::numeric_limits<double>::quiet_NaN(), std::numeric_limits<double>::infinity()}) {
         unknown[1] = missing;
-        const std::vector<solve::Stretch> later = solve::stretches(wrong.state, {motions, unknown});
+        const std::vector<solve::Stretch> later = solve::stretches(wrong.state, {odometry.ends, unknown});
         expect(!later.empty(), "turns after an unknown motion", 0);
         expect(std::ranges::all_of(later, [](const solve::Stretch& s) { return s.first > 0; }), "none across it", 0);
     }
@@ -160,9 +193,15 @@ void test_halves() {
     graph.solve(right);
     graph.solve(wrong);
     expect(wrong.converged && wrong.state[7] > 2.9, "a wrong minimum", 0);
-    const solve::Lowered lowered = graph.lowered_by_restarts(wrong.state);
+    const std::vector<double> motions{0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0}, variances{0.0, 1e-4, 1.0};
+    solve::Graph::Assembled assembled(graph);
+    const auto lowered_from = [&](const std::vector<double>& state) {
+        const std::size_t doubted[] = {2};
+        return lowered_by_halves(*assembled.objective, doubted, state, {motions, variances}, 1e4);
+    };
+    const solve::Lowered lowered = lowered_from(wrong.state);
     expect(lowered.state && std::abs((*lowered.state)[7] - right.state[7]) < 1e-4, "a half without it leads out of it", 0);
-    expect(!graph.lowered_by_restarts(right.state).state, "no half leads below the minimum", 0);
+    expect(!lowered_from(right.state).state, "no half leads below the minimum", 0);
 }
 
 void test_loose() {

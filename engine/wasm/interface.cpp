@@ -6,7 +6,6 @@
 #include <map>
 
 #include "vmslam/edges/marginal.hpp"
-#include "vmslam/edges/virtual_motion.hpp"
 #include "vmslam/online/system.hpp"
 #include "vmslam/particles/filter.hpp"
 #include "vmslam/particles/weights.hpp"
@@ -34,69 +33,17 @@ Control control_of(const double* row) { return {row[0], row[1], row[2]}; }
 edges::Sighting sighting_of(const double* row) { return {row[1], row[2], row[3]}; }
 std::int64_t landmark_of(const double* row) { return static_cast<std::int64_t>(row[0]); }
 
-/// The graph of a log whose edges are members of their own, so that each has its cost: the anchor, the motion edges if
-/// wanted, and a virtual-motion edge for each pair of sightings given, or a marginal edge for each landmark. A negative
-/// number of pairs is the graph of `graph_of`, with one member for all motion edges and one for all landmarks.
+/// The graph of a log, with a robust kernel on the sightings and without, and its landmarks.
 struct LogGraph {
-    struct Options {
-        edges::Kernel kernel;
-        bool motions, body, marginal;
-    };
     Log log;
-    Robot robot;
-    Options options;
-    std::vector<int> pairs;
-    solve::Graph graph, plain;  ///< with the kernel and without
+    solve::Graph graph, plain;
     edges::MarginalEdges map;
 
-    LogGraph(Log log, const Robot& robot, const Options& options, std::vector<int> listed, int count)
-        : log(std::move(log)),
-          robot(robot),
-          options(options),
-          pairs(std::move(listed)),
-          graph(made(options.kernel, count)),
-          plain(made({}, count)),
-          map(landmarks(options.kernel)) {}
-
-    /// Whether edges have constant information in the axes of a pose.
-    bool constant() const { return options.body && (robot.oriented || options.marginal); }
-
-   private:
-    solve::Graph made(const edges::Kernel& kernel, int count) const {
-        if (count < 0) return solve::graph_of(log, robot.motion, robot.sensor, kernel);
-        solve::Graph graph(static_cast<solve::Index>(log.poses()));
-        graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
-        for (solve::Index t = 0; options.motions && t + 1 < static_cast<solve::Index>(log.poses()); ++t) {
-            const auto [z, omega] = measured(log.motion(t), robot.motion);
-            graph.add_relative({{t, t + 1, z, omega}});
-        }
-        if (options.marginal) {
-            const auto [starts, nodes, seen] = solve::by_landmark(log, robot.sensor, kernel);
-            for (std::size_t g = 0; g + 1 < starts.size(); ++g) {
-                const auto begin = starts[g], end = starts[g + 1];
-                const std::vector<edges::Index> ends{0, end - begin}, of(nodes.begin() + begin, nodes.begin() + end);
-                const std::vector<edges::Sighting> z(seen.z.begin() + begin, seen.z.begin() + end);
-                edges::Sightings own{z, z, std::vector(z.size(), 1.0), robot.sensor, kernel, robot.oriented};
-                graph.add_groups(std::make_unique<edges::MarginalEdges>(ends, of, std::move(own), options.body), ends, of);
-            }
-        }
-        for (int k = 0; !options.marginal && k < count; ++k) {
-            const LandmarkSighting &a = log.sightings[pairs[2 * k]], &b = log.sightings[pairs[2 * k + 1]];
-            const std::vector<edges::Index> starts{0, 2}, nodes = {place(a), place(b)};
-            edges::Sightings seen{{a.z, b.z}, {a.z, b.z}, {1.0, 1.0}, robot.sensor, kernel, robot.oriented};
-            graph.add_groups(std::make_unique<edges::VirtualMotionEdges>(starts, nodes, std::move(seen), false, options.body),
-                             starts, nodes);
-        }
-        graph.state_dependent = !constant();
-        graph.reweighted = static_cast<bool>(kernel);
-        return graph;
-    }
-    static edges::Index place(const LandmarkSighting& sighting) { return static_cast<edges::Index>(sighting.step); }
-
-    edges::MarginalEdges landmarks(const edges::Kernel& kernel) const {
-        auto [starts, nodes, sightings] = solve::by_landmark(log, robot.sensor, kernel);
-        return {std::move(starts), std::move(nodes), std::move(sightings), options.body};
-    }
+    LogGraph(Log recorded, const Robot& robot, const edges::Kernel& kernel, const solve::LogEdges& chosen)
+        : log(std::move(recorded)),
+          graph(solve::graph_of(log, robot.motion, robot.sensor, kernel, chosen)),
+          plain(solve::graph_of(log, robot.motion, robot.sensor, {}, chosen)),
+          map(solve::by_landmark(log, robot.sensor, kernel), chosen.body) {}
 };
 
 /// Poses and landmarks of the online solver by their names.
@@ -158,7 +105,8 @@ VMSLAM_EXPORT(vm_free) void vm_free(double* numbers) { std::free(numbers); }
 
 /// The graph of a log, whose motion t consists of the controls from starts[t] on. `options`: whether orientations are
 /// measured, whether motion edges are used, kernel, its width, whether the frame is the landmark's, whether edges are
-/// marginal.
+/// marginal even where there are pairs. A negative number of pairs is the graph of `graph_of`, otherwise its edges are added
+/// one by one.
 VMSLAM_EXPORT(vm_graph)
 LogGraph* vm_graph(const double* start, const double* controls, const double* starts, int poses, const double* sightings,
                    int count, const double* noise, const double* options, const double* pairs, int pair_count) {
@@ -170,11 +118,13 @@ LogGraph* vm_graph(const double* start, const double* controls, const double* st
         const double* const row = sightings + 5 * k;
         log.sightings.push_back({static_cast<std::size_t>(row[0]), landmark_of(row + 1), sighting_of(row + 1)});
     }
-    std::vector<int> listed;  // JavaScript gives doubles
-    for (int k = 0; k < 2 * pair_count; ++k) listed.push_back(static_cast<int>(pairs[k]));
+    solve::LogEdges chosen{options[1] != 0, options[4] != 0, pair_count >= 0, {}};
+    if (options[5] == 0 && chosen.one_by_one) chosen.virtual_motions.emplace();
+    for (int k = 0; chosen.virtual_motions && k < pair_count; ++k)
+        chosen.virtual_motions->push_back(
+            {static_cast<std::size_t>(pairs[2 * k]), static_cast<std::size_t>(pairs[2 * k + 1])});
     const edges::Kernel kernel{static_cast<edges::Robust>(options[2]), options[3]};
-    const LogGraph::Options chosen{kernel, options[1] != 0, options[4] != 0, options[5] != 0};
-    return new LogGraph(std::move(log), robot, chosen, std::move(listed), pair_count);
+    return new LogGraph(std::move(log), robot, kernel, chosen);
 }
 VMSLAM_EXPORT(vm_graph_free) void vm_graph_free(LogGraph* graph) { delete graph; }
 /// Write the poses (T + 1, 3) that follow from the controls alone.
@@ -309,7 +259,7 @@ VMSLAM_EXPORT(vm_fastslam_landmark)
 int vm_fastslam_landmark(FastSlam* slam, int particle, double name, double* landmark) {
     const particles::LandmarkView view = slam->filter.view(static_cast<std::int64_t>(name));
     if (!view.numbers) return 0;
-    const auto rows = slam->robot.oriented ? std::array{0, 1, 3, 4, 6} : std::array{0, 1, 2, 3, 4};
-    for (const int row : rows) *landmark++ = view.numbers->at(row, view.at(static_cast<std::size_t>(particle)));
+    const auto [x, y, xx, xy, yy] = particles::position_rows(slam->robot.oriented);
+    for (const int row : {x, y, xx, xy, yy}) *landmark++ = view.numbers->at(row, view.at(static_cast<std::size_t>(particle)));
     return 1;
 }

@@ -71,7 +71,7 @@ class Engine {
  * The graph of a log. With `pairs`, a list of [sighting, sighting] of one landmark by their numbers in the log, the step of the
  * first one before that of the second, each pair is a virtual-motion edge, and motion edges are added if `motions` is true.
  * With `weight: "marginal"` each landmark is one edge instead. `frame`: "body", the landmark's axes, or "world". Without `pairs`
- * each sighting counts once, in the frame "body". Motions may consist of several controls: `starts` has the first control of each, and
+ * each sighting counts once. Motions may consist of several controls: `starts` has the first control of each, and
  * in the end the number of all controls. `kernel`: "none", "huber", "cauchy" or "geman-mcclure", with its width.
  */
 class Graph {

@@ -300,13 +300,13 @@ def test_bad_logs() -> None:
 def test_the_estimator_and_its_options() -> None:
     log = simulate(seed=2, steps=5, clean=True)
     comparison = comparisons.run(
-        log, estimators=["graph", "particle-gibbs"], gibbs_iterations=60, gibbs_chains=2, gibbs_particles=10
+        log, estimators=["graph", "particle-gibbs"], gibbs_iterations=20, gibbs_chains=2, gibbs_particles=10
     )
     result = comparison.results[1]
-    assert result.origin.options == GibbsOptions(iterations=60, chains=2, particles=10)
-    assert result.options["gibbs_iterations"] == 60
+    assert result.origin.options == GibbsOptions(iterations=20, chains=2, particles=10)
+    assert result.options["gibbs_iterations"] == 20
     assert result.reason.startswith("not mixed")
-    assert (result.converged, result.iterations) == (False, 60)
+    assert (result.converged, result.iterations) == (False, 20)
     # the tables print the reason, and would print a note beside it
     assert result.notes == ()
     assert result.pose_covariances.shape == (6, 3, 3)

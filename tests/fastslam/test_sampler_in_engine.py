@@ -1,4 +1,4 @@
-"""The samplers of the engine: NumPy's random numbers, and what is refused."""
+"""The samplers of the engine: their random numbers, and what is refused."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import pytest
 from fastslam import GibbsOptions
 from fastslam.gibbs import LowRank, Target
 from fastslam.motions import Problem
+from fastslam.particles import draw_key
 from graphslam import Log, MotionModel, SensorModel, simulate
 from graphslam.engine import engine
+from graphslam.se2 import Array
 
 
 @pytest.fixture(scope="module")
@@ -24,11 +26,23 @@ def target(log: Log) -> Target:
     return Target.of(Problem.of(log, MotionModel(), SensorModel()), GibbsOptions())
 
 
-def test_a_map_is_drawn_with_numpy_s_numbers(log: Log, target: Target) -> None:
+def normals_of(key: int, count: int) -> Array:
+    """Pairs of Box and Muller from the bits of SplitMix64: the first numbers of eight pairs, the second ones, and so on."""
+    index = np.arange(2 * count, dtype=np.uint64)
+    bits = np.uint64(key) + (index + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    uniform = ((bits ^ (bits >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53
+    radius, angle = np.sqrt(-2 * np.log(1 - uniform[::2])), 2 * np.pi * uniform[1::2] - np.pi
+    pairs = np.stack([radius * np.cos(angle), radius * np.sin(angle)])
+    return pairs.reshape(2, -1, 8).swapaxes(0, 1).ravel()[:count]
+
+
+def test_a_map_is_drawn_with_the_numbers_of_its_key(log: Log, target: Target) -> None:
     """Given the trajectory, a landmark seen once is its sighting plus a root of its covariance times normal numbers."""
-    p, x = target.problem, log.initial_poses
-    drawn = target.in_engine.draw_map(x, np.random.default_rng(7).bit_generator)
-    normals = np.random.default_rng(7).standard_normal((len(p.ids), 3))
+    p, x, key = target.problem, log.initial_poses, draw_key(np.random.default_rng(7))
+    drawn = target.in_engine.draw_map(x, key)
+    normals = normals_of(key, 8 * len(p.ids))[: 3 * len(p.ids)].reshape(-1, 3)
     counts = np.bincount(p.marks)
     for j in np.flatnonzero(counts == 1):
         k = int(np.flatnonzero(p.marks == j)[0])
@@ -66,10 +80,10 @@ def test_problems_that_are_none_are_refused(target: Target, name: str, change: A
 
 
 def test_chains_take_what_belongs_together(log: Log, target: Target) -> None:
-    bits, x = np.random.default_rng(0).bit_generator, log.initial_poses
+    key, x = 5, log.initial_poses
     marks = np.array([log.true_landmarks[j] for j in target.problem.ids.tolist()])
     low_rank = LowRank(target, x, marks)
-    chain = engine.GibbsChain(bits, x, target.problem.motions)
+    chain = engine.GibbsChain(key, x, target.problem.motions)
     given = target.in_engine, *low_rank.mode, low_rank.directions, low_rank.deviations
     trajectories, maps = chain.run(*given, 2, 1, 3, 2, True)
     assert trajectories.shape == (3, *x.shape) and maps.shape == (3, *marks.shape)
@@ -84,11 +98,12 @@ def test_chains_take_what_belongs_together(log: Log, target: Target) -> None:
         with pytest.raises(ValueError, match="two particles"):
             chain.run(*given, particles, block, 3, 2, True)
     with pytest.raises(ValueError, match="another number of poses"):
-        engine.GibbsChain(bits, x[:3], target.problem.motions[:2]).run(*given, 2, 1, 3, 2, True)
-    with pytest.raises((AttributeError, TypeError)):
-        engine.GibbsChain(np.random.default_rng(0), x, target.problem.motions)
+        engine.GibbsChain(key, x[:3], target.problem.motions[:2]).run(*given, 2, 1, 3, 2, True)
+    for other in (-1, 2**64, np.random.default_rng(0)):
+        with pytest.raises(TypeError):
+            engine.GibbsChain(other, x, target.problem.motions)
     with pytest.raises(ValueError, match="rows"):
-        engine.GibbsChain(bits, x, target.problem.motions[:2])
+        engine.GibbsChain(key, x, target.problem.motions[:2])
 
 
 def test_trajectories_are_drawn_from_a_record_of_all_steps(target: Target) -> None:
@@ -97,7 +112,7 @@ def test_trajectories_are_drawn_from_a_record_of_all_steps(target: Target) -> No
         engine.BackwardSampler(particles, target.in_engine, 10)
     for step in range(5):
         particles.move_by_control(step, (1.0, 0.0, 0.1, 0.1, 1.0, 0.0), False)
-    engine.BackwardSampler(particles, target.in_engine, 10).draw(np.random.default_rng(0).bit_generator)
+    engine.BackwardSampler(particles, target.in_engine, 10).draw(0)
     with pytest.raises(ValueError, match="at least one"):
         engine.BackwardSampler(particles, target.in_engine, 0)
     with pytest.raises(ValueError, match="keeps a record"):

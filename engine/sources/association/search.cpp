@@ -2,7 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numbers>
+
+#include "joint_factor.hpp"
 
 namespace vmslam::association {
 namespace {
@@ -13,64 +14,11 @@ struct Partial {
     std::size_t pairs = 0;
 };
 
-/// S_hh = L L' and L^-1 nu_h of the pairs of a hypothesis, extended pair by pair; an earlier state is the first rows.
-class JointFactor {
-   public:
-    struct Added {
-        double squares = 0.0, half_log_determinant = 0.0;
-        bool positive = true;
-    };
-
-    explicit JointFactor(const Residuals& residuals) : residuals_(residuals) {}
-
-    /// Candidate c as pair number n: d more rows of L.
-    Added add(std::size_t n, Number c) {
-        const std::size_t d = residuals_.d;
-        members_.resize(n);
-        members_.push_back(c);
-        rows_.resize((n + 1) * d * ((n + 1) * d + 1) / 2);
-        white_.resize((n + 1) * d);
-        Added added;
-        for (std::size_t r = 0; r < d; ++r) add_row(n * d + r, d * c + r, added);
-        return added;
-    }
-
-   private:
-    double* row(std::size_t r) { return rows_.data() + r * (r + 1) / 2; }
-
-    /// L_rk = (S_rk - sum_i L_ri L_ki) / L_kk, L_rr = sqrt(S_rr - sum_i L_ri^2), and likewise for L^-1 nu.
-    void add_row(std::size_t r, std::size_t scalar, Added& added) {
-        const std::size_t d = residuals_.d;
-        const double* const S = residuals_.row(scalar);
-        double* const L = row(r);
-        for (std::size_t k = 0; k <= r; ++k) {
-            const double* const other = row(k);
-            double value = S[d * members_[k / d] + k % d];
-            for (std::size_t i = 0; i < k; ++i) value -= L[i] * other[i];
-            if (k < r) {
-                L[k] = value / other[k];
-            } else {
-                added.positive &= value > 0;
-                L[r] = value > 0 ? std::sqrt(value) : 1.0;
-            }
-        }
-        double value = residuals_.nu[scalar];
-        for (std::size_t i = 0; i < r; ++i) value -= L[i] * white_[i];
-        white_[r] = value / L[r];
-        added.squares += white_[r] * white_[r];
-        added.half_log_determinant += std::log(L[r]);
-    }
-
-    const Residuals& residuals_;
-    std::vector<Number> members_;
-    std::vector<double> rows_, white_;  ///< the lower triangle of L by rows
-};
-
 class Search {
    public:
     Search(const Pairs& candidates, std::span<const Number> start, std::span<const double> bounds,
            std::span<const double> gates, Number most)
-        : candidates_(candidates), start_(start), gates_(gates), most_(most), factor_(candidates.residuals) {
+        : candidates_(candidates), start_(start), gates_(gates), most_(most), factor_(candidates, start.size() - 1) {
         const std::size_t items = start.size() - 1;
         rest_.assign(items + 1, 0.0);
         for (std::size_t i = items; i-- > 0;) {
@@ -120,14 +68,14 @@ class Search {
     /// Add a pair; false where the hypothesis then leaves the gate.
     bool extend(Partial& h, Number c) {
         ++tried_;
-        const JointFactor::Added added = factor_.add(h.pairs, c);
-        h.squares += added.squares;
-        ++h.pairs;
-        if (!added.positive || h.squares > gates_[h.pairs]) return false;
-        // log N(nu_c; given the pairs before) = -(squares + log det S_c + d log 2 pi) / 2
-        const double half_log = 0.5 * static_cast<double>(candidates_.residuals.d) * std::log(2 * std::numbers::pi);
-        h.evidence += candidates_.weights[c] - 0.5 * added.squares - added.half_log_determinant - half_log;
-        return true;
+        factor_.begin(c);
+        members_.resize(h.pairs);
+        for (std::size_t n = 0; n < h.pairs; ++n) factor_.condition(c, members_[n], n);
+        members_.push_back(c);
+        const auto [squares, evidence] = factor_.weigh(c, h.pairs++);
+        h.squares += squares;
+        h.evidence += evidence;
+        return std::isfinite(evidence) && h.squares <= gates_[h.pairs];
     }
 
     const Pairs& candidates_;
@@ -135,6 +83,7 @@ class Search {
     std::span<const double> gates_;
     Number most_, tried_ = 0;
     JointFactor factor_;
+    std::vector<Number> members_;  ///< the pairs of the hypothesis
     std::vector<double> rest_;  ///< the most that the items from each on can add
     std::vector<bool> used_;
     std::vector<Number> taken_;

@@ -59,20 +59,7 @@ std::vector<double> rounding_of(const sparse::Symbolic& symbolic) {
     return out;
 }
 
-std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const Complex> values,
-                                  const sparse::Pattern& pattern, std::span<const double> rounding) {
-    const sparse::Order& order = factor.symbolic().order;
-    std::vector<double> weight(2 * order.size()), error(2 * order.size());
-    for (std::size_t k = 0; k < order.size(); ++k)
-        for (int c = 0; c < 2; ++c)
-            weight[2 * k + c] = std::sqrt(rounding[k] / values[4 * (pattern.start[order[k] + 1] - 1) + 3 * c].real());
-    const std::vector<double> square = factor.magnitude_square(weight);
-    for (std::size_t k = 0; k < order.size(); ++k)
-        for (int c = 0; c < 2; ++c) error[2 * order[k] + c] = 1.001 * rounding[k] * square[2 * k + c] / weight[2 * k + c];
-    return error;
-}
-
-std::vector<double> errors_by_structure(const sparse::Symbolic& symbolic, std::span<const double> rounding) {
+std::vector<double> factor_errors(const sparse::Symbolic& symbolic, std::span<const double> rounding) {
     std::vector<double> squares(rounding.size(), 0.0);
     std::vector<sparse::Node> rows;
     for (sparse::Node s = 0; s < symbolic.supernodes(); ++s) {
@@ -148,52 +135,41 @@ bool Proof::zero() const {
     return true;
 }
 
-/// Factorise S with `shifts` on its diagonal entries for headings, less bounds on the rounding errors, with a larger `margin`
-/// (2 N) until it is enough for those of the factor; false where S is not proven positive definite.
+/// Factorise S with `shifts` on its diagonal entries for headings, less bounds on the rounding errors; false where S is not
+/// proven positive definite.
 ///
 /// S is at least the matrix as assembled minus `rounded_off`. L L^H is at most the same matrix minus `rounded_off` and
-/// `margin`, so that S is at least L L^H plus `margin`.
-bool Proof::factorize(std::span<const double> shifts, Errors errors, std::vector<double>& margin) {
+/// `margin` (2 N), so that S is at least L L^H plus `margin`.
+bool Proof::factorize(std::span<const double> shifts, std::vector<double>& margin) {
     const std::vector<double>& scale = function_.scale;
     const sparse::Order& order = factor_.symbolic().order;
-    const double largest = rounding_.empty() ? 0.0 : *std::max_element(rounding_.begin(), rounding_.end());
-    std::vector<double> rounded_off(scale.size(), 0.0);  // a bound on the rounding errors of the sums over edges
     margin.assign(scale.size(), 1.0);
+    values_ = function_.values;
     for (std::size_t k = 0; k < order.size(); ++k)
         for (int c = 0; c < 2; ++c) {
             const Index i = order[k], at = 2 * i + c;
-            const double size = scale[at] + (c == 0 ? shifts[i] : 0.0);
-            rounded_off[at] = summation_[i] * size;
-            const double part = errors == Errors::by_structure ? by_structure_[k] : 2 * std::sqrt(rounding_[k] * largest);
-            if (scale[at] > 0) margin[at] = rounded_off[at] + part * size;
+            double change = 1.0;  // where a node is not free, or no edge depends on this number of it
+            if (scale[at] > 0) {
+                const double shift = c == 0 ? shifts[i] : 0.0, size = scale[at] + shift;
+                const double rounded_off = summation_[i] * size;  // a bound on the rounding errors of the sums over edges
+                margin[at] = rounded_off + errors_[k] * size;
+                change = shift - rounded_off - 2 * margin[at];
+            }
+            values_[4 * (pattern_.start[i + 1] - 1) + 3 * c] += change;
         }
-    while (true) {
-        // 1 where a node is not free, or no edge depends on this number of it
-        values_ = function_.values;
-        for (std::size_t at = 0; at < scale.size(); ++at) {
-            const double change = (at % 2 == 0 ? shifts[at / 2] : 0.0) - rounded_off[at] - 2 * margin[at];
-            values_[4 * (pattern_.start[at / 2 + 1] - 1) + 3 * (at % 2)] += scale[at] > 0 ? change : 1.0;
-        }
-        negative_.clear();
-        if (const Index bad = factor_.factorize(values_); bad >= 0) {
-            negative_ = factor_.null_vector(bad);
-            return false;
-        }
-        if (errors == Errors::by_structure) return true;
-        const std::vector<double> error = factor_errors(factor_, values_, pattern_, rounding_);
-        if (std::equal(error.begin(), error.end(), margin.begin(), std::less_equal<>())) return true;
-        for (std::size_t at = 0; at < scale.size(); ++at)
-            margin[at] = scale[at] > 0 ? std::max(margin[at], rounded_off[at] + 2 * error[at]) : 1.0;
-    }
+    negative_.clear();
+    const Index bad = factor_.factorize(values_);
+    if (bad >= 0) negative_ = factor_.null_vector(bad);
+    return bad < 0;
 }
 
 /// The bound with `shift`, in units of the scale of S, times abs(z_i)² - 1 added to the function for each node. That is zero
 /// for all states, and large shifts make S positive definite. But the candidate is then no longer the minimum of the
 /// function.
-double Proof::shifted_bound(double shift, Errors errors) {
+double Proof::shifted_bound(double shift) {
     std::vector<double> shifts(state_.size()), margin;
     for (Index i = 0; i < state_.size(); ++i) shifts[i] = shift * function_.scale[2 * i] / 8;
-    if (!factorize(shifts, errors, margin)) return -infinity;
+    if (!factorize(shifts, margin)) return -infinity;
     std::vector<Complex> gradient = function_.gradient;
     double lost = 0.0;
     for (std::size_t at = 0; at < margin.size(); ++at) {
@@ -205,11 +181,6 @@ double Proof::shifted_bound(double shift, Errors errors) {
     }
     const double step = std::sqrt(square_bound(factor_, gradient, rounding_)) + 1.001 * std::sqrt(lost);
     return function_.touched - step * step - function_.slack;
-}
-
-double Proof::bound() {
-    const double found = shifted_bound(0.0, Errors::by_structure);
-    return negative_.empty() ? found : shifted_bound(0.0);
 }
 
 /// The best lower bound among a few shifts, and the least of these with which S is positive definite.

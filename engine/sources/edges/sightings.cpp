@@ -6,8 +6,11 @@
 
 namespace vmslam::edges {
 
-LandmarkSightings::LandmarkSightings(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings)
-    : starts_(std::move(starts)), nodes_(std::move(nodes)), groups_(nodes_.size()), seen_(std::move(sightings)) {
+LandmarkSightings::LandmarkSightings(ByLandmark seen)
+    : starts_(std::move(seen.starts)),
+      nodes_(std::move(seen.nodes)),
+      groups_(nodes_.size()),
+      seen_(std::move(seen.sightings)) {
     for (Index g = 0; g < landmarks(); ++g) std::fill(groups_.begin() + starts_[g], groups_.begin() + starts_[g + 1], g);
     const Index last = nodes_.empty() ? -1 : *std::max_element(nodes_.begin(), nodes_.end());
     by_node_ = sparse::Sorted(last + 1, static_cast<Index>(nodes_.size()), [&](Index k) { return nodes_[k]; });

@@ -17,9 +17,8 @@ std::vector<Rotation> axes_of(std::span<const Placed> at) {
 
 }  // namespace
 
-VirtualMotionEdges::VirtualMotionEdges(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings,
-                                       bool tempered, bool body)
-    : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)), tempered_(tempered), body_(body) {
+VirtualMotionEdges::VirtualMotionEdges(ByLandmark seen, bool tempered, bool body)
+    : LandmarkSightings(std::move(seen)), tempered_(tempered), body_(body) {
     for (Index g = 0; g < landmarks(); ++g) {
         const auto first = seen_.trust.begin() + starts_[g], last = seen_.trust.begin() + starts_[g + 1];
         weights_.push_back(tempered_ ? 2 / std::accumulate(first, last, 0.0) : 1.0);

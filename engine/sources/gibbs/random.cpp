@@ -1,46 +1,10 @@
 #include "vmslam/gibbs/random.hpp"
 
-#include <array>
 #include <cmath>
 #include <limits>
 #include <vector>
 
-#include "vmslam/numbers/elementary.hpp"
-
 namespace vmslam::gibbs {
-namespace {
-
-/// The ziggurat of the standard normal density f(x) = exp(-x²/2): 256 layers of the same area, the lowest with the tail.
-///
-/// Source: Marsaglia and Tsang, The ziggurat method for generating random variables, Journal of Statistical Software 2000,
-/// with the constants and the order of layers of NumPy.
-struct Ziggurat {
-    static constexpr double tail = 3.6541528853610087963519472518, area = 0.0049286732339746571;
-    std::array<double, 256> scale, density;  ///< layer i has |x| < 2^52 scale[i], and f there is density[i]
-    std::array<std::uint64_t, 256> inside;   ///< numbers below this are below the density
-
-    Ziggurat() {
-        const auto f = [](double x) { return numbers::exp(-0.5 * x * x); };
-        double x = tail;
-        scale[255] = tail * 0x1p-52, density[255] = f(tail);
-        scale[0] = area / f(tail) * 0x1p-52, density[0] = 1.0;
-        inside[0] = static_cast<std::uint64_t>(tail * f(tail) / area * 0x1p52);
-        inside[1] = 0;
-        for (int i = 254; i > 0; --i) {
-            const double above = std::sqrt(-2.0 * numbers::log(area / x + density[i + 1]));
-            inside[i + 1] = static_cast<std::uint64_t>(above / x * 0x1p52);
-            scale[i] = above * 0x1p-52, density[i] = f(above);
-            x = above;
-        }
-    }
-};
-
-const Ziggurat& ziggurat() {
-    static const Ziggurat layers;
-    return layers;
-}
-
-}  // namespace
 
 double exponential(double x) { return std::isnan(x) ? x : numbers::exp(x); }
 
@@ -63,26 +27,13 @@ Sums exponentials(std::span<const double> log_weights, std::span<double> weights
     return sums;
 }
 
-double Random::normal() {
-    const Ziggurat& layers = ziggurat();
-    while (true) {
-        // 8 bits for the layer, 1 for the sign, 52 for the place in it
-        const std::uint64_t drawn = bits(), place = (drawn >> 9) & 0xFFFFFFFFFFFFF;
-        const std::size_t i = drawn & 0xFF;
-        const double size = static_cast<double>(place) * layers.scale[i], x = drawn & 0x100 ? -size : size;
-        if (place < layers.inside[i]) return x;
-        if (i == 0) return (place >> 8) & 1 ? -tail() : tail();
-        const double height = layers.density[i] + (layers.density[i - 1] - layers.density[i]) * uniform();
-        if (height < numbers::exp(-0.5 * x * x)) return x;
-    }
-}
-
-/// Beyond the last layer: r - log(u) / r, accepted with the probability exp(-(log(u) / r)² / 2).
-double Random::tail() {
-    while (true) {
-        const double beyond = -logarithm(1.0 - uniform()) / Ziggurat::tail, level = -logarithm(1.0 - uniform());
-        if (level + level > beyond * beyond) return Ziggurat::tail + beyond;
-    }
+void Random::draw_normals() {
+    numbers::Bits pairs{};
+    for (int k = 0; k < numbers::lanes; ++k) pairs[k] = next_++;
+    const auto [first, second] = numbers::normal_pair<numbers::Lanes>(key_, pairs);
+    numbers::store(normals_.data(), first);
+    numbers::store(normals_.data() + numbers::lanes, second);
+    used_ = 0;
 }
 
 // Marsaglia and Tsang, A simple method for generating gamma variables, ACM Transactions on Mathematical Software 2000:

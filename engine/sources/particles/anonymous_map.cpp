@@ -108,7 +108,7 @@ void AnonymousMap::written(std::span<const std::size_t> changed, const Ranges& r
     });
     for (std::size_t n = 0; n < changed.size(); ++n) {
         Slice& slice = slices_[changed[n]];
-        slice.level = history.level();
+        slice.level = history.level_to_write();
         slice.extent = {};
         for (const auto& part : parts) slice.extent.include(part[n]);
         if (slice.extent.owners == 0) slice.landmark = -1;

@@ -172,7 +172,7 @@ void AnonymousScan::Group::write_chosen(std::size_t k, const Integers& known, in
         if (known[lane]) scan_.near[chosen_[k][lane]]->at(row, first_ + lane) = value[lane];
 }
 
-Lanes AnonymousScan::Group::correct(Gaussian& belief, bool weighs) const {
+Lanes AnonymousScan::Group::correct(Gaussian& belief, Weighed weighed) const {
     Lanes value{};
     for (std::size_t k = 0; k < chosen_.size(); ++k) {
         const auto known = chosen_[k] >= 0;
@@ -182,10 +182,10 @@ Lanes AnonymousScan::Group::correct(Gaussian& belief, bool weighs) const {
         belief = select(known, corrected, belief);
         value += numbers::select(known, of_sighting, 0.0);
     }
-    return weighs ? value : Lanes{};
+    return weighed == Weighed::at_prediction ? value : Lanes{};
 }
 
-Lanes AnonymousScan::Group::update(const Pose& pose, bool weighs) const {
+Lanes AnonymousScan::Group::update(const Pose& pose, Weighed weighed) const {
     Lanes value{};
     for (std::size_t k = 0; k < chosen_.size(); ++k) {
         const auto known = chosen_[k] >= 0;
@@ -198,7 +198,7 @@ Lanes AnonymousScan::Group::update(const Pose& pose, bool weighs) const {
         }
         if (any(chosen_[k] < 0)) create(k, pose);
     }
-    return weighs ? value : Lanes{};
+    return weighed == Weighed::at_pose ? value : Lanes{};
 }
 
 void AnonymousScan::Group::update_known(std::size_t k, const Gaussian& m) const {

@@ -8,6 +8,8 @@ namespace {
 
 /// The least sum over classes of p(c) p'(c).
 constexpr double least_common = 1e-300;
+/// A landmark has a heading even where psi is not measured.
+constexpr PositionRows rows = position_rows(true);
 
 Lanes log_same_class(const Blocks& a, const Blocks& b, std::size_t classes, std::size_t i) {
     Lanes total{};
@@ -59,19 +61,19 @@ void merge_pair(Blocks& young, Blocks& old, bool oriented, std::size_t classes, 
 
 void count_misses(std::span<Blocks* const> landmarks, const Rows& poses, double step, const Limits& view, std::size_t lo,
                   std::size_t hi) {
-    for (Blocks* const rows : landmarks) {
+    for (Blocks* const landmark : landmarks) {
         for (std::size_t i = lo; i < hi; i += lanes) {
-            const Lanes evidence = load(rows->group(evidence_row, i));
+            const Lanes evidence = load(landmark->group(evidence_row, i));
             const auto missed =
-                (evidence > 0.0) & (evidence < permanent_evidence) & (load(rows->group(last_step_row, i)) != step);
+                (evidence > 0.0) & (evidence < permanent_evidence) & (load(landmark->group(last_step_row, i)) != step);
             if (!any(missed)) continue;
             const Pose pose = read_pose(poses, i);
-            const Lanes dx = load(rows->group(0, i)) - pose.x, dy = load(rows->group(1, i)) - pose.y;
+            const Lanes dx = load(landmark->group(rows.x, i)) - pose.x, dy = load(landmark->group(rows.y, i)) - pose.y;
             const Lanes r = root(Lanes(dx * dx + dy * dy));
             const Lanes bearing = magnitude(wrap_angle(Lanes(numbers::atan2(dy, dx) - pose.t)));
             const auto in_view = (r >= view.least_range) & (r <= view.most_range) & (bearing <= view.most_bearing);
             const Lanes less = larger(Lanes(evidence - 1.0), Lanes{});
-            store(rows->group(evidence_row, i), numbers::select(missed & in_view, less, evidence));
+            store(landmark->group(evidence_row, i), numbers::select(missed & in_view, less, evidence));
         }
     }
 }
@@ -88,8 +90,8 @@ Extent extent_of(const Blocks& landmark, double gate, std::size_t lo, std::size_
         const Lanes evidence = load(landmark.group(evidence_row, i));
         const auto owned = evidence > 0.0;
         if (!any(owned)) continue;
-        const Lanes x = load(landmark.group(0, i)), y = load(landmark.group(1, i));
-        const Lanes trace = load(landmark.group(3, i)) + load(landmark.group(6, i));
+        const Lanes x = load(landmark.group(rows.x, i)), y = load(landmark.group(rows.y, i));
+        const Lanes trace = load(landmark.group(rows.xx, i)) + load(landmark.group(rows.yy, i));
         const Lanes wide = 2.0 * root(Lanes(gate * larger(trace, Lanes{})));
         for (int k = 0; k < lanes && i + k < hi; ++k) {
             if (!owned[k]) continue;

@@ -20,7 +20,7 @@ class Proposal {
     }
 
     bool corrects() const { return prediction_.has_value(); }
-    bool exact() const { return !corrects() || weighted_; }
+    Weighed weighed() const { return !corrects() || weighted_ ? Weighed::at_pose : Weighed::at_prediction; }
     Gaussian predict(std::size_t first) const {
         const Pose x = read_pose(poses_, first);
         if (prediction_) return prediction_->of(x);
@@ -138,7 +138,7 @@ Proposal Filter::proposal(Version version) const {
     return Proposal(*starts_, *motion_, version == Version::corrected_exact);
 }
 
-/// Predict, associate, correct, draw, weigh, update the map.
+/// Predict, associate, correct, draw, weigh, update the map; see `Weighed`.
 template <class Scan>
 void Filter::weigh(const Proposal& proposal, const Scan& scan) {
     const auto poses = proposal.corrects() ? fresh(3) : nullptr;
@@ -147,11 +147,11 @@ void Filter::weigh(const Proposal& proposal, const Scan& scan) {
         for (std::size_t i = lo; i < hi; i += lanes) {
             Gaussian belief = proposal.predict(i);
             Lanes log_likelihood = group.begin(i, belief);
-            if (poses) log_likelihood += group.correct(belief, !proposal.exact());
+            if (poses) log_likelihood += group.correct(belief, proposal.weighed());
             const auto [pose, log_ratio] = proposal.draw(i, belief);
             // log p(x) - log q(x), and log p(z | x)
             log_likelihood += log_ratio;
-            log_likelihood += group.update(pose, proposal.exact());
+            log_likelihood += group.update(pose, proposal.weighed());
             numbers::store(log_likelihoods_.row(0) + i, log_likelihood);
             if (poses) write_pose(*poses, i, pose);
         }

@@ -70,7 +70,7 @@ void History::branch(std::span<const Index> ancestors) {
     inherited_.clear();
 }
 
-std::int64_t History::level() {
+std::int64_t History::level_to_write() {
     if (branched_) {
         // resampled within this step: the new indices need a level of their own
         Rows poses(3, particles_);

@@ -34,7 +34,7 @@ void IdentifiedMap::place(LandmarkId id, const Vector& mean, const Symmetric& co
     const Gaussian landmark{all(mean.x),        all(mean.y),        all(mean.t),
                             all(covariance.xx), all(covariance.xy), all(covariance.xt),
                             all(covariance.yy), all(covariance.yt), all(covariance.tt)};
-    Column& column = columns_[id] = {history.level(), spare(), {}};
+    Column& column = columns_[id] = {history.level_to_write(), spare(), {}};
     for (std::size_t i = 0; i < particles_; i += lanes) write_gaussian(column.numbers, oriented_, i, landmark);
 }
 
@@ -58,7 +58,7 @@ IdentifiedMap::Scan IdentifiedMap::scan(std::span<const LandmarkId> ids, std::sp
 }
 
 Task IdentifiedMap::first_sighting(LandmarkId id, const Sighting& sighting, History& history) {
-    Column& column = columns_[id] = {history.level(), spare(), {}};
+    Column& column = columns_[id] = {history.level_to_write(), spare(), {}};
     if (jointly_ > 0) column.sightings.push_back({sighting, 0.0});
     return {sighting, {sighting, 0.0}, &column.numbers};
 }
@@ -80,7 +80,7 @@ Task IdentifiedMap::later_sighting(Column& column, const Sighting& sighting, His
     } else {
         column.sightings.clear();
     }
-    column.level = history.level();
+    column.level = history.level_to_write();
     return task;
 }
 
@@ -88,21 +88,21 @@ bool IdentifiedMap::Scan::weighs() const {
     return std::any_of(tasks_.begin(), tasks_.end(), [](const Task& task) { return task.source != nullptr; });
 }
 
-Lanes IdentifiedMap::Scan::Group::correct(Gaussian& belief, bool weighs) const {
+Lanes IdentifiedMap::Scan::Group::correct(Gaussian& belief, Weighed weighed) const {
     Lanes value{};
     for (const Task& task : scan_.tasks_) {
         if (!task.leading) continue;
         const Gaussian landmark = read_gaussian(*task.source, scan_.oriented_, first_, task.slots);
         value += update_pose(belief, landmark, task.sighting, scan_.oriented_);
     }
-    return weighs ? value : Lanes{};
+    return weighed == Weighed::at_prediction ? value : Lanes{};
 }
 
-Lanes IdentifiedMap::Scan::Group::update(const Pose& pose, bool leaders) const {
+Lanes IdentifiedMap::Scan::Group::update(const Pose& pose, Weighed weighed) const {
     Lanes value{};
     for (const Task& task : scan_.tasks_) {
         const Lanes of_task = update_one(task, pose);
-        if (leaders || !task.leading) value += of_task;
+        if (weighed == Weighed::at_pose || !task.leading) value += of_task;
     }
     return value;
 }

@@ -1,23 +1,16 @@
 #include "vmslam/solve/graph.hpp"
 
 #include <algorithm>
-#include <cmath>
-#include <deque>
-#include <limits>
-#include <numeric>
+#include <map>
+#include <utility>
 
 #include "require.hpp"
 #include "vmslam/edges/marginal.hpp"
-#include "vmslam/solve/grow.hpp"
+#include "vmslam/edges/virtual_motion.hpp"
 
 namespace vmslam::solve {
 
-Graph::Graph(Index nodes) : nodes_(nodes) {
-    require(nodes > 0, "a graph needs at least one node");
-    motions_.resize(3 * nodes);
-    variances_.resize(nodes, std::numeric_limits<double>::quiet_NaN());
-    variances_[0] = 0.0;
-}
+Graph::Graph(Index nodes) : nodes_(nodes) { require(nodes > 0, "a graph needs at least one node"); }
 
 void Graph::check_node(Index node) const {
     require(node >= 0 && node < nodes_, "an edge or an anchor names a node that the graph does not have");
@@ -38,7 +31,6 @@ void Graph::add_anchor(Index node, const edges::Vector& value, double informatio
 void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel) {
     reweighted = reweighted || kernel;
     Member member;
-    member.doubted = static_cast<bool>(kernel);
     for (const edges::RelativeEdge& edge : edges) {
         check_node(edge.i);
         check_node(edge.j);
@@ -47,10 +39,6 @@ void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Ke
         member.second.push_back(edge.j);
         sizes_.push_back(2);
         grouped_.insert(grouped_.end(), {std::min(edge.i, edge.j), std::max(edge.i, edge.j)});
-        if (edge.j != edge.i + 1 || !std::isnan(variances_[edge.j])) continue;
-        motions_[3 * edge.j] = edge.z.x, motions_[3 * edge.j + 1] = edge.z.y, motions_[3 * edge.j + 2] = edge.z.t;
-        const double variance = edges::inverse(edge.omega, true).tt;
-        variances_[edge.j] = variance > 0 ? variance : std::numeric_limits<double>::infinity();
     }
     member.family = std::make_unique<edges::RelativeEdges>(std::move(edges), true, false, kernel);
     members_.push_back(std::move(member));
@@ -64,71 +52,38 @@ void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<co
     for (const Index node : nodes) check_node(node);
     for (std::size_t g = 0; g + 1 < starts.size(); ++g) sizes_.push_back(starts[g + 1] - starts[g]);
     grouped_.insert(grouped_.end(), nodes.begin(), nodes.end());
-    members_.push_back({std::move(family), {}, {}, true});
+    members_.push_back({std::move(family), {}, {}});
 }
 
-struct Graph::Assembled {
-    OwnedSystem system;
-    std::deque<std::vector<Index>> pairs;
-    std::optional<GraphObjective> objective;
-
-    Assembled(const Graph& graph, int threads)
-        : system(sparse::pattern_of_groups(graph.nodes_, graph.sizes_, graph.grouped_), threads) {
-        std::vector<GraphObjective::Member> families;
-        for (const Member& m : graph.members_) {
-            std::vector<Index>& blocks = pairs.emplace_back();
-            for (std::size_t e = 0; e < m.first.size(); ++e)
-                blocks.push_back(sparse::block_between(system.view(), m.first[e], m.second[e]));
-            families.push_back({m.family.get(), blocks});
-        }
-        objective.emplace(std::move(families), system);
-        objective->state_dependent = graph.state_dependent;
-        objective->reweighted = graph.reweighted;
+Graph::Assembled::Assembled(const Graph& graph, int threads)
+    : system(sparse::pattern_of_groups(graph.nodes_, graph.sizes_, graph.grouped_), threads) {
+    std::vector<GraphObjective::Member> families;
+    for (const Member& m : graph.members_) {
+        std::vector<Index>& blocks = pairs.emplace_back();
+        for (std::size_t e = 0; e < m.first.size(); ++e)
+            blocks.push_back(sparse::block_between(system.view(), m.first[e], m.second[e]));
+        families.push_back({m.family.get(), blocks});
     }
-};
-
-std::vector<double> Graph::anchored() const {
-    std::vector<double> state(3 * nodes_, 0.0);
-    for (const auto& [node, value] : anchors_)
-        state[3 * node] = value.x, state[3 * node + 1] = value.y, state[3 * node + 2] = value.t;
-    return state;
+    objective.emplace(std::move(families), system);
+    objective->state_dependent = graph.state_dependent;
+    objective->reweighted = graph.reweighted;
 }
 
 Start Graph::rotation_first(int threads) const {
+    std::vector<double> state(3 * nodes_, 0.0);
     std::vector<Index> held;
-    for (const auto& [node, value] : anchors_) held.push_back(node);
+    for (const auto& [node, value] : anchors_) {
+        held.push_back(node);
+        state[3 * node] = value.x, state[3 * node + 1] = value.y, state[3 * node + 2] = value.t;
+    }
     if (held.empty()) held.push_back(0);
-    return solve::rotation_first(*Assembled(*this, threads).objective, anchored(), held, nodes_);
-}
-
-std::optional<std::vector<double>> Graph::grown(Index each, int threads) const {
-    require(each > 0, "a graph grows by at least one node at a time");
-    if (std::any_of(variances_.begin(), variances_.end(), [](double v) { return std::isnan(v); })) return std::nullopt;
-    std::vector<Index> parents(nodes_), from(nodes_);
-    std::iota(parents.begin(), parents.end(), -1);
-    std::iota(from.begin(), from.end(), 0);
-    return grow(*Assembled(*this, threads).objective, anchored(), {nodes_, each, parents, motions_, from});
+    return solve::rotation_first(*Assembled(*this, threads).objective, std::move(state), held, nodes_);
 }
 
 void Graph::solve(Run& run, int threads) const {
     check_state(run.state);
     Assembled graph(*this, threads);
     gauss_newton(*graph.objective, run);
-}
-
-Lowered Graph::lowered_by_restarts(std::span<const double> state, double limit, int threads) const {
-    check_state(state);
-    Assembled graph(*this, threads);
-    const Odometry odometry{motions_, variances_};
-    Lowered lowered = lowered_by_turns(*graph.objective, state, odometry, limit);
-    std::vector<std::size_t> doubted;
-    for (std::size_t k = 0; k < members_.size(); ++k)
-        if (members_[k].doubted) doubted.push_back(k);
-    const std::vector<double> from = lowered.state.value_or(std::vector(state.begin(), state.end()));
-    const Lowered further = lowered_by_halves(*graph.objective, doubted, from, odometry, limit - lowered.steps);
-    if (further.state) lowered.state = further.state;
-    lowered.steps += further.steps;
-    return lowered;
 }
 
 std::optional<certificate::Bound> Graph::lower_bound(std::span<const double> state) const {
@@ -157,34 +112,69 @@ std::vector<double> Graph::covariances(std::span<const double> state) const {
     return sparse::SelectedInverse(graph.system.factor()).diagonal();
 }
 
-edges::ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel) {
-    std::vector<LandmarkSighting> seen = log.sightings;
-    std::stable_sort(seen.begin(), seen.end(), [](const LandmarkSighting& a, const LandmarkSighting& b) {
-        return a.landmark != b.landmark ? a.landmark < b.landmark : a.step < b.step;
-    });
-    edges::ByLandmark made{{}, {}, {{}, {}, std::vector<double>(seen.size(), 1.0), sensor, kernel, log.oriented}};
-    for (std::size_t k = 0; k < seen.size(); ++k) {
-        if (k == 0 || seen[k].landmark != seen[k - 1].landmark) made.starts.push_back(static_cast<Index>(k));
-        made.nodes.push_back(static_cast<Index>(seen[k].step));
-        made.sightings.z.push_back(seen[k].z);
+namespace {
+
+/// Numbers of sightings of a log, each group those of a landmark.
+using Groups = std::vector<std::vector<std::size_t>>;
+
+Groups landmarks_of(const Log& log) {
+    std::map<std::int64_t, std::vector<std::size_t>> seen;
+    for (std::size_t k = 0; k < log.sightings.size(); ++k) seen[log.sightings[k].landmark].push_back(k);
+    Groups groups;
+    for (auto& [landmark, numbers] : seen) {
+        std::ranges::stable_sort(numbers, {}, [&](std::size_t k) { return log.sightings[k].step; });
+        groups.push_back(std::move(numbers));
     }
-    made.starts.push_back(static_cast<Index>(seen.size()));
+    return groups;
+}
+
+edges::ByLandmark grouped(const Log& log, std::span<const Groups::value_type> groups, const edges::Sensor& sensor,
+                          const edges::Kernel& kernel) {
+    edges::ByLandmark made{{0}, {}, {{}, {}, {}, sensor, kernel, log.oriented}};
+    for (const auto& group : groups) {
+        for (const std::size_t k : group) {
+            require(k < log.sightings.size(), "a group names a sighting that the log does not have");
+            made.nodes.push_back(static_cast<Index>(log.sightings[k].step));
+            made.sightings.z.push_back(log.sightings[k].z);
+        }
+        made.starts.push_back(static_cast<Index>(made.nodes.size()));
+    }
     made.sightings.noisy = made.sightings.z;
+    made.sightings.trust.assign(made.nodes.size(), 1.0);
     return made;
 }
 
-Graph graph_of(const Log& log, const MotionNoise& noise, const edges::Sensor& sensor, const edges::Kernel& kernel) {
+}  // namespace
+
+edges::ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel) {
+    return grouped(log, landmarks_of(log), sensor, kernel);
+}
+
+Graph graph_of(const Log& log, const MotionNoise& noise, const edges::Sensor& sensor, const edges::Kernel& kernel,
+               const LogEdges& chosen) {
     Graph graph(static_cast<Index>(log.poses()));
     graph.add_anchor(0, {log.start[0], log.start[1], log.start[2]});
     std::vector<edges::RelativeEdge> motions;
-    for (Index t = 0; t + 1 < static_cast<Index>(log.poses()); ++t) {
+    for (Index t = 0; chosen.motions && t + 1 < static_cast<Index>(log.poses()); ++t) {
         const auto [z, omega] = measured(log.motion(t), noise);
         motions.push_back({t, t + 1, z, omega});
+        if (chosen.one_by_one) graph.add_relative(std::exchange(motions, {}));
     }
-    graph.add_relative(std::move(motions));
-    auto [starts, nodes, sightings] = by_landmark(log, sensor, kernel);
-    graph.add_groups(std::make_unique<edges::MarginalEdges>(starts, nodes, std::move(sightings), true), starts, nodes);
-    graph.reweighted = graph.reweighted || kernel;
+    if (chosen.motions && !chosen.one_by_one) graph.add_relative(std::move(motions));
+
+    const Groups groups = chosen.virtual_motions.value_or(landmarks_of(log));
+    const std::size_t at_once = chosen.one_by_one ? 1 : groups.size();
+    for (std::size_t g = 0; g < groups.size(); g += at_once) {
+        const auto seen = grouped(log, std::span(groups).subspan(g, at_once), sensor, kernel);
+        std::unique_ptr<const edges::Family> family;
+        if (chosen.virtual_motions)
+            family = std::make_unique<edges::VirtualMotionEdges>(seen, false, chosen.body);
+        else
+            family = std::make_unique<edges::MarginalEdges>(seen, chosen.body);
+        graph.add_groups(std::move(family), seen.starts, seen.nodes);
+    }
+    graph.state_dependent = !chosen.body || (chosen.virtual_motions && !log.oriented);
+    graph.reweighted = static_cast<bool>(kernel);
     return graph;
 }
 

@@ -167,51 +167,6 @@ std::vector<typename Block::Value> Factor<Block>::null_vector(Index pivot) const
     return out;
 }
 
-template <class Block>
-std::vector<double> Factor<Block>::magnitude_square(std::span<const double> v) const {
-    const Symbolic& t = *symbolic_;
-    constexpr int R = Block::rows;
-    std::vector<double> result(v.size(), 0.0), size(t.tallest), local(t.tallest), sums(t.tallest);
-    const Index nowhere = static_cast<Index>(v.size());
-    std::vector<Index> where(t.tallest);
-    result.push_back(0.0);
-    for (Node s = 0; s < t.supernodes(); ++s) {
-        const Front front = t.front(s);
-        const Step width = R * front.w, height = width + R * front.r;
-        std::fill_n(where.begin(), height, nowhere);
-        const auto begin = t.begin<Block>(s);
-        const auto put = [&](Node k, Index at) {
-            for (int c = 0; c < t.size(k); ++c) where[begin[at] + c] = R * k + t.first_number(k) + c;
-        };
-        for (Node k = t.first[s]; k < t.first[s + 1]; ++k) put(k, k - t.first[s]);
-        for (Index q = t.row_start[s]; q < t.row_start[s + 1]; ++q) put(t.rows[q], t.width(s) + q - t.row_start[s]);
-        for (Step i = 0; i < height; ++i) {
-            local[i] = where[i] == nowhere ? 0.0 : v[where[i]];
-            sums[i] = 0.0;
-        }
-        for (Step j = 0; j < width; ++j) {
-            const double* const re = panel(s) + (Block::columns / R) * j * front.height + front.pad;
-            const double* const im = re + front.height;
-            for (Step i = j; i < height; ++i) {
-                // the larger part and sqrt(2) - 1 of the smaller one are at least the magnitude, and at most 8 % more
-                const double a = std::abs(re[i]), b = Block::planes == 2 ? std::abs(im[i]) : 0.0;
-                size[i] = std::max(a, b) + 0.41421356237309515 * std::min(a, b);
-            }
-            size[j] = 1.0 / size[j];  // pivots are stored inverted
-            double w[4] = {};
-            Step i = j;
-            for (; i + 4 <= height; i += 4)
-                for (int k = 0; k < 4; ++k) w[k] += size[i + k] * local[i + k];
-            for (; i < height; ++i) w[0] += size[i] * local[i];
-            const double total = (w[0] + w[1]) + (w[2] + w[3]);
-            for (i = j; i < height; ++i) sums[i] += size[i] * total;
-        }
-        for (Step i = 0; i < height; ++i) result[where[i]] += sums[i];
-    }
-    result.pop_back();
-    return result;
-}
-
 template class Factor<Real2>;
 template class Factor<Real3>;
 template class Factor<Hermitian2>;

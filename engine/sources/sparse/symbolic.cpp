@@ -11,7 +11,7 @@ namespace vmslam::sparse {
 namespace {
 
 /// The rows of every supernode and the tree, by walking the row subtrees on the tree of supernodes.
-void find_rows(Symbolic& s, const std::vector<Node>& below, const RowLists& lists, const std::vector<Node>& owner) {
+void find_rows(SupernodeTree& s, const std::vector<Node>& below, const RowLists& lists, const std::vector<Node>& owner) {
     const Node count = s.supernodes();
     s.row_start.assign(count + 1, 0);
     std::partial_sum(below.begin(), below.end(), s.row_start.begin() + 1, std::plus<Index>());
@@ -170,7 +170,7 @@ void place_updates(Symbolic& s) {
 
 }  // namespace
 
-Node Symbolic::owner(Node column) const {
+Node SupernodeTree::owner(Node column) const {
     return static_cast<Node>(std::upper_bound(first.begin(), first.end(), column) - first.begin()) - 1;
 }
 

@@ -20,20 +20,15 @@ using HermitianFactor = sparse::Factor<sparse::Hermitian2>;
 /// matrices, in any order, so that its error is at most min(c_i, c_j) (|L| |L|^H)_ij.
 std::vector<double> rounding_of(const sparse::Symbolic& symbolic);
 
-/// A bound (N, 2) on the rounding errors of the factor of a matrix A, given as blocks, in node order.
+/// A bound on the rounding errors of the factor of a matrix A, from its structure alone: for each node, in the order of
+/// elimination, a part of A_ii.
 ///
 /// For every positive w the errors of `rounding_of` are, as a matrix, at most the diagonal matrix of the quotients
-/// (C |L| |L|^H C w)_i / w_i with C = diag(c)^1/2, because 2 x y <= r x² + y² / r. These are the quotients for
-/// w = diag(A)^-1/2.
-std::vector<double> factor_errors(const HermitianFactor& factor, std::span<const Complex> values,
-                                  const sparse::Pattern& pattern, std::span<const double> rounding);
-
-/// A weaker bound on these errors, from the structure alone: for each node, in the order of elimination, a part of A_ii.
-///
-/// Let l_i be the norm of row i of L within the columns of a supernode s, and S_s the sum of sqrt(c) over the rows of s. By
-/// the inequality of Cauchy and Schwarz, (|L| |L|^H C w)_i is at most the sum of l_i S_s over the supernodes that have row i,
-/// and that is at most A_ii^1/2 times the root of the sum of S_s², because the sum of l_i² is A_ii.
-std::vector<double> errors_by_structure(const sparse::Symbolic& symbolic, std::span<const double> rounding);
+/// (C |L| |L|^H C w)_i / w_i with C = diag(c)^1/2, because 2 x y <= r x² + y² / r. Take w = diag(A)^-1/2, let l_i be the
+/// norm of row i of L within the columns of a supernode s, and S_s the sum of sqrt(c) over the rows of s. By the inequality of
+/// Cauchy and Schwarz, (|L| |L|^H C w)_i is at most the sum of l_i S_s over the supernodes that have row i, and that is at most
+/// A_ii^1/2 times the root of the sum of S_s², because the sum of l_i² is A_ii.
+std::vector<double> factor_errors(const sparse::Symbolic& symbolic, std::span<const double> rounding);
 
 /// A bound on b^H (A + diag(e))^-1 b for any e of at least the errors of the factor, rounding errors included.
 ///
@@ -50,7 +45,7 @@ class Proof {
         : pattern_(pattern),
           factor_(std::move(symbolic)),
           rounding_(rounding_of(factor_.symbolic())),
-          by_structure_(errors_by_structure(factor_.symbolic(), rounding_)) {}
+          errors_(factor_errors(factor_.symbolic(), rounding_)) {}
 
     std::vector<Edge> edges;
 
@@ -69,7 +64,7 @@ class Proof {
     bool zero() const;
 
     /// A lower bound on the cost of all states; -inf where S is not proven positive definite.
-    double bound();
+    double bound() { return shifted_bound(0.0); }
     /// After that a vector (N, 2) v with v^H S v <= 0 up to rounding, otherwise empty.
     const std::vector<Complex>& negative() const { return negative_; }
     /// The best lower bound after each edge has chosen its split for the directions in which S is the smallest.
@@ -85,11 +80,8 @@ class Proof {
         double shift = 0.0;    ///< the least one that was found with which S is positive definite
         bool factored = false;  ///< whether there is one; the factor is then that with `shift`
     };
-    /// Which bound on the errors of the factor is subtracted from S before it is factorised: that of the structure takes no
-    /// time, and the other one is smaller.
-    enum class Errors { by_structure, of_factor };
-    double shifted_bound(double shift, Errors errors = Errors::of_factor);
-    bool factorize(std::span<const double> shifts, Errors errors, std::vector<double>& margin);
+    double shifted_bound(double shift);
+    bool factorize(std::span<const double> shifts, std::vector<double>& margin);
     Shifted least_shift();
     std::vector<Complex> smallest();
     void choose_splits(std::span<const std::vector<Curvature>> choices, double part);
@@ -99,7 +91,7 @@ class Proof {
 
     sparse::Pattern pattern_;
     HermitianFactor factor_;
-    std::vector<double> rounding_, by_structure_;
+    std::vector<double> rounding_, errors_;
     State state_;
     std::vector<char> free_;
     /// (N) bounds on the rounding errors of the sums over the edges of a node, as parts of their terms.

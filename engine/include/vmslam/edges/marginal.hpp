@@ -34,8 +34,7 @@ struct AroundMeans {
 
 class MarginalEdges : public LandmarkSightings {
    public:
-    MarginalEdges(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings, bool body)
-        : LandmarkSightings(std::move(starts), std::move(nodes), std::move(sightings)), body_(body) {}
+    MarginalEdges(ByLandmark seen, bool body) : LandmarkSightings(std::move(seen)), body_(body) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
     std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
@@ -44,8 +43,7 @@ class MarginalEdges : public LandmarkSightings {
         return out;
     }
     std::unique_ptr<const Family> among(std::span<const Index> number) const override {
-        auto [starts, nodes, sightings] = from_nodes(number);
-        return std::make_unique<MarginalEdges>(std::move(starts), std::move(nodes), std::move(sightings), body_);
+        return std::make_unique<MarginalEdges>(from_nodes(number), body_);
     }
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
     /// With the trust of the sightings, or another one.

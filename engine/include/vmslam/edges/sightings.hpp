@@ -75,7 +75,7 @@ struct ByLandmark {
 /// Edges from the sightings of landmarks that are no nodes, grouped as in `ByLandmark`.
 class LandmarkSightings : public Family {
    public:
-    LandmarkSightings(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings);
+    explicit LandmarkSightings(ByLandmark seen);
 
     std::vector<Placed> placed(const State& state, Covariance mode) const;
     /// The sightings with all poses at the origin, so that places are in the axes of the poses.

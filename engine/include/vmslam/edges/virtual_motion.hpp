@@ -17,7 +17,7 @@ namespace vmslam::edges {
 class VirtualMotionEdges : public LandmarkSightings {
    public:
     /// Where they are `tempered`, edges of a landmark have 2/K of their information, K the sum of the trust in its sightings.
-    VirtualMotionEdges(std::vector<Index> starts, std::vector<Index> nodes, Sightings sightings, bool tempered, bool body);
+    VirtualMotionEdges(ByLandmark seen, bool tempered, bool body);
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
     /// The weights of landmarks stay those of the trust with which the edges were made.
@@ -27,9 +27,7 @@ class VirtualMotionEdges : public LandmarkSightings {
         return out;
     }
     std::unique_ptr<const Family> among(std::span<const Index> number) const override {
-        auto [starts, nodes, sightings] = from_nodes(number);
-        return std::make_unique<VirtualMotionEdges>(std::move(starts), std::move(nodes), std::move(sightings), tempered_,
-                                                    body_);
+        return std::make_unique<VirtualMotionEdges>(from_nodes(number), tempered_, body_);
     }
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override;
 

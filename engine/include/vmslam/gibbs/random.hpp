@@ -1,27 +1,24 @@
-// Random numbers for samplers: normal, gamma and discrete, from any source of random bits.
-//
-// A seed gives the same numbers on every machine, and from NumPy's bit generators the numbers of NumPy's `Generator`.
+// Random numbers for samplers, one after the other: normal, gamma and discrete.
 #pragma once
 
-#include <cstdint>
+#include <array>
 #include <span>
+
+#include "vmslam/numbers/random.hpp"
 
 namespace vmslam::gibbs {
 
-/// A source of 64 random bits: a function of some state, such as a bit generator of NumPy.
-struct BitSource {
-    void* state;
-    std::uint64_t (*next)(void*);
-};
-
-/// A view of a source, which must live as long.
+/// The numbers of `numbers/random.hpp` that belong to a key. Other keys give independent numbers.
 class Random {
    public:
-    explicit Random(BitSource source) : source_(source) {}
+    explicit Random(std::uint64_t key) : key_(key) {}
 
     /// In [0, 1), with 53 bits.
-    double uniform() { return static_cast<double>(static_cast<std::int64_t>(bits() >> 11)) * 0x1p-53; }
-    double normal();
+    double uniform() { return numbers::uniform(key_, 2 * next_++); }
+    double normal() {
+        if (used_ == normals_.size()) draw_normals();
+        return normals_[used_++];
+    }
     /// Gamma with a shape of at least 1 and the scale 1.
     double gamma(double shape);
     /// An index in proportion to weights; the last one where they have no finite sum.
@@ -30,10 +27,11 @@ class Random {
     std::size_t choose(std::span<const double> log_weights);
 
    private:
-    std::uint64_t bits() { return source_.next(source_.state); }
-    double tail();
+    void draw_normals();
 
-    BitSource source_;
+    std::uint64_t key_, next_ = 0;  ///< the number of the next pair
+    std::array<double, 2 * numbers::lanes> normals_{};
+    std::size_t used_ = normals_.size();
 };
 
 /// e^x and log x, the same on every machine; unlike those of `numbers` they have a value for every x.

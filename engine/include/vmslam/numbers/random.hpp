@@ -1,4 +1,5 @@
-// Random numbers that are a function of a key and an index, so that threads need no common generator.
+// Random numbers that are a function of a key and an index, so that threads need no common generator. A seed gives the same
+// numbers on every machine.
 //
 // The filter's generator draws one key per motion. Each of the N particles then has numbers of its own, which depend only on
 // the key and on the particle's index. The bits are those of SplitMix64 (Steele, Lea and Flood, Fast splittable pseudorandom
@@ -27,16 +28,22 @@ struct Pair {
     Real first, second;
 };
 
-/// Two independent standard normal numbers: pair 0, 1 or 2 of a particle.
+/// Two independent standard normal numbers: the pair with a number.
 template <class Real>
-VMSLAM_INLINE Pair<Real> normal_pair(std::uint64_t key, const BitsOf<Real>& particle, std::uint64_t pair) {
+VMSLAM_INLINE Pair<Real> normal_pair(std::uint64_t key, const BitsOf<Real>& number) {
     using Bits = BitsOf<Real>;
-    const Bits index = std::uint64_t{2} * (pairs * particle + pair);
+    const Bits index = std::uint64_t{2} * number;
     // u lies in (0, 1], as the logarithm needs; the other uniform number lies in [0, 1)
     const Real u = 1.0 - uniform(key, index);
     const auto [sine, cosine] = sincos(Real(2 * pi * uniform(key, Bits(index + std::uint64_t{1})) - pi));
     const Real radius = root(Real(-2.0 * log(u)));
     return {radius * cosine, radius * sine};
+}
+
+/// Pair 0, 1 or 2 of a particle.
+template <class Real>
+VMSLAM_INLINE Pair<Real> normal_pair(std::uint64_t key, const BitsOf<Real>& particle, std::uint64_t pair) {
+    return normal_pair<Real>(key, BitsOf<Real>(pairs * particle + pair));
 }
 
 template <class Real>

@@ -77,15 +77,11 @@ class AnonymousScan::Group {
     explicit Group(const AnonymousScan& scan)
         : scan_(scan), hypotheses_(scan.sightings.size()), chosen_(scan.sightings.size()), won_(scan.sightings.size()) {}
 
-    /// Choose the landmark of each sighting under the predicted pose; returns the log likelihoods of the sightings of new
-    /// landmarks, and of the classes of the others.
+    /// The functions of a group, see `Weighed`. The sightings of new landmarks, and the classes of the others, are weighed
+    /// when the landmarks are chosen.
     Lanes begin(std::size_t first, const Gaussian& belief);
-    /// Correct the pose by the sightings of known landmarks; returns their log likelihood under the prediction if it
-    /// `weighs`.
-    Lanes correct(Gaussian& belief, bool weighs) const;
-    /// Update the landmarks from the drawn pose, and the evidence for them; returns the log likelihood of the known ones if
-    /// it `weighs`.
-    Lanes update(const Pose& pose, bool weighs) const;
+    Lanes correct(Gaussian& belief, Weighed weighed) const;
+    Lanes update(const Pose& pose, Weighed weighed) const;
 
    private:
     /// A landmark that may be that of a sighting, and the log likelihoods; -inf where it is no hypothesis.

@@ -45,8 +45,16 @@ inline void write_pose(Rows& rows, std::size_t first, const Pose& pose) {
     numbers::store(rows.row(2) + first, pose.t);
 }
 
-/// The rows of a Gaussian without a heading, which are x, y, xx, xy, yy, and of one with a heading.
+/// How many rows a Gaussian has. Without a heading these are x, y, xx, xy, yy, otherwise x, y, h, xx, xy, xh, yy, yh, hh.
 constexpr int gaussian_rows(bool oriented) { return oriented ? 9 : 5; }
+
+/// Which of them are those of the position.
+struct PositionRows {
+    int x, y, xx, xy, yy;
+};
+constexpr PositionRows position_rows(bool oriented) {
+    return oriented ? PositionRows{0, 1, 3, 4, 6} : PositionRows{0, 1, 2, 3, 4};
+}
 
 inline Gaussian read_gaussian(const Blocks& blocks, bool oriented, std::size_t first, const Index* ancestors = nullptr) {
     const auto at = [&](int k) { return read(blocks, k, first, ancestors); };

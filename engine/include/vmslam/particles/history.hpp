@@ -47,8 +47,9 @@ class History {
 
     /// Let particle i descend from particle ancestors[i] from now on; ascending.
     void branch(std::span<const Index> ancestors);
-    /// The level at which to write by the current particle indices.
-    std::int64_t level();
+    /// The level at which data can be written by the current particle indices: the last one, or after a `branch` a new one, which
+    /// is opened.
+    std::int64_t level_to_write();
     /// Whether every particle still has the index that it had at a level.
     bool is_living(std::int64_t level) const { return level >= living_ && !branched_; }
     /// The index that each living particle's ancestor had at a level, until the next `branch`; null: its own.
@@ -85,11 +86,17 @@ class History {
     /// the first row of each level, and the end of the last one
     std::vector<std::size_t> first_{0};
     std::vector<bool> is_step_;
-    /// the first level of the living generation, and of the one before, of which `parent_` are the particles' ancestors
+    /// The indices that the ancestors of the living particles had at each level, where `branch` was called at b and at c:
+    ///
+    ///     levels      before b       from b to c       since c
+    ///     indices     inherited_     parent_           their own
+    ///                                ^ previous_       ^ living_
+    ///
+    /// After a `branch` no level is the particles' own (`branched_`) until the next one is opened.
     std::int64_t living_ = 0, previous_ = 0;
     bool branched_ = false;
     Ancestry parent_;
-    /// those at earlier levels that were asked for
+    /// of the levels that were asked for
     std::vector<std::pair<std::int64_t, Ancestry>> inherited_;
     /// the number of levels when rows were last removed, and the number of rows from which on they are removed again
     std::size_t settled_ = 0, limit_;

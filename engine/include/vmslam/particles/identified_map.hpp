@@ -104,16 +104,14 @@ class IdentifiedMap::Scan::Group {
    public:
     explicit Group(const Scan& scan) : scan_(scan) {}
 
-    /// Nothing is weighed before the pose is corrected or drawn.
+    /// The functions of a group, see `Weighed`. Nothing is weighed before the pose is corrected or drawn.
     Lanes begin(std::size_t first, const Gaussian&) {
         first_ = first;
         return Lanes{};
     }
-    /// Correct the pose by the first sighting of each landmark; returns its log likelihood under the prediction if it
-    /// `weighs`.
-    Lanes correct(Gaussian& belief, bool weighs) const;
-    /// Weigh and update the landmarks from the drawn pose; `leaders`: whether the sightings of `correct` are weighed here.
-    Lanes update(const Pose& pose, bool leaders) const;
+    /// The pose is corrected by the first sighting of each landmark.
+    Lanes correct(Gaussian& belief, Weighed weighed) const;
+    Lanes update(const Pose& pose, Weighed weighed) const;
 
    private:
     Lanes update_one(const Task& task, const Pose& pose) const;

@@ -14,6 +14,19 @@
 
 namespace vmslam::particles {
 
+/// From which pose the sightings of known landmarks that correct the poses are weighed.
+///
+/// `Filter::weigh` takes a scan, the sightings that a map gets at once, eight particles at a time. For these the scan has a
+/// `Group`, whose functions are called in this order; each returns log likelihoods, which add up to those of the scan:
+///
+/// 1. `begin(first, belief)`: the particles from `first` on, and where they are predicted to be. Sightings without ids choose
+///    their landmarks.
+/// 2. `correct(belief, weighed)`, only where poses are drawn from the corrected motion, as in FastSLAM 2.0: corrects `belief`
+///    by sightings of known landmarks, and weighs these if they are `weighed` at the prediction.
+/// 3. `update(pose, weighed)`: updates and creates landmarks from the pose that was drawn, and weighs all sightings of known
+///    ones, except for those that `correct` has weighed.
+enum class Weighed { at_prediction, at_pose };
+
 inline constexpr double log_2pi = 1.8378770664093453;
 
 /// log N(z; h(x, m), Q) of a landmark at a known place; `oriented`: psi is used.

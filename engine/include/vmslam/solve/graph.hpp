@@ -1,13 +1,14 @@
 // A graph that owns its edges, its linear system and the factor, for programs without Python.
 #pragma once
 
+#include <deque>
 #include <memory>
 #include <optional>
 
 #include "vmslam/certificate/proof.hpp"
 #include "vmslam/edges/relative.hpp"
 #include "vmslam/log.hpp"
-#include "vmslam/solve/restarts.hpp"
+#include "vmslam/solve/objective.hpp"
 #include "vmslam/solve/run.hpp"
 #include "vmslam/solve/start.hpp"
 
@@ -33,15 +34,8 @@ class Graph {
 
     /// Initial values by rotation first, or why there are none: the anchored nodes at their values, the others from the edges.
     Start rotation_first(int threads = 1) const;
-    /// Initial values by growth from the anchors along the odometry, `each` nodes at a time: that is the first relative edge from
-    /// each node to the next. None where one of these is missing, or the edges of a family cannot be divided.
-    std::optional<std::vector<double>> grown(Index each = 10, int threads = 1) const;
     /// Minimise J from run.state by `gauss_newton`.
     void solve(Run& run, int threads = 1) const;
-    /// The end that other turns of the robot, and then random halves of the measurements that may be wrong, lead to from an end of
-    /// `solve`, where it is lower; it takes at most `limit` steps and those of one restart more. Measurements of
-    /// `add_groups`, and those with a kernel, may be wrong.
-    Lowered lowered_by_restarts(std::span<const double> state, double limit = 1e4, int threads = 1) const;
     /// J of a state, a lower bound on J of all states, and whether the state is a global minimum. With a kernel all of these are
     /// about the cost with its weights held at those of the state: necessary for a global minimum of J, and not sufficient.
     /// None where an edge has no constant information, or none that is positive semidefinite, or J is not finite.
@@ -51,24 +45,26 @@ class Graph {
     /// The blocks (n, 3, 3) of Omega^-1 on the diagonal at a state; none where Omega has no factor.
     std::vector<double> covariances(std::span<const double> state) const;
 
+    /// The graph with its linear system, as the functions of `grow.hpp` and `restarts.hpp` take it. The graph must live as long.
+    struct Assembled {
+        OwnedSystem system;
+        std::deque<std::vector<Index>> pairs;
+        std::optional<GraphObjective> objective;
+
+        explicit Assembled(const Graph& graph, int threads = 1);
+    };
+
    private:
-    /// The anchored nodes at their values, the others at zero.
-    std::vector<double> anchored() const;
     void check_node(Index node) const;
     void check_state(std::span<const double> state) const;
-
-    /// The linear system of the graph.
-    struct Assembled;
 
     struct Member {
         std::unique_ptr<const edges::Family> family;
         std::vector<Index> first, second;  ///< the ends of pairs, for the families that list their edges
-        bool doubted = false;  ///< whether its measurements may be wrong
     };
     Index nodes_;
     std::vector<Member> members_;
     std::vector<std::pair<Index, edges::Vector>> anchors_;
-    std::vector<double> motions_, variances_;  ///< the odometry; the variance of a turn is NaN where there is none
     /// the groups of nodes of all families, one after another
     std::vector<Index> sizes_, grouped_;
 };
@@ -76,9 +72,19 @@ class Graph {
 /// The sightings of a log by increasing landmark and step, as the families of `edges/` take them.
 edges::ByLandmark by_landmark(const Log& log, const edges::Sensor& sensor, const edges::Kernel& kernel);
 
+/// Which edges the graph of a log has.
+struct LogEdges {
+    bool motions = true;
+    bool body = true;  ///< whether information turns with the poses, and is not that at the reference
+    bool one_by_one = false;  ///< whether every edge is added by a call of its own, so that `costs` tells them apart
+    /// Virtual-motion edges in place of marginal ones: groups of sightings of a landmark, by their numbers and by increasing
+    /// step, any two of which make an edge.
+    std::optional<std::vector<std::vector<std::size_t>>> virtual_motions;
+};
+
 /// The graph of a log: an anchor on its first pose, a motion edge for each control, and the sightings of each landmark as one
-/// marginal edge (`edges/marginal.hpp`) with a robust kernel, all in the body frame.
+/// marginal edge (`edges/marginal.hpp`), these with a robust kernel.
 Graph graph_of(const Log& log, const MotionNoise& noise = {}, const edges::Sensor& sensor = book_sensor,
-               const edges::Kernel& kernel = {});
+               const edges::Kernel& kernel = {}, const LogEdges& chosen = {});
 
 }  // namespace vmslam::solve

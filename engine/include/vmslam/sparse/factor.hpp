@@ -48,9 +48,6 @@ class Factor {
 
     double log_determinant() const;
 
-    /// At least |L| |L|^H v for a positive vector v, in the order of elimination.
-    std::vector<double> magnitude_square(std::span<const double> v) const;
-
    private:
     Index factorize_supernode(Node s, std::span<const Value> values, double damping, std::span<Numbers> scratch);
     Index factorize_part(int part, std::span<const Value> values, double damping);

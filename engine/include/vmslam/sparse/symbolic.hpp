@@ -58,12 +58,10 @@ struct Begins {
     Node operator[](Index k) const { return list ? list[k] : Block::rows * static_cast<Node>(k); }
 };
 
-/// The structure of L in the order of elimination, for blocks of one shape. Supernodes are numbered in that order.
-struct Symbolic {
-    BlockShape shape;
+/// The supernodes in the order of elimination, by which they are numbered, and what L has in each. Columns are nodes in this
+/// order.
+struct SupernodeTree {
     Order order, position;  ///< the node eliminated k-th, and the inverse
-    std::vector<char> point;  ///< (n) whether the node of each column is a point
-    bool points = false;  ///< whether there are any
     std::vector<Node> first;  ///< (s+1) the first column of each supernode
     std::vector<Index> row_start;  ///< (s+1) into the next three
     std::vector<Node> rows;  ///< the rows below the diagonal block of each supernode, ascending
@@ -72,45 +70,59 @@ struct Symbolic {
     std::vector<Node> split;  ///< (s) the first row that is not among the parent's own columns
     std::vector<Node> parent;  ///< (s) -1 for roots
     std::vector<Index> child_start, children;  ///< the roots come last, as the children of none
-    // these depend on the shape
-    std::vector<Node> wide, tall;  ///< (s) the blocks of each supernode, and those below; see `Front`
-    std::vector<Index> head;  ///< (s+1) where the numbers of each supernode begin in a vector, filled up to blocks
-    std::vector<Node> begins;  ///< with points: where those of each node begin in the fronts; see `begin`
-    std::vector<Index> number;  ///< with points: (n) where those of each column begin in a vector
-    std::vector<Index> panel_start;  ///< (s+1) where the panel of each supernode begins
-    std::vector<Index> stack_start;  ///< (s) where its update matrix does
-    Index stack_size = 0;
-    std::vector<Index> entry_start;  ///< (s+1) into the entries
-    std::vector<Entry> entries;
     std::vector<Node> row_length;  ///< (n) the blocks left of the diagonal in each row of L, without zeros
-    std::vector<Node> part;  ///< (s) the thread of each supernode; see `divide`
-    int parts = 1, threads = 1;
-    Index tallest = 0;  ///< the rows of the tallest front
-    Index widest = 0;  ///< the most blocks of a supernode
     Index blocks = 0;  ///< of L, without the zeros that amalgamation adds
 
     Node nodes() const { return static_cast<Node>(order.size()); }
     Node supernodes() const { return static_cast<Node>(first.size() - 1); }
-    Front front(Node s) const { return {shape, wide[s], tall[s]}; }
     Node width(Node s) const { return first[s + 1] - first[s]; }
     Node height_below(Node s) const { return static_cast<Node>(row_start[s + 1] - row_start[s]); }
+    /// The supernode of a column.
+    Node owner(Node column) const;
+};
+
+/// Where the numbers of supernodes stand in fronts, vectors and panels, for blocks of one shape.
+struct Layout {
+    BlockShape shape;
+    std::vector<char> point;  ///< (n) whether the node of each column is a point
+    bool points = false;  ///< whether there are any
+    std::vector<Node> wide, tall;  ///< (s) the blocks of each supernode, and those below; see `Front`
+    Index tallest = 0, widest = 0;  ///< the rows of the tallest front, the most blocks of a supernode
+    std::vector<Index> head;  ///< (s+1) where the numbers of each supernode begin in a vector, filled up to blocks
+    std::vector<Node> begins;  ///< with points: where those of each node begin in the fronts; see `Symbolic::begin`
+    std::vector<Index> number;  ///< with points: (n) where those of each column begin in a vector
+    std::vector<Index> panel_start;  ///< (s+1) where the panel of each supernode begins
+    std::vector<Index> entry_start;  ///< (s+1) into the blocks of the matrix
+    std::vector<Entry> entries;
+
+    Front front(Node s) const { return {shape, wide[s], tall[s]}; }
     int size(Node column) const { return point[column] ? shape.point_rows : shape.rows; }
     /// Of a column, the first number in a block that belongs to its node.
     int first_number(Node column) const { return point[column] ? shape.point_first : 0; }
+    /// Where the numbers of a column begin in a vector.
+    Index number_of(Node column) const { return number.empty() ? shape.rows * static_cast<Index>(column) : number[column]; }
     /// Whether nodes have blocks of different sizes.
     template <class Block>
     bool mixed() const {
         return Block::point_rows < Block::rows && points;
     }
+};
+
+/// Which thread factorises each supernode, and where that puts update matrices; see `divide`.
+struct Schedule {
+    int parts = 1, threads = 1;
+    std::vector<Node> part;  ///< (s) one for each thread, and in the end one for the rest of the tree
+    std::vector<Index> stack_start;  ///< (s) where the update matrix of each supernode begins
+    Index stack_size = 0;
+};
+
+/// The structure of L.
+struct Symbolic : SupernodeTree, Layout, Schedule {
     /// Where the numbers of the nodes of supernode s, and of those below, begin in its front; then where the last ones end.
     template <class Block>
     Begins<Block> begin(Node s) const {
         return {mixed<Block>() ? begins.data() + first[s] + row_start[s] + s : nullptr};
     }
-    /// Where the numbers of a column begin in a vector.
-    Index number_of(Node column) const { return number.empty() ? shape.rows * static_cast<Index>(column) : number[column]; }
-    /// The supernode of a column.
-    Node owner(Node column) const;
 };
 
 /// work(i, at, count) for the nodes below supernode s: the first of their `count` numbers is number i of the front, and
