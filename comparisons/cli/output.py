@@ -338,12 +338,15 @@ def in_flags(text: str, known: Collection[str]) -> str:
     """
 
     def spelled(option: re.Match[str]) -> str:
-        name, value = option["name"], option["value"]
-        of_tables, of_run = _names() if name else (frozenset(), frozenset())
+        if not (name := option["name"]):
+            return option[0]
+        value, (of_tables, of_run) = option["value"], _names()
         if name in of_tables and name not in known:
             return f"{name} = " + value.replace("'", '"')
-        # particles=100 is a label of a study
-        if (name in known or name in of_run) and (name in of_tables or not value[-1].isdigit()):
+        # particles=100 is a label of a study, and f(kernel='cauchy') a call in Python
+        label = value[-1].isdigit() and name not in of_tables and name != "dimensions"
+        call = re.search(r"\w\([^()]*$", text[: option.start()])
+        if (name in known or name in of_run) and not label and not call:
             return f"{_flag(name)} " + shlex.quote(value.strip("'[]").replace(", ", ","))
         return option[0]
 

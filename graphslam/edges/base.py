@@ -179,11 +179,15 @@ class EdgeFamily(ABC):
     def numbers(self) -> tuple[int, float]:
         """The number of independent numbers that the edges measure, and the mean of their cost at the true state.
 
-        Here these are the residuals of `linearize`, as if all were independent and had no kernel.
+        Here these are the residuals of `linearize`, as if all were independent and had no kernel; 0 where it fails for nodes
+        in a row.
         """
-        origin = np.zeros((self.node_range[1] + 1, 3))
-        with np.errstate(all="ignore"):
-            count = self.linearize(origin, origin).residuals.size
+        row = np.arange(3.0 * (self.node_range[1] + 1)).reshape(-1, 3) * [1.0, 0.0, 0.0]
+        try:
+            with np.errstate(all="ignore"):
+                count = self.linearize(row, row).residuals.size
+        except Exception:  # code of a user, which may refuse this state
+            count = 0
         return count, float(count)
 
     @property

@@ -161,7 +161,8 @@ class Graph:
             noise: "auto": estimate noise and biases of the robot and misread ids from the log, and take them out of it
                 (`graphslam.estimate_robot`); "book": the values of the lectures. Default: the models of the log, the book's
                 for logs of `simulate`, and else "auto" where the log determines them. Where one of ``motion`` and ``sensor``
-                is given, it is kept, and the other one is as said here; with both there is nothing left to choose.
+                is given, its noise is kept (the place of the sensor is estimated from the given one), and the other one is as
+                said here; with both there is nothing left to choose.
             map: a `LandmarkMap`, {id: (x, y)}, the path of its file, or a solution of another log. Its landmarks are nodes:
                 without a covariance they are fixed, otherwise they have priors, together where the map has a joint
                 covariance. Landmarks that it does not have are added. psi is not used where a fixed landmark that is seen

@@ -13,6 +13,8 @@ from ..models import MotionModel, SensorModel
 from .result import RobotEstimate
 from .robot import FEWEST
 
+#: how the note begins that says why
+BOOKS = "the noise models are the book's"
 #: the choices of the option ``noise``: from the log, or the lectures' values
 AUTO, BOOK = "auto", "book"
 
@@ -84,18 +86,27 @@ def noise_of(
     # models of another type are refused before the estimate
     log.noise_models(motion, sensor)
     log, robot = known_robot(log, noise, sensor)
-    if robot is not None and sensor is not None:
+    if not (motion or sensor):
+        return log, *log.noise_models(), robot
+    kept, other = ("sensor", "motion") if sensor else ("motion", "sensor")
+    if robot is None:
+        if any(BOOKS in note for note in log.notes):
+            notes = (note.replace(BOOKS, f"the noise of the {other} is the book's") for note in log.notes)
+            log = log.replace(notes=tuple(notes))
+        return log, *log.noise_models(motion, sensor), None
+    note = f"the noise of the {kept} is the given one, and that of the {other} the estimated one"
+    if sensor is not None:
+        (x, y), (ahead, left) = sensor.offset, robot.sensor.offset
         sensor = replace(sensor, **{name: getattr(robot.sensor, name) for name in SensorModel.GEOMETRY})
-    if robot is not None and (motion or sensor):
-        kept, other = ("sensor", "motion") if sensor else ("motion", "sensor")
-        note = f"the noise of the {kept} is the given one, and that of the {other} the estimated one"
-        log = log.replace(notes=(*log.notes, note))
+        if (x, y) != (ahead, left):
+            note += f"; its place, given as ({x:.3g}, {y:.3g}) m, is estimated as ({ahead:.3g}, {left:.3g}) m"
+    log = log.replace(notes=(*log.notes, note))
     return log, *log.noise_models(motion, sensor), robot
 
 
 def with_book(log: Log, error: Exception) -> Log:
     """The log with a note why its noise is the book's."""
-    note = f"the noise models are the book's, because noise cannot be estimated: {error}"
+    note = f"{BOOKS}, because noise cannot be estimated: {error}"
     return log.replace(notes=(*log.notes, note))
 
 

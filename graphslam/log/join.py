@@ -275,7 +275,9 @@ def _in_order(kind: str, table: Table, options: TableOptions, odometry: Timed | 
         if np.sum(back) <= 2 or np.mean(outside) > MOST_LEFT_OUT:
             return table
         if np.mean(back) <= _SHUFFLED:
-            ids = table.words(reader.found["id"].column)[rows] if reader.has("id") else rows
+            if not reader.has("id"):
+                return table
+            ids = table.words(reader.found["id"].column)[rows]
             other = ids[1:] != ids[:-1]
             if not np.all(other[back]) or np.sum(other) >= len(np.unique(ids)):
                 return table

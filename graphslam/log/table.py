@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -303,8 +303,9 @@ def plain(name: str) -> tuple[str, str | None]:
 
 
 def find(
-    kind: str, table: Table, roles: Sequence[str], stated: Mapping[str, str | int], orders: Mapping[int, Sequence[str]]
-) -> dict[str, Chosen]:
+    kind: str, table: Table, roles: Sequence[str], stated: Mapping[str, str | int], orders: Mapping[int, Sequence[str]],
+    dispensable: Collection[str] = (),
+) -> dict[str, Chosen]:  # fmt: skip
     """The columns of a table, by role.
 
     Args:
@@ -313,6 +314,7 @@ def find(
         roles: what its columns can be, keys of `NAMES`; of two roles that a name fits, the first takes it.
         stated: {role: name or number of its column, from 1}, what the user says.
         orders: for tables without names: the roles of the columns by their number.
+        dispensable: roles that are left out where a name fits two columns.
 
     Raises:
         LogError: a stated column does not exist, or a name fits two columns.
@@ -342,6 +344,8 @@ def find(
                     if k not in taken | left_alone
                     and (own == name or (tail and name not in WHOLE and own.endswith(f"_{name}")))
                 ]
+                if len(fits) > 1 and role in dispensable:
+                    break
                 if len(fits) > 1:
                     titles = " and ".join(table.title(k) for k in fits[:2])
                     raise table.error(None, f"{titles} could both be {role}; say which: columns='{kind}.{role}=NAME'")

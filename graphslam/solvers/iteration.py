@@ -106,8 +106,11 @@ def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: fl
 def _not_finite(graph: Any, state: Array) -> str:
     """Which edge has a cost that is no finite number at a state, for a sentence."""
     for family in graph.families if isinstance(graph, Graph) else ():
-        with np.errstate(all="ignore"):
-            squares = family.linearize(state, state).mahalanobis
+        try:
+            with np.errstate(all="ignore"):
+                squares = family.linearize(state, state).mahalanobis
+        except Exception:  # code of a user
+            return f": the {type(family).__name__} cannot be linearised there"
         if (k := first(~np.isfinite(squares))) is not None:
             return f": edge {k} of the {type(family).__name__} has a residual or an information that is not finite"
     return ""

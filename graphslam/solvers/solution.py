@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..edges import LandmarkSightings, SightingEdges
+from ..edges import AnchorEdges, LandmarkSightings, SightingEdges
 from ..errors import OptionError, quoted
 from ..errors.checks import make_read_only, singular
 from ..graph import Graph
@@ -434,8 +434,10 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     graph = solution.graph or graph
     common, of_scans = errors_of_scans(graph, solution.state)
     notes += filter(None, (doubt_of_positions(graph, solution.state), *of_odometry, of_scans))
+    # families that do not say how many numbers they measure leave the expected cost open
+    counted = all(f.numbers[0] or isinstance(f, AnchorEdges) or not f.count for f in graph.families)
     expected = max(graph.expected_cost, 1.0)
-    ratio = solution.cost / expected
+    ratio = solution.cost / expected if counted else 0.0
     if graph.log is None and ratio > MISFIT:
         notes.append(
             f"J is {ratio:,.0f} times what the information of the edges lets expect: edges are wrong, which method gnc "

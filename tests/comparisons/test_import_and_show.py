@@ -84,6 +84,8 @@ def test_options_are_spelled_as_the_command_line_has_them():
     assert in_flags(text, known) == flags
     # a command stays as it is, and so do a verb's own words
     assert in_flags(flags, known) == flags
+    assert in_flags("leave psi out: dimensions=2, or", ()) == "leave psi out: --dimensions 2, or"
+    assert in_flags("see Graph.from_log(log, kernel='cauchy')", ()) == "see Graph.from_log(log, kernel='cauchy')"
     assert in_flags("fastslam1 particles=100 kernel=huber", ("particles",)) == "fastslam1 particles=100 kernel=huber"
     assert in_flags("import FOLDER --columns odometry.t=T,odometry.nu=V", ("odometry", "t")).endswith(
         "=T,odometry.nu=V"

@@ -135,6 +135,14 @@ def test_ranges_alone_without_an_id_are_left_out(drive):
     assert any("1 of these" in note and "have no id, which they need" in note for note in log.notes)
 
 
+def test_drives_one_after_the_other_without_ids_are_not_mixed():
+    t = np.arange(0, 60, 0.1)
+    times = np.tile(np.arange(0.5, 50, 1.25), 4)
+    seen = {"t": times, "range": 2 + np.sin(times), "bearing": 0.5 * np.cos(times)}
+    with pytest.raises(LogError, match="the time goes back 3 times"):
+        Log.from_tables({"t": t, "nu": np.full(len(t), 0.5), "omega": 0.1 * np.sin(t / 5)}, seen)
+
+
 def test_a_sensor_that_delivers_late_once_is_sorted(drive):
     """Its rows were missing where they belong, whereas a clock that was set goes through times twice."""
     times = np.round(np.arange(0.5, 19, 0.1), 3)

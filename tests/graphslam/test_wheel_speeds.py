@@ -108,3 +108,12 @@ def test_mistakes(drive, name):
 def test_an_impossible_track(track):
     with pytest.raises(OptionError, match="track must be"):
         Log.from_tables("a.csv", "b.csv", track=track)
+
+
+def test_speeds_of_four_wheels_beside_the_motion_are_left_alone(drive, expected):
+    rows = [(*row, nu, omega, *row[1:]) for row, nu, omega in zip(WHEELS, NU.tolist(), OMEGA.tolist())]
+    header = "t,front_left_speed,front_right_speed,nu,omega,rear_left_speed,rear_right_speed"
+    log = load(drive(odometry=text(header, rows)))
+    np.testing.assert_array_equal(log.controls, expected.controls)
+    with pytest.raises(LogError, match="could both be left; say which"):
+        load(drive(odometry=text(header, rows), recipe="track = 0.4\n"))
