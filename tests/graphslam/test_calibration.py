@@ -210,7 +210,6 @@ def recorded(seed: int, **wrong: float) -> tuple[Log, DriveTruth]:
 
 @cache
 def warehouse(seed: int, **wrong: float) -> tuple[Log, RobotEstimate]:
-    """A drive, and what it tells of its robot."""
     log, _ = recorded(seed, **wrong)
     return log, estimate_robot(log)
 
@@ -460,9 +459,7 @@ def arcs(seed: int, epsilon: float, bearing: float = 0.05) -> Log:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("seed", "epsilon"), [(0, 1e-10), pytest.param(1, 1e-10, marks=pytest.mark.nightly), (2, 1e-12), (5, 0.0)]
-)
+@pytest.mark.parametrize(("seed", "epsilon"), [(0, 1e-10), (1, 1e-10), (2, 1e-12), (5, 0.0)])
 def test_noise_that_enters_only_by_the_controls(seed: int, epsilon: float) -> None:
     found = calibrate(arcs(seed, epsilon))
     true = {"nn": 0.05, "no": 0.02, "on": 0.04, "oo": 0.06, "sigma_v": 0.03, "sigma_omega": 0.05}

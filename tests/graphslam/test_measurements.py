@@ -121,17 +121,11 @@ def test_jacobians_and_gradient_against_finite_differences(family, kernel):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("factors", "options"),
-    [
-        ("fastest", {}),
-        ("fastest", {"edges": "landmark+motion", "kernel": "cauchy"}),
-        ("fastest", {"weight": "marginal"}),
-        ("per-edge", {"edges": "landmark+motion", "kernel": "cauchy"}),
-        pytest.param("per-edge", {}, marks=pytest.mark.nightly),
-        pytest.param("per-edge", {"weight": "marginal"}, marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize(("factors", "options"), [
+    ("fastest", {}), ("fastest", {"edges": "landmark+motion", "kernel": "cauchy"}), ("fastest", {"weight": "marginal"}),
+    ("per-edge", {"edges": "landmark+motion", "kernel": "cauchy"}), pytest.param("per-edge", {}, marks=pytest.mark.nightly),
+    pytest.param("per-edge", {"weight": "marginal"}, marks=pytest.mark.nightly),
+])  # fmt: skip
 def test_both_solvers_have_the_same_optimum_which_is_proven(log, options, factors):
     graph = Graph.from_log(log, **options)
     own, other = solve(graph), solve_with_gtsam(graph, factors=factors)

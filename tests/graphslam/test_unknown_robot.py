@@ -246,32 +246,6 @@ def test_sightings_without_ids_are_corrected_but_tell_nothing() -> None:
         estimate_robot(log.replace(landmarks=np.full(len(ids), UNIDENTIFIED)))
 
 
-def test_what_is_taken_out_of_a_log_stands_in_the_notes_of_graph_and_solution() -> None:
-    log, _, found = warehouse()
-    graph = Graph.from_log(log)
-    assert set(found.sentences) <= set(graph.notes) and set(graph.notes) <= set(solve(graph).notes)
-    assert found.ids.sentence in graph.notes and any("biases estimated from this log" in note for note in graph.notes)
-
-
-def test_a_noise_model_that_is_given_is_kept_and_the_other_one_estimated() -> None:
-    log, truth, found = warehouse()
-    given = replace(truth.sensor, offset=(0.0, 0.0))
-    graph = Graph.from_log(log, sensor=given)
-    assert graph.sensor is not None and graph.sensor.range_std == given.range_std
-    assert graph.sensor.bearing_std == given.bearing_std and graph.sensor.offset == found.sensor.offset
-    assert graph.motion == found.motion
-    (note,) = (each for each in graph.notes if each.startswith("the noise of the sensor is the given one"))
-    # its place is estimated from the one that is given
-    assert note.endswith("m" if found.sensor.offset != (0.0, 0.0) else "the estimated one")
-    moved = Graph.from_log(log, motion=MotionModel(nn=0.07))
-    assert moved.motion == MotionModel(nn=0.07) and moved.sensor == found.sensor
-    assert Graph.from_log(log, sensor=given, noise="book").motion == MotionModel()
-    with pytest.raises(OptionError, match="leave it out"):
-        Graph.from_log(log, motion=MotionModel(), sensor=given, noise="auto")
-    few = Graph.from_log(log.at_steps(range(10)), motion=MotionModel(nn=0.07))
-    assert any(note.startswith("the noise of the sensor is the book's, because") for note in few.notes)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1006, pytest.param(1007, marks=pytest.mark.nightly)])
 def test_silences_of_the_odometry_spoil_nothing(seed: int) -> None:
