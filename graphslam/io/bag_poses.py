@@ -27,7 +27,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..log.join import datum_note, local_plane
-from ..log.measurements import not_positive, symmetric
+from ..log.measurements import cut_headings, not_positive, symmetric
 from ..log.table import COVARIANCES, Columns
 from ..se2 import Array, between, compose, turn_matrix
 from .bag_messages import Collector, Frames, rotation_of
@@ -153,8 +153,7 @@ def positions_table(
             C = np.tile(np.diag([std[0], std[0], std[1] if len(std) > 1 else np.inf]) ** 2, (len(C), 1, 1))
         blind = ~(C[:, 2, 2] > 0) | ~(C[:, 2, 2] < UNKNOWN)
         places[blind, 2] = np.nan
-        C[blind, 2], C[blind, :, 2] = 0.0, 0.0
-        C[blind, 2, 2] = 1.0
+        cut_headings(C, blind)
         silent = not_positive(C) | (C[:, 0, 0] >= UNKNOWN)
         if silent[kept].all():
             raise FormatError(found.source, None, f"{_no_noise(C)}, [positions] std = [0.05] in the recipe")

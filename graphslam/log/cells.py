@@ -60,11 +60,9 @@ def nanoseconds(table: Table, column: int, unit: str | None, day: int | None = N
             # the first time is a number, so that a later one is the mistake
             float(word)
             raise
-        message = (
-            "should be a number, or a date with the time of day as in 2026-11-22T10:00:00.5Z (or in two columns, date and "
-            "time)"
-        )
-        raise table.error(0, f"the time {table.title(column)} {message}, not {quoted(word)}") from None
+        date = "or a date with the time of day as in 2026-11-22T10:00:00.5Z (or in two columns, date and time)"
+        message = f"the time {table.title(column)} should be a number, {date}, not {quoted(word)}"
+        raise table.error(0, message) from None
     if (bad := np.flatnonzero(~np.isfinite(values))).size:
         raise table.error(int(bad[0]), f"the time {table.title(column)} is {values[bad[0]]}; every row needs a time")
     factor = UNITS[unit or by_size(values)]
@@ -231,14 +229,12 @@ def ids_of(table: Table, column: int, known: Mapping[str, int] | None = None) ->
         numbers = _whole(table, column, values)[~empty]
     ids = np.full(len(table), UNIDENTIFIED)
     ids[~empty] = numbers
-    notes: tuple[str, ...] = ()
-    if empty.any():
-        notes = (f"{table.source}: {empty.sum()} of {len(table)} rows have no id",)
-    notes += tuple(f"{table.source}: {note}" for note in without_no_id(ids, "row"))
+    notes = [f"{empty.sum()} of {len(table)} rows have no id"] * bool(empty.any())
+    notes += without_no_id(ids, "row")
     if names:
         listed = named(f"{number} = {name}" for name, number in names.items())
-        notes = (*notes, f"{table.source}: landmarks have names, ids count them: {listed}")
-    return Ids(ids, names, notes)
+        notes.append(f"landmarks have names, ids count them: {listed}")
+    return Ids(ids, names, tuple(f"{table.source}: {note}" for note in notes))
 
 
 def id_fault(table: Table, column: int, values: np.ndarray) -> Fault:

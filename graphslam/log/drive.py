@@ -15,7 +15,6 @@ import numpy as np
 from ..errors import LogError, named, quoted
 from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, LONGEST, QUICKEST, WHOLE_TURN, checked_offset, first
 from ..se2 import Array, wrap
-from .cartesian import chosen_axes, polar
 from .cells import (
     Doubt,
     Ids,
@@ -33,6 +32,7 @@ from .cells import (
     sideways_speed,
     time_faults,
 )
+from .geometry import WHEELS, chosen_axes, controls_of, motion_of, polar
 from .rows import (
     AXES,
     MOST_LEFT_OUT,
@@ -47,7 +47,6 @@ from .rows import (
     spike_faults,
 )
 from .table import COVARIANCES, DEVIATIONS, MEASURES, NAMES, OTHER_UNITS, RATES, Kept, Table, find, ordered
-from .wheels import WHEELS, controls_of, motion_of
 
 TURNED = "the heading is {:g} rad: does it count many turns, or is it in degrees?"
 _POSE = ("x", "y", "theta", "qx", "qy", "qz", "qw")

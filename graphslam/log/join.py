@@ -21,7 +21,7 @@ from ..se2 import Array
 from .cells import COVERED, Doubt, seconds, time_faults
 from .drive import TURNED, Reader, Timed, map_of, odometry_of, sightings_of, truth_of
 from .log import Log
-from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, not_positive
+from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, cut_headings, not_positive
 from .rows import MOST_LEFT_OUT, UNITS_OF, ReadOptions, TableOptions
 from .streams import MOST_DISORDER, Stream, synchronize
 from .table import COVARIANCES, Kept, Table, ordered
@@ -58,10 +58,6 @@ def datum_note(datum: Array, source: str) -> str:
 
 #: the coordinates of the noise
 _AXES = ("x", "y", "theta")
-_COUNTS_STEPS = (
-    " counts steps, which tables do not have: poses are at the times of what was measured, so give the time of both "
-    "poses"
-)
 
 
 def relations_of(table: Table, options: TableOptions) -> Timed:
@@ -72,7 +68,8 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
     """
     reader = Reader("relations", table, options)
     steps = [name for name in table.names if name.lower() in ("step", "steps", "first", "second", "step1", "step2")]
-    reader.need("t1", instead=f", and {steps[0]!r}{_COUNTS_STEPS}" if steps else "")
+    counts = f", and {steps[0]!r} counts steps, which tables do not have: give the time of both poses" if steps else ""
+    reader.need("t1", instead=counts)
     reader.need("t2", "dx", "dy", "dtheta")
     table = reader.leave_out("t1", "t2", "dx", "dy")
     ns, ends = reader.times("t1"), reader.times("t2")
@@ -139,15 +136,12 @@ def _noise(reader: Reader, oriented: np.ndarray) -> Array:
         for axis, column in enumerate(deviations.T):
             used = np.ones(len(column), dtype=bool) if axis < 2 else oriented
             if (k := first(used & ~(column > 0))) is not None:
-                raise reader.table.error(
-                    k, f"the standard deviation of {_AXES[axis]} is {column[k]:g}, but it must be above zero: how far off "
-                    "the sensor usually is",
-                )  # fmt: skip
+                advice = "but it must be above zero: how far off the sensor usually is"
+                raise reader.table.error(k, f"the standard deviation of {_AXES[axis]} is {column[k]:g}, {advice}")
             covariances[:, axis, axis] = column**2
-    for size, rows in ((2, np.flatnonzero(~oriented)), (3, np.flatnonzero(oriented))):
-        wrong = not_positive(np.nan_to_num(covariances[rows, :size, :size]))
-        if (k := first(wrong)) is not None:
-            raise reader.table.error(int(rows[k]), f"the covariance {NOT_POSITIVE}")
+    cut_headings(covariances, ~oriented)
+    if (k := first(not_positive(np.nan_to_num(covariances)))) is not None:
+        raise reader.table.error(k, f"the covariance {NOT_POSITIVE}")
     covariances[~oriented, 2] = covariances[~oriented, :, 2] = np.nan
     return covariances
 
@@ -229,14 +223,12 @@ def read_drive(
         LogError: a table lacks a column or has an impossible value.
     """
     options = options or TableOptions()
-    moved = odometry_of(_in_order("odometry", table_of(odometry, "odometry"), options), options)
-    seen = sightings_of(_in_order("sightings", table_of(sightings, "sightings"), options, moved), options)
-    given = (
-        (kind, _in_order(kind, table_of(table, kind), options, moved))
-        for kind, table in others.items()
-        if table is not None
-    )
-    read: dict[str, Any] = {kind: READERS[kind](table, options) for kind, table in given}
+    moved = odometry_of(_in_order("odometry", odometry, options), options)
+    seen = sightings_of(_in_order("sightings", sightings, options, moved), options)
+    read: dict[str, Any] = {}
+    for kind, table in others.items():
+        if table is not None:
+            read[kind] = READERS[kind](_in_order(kind, table, options, moved), options)
     landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
     return Drive(
         moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read
@@ -247,12 +239,13 @@ def read_drive(
 _SHUFFLED = 0.2
 
 
-def _in_order(kind: str, table: Table, options: TableOptions, odometry: Timed | None = None) -> Table:
+def _in_order(kind: str, source: Any, options: TableOptions, odometry: Timed | None = None) -> Table:
     """The table, with its rows sorted by time where they are in another order: the newest first, by landmark, or shuffled.
 
     The last two are sorted only where their times lie within those of the odometry. Times that go back otherwise, as where a
     clock was set, and single wrong times stay as they are: the readers refuse them, or leave them out.
     """
+    table = table_of(source, kind)
     reader = Reader(kind, table, options)
     if not reader.has("t") or len(table) < 3:
         return table

@@ -80,14 +80,11 @@ def checked_landmarks(value: Any) -> dict[int, Array]:
     for j in value:
         if not isinstance(j, (int, float, np.integer)) or j % 1 != 0 or not -(2**63) <= j < 2**63:
             raise OptionError(f"the ids of true_landmarks must be whole numbers of at most 64 bits, not {quoted(j)}")
-    return {int(j): _landmark(int(j), m) for j, m in value.items()}
-
-
-def _landmark(id: int, value: ArrayLike) -> Array:
-    landmark = finite_floats(f"true_landmarks[{id}]", value, (None,))
-    if len(landmark) not in (2, 3):
-        raise LogError(f"true_landmarks[{id}] must be (x, y) or (x, y, heading), not of shape {landmark.shape}")
-    return landmark
+    landmarks = {int(j): finite_floats(f"true_landmarks[{j}]", m, (None,)) for j, m in value.items()}
+    for j, m in landmarks.items():
+        if len(m) not in (2, 3):
+            raise LogError(f"true_landmarks[{j}] must be (x, y) or (x, y, heading), not of shape {m.shape}")
+    return landmarks
 
 
 def _floats(name: str, value: ArrayLike) -> Array:
@@ -96,6 +93,12 @@ def _floats(name: str, value: ArrayLike) -> Array:
         return real_array(value).copy()
     except (TypeError, ValueError, OverflowError) as error:
         raise LogError(f"{name} must be an array of numbers: {shortened(str(error))}") from None
+
+
+def _for_each(name: str, value: ArrayLike, count: tuple[int, ...], shape: tuple[int, ...]) -> Array:
+    """A copy of an array of floating-point numbers, of which one of this shape is repeated for all rows, (*count, *shape)."""
+    array = _floats(name, value)
+    return np.broadcast_to(array, (*count, *shape)).copy() if array.shape == shape else array
 
 
 def finite_floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
@@ -228,18 +231,17 @@ class PoseRelations(_Records):
     covariances: Array
 
     def __post_init__(self) -> None:
-        motions, covariances = _floats("the motions of relations", self.motions), self.covariances
-        if motions.ndim == 2 and motions.shape[1] == 3 and np.any(open_ := np.isnan(motions[:, 2])):
-            covariances = _floats("the covariances of relations", _one_for_all(covariances, len(motions)))
-            motions[open_, 2] = 0.0
-            covariances[open_, 2], covariances[open_, :, 2] = 0.0, 0.0
-            covariances[open_, 2, 2] = NO_HEADING
+        motions = _floats("the motions of relations", self.motions)
+        covariances = _for_each("the covariances of relations", self.covariances, motions.shape[:1], (3, 3))
+        if motions.shape[1:] == (3,) and covariances.shape == (len(motions), 3, 3):
+            unknown = np.isnan(motions[:, 2])
+            motions[unknown, 2] = 0.0
+            cut_headings(covariances, unknown, NO_HEADING)
         motions = finite_floats("the motions of relations", motions, (None, 3))
         motions[:, 2] = wrap(motions[:, 2])
-        count, noun = len(motions), "relation"
+        count, steps = len(motions), {end: getattr(self, end) for end in self.ENDS}
         ends = {
-            end: whole_numbers(f"the steps {end} of relations", getattr(self, end), count, noun=noun)
-            for end in self.ENDS
+            end: whole_numbers(f"the steps {end} of relations", steps[end], count, noun="relation") for end in steps
         }
         if (k := first(ends["first"] == ends["second"])) is not None:
             raise LogError(f"relation {k} goes from step {ends['first'][k]} to itself; it needs two different steps")
@@ -271,32 +273,27 @@ class AbsolutePositions(_Records):
     levers: Array = field(default_factory=lambda: np.zeros(2))
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.places)
-        columns = given.shape[1] if given.ndim == 2 else 0
-        places = np.full((len(given) if given.ndim else 0, 3), np.nan)
-        measured = ~np.isnan(given[:, 2].astype(float)) if columns == 3 else np.zeros(len(places), bool)
-        places[:, :2] = finite_floats("the places of positions", given[:, :2] if columns == 3 else given, (None, 2))
-        if measured.any():
-            places[measured, 2] = wrap(finite_floats("the headings of positions", given[measured, 2], (None,)))
-        count = len(places)
+        given = _floats("the places of positions", self.places)
+        oriented = given.ndim == 2 and given.shape[1] == 3
+        headings = given[:, 2] if oriented else np.full(len(given) if given.ndim else 0, np.nan)
+        unknown, count = np.isnan(headings), len(headings)
+        xy = finite_floats("the places of positions", given[:, :2] if oriented else given, (None, 2))
+        finite_floats("the headings of positions", headings[~unknown], (None,))
+        places = np.column_stack([xy, wrap(headings)])
         steps = whole_numbers("the steps of positions", self.steps, count, noun="position")
-        covariances = np.full((count, 3, 3), np.nan)
-        shape = np.shape(self.covariances)
-        d = 3 if shape[-1:] == (3,) else 2
-        if measured.any() and d == 2:
+        C, covariances = _floats("the covariances of positions", self.covariances), np.tile(np.eye(3), (count, 1, 1))
+        d = 3 if C.shape[-1:] == (3,) else 2
+        if d == 2 and not unknown.all():
             raise LogError("positions with headings need covariances (N, 3, 3), of x, y and heading")
-        if shape not in ((d, d), (count, d, d)):
-            message = f"the covariances of positions must have shape ({count}, 2, 2) or ({count}, 3, 3), not {shape}"
-            raise LogError(message)
-        all_of_them = np.broadcast_to(self.covariances, (count, d, d))
-        for rows, size in ((np.flatnonzero(~measured), 2), (np.flatnonzero(measured), 3)):
-            if len(rows):
-                covariances[rows, :size, :size] = checked_covariances(
-                    "positions", all_of_them[rows, :size, :size], len(rows), size, rows
-                )
-        levers = _floats("the levers of positions", self.levers)
-        one = levers.shape == (2,)
-        levers = finite_floats("the levers of positions", np.tile(levers, (count, 1)) if one else levers, (count, 2))
+        if C.shape not in ((d, d), (count, d, d)):
+            wanted = f"({count}, 2, 2) or ({count}, 3, 3)"
+            raise LogError(f"the covariances of positions must have shape {wanted}, not {C.shape}")
+        covariances[:, :d, :d] = C
+        cut_headings(covariances, unknown)
+        covariances = checked_covariances("positions", covariances, count, 3)
+        covariances[unknown, 2] = covariances[unknown, :, 2] = np.nan
+        levers = _for_each("the levers of positions", self.levers, (count,), (2,))
+        levers = finite_floats("the levers of positions", levers, (count, 2))
         self._set(steps=steps, places=places, covariances=covariances, levers=levers)
 
     @property
@@ -342,13 +339,10 @@ class PartialSightings(_Records):
             raise LogError(f"partial sighting {k} has range {ranges[k]:g} m; a range must be finite and above zero")
         bearings[~measured] = wrap(finite_floats("the bearings of partial sightings", bearings[~measured], (None,)))
         noun = "partial sighting"
-        steps, landmarks = (
-            whole_numbers(f"the {name} of partial sightings", getattr(self, name), count, noun=noun)
-            for name in ("steps", "landmarks")
-        )
+        steps = whole_numbers("the steps of partial sightings", self.steps, count, noun=noun)
+        landmarks = whole_numbers("the landmarks of partial sightings", self.landmarks, count, noun=noun)
         if (k := first(np.isin(landmarks, (UNIDENTIFIED, NO_ID)))) is not None:
-            message = f"partial sighting {k} has no id; ranges and bearings alone need ids: leave out those without one"
-            raise LogError(message)
+            raise LogError(f"partial sighting {k} has no id, which a range or a bearing alone needs: leave it out")
         self._set(steps=steps, landmarks=landmarks, ranges=ranges, bearings=bearings)
 
     @property
@@ -357,25 +351,22 @@ class PartialSightings(_Records):
         return np.isfinite(self.ranges)
 
 
-def _one_for_all(covariances: ArrayLike, count: int) -> Array:
-    array = np.asarray(covariances)
-    return np.broadcast_to(array, (count, *array.shape)) if array.ndim == 2 else array
+def cut_headings(covariances: Array, rows: np.ndarray, variance: float = 1.0) -> None:
+    """Give the headings of some rows of covariances (N, 3, 3) this variance, and no covariance with x and y."""
+    covariances[rows, 2], covariances[rows, :, 2] = 0.0, 0.0
+    covariances[rows, 2, 2] = variance
 
 
-def checked_covariances(name: str, value: Any, count: int, d: int, rows: np.ndarray | None = None) -> Array:
+def checked_covariances(name: str, value: Any, count: int, d: int) -> Array:
     """Covariances (count, d, d) that are symmetric and positive definite; one matrix is for all.
 
-    Args:
-        name: what they are of, for messages.
-        rows: (count,) the numbers of the rows for messages; default: 0, 1, ...
-
     Raises:
-        LogError: they are not.
+        LogError: they are not; the message calls them those of ``name``.
     """
-    covariances = finite_floats(f"the covariances of {name}", _one_for_all(value, count), (count, d, d))
+    what = f"the covariances of {name}"
+    covariances = finite_floats(what, _for_each(what, value, (count,), (d, d)), (count, d, d))
     if (k := first(not_positive(covariances))) is not None:
-        row = k if rows is None else rows[k]
-        raise LogError(f"the covariance of row {row} of {name} {NOT_POSITIVE}")
+        raise LogError(f"the covariance of row {k} of {name} {NOT_POSITIVE}")
     return (covariances + np.swapaxes(covariances, 1, 2)) / 2
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -264,13 +264,10 @@ class TableOptions:
         for name, choices in UNITS_OF.items():
             for unit in self.by_table(name).values():
                 check_choice(name, unit, choices)
-        for f in fields(self):
-            if "choices" in f.metadata and getattr(self, f.name) is not None:
-                check_choice(f.name, getattr(self, f.name), f.metadata["choices"])
         for name in ("sensor_offset", "truth_offset"):
             if (offset := getattr(self, name)) is not None:
                 checked_offset(name, offset)
-        for name in ("track", "sensor_yaw"):
+        for name in ("axes", "centre", "bearings", "track", "sensor_yaw"):
             declared_in(TableOptions)[name].checked(getattr(self, name))
         for table in TABLES:
             self.clock(table)
@@ -286,17 +283,11 @@ class TableOptions:
         value = self.by_table("clocks").get(table, 0.0)
         try:
             seconds = float(value)
-        except OverflowError:
-            seconds = math.inf
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             seconds = math.nan
-        if math.isnan(seconds):
-            raise OptionError(f"clocks: {table} should be a number of seconds, not {quoted(value)}")
-        if abs(seconds) > _MOST_SECONDS:
-            raise OptionError(
-                f"clocks: {table} should be at most {_MOST_SECONDS:.2g} seconds (146 years) forward or back, "
-                f"not {quoted(value)}"
-            )
+        if not abs(seconds) <= _MOST_SECONDS:
+            most = f"at most {_MOST_SECONDS:.2g} (146 years) forward or back"
+            raise OptionError(f"clocks: {table} should be a number of seconds, {most}, not {quoted(value)}")
         return round(seconds * 1e9)
 
     def columns_of(self, table: str) -> Mapping[str, str | int]:

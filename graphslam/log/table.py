@@ -153,128 +153,105 @@ DEVIATIONS = ("sigma_x", "sigma_y", "sigma_theta")
 COVARIANCES = ("cov_xx", "cov_xy", "cov_xtheta", "cov_yy", "cov_ytheta", "cov_thetatheta")
 
 
+def _words(text: str) -> tuple[str, ...]:
+    """The words of a text."""
+    return tuple(text.split())
+
+
 def _of_wheel(side: str) -> tuple[str, ...]:
     """The names of the speed of the "left" or "right" wheel."""
-    forms = (
-        "{0}_{2}",
-        "{2}_{0}",
-        "{2}_{1}",
-        "{1}_{2}",
-        "{0}_wheel_{2}",
-        "wheel_{0}_{2}",
-        "wheel_{2}_{0}",
-        "{2}_{0}_wheel",
-    )
+    forms = _words("{0}_{2} {2}_{0} {2}_{1} {1}_{2} {0}_wheel_{2} wheel_{0}_{2} wheel_{2}_{0} {2}_{0}_wheel")
     names = (form.format(side, side[0], word) for word in ("speed", "velocity", "vel", "v") for form in forms)
     return (*names, f"v{side}", f"v{side[0]}")
 
 
+_NAMES = {
+    "t": "t time timestamp stamp ts seconds secs sec header_stamp times timestamps datetime date_time date",
+    "date": "date day",
+    "nanosec": "nanosec nanosecs nsec nsecs nanoseconds",
+    "nu": (
+        "nu v vel velocity speed linear_x linear_velocity forward_velocity forward_speed lin_vel linear vx v_x "
+        "v_lin translational_velocity"
+    ),
+    "vy": "vy v_y linear_y lateral_velocity lateral_speed velocity_y speed_y sideways_velocity v_lat",
+    "omega": (
+        "omega w om angular_z angular_velocity yaw_rate yawrate turn_rate ang_vel angular wz w_z gyro_z v_ang "
+        "rotational_velocity omega_z theta_dot yaw_dot"
+    ),
+    "x": "x pos_x px position_x tx rel_x translation_x",
+    "y": "y pos_y py position_y ty rel_y translation_y",
+    "z": "z pos_z pz position_z tz rel_z translation_z",
+    "theta": "theta heading yaw th angle orientation phi",
+    "qx": "qx q_x orientation_x rotation_x",
+    "qy": "qy q_y orientation_y rotation_y",
+    "qz": "qz q_z orientation_z rotation_z",
+    "qw": "qw q_w orientation_w rotation_w",
+    "id": (
+        "id landmark landmark_id lm lm_id tag tag_id marker marker_id beacon beacon_id fiducial_id feature "
+        "feature_id barcode label class_id target target_id subject ident number name landmarkid tagid markerid"
+    ),
+    "class": "class class_name class_label colour color colour_name color_name category class_id kind type",
+    "range": "range r distance dist rho l d ranges",
+    "bearing": "bearing b phi azimuth angle bearings bearing_angle theta beta",
+    "orientation": "orientation psi orient",
+    "t1": "t1 time1 t_1 time_1 t_from from_time from t_a stamp1",
+    "t2": "t2 time2 t_2 time_2 t_to to_time to t_b stamp2",
+    "dx": "dx delta_x d_x x",
+    "dy": "dy delta_y d_y y",
+    "dtheta": "dtheta delta_theta d_theta dyaw dheading theta yaw",
+    "sigma": "sigma std accuracy horizontal_accuracy hacc sigma_xy std_xy",
+    "sigma_x": "sigma_x std_x stddev_x sx x_std sigma_dx",
+    "sigma_y": "sigma_y std_y stddev_y sy y_std sigma_dy",
+    "sigma_theta": "sigma_theta std_theta sigma_yaw std_yaw theta_std yaw_std sigma_dtheta",
+    "cov_xx": "cov_xx cxx var_x c11",
+    "cov_xy": "cov_xy cxy c12",
+    "cov_xtheta": "cov_xtheta cov_xt cxt cov_x_theta cov_xyaw c13",
+    "cov_yy": "cov_yy cyy var_y c22",
+    "cov_ytheta": "cov_ytheta cov_yt cyt cov_y_theta cov_yyaw c23",
+    "cov_thetatheta": "cov_thetatheta cov_tt ctt var_theta cov_theta_theta var_yaw c33",
+    "latitude": "latitude lat",
+    "longitude": "longitude lon lng long",
+    "lever_x": "lever_x lever_ahead antenna_x offset_x",
+    "lever_y": "lever_y lever_left antenna_y offset_y",
+}
 #: what a column can be -> the names it has in other people's tables, after `plain`
 NAMES: dict[str, tuple[str, ...]] = {
-    "t": (
-        "t", "time", "timestamp", "stamp", "ts", "seconds", "secs", "sec", "header_stamp", "times", "timestamps",
-        "datetime", "date_time", "date",
-    ),
-    "date": ("date", "day"),
-    "nanosec": ("nanosec", "nanosecs", "nsec", "nsecs", "nanoseconds"),
     "left": _of_wheel("left"),
     "right": _of_wheel("right"),
-    "nu": (
-        "nu", "v", "vel", "velocity", "speed", "linear_x", "linear_velocity", "forward_velocity", "forward_speed",
-        "lin_vel", "linear", "vx", "v_x", "v_lin", "translational_velocity",
-    ),
-    "vy": (
-        "vy", "v_y", "linear_y", "lateral_velocity", "lateral_speed", "velocity_y", "speed_y", "sideways_velocity", "v_lat",
-    ),
-    "omega": (
-        "omega", "w", "om", "angular_z", "angular_velocity", "yaw_rate", "yawrate", "turn_rate", "ang_vel", "angular",
-        "wz", "w_z", "gyro_z", "v_ang", "rotational_velocity", "omega_z", "theta_dot", "yaw_dot",
-    ),
-    "x": ("x", "pos_x", "px", "position_x", "tx", "rel_x", "translation_x"),
-    "y": ("y", "pos_y", "py", "position_y", "ty", "rel_y", "translation_y"),
-    "z": ("z", "pos_z", "pz", "position_z", "tz", "rel_z", "translation_z"),
-    "theta": ("theta", "heading", "yaw", "th", "angle", "orientation", "phi"),
-    "qx": ("qx", "q_x", "orientation_x", "rotation_x"),
-    "qy": ("qy", "q_y", "orientation_y", "rotation_y"),
-    "qz": ("qz", "q_z", "orientation_z", "rotation_z"),
-    "qw": ("qw", "q_w", "orientation_w", "rotation_w"),
-    "id": (
-        "id", "landmark", "landmark_id", "lm", "lm_id", "tag", "tag_id", "marker", "marker_id", "beacon", "beacon_id",
-        "fiducial_id", "feature", "feature_id", "barcode", "label", "class_id", "target", "target_id", "subject",
-        "ident", "number", "name", "landmarkid", "tagid", "markerid",
-    ),
-    "class": (
-        "class", "class_name", "class_label", "colour", "color", "colour_name", "color_name", "category", "class_id",
-        "kind", "type",
-    ),
-    "range": ("range", "r", "distance", "dist", "rho", "l", "d", "ranges"),
-    "bearing": ("bearing", "b", "phi", "azimuth", "angle", "bearings", "bearing_angle", "theta", "beta"),
-    "orientation": ("orientation", "psi", "orient"),
-    "t1": ("t1", "time1", "t_1", "time_1", "t_from", "from_time", "from", "t_a", "stamp1"),
-    "t2": ("t2", "time2", "t_2", "time_2", "t_to", "to_time", "to", "t_b", "stamp2"),
-    "dx": ("dx", "delta_x", "d_x", "x"),
-    "dy": ("dy", "delta_y", "d_y", "y"),
-    "dtheta": ("dtheta", "delta_theta", "d_theta", "dyaw", "dheading", "theta", "yaw"),
-    "sigma": ("sigma", "std", "accuracy", "horizontal_accuracy", "hacc", "sigma_xy", "std_xy"),
-    "sigma_x": ("sigma_x", "std_x", "stddev_x", "sx", "x_std", "sigma_dx"),
-    "sigma_y": ("sigma_y", "std_y", "stddev_y", "sy", "y_std", "sigma_dy"),
-    "sigma_theta": ("sigma_theta", "std_theta", "sigma_yaw", "std_yaw", "theta_std", "yaw_std", "sigma_dtheta"),
-    "cov_xx": ("cov_xx", "cxx", "var_x", "c11"),
-    "cov_xy": ("cov_xy", "cxy", "c12"),
-    "cov_xtheta": ("cov_xtheta", "cov_xt", "cxt", "cov_x_theta", "cov_xyaw", "c13"),
-    "cov_yy": ("cov_yy", "cyy", "var_y", "c22"),
-    "cov_ytheta": ("cov_ytheta", "cov_yt", "cyt", "cov_y_theta", "cov_yyaw", "c23"),
-    "cov_thetatheta": ("cov_thetatheta", "cov_tt", "ctt", "var_theta", "cov_theta_theta", "var_yaw", "c33"),
-    "latitude": ("latitude", "lat"),
-    "longitude": ("longitude", "lon", "lng", "long"),
-    "lever_x": ("lever_x", "lever_ahead", "antenna_x", "offset_x"),
-    "lever_y": ("lever_y", "lever_left", "antenna_y", "offset_y"),
-}  # fmt: skip
+    **{role: _words(names) for role, names in _NAMES.items()},
+}
 #: names too short or too general to be recognised at the end of a longer one
-WHOLE = (
-    "v", "w", "r", "l", "d", "b", "kind", "type", "from", "to", "std", "sx", "sy", "t1", "t2", "lat", "lon", "lng", "long",
-)  # fmt: skip
+WHOLE = _words("v w r l d b kind type from to std sx sy t1 t2 lat lon lng long")
+_UNITS = {
+    "s": "s sec secs seconds",
+    "ms": "ms msec millis milliseconds",
+    "us": "us µs μs usec micros microseconds",
+    "ns": "ns nanos nanoseconds",
+    "m": "m meters metres m/s mps",
+    "cm": "cm cm/s",
+    "mm": "mm mm/s",
+    "radians": "rad radian radians rad/s rads",
+    "degrees": "deg degs degree degrees deg/s dps ° °/s",
+}
 #: units at the end of the name of a column -> the unit
-UNITS = {
-    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "msec": "ms", "millis": "ms", "milliseconds": "ms",
-    "us": "us", "µs": "us", "μs": "us", "usec": "us", "micros": "us", "microseconds": "us", "ns": "ns", "nanos": "ns",
-    "nanoseconds": "ns", "m": "m", "meters": "m", "metres": "m", "cm": "cm", "mm": "mm", "rad": "radians",
-    "radian": "radians", "radians": "radians", "deg": "degrees", "degs": "degrees", "degree": "degrees",
-    "degrees": "degrees", "m/s": "m", "mps": "m", "mm/s": "mm", "cm/s": "cm", "rad/s": "radians", "deg/s": "degrees",
-    "rads": "radians", "dps": "degrees", "°": "degrees", "°/s": "degrees",
-}  # fmt: skip
+UNITS = {name: unit for unit, names in _UNITS.items() for name in _words(names)}
 #: units in brackets that are not converted: a column with one of them would be read by a wrong factor
-OTHER_UNITS = frozenset((
-    "km", "dm", "ft", "feet", "foot", "in", "inch", "inches", "yd", "mi", "miles", "km/h", "kmh", "kph", "ft/s", "mph",
-    "kn", "kt", "knots", "min", "minutes", "h", "hours", "days", "rpm", "rev/s", "deg/min", "deg/h", "rad/min",
-    "m/min", "mm/min", "cm/min", "µm", "μm", "hz", "mrad", "mrad/s", "gon", "grad", "arcmin", "arcsec",
-))  # fmt: skip
+OTHER_UNITS = frozenset(
+    _words(
+        "km dm ft feet foot in inch inches yd mi miles km/h kmh kph ft/s mph kn kt knots min minutes h hours days rpm rev/s "
+        "deg/min deg/h rad/min m/min mm/min cm/min µm μm hz mrad mrad/s gon grad arcmin arcsec"
+    )
+)
 #: units at the end of a name; range_min and x_in are rather a minimum and an input
 _ENDS = UNITS | {unit: unit for unit in OTHER_UNITS - {"in", "min", "mi", "h", "hz", "kn", "kt", "grad", "foot"}}
 #: what is per second
 RATES = ("left", "right", "nu", "vy", "omega")
-_LENGTHS = (
-    "left",
-    "right",
-    "nu",
-    "vy",
-    "x",
-    "y",
-    "z",
-    "range",
-    "dx",
-    "dy",
-    "sigma",
-    "sigma_x",
-    "sigma_y",
-    "lever_x",
-    "lever_y",
-)
-_ANGLES = ("omega", "theta", "bearing", "orientation", "dtheta", "sigma_theta")
 #: what each column measures, a key of `rows.UNITS_OF`
 MEASURES = {
-    **dict.fromkeys(("t", "t1", "t2"), "time"), **dict.fromkeys(_LENGTHS, "lengths"), **dict.fromkeys(_ANGLES, "angles"),
-}  # fmt: skip
+    **dict.fromkeys(("t", "t1", "t2"), "time"),
+    **dict.fromkeys(_words("left right nu vy x y z range dx dy sigma sigma_x sigma_y lever_x lever_y"), "lengths"),
+    **dict.fromkeys(_words("omega theta bearing orientation dtheta sigma_theta"), "angles"),
+}
 
 
 @dataclass(frozen=True)

@@ -82,8 +82,7 @@ class TextTable(Table):
         self._known: dict[int, Array] = {}
         if '"' in text:
             self._check_quotes()
-        decimal = f"{path.name}: commas were read as decimal points"
-        self.notes = (decimal,) if self._decimal_comma else ()
+        self.notes = (f"{path.name}: commas were read as decimal points",) * self._decimal_comma
 
     def __len__(self) -> int:
         return self._length
@@ -144,15 +143,15 @@ class TextTable(Table):
 
     def _check_quotes(self) -> None:
         """Raise `FormatError` for the first row in which a text in quotation marks does not end."""
-
         for row, line in enumerate(self._rows):
             if '"' in line:
                 reader = csv.reader([line, ""], delimiter=self._separator or " ")
                 next(reader)
                 # it has read on
                 if reader.line_num > 1:
-                    message = "a quotation mark is opened and not closed in this line; each row is one line"
-                    raise self.error(row, message)
+                    raise self.error(
+                        row, "a quotation mark is opened and not closed in this line; each row is one line"
+                    )
 
     def _line(self, row: int) -> int:
         """The line, counted from 1, of a row."""
@@ -293,10 +292,8 @@ def table_of(source: Any, name: str) -> Table:
     if array.dtype.names:
         return Columns(name, {column: array[column] for column in array.dtype.names})
     if array.ndim != 2:
-        raise LogError(
-            f"{name} should be the path of a table, a data frame, a mapping of columns or an array (N, k), not "
-            f"{type(source).__name__}"
-        )
+        wanted = "the path of a table, a data frame, a mapping of columns or an array (N, k)"
+        raise LogError(f"{name} should be {wanted}, not {type(source).__name__}")
     return Columns(name, array)
 
 

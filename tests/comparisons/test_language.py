@@ -38,7 +38,7 @@ from comparisons.show.report import charts, page
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults
 from graphslam.identification.result import RobotEstimate
-from graphslam.log import cartesian, cells, streams
+from graphslam.log import cells, geometry, streams
 from graphslam.log_checks import given, ids, readings
 from graphslam.maps import tracking
 
@@ -60,7 +60,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     readings.readings_of, readings.SightingPairs._others, readings.SightingPairs._clocks, readings._direction, readings.sizes,
     readings.nothing_measured, given.against_truth, given._headings, given.against_map, ids.misread_ids, ids.ids_of,
     ids.changed_ids, cells.repeated_times, cells.sideways_poses, cells.sideways_speed, cells.repeated_sightings,
-    streams._why_few, readings.orientations_of, cartesian.chosen_axes,
+    streams._why_few, readings.orientations_of, geometry.chosen_axes,
 )  # fmt: skip
 #: strings of these functions that are no sentences
 NO_SENTENCES = {
