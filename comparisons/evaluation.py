@@ -22,7 +22,7 @@ import numpy as np
 from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics
 from graphslam.errors import named
 from graphslam.files import check_file, read_archive
-from graphslam.io.bag_poses import POSES, Poses
+from graphslam.io.bag_messages import POSES, Poses
 from graphslam.io.bag_topics import SUFFIXES, is_bag, open_bag
 from graphslam.log.drive import truth_of
 from graphslam.log.measurements import finite_floats, not_positive, symmetric

@@ -248,7 +248,7 @@ def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, Any
 
 
 def _measured(log: Log, ros: _Ros) -> Iterator[tuple[int, str, Any]]:
-    """The relations and absolute positions of the log, as `graphslam.io.bag_poses` reads them."""
+    """The relations and absolute positions of the log, as `graphslam.io.bag_messages` reads them."""
     clock = _clock(log).tolist()
     if (relations := log.relations) is not None:
         ends = zip(relations.first.tolist(), relations.second.tolist())

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GraphError, LogError, OptionError, quoted
-from ..errors.checks import array_of, check_choice, check_known, check_type
+from ..errors.checks import array_of, check_choice, check_known, check_type, singular
 from ..identification.corrections import honest_variances, without_biases
 from ..identification.declared import PLACE, ParameterEstimate, parsed
 from ..identification.known import AUTO, BOOK, enough_ids, known_robot, not_used, unknown_noise, with_book
@@ -67,10 +67,8 @@ class Verdict:
 
     def __str__(self) -> str:
         if self.reliable:
-            return (
-                f"the map can be relied on: {self.agreeing} starts of the search ended in its trajectory, and no other that "
-                "was found is nearly as likely"
-            )
+            ended = f"{self.agreeing} starts of the search ended in its trajectory"
+            return f"the map can be relied on: {ended}, and no other that was found is nearly as likely"
         return f"do not rely on the map without a check: {'; '.join(self.reasons)}"
 
 
@@ -149,10 +147,8 @@ class Association:
 
     def __repr__(self) -> str:
         which = "reliable" if self.verdict.reliable else "not reliable"
-        return (
-            f"<Association of {self.of.name}: {_counted(self.landmarks, 'landmark')}, {self.clutter} of "
-            f"{_counted(len(self.ids), 'sighting')} are clutter, {which}, {self.seconds:.3g} s>"
-        )
+        counts = singular(f"{self.landmarks} landmarks, {self.clutter} of {len(self.ids)} sightings")
+        return f"<Association of {self.of.name}: {counts} are clutter, {which}, {self.seconds:.3g} s>"
 
     @property
     def landmarks(self) -> int:
@@ -252,10 +248,8 @@ def associate_from(
 
     competition = compete(robot, _starts(log, start, driven), names, problem)
     if competition is None:
-        raise GraphError(
-            f"no landmark of {log.name} was seen often enough to be one: all its "
-            f"{_counted(len(log.steps), 'sighting')} may be clutter"
-        )
+        all_of_them = singular(f"all its {len(log.steps)} sightings may be clutter")
+        raise GraphError(f"no landmark of {log.name} was seen often enough to be one: {all_of_them}")
     competition, missed, leaps = repaired(competition, robot, names, problem)
     return _report(recorded, robot, competition, options, missed, leaps, time.perf_counter() - begin)
 
@@ -308,18 +302,14 @@ def _report(
     )  # fmt: skip
     kept = int(np.count_nonzero(found.kept))
     which = "of which some have no id" if kept else "without ids"
-    notes = [
-        f"found {_counted(found.landmarks, 'landmark')} in sightings {which}; {found.clutter} of "
-        f"{_counted(len(log.steps), 'sighting')} are of no landmark (clutter), J per degree of freedom is "
-        f"{found.cost_per_dof:.2f}"
-    ]
+    clutter = f"{found.clutter} of {len(log.steps)} sightings are of no landmark (clutter)"
+    counts = singular(f"found {found.landmarks} landmarks in sightings {which}; {clutter}")
+    notes = [f"{counts}, J per degree of freedom is {found.cost_per_dof:.2f}"]
     if kept:
         notes.append(f"{kept} of {len(log.steps)} sightings kept the ids that they have")
     if robot.motion.slip != given.motion.slip:
-        notes.append(
-            "over long ways the robot slips sideways more than its noise model allows: for the graph slip is raised from "
-            f"{given.motion.slip:.2g} to {robot.motion.slip:.2g} m/√m"
-        )
+        raised = f"for the graph slip is raised from {given.motion.slip:.2g} to {robot.motion.slip:.2g} m/√m"
+        notes.append(f"over long ways the robot slips sideways more than its noise model allows: {raised}")
     if found.parameters is not None:
         notes.append(f"ids were found with estimated parameters: {found.parameters.sentence}")
     notes += [f"{each.missed}: the odometry is not used there" for each in found.repaired]
@@ -337,23 +327,16 @@ def _report(
     if found.landmarks == 1:
         notes.append("one landmark alone cannot tell a wrong association from drift")
     if not found.settled:
-        notes.append(f"the association had not settled after {_counted(found.rounds, 'round')}")
+        notes.append(singular(f"the association had not settled after {found.rounds} rounds"))
     if end.unsettled:
-        notes.append(
-            f"alternatives that had not settled when they were compared, after "
-            f"{_counted(min(options.rounds, TRIAL_ROUNDS), 'round')}: {end.unsettled} of {end.tried}; their "
-            "evidence may be higher"
-        )
+        which = singular(f"when they were compared, after {min(options.rounds, TRIAL_ROUNDS)} rounds")
+        count = f"{end.unsettled} of {end.tried}; their evidence may be higher"
+        notes.append(f"alternatives that had not settled {which}: {count}")
     if end.left:
-        notes.append(
-            "alternatives that are not much less likely, but were not tried because of the limit on tries "
-            f"({options.tries}): {end.left}; with a higher limit one of them may prove better"
-        )
+        which = f"were not tried because of the limit on tries ({options.tries}): {end.left}"
+        better = "with a higher limit one of them may prove better"
+        notes.append(f"alternatives that are not much less likely, but {which}; {better}")
     return replace(found, notes=tuple(notes))
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import GraphError
 from ..graph import Graph
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, difference, perpendicular, turn_matrix, wrap
+from ..se2 import Array, between, compose, difference, lever_matrix, perpendicular, turn_matrix, wrap
 from ..solvers.solve import solve
 from .assignment import Candidates, disjoint, gates, log_density, merges
 from .map_solution import MapSolution, Problem, seen_from
@@ -41,8 +41,8 @@ class LocalMap:
         """The robot moves by a motion (3,) with covariance (3, 3), both in its own axes."""
         before = self.pose
         self.pose = compose(before, motion)
-        P, F, J = self.covariance, np.eye(3), turn_matrix(before[2])
-        F[:2, 2] = perpendicular(self.pose[:2] - before[:2])
+        P, J = self.covariance, turn_matrix(before[2])
+        F = lever_matrix(perpendicular(self.pose[:2] - before[:2]))
         P[:3] = F @ P[:3]
         P[:, :3] = P[:, :3] @ F.T
         P[:3, :3] += J @ noise @ J.T
@@ -91,21 +91,18 @@ class LocalMap:
         n, d = len(self.tracks), self.d
         y, Q = self._places.means[rows], self._places.covariances[rows]
         h, by_pose, by_landmark = seen_from(self.pose, self.landmarks)
-        H = np.zeros((n, d, 3 + n * d))
-        H[:, :, :3] = by_pose
-        for j in range(n):
-            H[j, :, 3 + j * d : 3 + (j + 1) * d] = by_landmark[j]
-        H = H.reshape(n * d, 3 + n * d)
+        each, blocks = np.arange(n), np.zeros((n, d, n, d))
+        blocks[each, :, each] = by_landmark
+        H = np.hstack([by_pose.reshape(n * d, 3), blocks.reshape(n * d, n * d)])
         joint = H @ self.covariance @ H.T
-        own = joint.reshape(n, d, n, d)[np.arange(n), :, np.arange(n)]
+        own = joint.reshape(n, d, n, d)[each, :, each]
         nu = difference(y[:, None], h[None])
         density, squares = log_density(nu, own[None] + Q[:, None])
         # a wrong new track is joined later, a wrong match stays: so doubtful sightings begin a track
         item, landmark = np.nonzero((squares <= self._gate) & (density + self._weights(rows) > SURE))
         columns = _columns(landmark, d)
-        S = joint[np.ix_(columns, columns)]
-        for c, k in enumerate(item):
-            S[c * d : (c + 1) * d, c * d : (c + 1) * d] += Q[k]
+        S, each, count = joint[np.ix_(columns, columns)], np.arange(len(item)), len(item)
+        S.reshape(count, d, count, d)[each, :, each] += Q[item]
         return item, landmark, nu[item, landmark], S, H[columns]
 
     def _chosen(
@@ -144,21 +141,15 @@ class LocalMap:
         """New tracks where sightings (k,) put them: m = x + R y, with the derivatives of that."""
         if len(rows) == 0:
             return
-        k, d, n = len(rows), self.d, len(self.covariance)
+        k, d = len(rows), self.d
         y, R = self._places.means[rows], turn_matrix(self.pose[2])[:d, :d]
         means = y @ R.T
-        by_pose = np.tile(np.eye(d, 3), (k, 1, 1))
-        by_pose[:, :2, 2] = perpendicular(means[:, :2])
+        by_pose = lever_matrix(perpendicular(means[:, :2]))[:, :d]
         means = difference(means + self.pose[:d], np.zeros(d))
         G = by_pose.reshape(k * d, 3)
-        P = np.zeros((n + k * d, n + k * d))
-        P[:n, :n] = self.covariance
-        P[n:, :n] = G @ self.covariance[:3]
-        P[:n, n:] = P[n:, :n].T
-        P[n:, n:] = G @ self.covariance[:3, :3] @ G.T
-        for i, Q in enumerate(R @ self._places.covariances[rows] @ R.T):
-            P[n + i * d : n + (i + 1) * d, n + i * d : n + (i + 1) * d] += Q
-        self.covariance = P
+        lower, own, each = G @ self.covariance[:3], G @ self.covariance[:3, :3] @ G.T, np.arange(k)
+        own.reshape(k, d, k, d)[each, :, each] += R @ self._places.covariances[rows] @ R.T
+        self.covariance = np.block([[self.covariance, lower.T], [lower, own]])
         self.landmarks = np.concatenate([self.landmarks, means])
         self.tracks = np.concatenate([self.tracks, tracks])
         self.last = np.concatenate([self.last, np.full(k, step)])

@@ -172,7 +172,8 @@ def map_states(
         raise OptionError(f"prior must be a probability above 0 and below 0.5, not {quoted(prior)}")
     known = as_map(landmarks)
     seen = set(log.landmark_ids.tolist()) & set(known)
-    used = _uncertain(known.among(seen))
+    # exact landmarks need nodes with errors
+    used = known.among(seen).widened(0.0, EXACT_STD)
     if any(len(place) == 2 for place in used.values()):
         # the node of such a landmark, without sightings, would have no heading
         log = log.without_orientation()
@@ -194,10 +195,8 @@ def map_states(
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
         if seen and seen <= away:
-            raise GraphError(
-                f"all {len(seen)} landmarks that the log shares with the map have moved: it is probably the map of another "
-                "place, or the ids are numbered otherwise"
-            )
+            cause = "it is probably the map of another place, or the ids are numbered otherwise"
+            raise GraphError(f"all {len(seen)} landmarks that the log shares with the map have moved: {cause}")
         if away in tried:
             break
     moved = {j for j, (_, _, p) in found.items() if p > 0.5}
@@ -239,23 +238,6 @@ def session_states(log: Log, **options: Any) -> list[MapStates]:
         own = log.at_steps(np.arange(drive.start, drive.stop)).replace(sessions=())
         found.append(map_states(own, known, **options))
     return found
-
-
-def _uncertain(known: LandmarkMap) -> LandmarkMap:
-    """The map with exact landmarks as nearly exact ones, so that they have nodes with errors."""
-    if known.joint is not None and len(known.covariances) == len(known):
-        return known
-    own = {j: known.covariances.get(j, EXACT_STD**2 * np.eye(len(place))) for j, place in known.items()}
-    if known.joint is None:
-        return LandmarkMap(known, own, classes=known.classes)
-    ids = sorted(known)
-    ends = np.cumsum([0, *(len(known[j]) for j in ids)])
-    joint = np.zeros((ends[-1], ends[-1]))
-    for j, a, b in zip(ids, ends, ends[1:]):
-        joint[a:b, a:b] = own[j]
-    rows = np.concatenate([np.arange(a, b) for j, a, b in zip(ids, ends, ends[1:]) if j in known.covariances])
-    joint[np.ix_(rows, rows)] = known.joint
-    return LandmarkMap(known, classes=known.classes, joint=joint, joint_ids=ids)
 
 
 def _fresh_ids(log: Log, known: LandmarkMap, away: set[int]) -> dict[int, int]:

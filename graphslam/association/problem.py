@@ -96,10 +96,9 @@ class Classes:
         known = log.classified
         names, which = np.unique(() if log.classes is None else log.classes[known], return_inverse=True)
         if (n := len(names)) > MOST_CLASSES:
-            raise LogError(
-                f"the sightings of {log.name} have {n} different classes, and at most {MOST_CLASSES} can be used: are they "
-                "ids? Then give them as landmarks; else leave them out: log.replace(classes=None)"
-            )
+            have = f"the sightings of {log.name} have {n} different classes, and at most {MOST_CLASSES} can be used"
+            advice = "are they ids? Then give them as landmarks; else leave them out: log.replace(classes=None)"
+            raise LogError(f"{have}: {advice}")
         if n < 2:
             return cls(np.zeros(len(log.steps), dtype=np.int64), np.zeros((1, 2)))
         shown = np.full(len(log.steps), n)

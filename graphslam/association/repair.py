@@ -87,10 +87,8 @@ class Leap:
     def missed(self) -> str:
         """The motion in words."""
         x, y, theta = self.motion
-        return (
-            f"odometry missed a motion between steps {self.last} and {self.step} ({x:.2f} m forward, {y:.2f} m to the left, "
-            f"{theta:.2f} rad)"
-        )
+        way = f"{x:.2f} m forward, {y:.2f} m to the left, {theta:.2f} rad"
+        return f"odometry missed a motion between steps {self.last} and {self.step} ({way})"
 
     def __str__(self) -> str:
         return (

@@ -80,13 +80,10 @@ def frozen_at(at: Any, needed: bool, rows: int | None = None, *, frame: str = "w
     if at is None:
         poses, given = ("the pose", "at=pose") if rows is None else ("the poses", "at=poses")
         if frame == "body":
-            raise OptionError(
-                f"without psi the information depends on {poses}, in frame='body', too: pass {given}, or use landmark nodes "
-                "or weight='marginal', whose information is constant"
-            )
-        raise OptionError(
-            f"the information depends on {poses}: pass {given}, or take frame='body' where that is constant"
-        )
+            others = f"pass {given}, or use landmark nodes or weight='marginal', whose information is constant"
+            raise OptionError(f"without psi the information depends on {poses}, in frame='body', too: {others}")
+        message = f"the information depends on {poses}: pass {given}, or take frame='body' where that is constant"
+        raise OptionError(message)
     frozen = finite_numbers("at", at, (3,) if rows is None else (rows, 3))
     check_heading("at", float(np.abs(frozen[..., 2]).max()) if frozen.size else 0.0)
     return frozen
@@ -124,10 +121,8 @@ def positive_definite(information: ArrayLike | gtsam.noiseModel.Gaussian, size: 
     except Exception:  # objects that NumPy asks for numbers may raise anything
         possible = False
     if not possible:
-        raise OptionError(
-            f"information must be a symmetric positive definite {shape} matrix, or a Gaussian noise model of GTSAM of this "
-            f"size, not {quoted(given)}"
-        )
+        wanted = f"a symmetric positive definite {shape} matrix, or a Gaussian noise model of GTSAM of this size"
+        raise OptionError(f"information must be {wanted}, not {quoted(given)}")
     return (omega + omega.T) / 2
 
 

@@ -113,9 +113,8 @@ class Factor(gtsam.CustomFactor):
     def __getattribute__(self, name: str) -> Any:
         value = super().__getattribute__(name)
         if name in _OF_GTSAM and "description" not in super().__getattribute__("__dict__"):
-            raise FactorError(
-                f"this {type(self).__name__} was made without its constructor, so GTSAM has no factor for it"
-            )
+            made = f"this {type(self).__name__} was made without its constructor"
+            raise FactorError(f"{made}, so GTSAM has no factor for it")
         return value
 
     def __repr__(self, *how: Any) -> str:

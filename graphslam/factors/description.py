@@ -234,20 +234,16 @@ def _plain(kind: str, name: str, value: Any, functions: Functions | None) -> Any
         for word, function in (functions or {}).items():
             if function is value:
                 return {"function": word}
-        raise OptionError(
-            f"{kind}: the argument {name} is a function, which cannot be saved; name it: "
-            f"save_factors(..., functions={{'a name': the function}}), and give load_factors the same"
-        )
+        advice = "name it: save_factors(..., functions={'a name': the function}), and give load_factors the same"
+        raise OptionError(f"{kind}: the argument {name} is a function, which cannot be saved; {advice}")
     return np.asarray(value).tolist()
 
 
 def _revived(value: Any, functions: Functions) -> Any:
     if isinstance(value, dict) and "function" in value:
-        if value["function"] not in functions:
-            raise OptionError(
-                f"it needs the function {value['function']!r}: load_factors(..., functions={{{value['function']!r}: ...}})"
-            )
-        return functions[value["function"]]
+        if (name := value["function"]) not in functions:
+            raise OptionError(f"it needs the function {name!r}: load_factors(..., functions={{{name!r}: ...}})")
+        return functions[name]
     if isinstance(value, dict):
         return _MODELS[value["type"]](**{name: part for name, part in value.items() if name != "type"})
     return value

@@ -23,8 +23,7 @@ from ..log.rows import AXES, ReadOptions, TableOptions
 from ..log.table import Columns
 from ..log.text_table import table_of
 from ..se2 import Array, wrap
-from .bag_messages import Collector, Frames, clean, rotation_of
-from .bag_poses import Poses, positions_table, relations_table
+from .bag_messages import Collector, Frames, Poses, clean, positions_table, relations_table, rotation_of
 from .bag_topics import TF, Bag, Candidate, Topic, candidates, is_bag, open_bag, plan_of
 from .base import Format
 from .tables import Recipe, recipe_if_any
@@ -82,10 +81,8 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
         choices = {choice.kind: choice for choice in _choices(bag, found, recipe)}
         for kind in ("odometry", "sightings"):
             if kind not in choices:
-                topics = named(f"{topic.name} ({topic.type})" for topic in bag.topics)
-                raise FormatError(
-                    path, None, f"no topic gives {kind}: there are {topics or 'no topics'}; name one: --{kind} TOPIC"
-                )
+                there = named(f"{topic.name} ({topic.type})" for topic in bag.topics) or "no topics"
+                raise FormatError(path, None, f"no topic gives {kind}: there are {there}; name one: --{kind} TOPIC")
         collectors = {kind: _collector(bag, choice, recipe.options) for kind, choice in choices.items()}
         frames = Frames()
         by_topic: dict[str, list[Collector]] = {}
@@ -228,11 +225,11 @@ def _odometry_table(collector: Collector, use: str | None) -> tuple[Columns, lis
     """The odometry from the twist or from the poses: the recipe's choice, else the twist where it is not zero."""
     if use not in (None, "twist", "pose"):
         raise FormatError(collector.source, None, f'use should be "twist" or "pose", not {quoted(use)}')
-    plain = [name for name in collector.plan.columns if "." not in name]
+    notes, plain = list[str](), [name for name in collector.plan.columns if "." not in name]
     if not collector.plan.places or (use == "twist" and plain):
-        return _plain_table(collector, plain), []
+        return _plain_table(collector, plain), notes
     if use == "pose" or not plain:
-        return _poses_table(collector), []
+        return _poses_table(collector), notes
     controls = collector.columns(["nu", "omega"])
     if not np.any(controls):
         return _poses_table(collector), [f"{collector.source}: the twist is zero throughout, the poses were taken"]
@@ -242,11 +239,9 @@ def _odometry_table(collector: Collector, use: str | None) -> tuple[Columns, lis
     spent = np.clip(np.diff(collector.times) / 1e9, 0.0, None)
     claimed = float(np.sum(np.abs(controls[:-1, 0]) * spent))
     if driven > 0 and abs(claimed - driven) > _DIFFER * max(claimed, driven):
-        return _plain_table(collector, plain), [
-            f"{collector.source}: the twist drives {claimed:.1f} m and the poses {driven:.1f} m; the twist was taken, "
-            '[odometry] use = "pose" in the recipe takes the poses'
-        ]
-    return _plain_table(collector, plain), []
+        ways = f"the twist drives {claimed:.1f} m and the poses {driven:.1f} m; the twist was taken"
+        notes.append(f'{collector.source}: {ways}, [odometry] use = "pose" in the recipe takes the poses')
+    return _plain_table(collector, plain), notes
 
 
 def _plain_table(collector: Collector, names: list[str], place: str = "") -> Columns:

@@ -1,21 +1,41 @@
-"""The messages of a topic as columns of numbers, and rigid motions between frames.
+"""The messages of a topic of a bag: as columns of numbers, and topics of poses as relations and absolute positions.
 
-Messages are collected while the bag is streamed. The motions are those of /tf_static and /tf.
+Messages are collected while the bag is streamed. `Frames` are the rigid motions of /tf_static and /tf. Topics of poses are
+PoseWithCovarianceStamped, Odometry, PoseStamped and NavSatFix.
+
+**Absolute positions.** Each message is one. Latitude and longitude become metres east and north in the plane that touches
+the Earth (WGS 84) at the first fix, the datum: with a the half axis, e² the eccentricity and N = a / sqrt(1 - e² sin² lat),
+
+    p = ((N + h) cos lat cos lon, (N + h) cos lat sin lon, (N (1 - e²) + h) sin lat),
+    east = (-sin lon_0, cos lon_0, 0) (p - p_0),
+    north = (-sin lat_0 cos lon_0, -sin lat_0 sin lon_0, cos lat_0) (p - p_0).
+
+**Relations.** Poses of a second odometry at least `APART` seconds apart become relations from each to the next one, z =
+x_k^-1 x_{k+1}. Where the covariances P_k of the poses grow as those of dead reckoning do, that of a relation is what they
+grow by, J Q J' = P_{k+1} - F P_k F'. Otherwise those of the speeds count, Q = V dt² for each message. Relations across a
+pause longer than `GAP`, or across a jump, are left out. A message whose frame is "base_link@T" is a relation from the
+pose at the time T itself; `slam-compare run --mcap` writes such.
+
+Source: Torge and Müller, *Geodesy*, 4th edition, section 4.1.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from array import array
-from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from ..se2 import Array
+from ..errors import FormatError
+from ..log.join import datum_note, local_plane
+from ..log.measurements import cut_headings, not_positive, symmetric
+from ..log.table import COVARIANCES, Columns
+from ..se2 import Array, between, compose, lever_matrix, perpendicular, turned_by
 from .bag_topics import Plan, getter
 
 #: a frame that moves by more than this against its parent [m, or part of a quaternion] is not mounted on it
@@ -59,24 +79,18 @@ class Frames:
 
         Frames on the way that move do not count as connected.
         """
-        if base == sensor:
-            return np.zeros(3), np.eye(3)
-        neighbours: dict[str, list[tuple[str, Array, Array]]] = {}
-        for child, (parent, position, quaternion) in self.parents.items():
-            if child not in self.moving:
-                turn = rotation_of(quaternion)
-                neighbours.setdefault(parent, []).append((child, position, turn))
-                neighbours.setdefault(child, []).append((parent, -turn.T @ position, turn.T))
-        reached: dict[str, tuple[Array, Array]] = {base: (np.zeros(3), np.eye(3))}
-        queue = deque([base])
-        while queue:
-            frame = queue.popleft()
-            origin, turn = reached[frame]
-            for other, position, rotation in neighbours.get(frame, ()):
-                if other not in reached:
-                    reached[other] = (origin + turn @ position, turn @ rotation)
-                    queue.append(other)
-        return reached.get(sensor)
+        (root, origin, turn), (other, position, rotation) = self._from_root(base), self._from_root(sensor)
+        return (turn.T @ (position - origin), turn.T @ rotation) if root == other else None
+
+    def _from_root(self, frame: str) -> tuple[str, Array, Array]:
+        """The farthest frame that a frame is fixed to, parent after parent; its position (3,) and rotation (3, 3) there."""
+        position, turn, passed = np.zeros(3), np.eye(3), set[str]()
+        while frame in self.parents.keys() - self.moving - passed:
+            passed.add(frame)
+            frame, at, quaternion = self.parents[frame]
+            step = rotation_of(quaternion)
+            position, turn = at + step @ position, step @ turn
+        return frame, position, turn
 
 
 def clean(frame: str) -> str:
@@ -193,3 +207,266 @@ def _values(paths: list[str]) -> Numbers:
         return lambda row: fields(row)[:-1]
     getters = [getter(path) for path in paths]
     return lambda row: tuple(_NAN if (value := get(row)) is None else value for get in getters)
+
+
+#: the types of poses that are read
+_ODOMETRY, _STAMPED = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+POSES = ("geometry_msgs/msg/PoseWithCovarianceStamped", _ODOMETRY, _STAMPED)
+_FIX = "sensor_msgs/msg/NavSatFix"
+#: the time between the poses of relations, the longest pause that one may span [s], and how many times faster than nearly all
+#: others a jump is
+APART, GAP, JUMP = 1.0, 2.0, 5.0
+#: the standard deviation of a fix whose covariance is not known [m]: that of a receiver without corrections, in the open
+FIX = 5.0
+#: variances from here on mean that something was not measured [m², rad²]
+UNKNOWN = 1e4
+_UPPER = ((0, 0), (0, 1), (0, 5), (1, 1), (1, 5), (5, 5))
+
+
+class Poses(Collector):
+    """Collects the messages of a topic of poses, or of fixes.
+
+    Args:
+        source: bag and topic, for messages.
+        kind: relations or positions.
+        type: of the messages.
+
+    Raises:
+        FormatError: the type gives no poses.
+    """
+
+    def __init__(self, source: str, kind: str, type: str) -> None:
+        fits = [*POSES, _FIX] if kind == "positions" else list(POSES)
+        if type not in fits:
+            known = ", ".join(each.partition("/msg/")[2] for each in fits)
+            raise FormatError(source, None, f"its messages, {type}, give no {kind}; {known} do")
+        plan = Plan("", {}, (), stamp="message", child="child_frame_id" if type == _ODOMETRY else "")
+        super().__init__(source, plan, numbers={_FIX: _of_fix, _STAMPED: _of_stamped}.get(type, _of_pose))
+        self.type = type
+        self._from = array("q")
+
+    def add(self, time: int, message: Any) -> None:
+        """Take over a message that was recorded at a time [ns]."""
+        super().add(time, message)
+        self._from.append(_time_of(message.header.frame_id))
+
+    def _rows_of_numbers(self) -> Array:
+        return np.array(self._values).reshape(len(self), -1)
+
+    def poses(self) -> tuple[Array, Array, Array]:
+        """Poses (N, 3), headings NaN where the quaternion is none, and covariances (N, 3, 3) of poses and of speeds."""
+        rows = self._rows_of_numbers()
+        turns, known = rows[:, 2:6], np.linalg.norm(rows[:, 2:6], axis=1) > 0.5
+        headings = np.full(len(rows), np.nan)
+        R = rotation_of(turns[known])
+        headings[known] = np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+        return np.column_stack([rows[:, :2], headings]), symmetric(rows[:, 6:12]), symmetric(rows[:, 12:18])
+
+    def fixes(self) -> tuple[Array, Array, np.ndarray]:
+        """Latitude, longitude [degrees], altitude [m] (N, 3), covariances (N, 2, 2), and their types (N,), -1 for no fix."""
+        rows = self._rows_of_numbers()
+        C = rows[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
+        return rows[:, :3], C, rows[:, 6].astype(int)
+
+    @property
+    def explicit(self) -> np.ndarray:
+        """The times [ns] (N,) of the poses that relations are measured from; -1 where the message has no such time."""
+        return np.array(self._from, dtype=np.int64)
+
+
+def _of_fix(message: Any) -> tuple[float, ...]:
+    """Latitude, longitude, altitude, the covariance of both axes, and its type, -1 for no fix."""
+    C = message.position_covariance
+    known = message.position_covariance_type if message.status.status >= 0 else -1
+    return message.latitude, message.longitude, message.altitude, C[0], C[1], C[4], known
+
+
+def _of_pose(message: Any) -> tuple[float, ...]:
+    """Place and quaternion, and the covariances of pose and speeds; zeros where there are none."""
+    C, speeds = message.pose.covariance, message.twist.covariance if hasattr(message, "twist") else 36 * (0.0,)
+    return *_place(message.pose.pose), *(each[6 * i + j] for each in (C, speeds) for i, j in _UPPER)
+
+
+def _of_stamped(message: Any) -> tuple[float, ...]:
+    """The same of a pose without covariances."""
+    return *_place(message.pose), *(2 * len(_UPPER) * (0.0,))
+
+
+def _place(pose: Any) -> tuple[float, ...]:
+    at, q = pose.position, pose.orientation
+    return at.x, at.y, q.x, q.y, q.z, q.w
+
+
+def _time_of(frame: str) -> int:
+    """The time T [ns] of a frame "base_link@T", -1 for others."""
+    _, at, time = frame.partition("@")
+    return int(time) if at and time.isdigit() else -1
+
+
+def positions_table(
+    found: Poses, frames: Frames, base: str, std: Sequence[float] | None = None, lever: Sequence[float] | None = None
+) -> tuple[Columns, list[str]]:
+    """The table of absolute positions, and notes.
+
+    Args:
+        base: the frame of the robot; where TF leads from there to the frame of a receiver, that is the lever.
+        std: standard deviations that the user states, of x and y [m] and of the heading [rad].
+        lever: the point of the robot that is measured, as the user states it [m].
+
+    Raises:
+        FormatError: no message has a position, or no covariance and none is stated.
+    """
+    notes: list[str] = []
+    if found.type == _FIX:
+        places, C, notes = _on_plane(found, std)
+        kept = np.asarray(np.isfinite(places[:, 0]))
+        if lever is None and (mounted := frames.between(base, found.frame)) is not None:
+            lever = mounted[0][:2].tolist()
+    else:
+        places, C, _ = found.poses()
+        kept = np.asarray(np.isfinite(places[:, :2]).all(axis=1))
+        if std is not None:
+            C = np.tile(np.diag([std[0], std[0], std[1] if len(std) > 1 else np.inf]) ** 2, (len(C), 1, 1))
+        blind = ~(C[:, 2, 2] > 0) | ~(C[:, 2, 2] < UNKNOWN)
+        places[blind, 2] = np.nan
+        cut_headings(C, blind)
+        silent = not_positive(C) | (C[:, 0, 0] >= UNKNOWN)
+        if silent[kept].all():
+            raise FormatError(found.source, None, f"{_no_noise(C)}, [positions] std = [0.05] in the recipe")
+        if silent.any():
+            count = f"{np.sum(silent & kept):,} of {len(kept):,}"
+            notes.append(f"{count} messages of {found.source} have no covariance: left out")
+        kept &= ~silent
+        unknown = np.isnan(places[:, 2])
+        C[unknown, 2] = C[unknown, :, 2] = np.nan
+    if not kept.any():
+        raise FormatError(found.source, None, "none of its messages has a position")
+    columns: dict[str, Any] = {"t": found.times, "x": places[:, 0], "y": places[:, 1]}
+    if C.shape[1] == 3 and np.isfinite(places[kept, 2]).any():
+        columns |= {"theta": places[:, 2]} | _entries(C)
+    else:
+        columns |= {"cov_xx": C[:, 0, 0], "cov_xy": C[:, 0, 1], "cov_yy": C[:, 1, 1]}
+    if lever is not None:
+        columns |= {"lever_x": np.full(len(kept), lever[0]), "lever_y": np.full(len(kept), lever[1])}
+    return Columns(found.source, {name: values[kept] for name, values in columns.items()}, rows="message"), notes
+
+
+def _on_plane(found: Poses, std: Sequence[float] | None) -> tuple[Array, Array, list[str]]:
+    """The places (N, 2) of fixes, NaN where there was none, and their covariances."""
+    fixes, C, known = found.fixes()
+    good = (known >= 0) & np.isfinite(fixes[:, :2]).all(axis=1) & (np.abs(fixes[:, 0]) <= 90)
+    notes = []
+    if not good.any():
+        raise FormatError(found.source, None, f"none of its {len(good)} messages has a fix")
+    if not good.all():
+        notes.append(f"{np.sum(~good):,} of {len(good):,} messages of {found.source} have no fix: left out")
+    datum = fixes[np.argmax(good)]
+    height = datum[2] if math.isfinite(datum[2]) else 0.0
+    places = np.full((len(good), 2), np.nan)
+    places[good] = local_plane(fixes[good, :2], datum[:2], height)
+    vague = good & ((known == 0) | not_positive(C))
+    if std is not None:
+        C = np.tile(std[0] ** 2 * np.eye(2), (len(good), 1, 1))
+    elif vague.any():
+        C[vague] = FIX**2 * np.eye(2)
+        which = f"{np.sum(vague):,} of {np.sum(good):,} fixes of {found.source} have no covariance"
+        assumed = f"a standard deviation of {FIX:g} m is assumed; [positions] std = [METRES] in the recipe states it"
+        notes.append(f"{which}: {assumed}")
+    C[~good] = np.eye(2)
+    notes.append(datum_note(datum, found.source))
+    return places, C, notes
+
+
+def _no_noise(C: Array) -> str:
+    which = "are zero" if not np.any(C[:, 0, 0]) else "are no covariances"
+    return f"the covariances of its messages {which}, which says nothing of their noise; state the standard deviations"
+
+
+def relations_table(
+    found: Poses, frames: Frames, base: str, std: Sequence[float] | None = None
+) -> tuple[Columns, list[str]]:
+    """The table of relations, and notes.
+
+    Args:
+        base: the frame of the robot; where the poses are of another frame that is fixed to it, those of the robot are taken.
+        std: standard deviations of a relation that the user states, of x and y [m] and of the heading [rad].
+
+    Raises:
+        FormatError: there are no two poses, or no covariances and none are stated.
+    """
+    times, explicit = found.times, found.explicit
+    x, P, V = found.poses()
+    notes: list[str] = []
+    if not np.isfinite(x).all():
+        message = "its poses have no orientation; a relation needs the heading of both poses"
+        raise FormatError(found.source, None, message)
+    if np.any(explicit >= 0):
+        kept = explicit >= 0
+        return _relations(found, explicit[kept], times[kept], x[kept], P[kept]), notes
+    order = np.argsort(times, kind="stable")
+    times, x, P, V = times[order], x[order], P[order], V[order]
+    if found.child not in ("", base) and (mounted := frames.between(base, found.child)) is not None:
+        turn = float(np.arctan2(mounted[1][1, 0], mounted[1][0, 0]))
+        x = compose(x, between(np.array([*mounted[0][:2], turn]), np.zeros(3)))
+    elif found.child not in ("", base):
+        which = f"the poses of {found.source} are of {found.child}"
+        notes.append(f"{which}, and no fixed transform leads there from {base}: taken as the robot's")
+    if len(times) < 2:
+        raise FormatError(found.source, None, "it has one pose, and a relation takes two")
+    seconds = (times - times[0]) / 1e9
+    rows = [0]
+    for k, t in enumerate(seconds.tolist()):
+        if t - seconds[rows[-1]] >= APART:
+            rows.append(k)
+    first, second = np.array(rows[:-1], dtype=int), np.array(rows[1:], dtype=int)
+    spent = np.diff(seconds)
+    way = np.hypot(*np.diff(x[:, :2], axis=0).T)
+    speed = way / np.maximum(spent, 1e-9)
+    bad = (spent > GAP) | ((speed > JUMP * np.quantile(speed, 0.95)) & (way > 0.1))
+    spans = np.add.reduceat(bad, first) > 0 if len(first) else np.zeros(0, dtype=bool)
+    if spans.any():
+        causes = f"{np.sum(spent > GAP)} pauses and {np.sum(bad & (spent <= GAP))} jumps"
+        notes.append(f"{found.source}: {spans.sum()} relations are left out because of {causes}")
+    first, second = first[~spans], second[~spans]
+    if not len(first):
+        message = f"no two of its poses are {APART:g} s apart without a pause or a jump between them"
+        raise FormatError(found.source, None, message)
+    motions = between(x[first], x[second])
+    if std is not None:
+        C = np.tile(np.diag([std[0], std[0], std[1] if len(std) > 1 else std[0]]) ** 2, (len(first), 1, 1))
+    else:
+        C, how = _growth(x, P, V, spent, first, second)
+        if not how:
+            message = f"{_no_noise(P)} of a relation, [relations] std = [METRES, RADIANS] in the recipe"
+            raise FormatError(found.source, None, message)
+        notes.append(f"the noise of the relations of {found.source} is {how}")
+    return _relations(found, times[first], times[second], motions, C), notes
+
+
+def _growth(x: Array, P: Array, V: Array, spent: Array, first: np.ndarray, second: np.ndarray) -> tuple[Array, str]:
+    """The covariances of motions in the axes of the first pose, by the growth of those of the poses or by those of speeds.
+
+    And which of both; empty where neither are covariances.
+    """
+    a, b = x[first], x[second]
+    F = lever_matrix(perpendicular(b[:, :2] - a[:, :2]))
+    grown = turned_by(P[second] - F @ P[first] @ np.swapaxes(F, 1, 2), -a[:, 2])
+    if not not_positive(grown).any():
+        return grown, "what the covariances of its poses grow by"
+    each = V[1:] * spent[:, None, None] ** 2
+    total = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(each, axis=0)])
+    driven = total[second] - total[first]
+    # some programs leave out the speed sideways
+    driven[:, 1, 1] = np.where(driven[:, 1, 1] > 0, driven[:, 1, 1], driven[:, 0, 0])
+    known = not not_positive(driven).any() and (V[:, 0, 0] < UNKNOWN).all()
+    return driven, "that of its speeds" if known else ""
+
+
+def _relations(found: Poses, begin: np.ndarray, end: np.ndarray, motions: Array, C: Array) -> Columns:
+    columns = {"t1": begin, "t2": end, **dict(zip(("dx", "dy", "dtheta"), motions.T)), **_entries(C)}
+    return Columns(found.source, columns, rows="relation")
+
+
+def _entries(C: Array) -> dict[str, Array]:
+    """The columns of covariances (N, 3, 3)."""
+    return {name: C[:, i, j] for name, i, j in zip(COVARIANCES, *np.triu_indices(3))}

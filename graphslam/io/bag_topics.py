@@ -120,10 +120,8 @@ def _check_head(path: Path) -> None:
             message = f"its content is that of {kind}; give it the name {path.with_suffix(suffix).name}"
             raise FormatError(path, None, message)
     if not head.startswith(tuple(MAGIC.values())):
-        raise FormatError(
-            path, None, "not a readable bag: it does not begin as one of ROS 1, MCAP or SQLite; was it overwritten, or is it "
-            "another kind of file with this name?",
-        )  # fmt: skip
+        cause = "was it overwritten, or is it another kind of file with this name?"
+        raise FormatError(path, None, f"not a readable bag: it does not begin as one of ROS 1, MCAP or SQLite; {cause}")
 
 
 @contextmanager
@@ -148,10 +146,8 @@ def _cause(path: Path, error: Exception) -> str:
     if "end magic" in text or "footer" in text or "Truncated" in text or "summary offset" in text:
         return f"the bag was cut short ({text}); repair it first: mcap recover {path.name} -o repaired.mcap"
     if "Profile is not ros2" in text or (kind == ".mcap" and isinstance(error, KeyError)):
-        return (
-            "the messages of this MCAP file are not those of ROS 2 (Protobuf, JSON, or ROS 1); convert it to ROS 2 first, or "
-            "export tables"
-        )
+        reason = "the messages of this MCAP file are not those of ROS 2 (Protobuf, JSON, or ROS 1)"
+        return f"{reason}; convert it to ROS 2 first, or export tables"
     if "no type definitions" in text or "TypesysError" in type(error).__name__:
         return f"the bag lacks the definition of a message type ({text}); convert it to MCAP, which holds them"
     return f"not a readable bag ({text}); was it cut short?"

@@ -156,8 +156,7 @@ def save(log: Log, path: str | PathLike[str], *, format: str | None = None) -> N
     if format is None:
         by_suffix = {suffix: name for name in writers for suffix in FORMATS[name].suffixes}
         if path.suffix not in by_suffix:
-            known = ", ".join(by_suffix)
-            message = f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {known}"
+            message = f"cannot tell the format from the suffix {quoted(path.suffix)}; use one of {', '.join(by_suffix)}"
             raise FormatError(path, None, message)
         format = by_suffix[path.suffix]
     check_choice("format", format, writers)

@@ -157,13 +157,9 @@ def read_mat(path: Path, shapes: Mapping[str, Shape | None]) -> dict[str, Array]
         raise FormatError(path, None, f"not a readable MATLAB file ({error}); was it cut short?") from None
     missing = [name for name in shapes if name not in content]
     if missing:
-        others = named(sorted(content)) or "nothing"
-        raise FormatError(
-            path,
-            None,
-            f"a .mat of another layout: expected the variables {', '.join(shapes)}, but {missing[0]!r} is missing "
-            f"(it has: {others})",
-        )
+        layout = f"expected the variables {', '.join(shapes)}, but {missing[0]!r} is missing"
+        has = named(sorted(content)) or "nothing"
+        raise FormatError(path, None, f"a .mat of another layout: {layout} (it has: {has})")
     lengths: dict[str, int] = {}
     return {n: content[n] if s is None else numbers(path, n, content[n], s, lengths) for n, s in shapes.items()}
 

@@ -22,19 +22,31 @@ before the odometry (robot 1 of set 6: 772 of 900 s). No noise is published.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, OptionError, quoted
+from ..errors import FormatError, OptionError, decimals, quoted
 from ..errors.checks import first
 from ..log import Log
-from ..log.rows import NO_CLASS, UNIDENTIFIED, Fault, ReadOptions, range_faults, robot_class
-from ..log.streams import Stream, synchronize
+from ..log.cells import time_faults
+from ..log.rows import (
+    NO_CLASS,
+    UNIDENTIFIED,
+    Fault,
+    ReadOptions,
+    finite_fault,
+    range_faults,
+    robot_class,
+    sound_rows,
+)  # fmt: skip
+from ..log.streams import MOST_DISORDER, Stream, disorder, synchronize
+from ..log.text_table import TextTable
 from ..se2 import Array
-from .base import NO_SIGHTING, Format, errors_name, line_of, member, optional_member, read_columns
+from .base import NO_SIGHTING, Format, errors_name, member, optional_member
 
 #: subjects up to this number are robots
 ROBOTS = 5
@@ -94,7 +106,7 @@ def _read(folder: Path, options: ReadOptions, *, with_robots: bool = False) -> L
     landmarks_path = optional_member(folder, "Landmark_Groundtruth.dat", "the true landmarks", notes)
     truth_path = optional_member(folder, f"Robot{robot}_Groundtruth.dat", "the true poses", notes)
     truth = None if truth_path is None else _stream(truth_path, "x", "y", "heading", **ways)
-    landmarks = None if landmarks_path is None else read_columns(landmarks_path, _LANDMARKS)
+    landmarks = None if landmarks_path is None else _table(landmarks_path, _LANDMARKS)[1]
     with errors_name(odometry_path):
         return synchronize(
             odometry,
@@ -111,26 +123,52 @@ def _read(folder: Path, options: ReadOptions, *, with_robots: bool = False) -> L
 
 def _faults(rows: Array) -> list[Fault]:
     """The sightings (N, 4) whose barcode or range cannot be."""
-    wrong = Fault(
-        rows[:, 1] % 1 != 0, "a barcode that is no whole number",
-        lambda k: f"the barcode should be a whole number, not {rows[k, 1]:g}",
-    )  # fmt: skip
+    code, what = rows[:, 1], "a barcode that is no whole number"
+    wrong = Fault(code % 1 != 0, what, lambda k: f"the barcode should be a whole number, not {code[k]:g}")
     return [wrong, *range_faults(rows[:, 2])]
 
 
-def _stream(path: Path, *columns: str, **ways: Any) -> Stream:
-    rows = read_columns(path, ("time", *columns), times=True, **ways)
+def _stream(
+    path: Path, *columns: str, notes: list[str], strict: bool, noun: str = "rows",
+    faults: Callable[[Array], list[Fault]] = lambda _: [],
+) -> Stream:  # fmt: skip
+    """The rows of a file with times; those that cannot be are left out, with notes, or the first of them is refused.
+
+    Raises:
+        FormatError: too many rows cannot be, or times run backwards by more than `MOST_DISORDER`; with the line.
+    """
+    table = TextTable(path, ("time", *columns))
+    rows = table.numbers(range(table.width))
+    finite = [finite_fault(rows[:, k], name) for k, name in enumerate(columns, start=1)]
+    wrong = [*time_faults(rows[:, 0], "the time", "s", MOST_DISORDER), *finite, *faults(rows)]
+    kept, about = sound_rows(len(rows), noun, wrong, table.error, strict=strict, source=path.name)
+    notes += about
+    rows, numbers = rows[kept], np.flatnonzero(kept)
+    if (k := first(disorder(rows[:, 0]) > MOST_DISORDER)) is not None:
+        order = f"{decimals(rows[k, 0])} s comes after {decimals(np.max(rows[:k, 0]))} s"
+        raise table.error(int(numbers[k]), f"time runs backwards: {order}; sort the lines by time")
     return Stream(rows[:, 0], rows[:, 1:])
+
+
+def _table(path: Path, columns: tuple[str, ...]) -> tuple[TextTable, Array]:
+    """A file and its numbers, which are finite."""
+    table = TextTable(path, columns)
+    rows = table.numbers(range(table.width))
+    for name, column in zip(columns, rows.T):
+        fault = finite_fault(column, name)
+        if (k := first(fault.rows)) is not None:
+            raise table.error(k, fault.message(k))
+    return table, rows
 
 
 def _subjects(path: Path) -> dict[int, int]:
     """{barcode: subject}."""
-    rows: Array = read_columns(path, ("subject", "barcode"))
+    table, rows = _table(path, ("subject", "barcode"))
     # beyond 2^53 floating-point numbers leave out whole numbers
     if (k := first(np.any((rows % 1 != 0) | (np.abs(rows) > 2**53), axis=1))) is not None:
         subject, barcode = rows[k].tolist()
         message = f"expected two whole numbers, subject and barcode, not {subject:g} and {barcode:g}"
-        raise FormatError(path, line_of(path, k), message)
+        raise table.error(k, message)
     subjects = {int(barcode): int(subject) for subject, barcode in rows.tolist()}
     if len(subjects) < len(rows):
         raise FormatError(path, None, "two subjects have the same barcode, so a sighting of it could be of either")

@@ -118,10 +118,8 @@ def _true_landmarks(content: Mapping[str, np.ndarray]) -> dict[int, Array]:
     """
     ids, poses = content["true_landmark_ids"], content.get("true_landmark_poses", np.empty(0))
     if ids.dtype.kind not in "iu" or ids.ndim != 1 or poses.shape != (len(ids), 3) or poses.dtype.kind not in "iuf":
-        raise OptionError(
-            f"true_landmark_ids must be whole numbers (L,) and true_landmark_poses numbers (L, 3), but their shapes are "
-            f"{ids.shape} and {poses.shape}"
-        )
+        wanted = "true_landmark_ids must be whole numbers (L,) and true_landmark_poses numbers (L, 3)"
+        raise OptionError(f"{wanted}, but their shapes are {ids.shape} and {poses.shape}")
     return {j: pose[:2] if np.isnan(pose[2]) else pose for j, pose in zip(ids.tolist(), poses)}
 
 

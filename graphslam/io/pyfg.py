@@ -33,6 +33,7 @@ from ..errors import FormatError, OptionError, quoted
 from ..errors.checks import singular
 from ..files import number, read_text
 from ..log import Log
+from ..log.geometry import polar
 from ..log.join import end_to_end
 from ..log.measurements import NOT_POSITIVE, AbsolutePositions, PartialSightings, PoseRelations, not_positive, symmetric
 from ..log.rows import ReadOptions
@@ -226,7 +227,7 @@ def _sightings(seen: list[_Row], ranges: list[_Row], step: dict[str, int], begin
     """The sightings and the ranges of one robot, whose first step is ``begin``, as arguments of its log."""
     seen = sorted(seen, key=lambda row: step[row.names[0]])
     z = np.array([row.numbers[:2] for row in seen]).reshape(-1, 2)
-    found: dict[str, Any] = {"sightings": np.column_stack([np.hypot(*z.T), np.arctan2(z[:, 1], z[:, 0])])}
+    found: dict[str, Any] = {"sightings": polar(z)}
     of_ranges: dict[str, Any] = {"ranges": np.array([row.numbers[0] for row in ranges])}
     for rows, values in ((seen, found), (ranges, of_ranges)):
         values["steps"] = np.array([step[row.names[0]] - begin for row in rows], dtype=np.int64)
@@ -305,6 +306,8 @@ def _split(file: _File, step: dict[str, int], notes: Counter[str]) -> tuple[list
 
 def _sensor(file: _File, ranges: list[_Row], seen: list[_Row]) -> tuple[SensorModel, list[str]]:
     """The sensor whose noise fits the variances of all ranges and sightings best, and a note where single ones differ."""
+    from scipy.optimize import nnls  # late: 0.2 s that other formats do not need
+
     z = np.array([row.numbers[:2] for row in seen]).reshape(-1, 2)
     C, r = file.covariances(seen, 2), np.hypot(*z.T)
     along = z / r[:, None]
@@ -316,16 +319,10 @@ def _sensor(file: _File, ranges: list[_Row], seen: list[_Row]) -> tuple[SensorMo
     ratios = [np.ones(1)]
     if len(lengths):
         A = np.column_stack([lengths**2, np.ones_like(lengths)]) / variances[:, None]
-        rate, constant = np.linalg.lstsq(A, np.ones(len(A)), rcond=None)[0]
-        if min(rate, constant) < 0:
-            # none is negative: one part alone
-            alone = A.sum(axis=0) / np.sum(A**2, axis=0)
-            rate, constant = (alone[0], 0.0) if constant < 0 else (0.0, alone[1])
+        parts = nnls(A, np.ones(len(A)))[0]
         # what one part adds to every range less than rounding does is zero
-        rate, constant = (
-            0.0 if part * scale < 1e-5 * variances.min() else part
-            for part, scale in ((rate, lengths.max() ** 2), (constant, 1.0))
-        )
+        parts[parts * [lengths.max() ** 2, 1.0] < 1e-5 * variances.min()] = 0.0
+        rate, constant = parts.tolist()
         ratios.append(variances / (rate * lengths**2 + constant))
     if len(bearings):
         middle = float(np.median(bearings))
@@ -334,10 +331,8 @@ def _sensor(file: _File, ranges: list[_Row], seen: list[_Row]) -> tuple[SensorMo
     sensor = SensorModel.of_variances(rate, constant, middle)
     if most < _DIFFER:
         return sensor, []
-    return sensor, [
-        "a log has one noise model of the sensor for all sightings: the standard deviations of single ones in the file "
-        f"differ from it by up to a factor of {most:.2g}"
-    ]
+    single = f"the standard deviations of single ones in the file differ from it by up to a factor of {most:.2g}"
+    return sensor, [f"a log has one noise model of the sensor for all sightings: {single}"]
 
 
 def _drive(file: _File, chain: list[str], odometry: list[_Row], notes: Counter[str]) -> dict[str, Any]:

@@ -22,8 +22,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import FormatError, OptionError, quoted
-from ..errors.checks import declared_in
+from ..errors import FormatError, quoted
+from ..errors.checks import check_known, declared_in
 from ..files import TomlFile, check_unpacked, first_bytes
 from ..log import Log
 from ..log.drive import ROLES
@@ -125,8 +125,7 @@ def merged(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
     """The recipe with options of the command line or of Python, which take precedence; None is not given."""
     given = {name: value for name, value in changes.items() if value is not None}
     known = [f.name for f in fields(TableOptions)]
-    if unknown := [name for name in given if name not in known]:
-        raise OptionError(f"there is no option {quoted(unknown[0])} of tables; they are {', '.join(known)}")
+    check_known("the reader of tables", given, known, f"; its options are {', '.join(known)}")
     return replace(recipe, options=replace(recipe.options, **given))
 
 
@@ -162,11 +161,9 @@ def find_tables(folder: Path, recipe: Recipe) -> dict[str, Path]:
         elif table in ("odometry", "sightings"):
             for packed in sorted(folder.glob(f"{table}.*.*")):
                 check_unpacked(packed, first_bytes(packed))
-            message = (
-                f"this file is missing; it would hold {holds}. A file of another name can be named in {RECIPE}, as in "
-                f"[{table}] file = 'NAME.csv'"
-            )
-            raise FormatError(folder / f"{table}.csv", None, message)
+            message = f"this file is missing; it would hold {holds}"
+            other = f"A file of another name can be named in {RECIPE}, as in [{table}] file = 'NAME.csv'"
+            raise FormatError(folder / f"{table}.csv", None, f"{message}. {other}")
     return found
 
 

@@ -146,12 +146,9 @@ def _of_dates(table: Table, column: int, day_column: int | None) -> np.ndarray |
 
 def _beyond(table: Table, row: int, column: int) -> LogError:
     """The error of a time that does not fit."""
-    word = shortened(str(table.words(column)[row]))
-    return table.error(
-        row,
-        f"the time {table.title(column)} is {word}, but times are whole nanoseconds in 64 bits, from 1678 to 2262: is its "
-        "unit stated rightly (s, ms, us or ns)?",
-    )
+    given = f"the time {table.title(column)} is {shortened(str(table.words(column)[row]))}"
+    limits = "but times are whole nanoseconds in 64 bits, from 1678 to 2262"
+    return table.error(row, f"{given}, {limits}: is its unit stated rightly (s, ms, us or ns)?")
 
 
 def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int) -> np.ndarray:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from ..errors import LogError
 from ..errors.checks import check_positive, first
 from ..models import MotionModel, additional_variances
-from ..se2 import Array, between, compose, difference
+from ..se2 import Array, between, compose, difference, lever_matrix, perpendicular
 from .log import Log
 from .measurements import MEASURED
 from .streams import Stream, filled, truth_at
@@ -103,8 +103,7 @@ def control_path(
     before[:, 2] = _sums(controls[:, 1] * dt, first, motion_of) - controls[:, 1] * dt
     driven = _sums(motion.f(before, controls, dt) - before, first, motion_of)
     B = motion.A(before, controls, dt)
-    B[:, 0, :] += driven[:, 1, None] * B[:, 2, :]
-    B[:, 1, :] -= driven[:, 0, None] * B[:, 2, :]
+    B = lever_matrix(-perpendicular(driven[:, :2])) @ B
     each = B @ M @ np.swapaxes(B, 1, 2)
     if motion.slip or V[:, 2].any():
         each += motion.sideways(before, controls, dt, V[:, 2])
@@ -116,7 +115,7 @@ def control_path(
     if interval > 0:
         kept[1:] = (motion_of[1:] != motion_of[:-1]) | np.diff(np.floor(elapsed / interval + _TIE)).astype(bool)
         kept[last] = True
-    S = _moved(driven)
+    S = lever_matrix(perpendicular(driven[:, :2]))
     end = S[last]
     covariance = end @ C[last] @ np.swapaxes(end, 1, 2) + motion.epsilon * np.eye(3)
     inverse = np.linalg.inv(covariance)
@@ -133,13 +132,6 @@ def _sums(values: Array, first: np.ndarray, group: np.ndarray) -> Array:
     """The sums of the values (S, ...) from the first one of their group on."""
     total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
     return total[1:] - total[first][group]
-
-
-def _moved(poses: Array) -> Array:
-    """[[1, 0, -y], [0, 1, x], [0, 0, 1]] of poses (S, 3): how a turn about the origin moves them."""
-    S = np.tile(np.eye(3), (len(poses), 1, 1))
-    S[:, 0, 2], S[:, 1, 2] = -poses[:, 1], poses[:, 0]
-    return S
 
 
 #: times that are nearer than this [s] are the same

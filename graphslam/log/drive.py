@@ -160,12 +160,10 @@ class Reader:
             return stated
         if named in OTHER_UNITS:
             own, per = UNITS_OF[measure], "/s" if role in RATES else ""
-            raise self.table.error(
-                None,
-                f"the column {self.table.names[self.found[role].column]} is in {named}, which is not converted: units are "
-                f"{', '.join(unit + per for unit in own)}. Convert it; if its numbers are in {own[0]}{per} after all, add "
-                f"{measure}='{self.kind}={own[0]}'",
-            )
+            column, units = self.table.names[self.found[role].column], ", ".join(unit + per for unit in own)
+            advice = f"Convert it; if its numbers are in {own[0]}{per} after all, add {measure}='{self.kind}={own[0]}'"
+            message = f"the column {column} is in {named}, which is not converted: units are {units}. {advice}"
+            raise self.table.error(None, message)
         return named if named in UNITS_OF[measure] else None
 
     def leave_out(self, *roles: str) -> Table:
@@ -218,10 +216,8 @@ class Reader:
         if count <= MOST_LEFT_OUT * len(self.table):
             return ()
         self.found = {other: chosen for other, chosen in self.found.items() if other != role}
-        return (
-            f"{self.table.source}: {count:,} of {len(self.table):,} rows have no {self.table.title(column)}, so that this "
-            "column is not used",
-        )
+        rows = f"{count:,} of {len(self.table):,} rows have no {self.table.title(column)}"
+        return (f"{self.table.source}: {rows}, so that this column is not used",)
 
     def times(self, role: str = "t") -> np.ndarray:
         """The times (N,) of a column in nanoseconds, by the clock of the table."""
@@ -329,11 +325,9 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     dt = np.diff(ns) / 1e9
     if len(dt) and not reader.stated("t") and (middle := float(np.median(dt))) > LONGEST:
         unit, word = ("ms", "milli") if middle < 5e3 else ("us", "micro") if middle < 5e6 else ("ns", "nano")
-        raise table.error(
-            None,
-            f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds? Then add "
-            f"time='odometry={unit}'; if they are seconds, add time='odometry=s'",
-        )
+        apart = f"neighbouring rows are {middle:g} s apart (median): are the times in {word}seconds?"
+        add = f"Then add time='odometry={unit}'; if they are seconds, add time='odometry=s'"
+        raise table.error(None, f"{apart} {add}")
     if rows.shape[1] == 3:
         rows, ns, sideways = _controls(reader, rows, ns)
     elif "omega" in motion:
@@ -414,11 +408,9 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         rows = np.column_stack([rows, sign * psi])
     if options.centre == "robot" and any(options.sensor_offset or ()):
         if (alone_at := np.flatnonzero(np.isnan(rows[:, :2]).any(axis=1))).size:
-            raise table.error(
-                int(alone_at[0]),
-                "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset: give it as "
-                "the sensor measured it, with centre='sensor'",
-            )
+            message = "a range or a bearing alone from the robot's centre says nothing about the sensor at its offset"
+            advice = "give it as the sensor measured it, with centre='sensor'"
+            raise table.error(int(alone_at[0]), f"{message}: {advice}")
         from_centre = rows[:, :1] * np.column_stack([np.cos(rows[:, 1]), np.sin(rows[:, 1])])
         rows[:, :2] = polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))
     ns, order, more = ordered(reader.table, ns)
@@ -482,11 +474,11 @@ def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None 
         message = f"the id {table.title(column)} is empty or -1, which means no id; each landmark of the map needs one"
         raise table.error(k, message)
     if names is None and found.names:
-        raise table.error(
-            None,
-            f"the ids are words, such as {quoted(next(iter(found.names)))}; a log numbers its own words, so those of a map "
-            "by itself would be other landmarks: give the landmarks of both the same whole numbers",
+        words = f"the ids are words, such as {quoted(next(iter(found.names)))}; a log numbers its own words"
+        advice = (
+            "so those of a map by itself would be other landmarks: give the landmarks of both the same whole numbers"
         )
+        raise table.error(None, f"{words}, {advice}")
     places = reader.numbers("x", "y")
     headings = reader.numbers("theta", finite=False)[:, 0] if reader.has("theta") else np.full(len(ids), np.nan)
     _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)

@@ -48,11 +48,9 @@ def motion_of(table: Table, found: Mapping[str, Chosen], track: float | None) ->
     has = found.keys()
     if track is None and {"nu", "omega"} <= has:
         if table.names and (sides := _of_wheels([table.names[found[role].column] for role in ("nu", "omega")])):
-            raise table.error(
-                None,
-                f"{named(sides)} seem to be speeds of the left and the right wheel, and not nu and omega, which are made of "
-                f"them: columns='odometry.left={sides[0]},odometry.right={sides[1]}', track=METRES",
-            )
+            state = f"columns='odometry.left={sides[0]},odometry.right={sides[1]}', track=METRES"
+            seem = "seem to be speeds of the left and the right wheel, and not nu and omega, which are made of them"
+            raise table.error(None, f"{named(sides)} {seem}: {state}")
         return "nu", "omega"
     if track is None and {"x", "y"} <= has:
         return "x", "y"
@@ -90,10 +88,8 @@ def controls_of(table: Table, speeds: Array, track: float | None) -> tuple[Array
         if len(omega) and (usual := float(np.quantile(np.abs(omega), 0.95))) > QUICKEST:
             message = f"by the speeds of the wheels the robot turns by {usual:.3g} rad/s: is track in metres?"
             raise table.error(None, message)
-        note = (
-            f"nu and omega are those of the left and the right wheel, {track:g} m apart; errors of this track and of the "
-            "wheels' scales are wheel_scale, turn_scale and curvature_bias"
-        )
+        errors = "errors of this track and of the wheels' scales are wheel_scale, turn_scale and curvature_bias"
+        note = f"nu and omega are those of the left and the right wheel, {track:g} m apart; {errors}"
     return np.column_stack([(left + right) / 2, omega]), (f"{table.source}: {note}",)
 
 
@@ -125,21 +121,16 @@ def chosen_axes(
     if "z" not in found:
         return stated or plain, (), ()
     if "y" not in found:
-        note = (
-            f"{table.source}: x and z are taken as right and ahead, the axes of a camera (axes='optical'), because there is "
-            "no y"
-        )
-        return stated or "optical", () if stated else (note,), ()
+        note = "x and z are taken as right and ahead, the axes of a camera (axes='optical'), because there is no y"
+        return stated or "optical", () if stated else (f"{table.source}: {note}",), ()
     shown = _shown(table, {role: each.column for role, each in found.items()})
     if shown == "unknown" or (stated and shown in (None, "optical" if stated == "optical" else plain)):
         return stated or plain, (), ()
     if stated:
         one, other = ("y", "z") if shown == "optical" else ("z", "y")
-        message = (
-            f"{table.source}: axes='{stated}' is stated, but {one} rather than {other} seems to be the height of the "
-            f"landmarks; compare with axes='{shown}'"
-        )
-        return stated, (), (("axes", message),)
+        message = f"axes='{stated}' is stated, but {one} rather than {other} seems to be the height of the landmarks"
+        advice = f"compare with axes='{shown}'"
+        return stated, (), (("axes", f"{table.source}: {message}; {advice}"),)
     if shown is None:
         message = (
             f"{table.source}: x and y are taken as ahead and left, and z as the height, but the numbers do not show that; if "

@@ -50,10 +50,8 @@ def local_plane(fixes: Array, datum: Array, height: float = 0.0) -> Array:
 
 def datum_note(datum: Array, source: str) -> str:
     """The sentence about the origin of the plane."""
-    return (
-        f"positions are metres east and north of latitude {datum[0]:.8f}, longitude {datum[1]:.8f} degrees (WGS 84), the "
-        f"first fix of {source}"
-    )
+    where = f"latitude {datum[0]:.8f}, longitude {datum[1]:.8f} degrees (WGS 84)"
+    return f"positions are metres east and north of {where}, the first fix of {source}"
 
 
 #: the coordinates of the noise
@@ -347,11 +345,10 @@ def check_overlap(odometry: Timed, other: Timed, kind: str) -> None:
         inside = int(np.sum((other.times >= begin) & (other.times <= end)))
         longer = (last - first) / (end - begin)
         if inside < _FEW * len(other.times) and longer > _LONGER:
-            raise LogError(
-                f"{_name(other)} lasts {longer:.0f} times as long as {_name(odometry)}, and only {inside} of "
-                f"{len(other.times)} rows are within its time ({_interval(begin, end)}): are its times in another unit? "
-                f"Then add time='{kind}={_finer_unit(other, longer) or 'ms'}'"
-            )
+            lasts = f"{_name(other)} lasts {longer:.0f} times as long as {_name(odometry)}"
+            rows = f"only {inside} of {len(other.times)} rows are within its time ({_interval(begin, end)})"
+            advice = f"are its times in another unit? Then add time='{kind}={_finer_unit(other, longer) or 'ms'}'"
+            raise LogError(f"{lasts}, and {rows}: {advice}")
         return
     offset = (begin - first) / 1e9
     hours = offset / 3600

@@ -298,11 +298,8 @@ class Log:
     @property
     def composite(self) -> bool:
         """Whether some motion consists of several controls, or of a piece of one, or has additional variances."""
-        return self.controls is not None and (
-            len(self.controls) != len(self.control_starts) - 1
-            or self.control_variances is not None
-            or self.recorded_dt is not None
-        )
+        pieces = self.control_variances is not None or self.recorded_dt is not None
+        return self.controls is not None and (pieces or len(self.controls) != len(self.control_starts) - 1)
 
     @property
     def control_times(self) -> Array:

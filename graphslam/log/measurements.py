@@ -43,9 +43,8 @@ def checked_starts(value: np.ndarray, controls: int) -> np.ndarray:
     starts = _array_or_none(value)
     whole = starts is not None and starts.ndim == 1 and len(starts) > 0 and starts.dtype.kind in "iu"
     if starts is None or not whole or starts[0] != 0 or starts[-1] != controls or np.any(np.diff(starts) <= 0):
-        raise LogError(
-            f"control_starts must be whole numbers, one per pose, that increase from 0 to the number of controls, {controls}"
-        )
+        wanted = f"whole numbers, one per pose, that increase from 0 to the number of controls, {controls}"
+        raise LogError(f"control_starts must be {wanted}")
     return starts.astype(np.int64)
 
 
@@ -195,10 +194,8 @@ class _Records:
         for end in self.ENDS:
             steps = getattr(self, end)
             if (k := first((steps < 0) | (steps >= poses))) is not None:
-                raise LogError(
-                    f"row {k} of {name} has {end[:-1] if end == 'steps' else end} {steps[k]}, but the log has steps 0 to "
-                    f"{poses - 1}: are these times? A step counts poses from 0"
-                )
+                which = f"{end.removesuffix('s')} {steps[k]}, but the log has steps 0 to {poses - 1}"
+                raise LogError(f"row {k} of {name} has {which}: are these times? A step counts poses from 0")
 
     def _set(self, **values: Array) -> None:
         for name, value in values.items():
@@ -239,10 +236,9 @@ class PoseRelations(_Records):
             cut_headings(covariances, unknown, NO_HEADING)
         motions = finite_floats("the motions of relations", motions, (None, 3))
         motions[:, 2] = wrap(motions[:, 2])
-        count, steps = len(motions), {end: getattr(self, end) for end in self.ENDS}
-        ends = {
-            end: whole_numbers(f"the steps {end} of relations", steps[end], count, noun="relation") for end in steps
-        }
+        count, ends = len(motions), dict[str, np.ndarray]()
+        for end in self.ENDS:
+            ends[end] = whole_numbers(f"the steps {end} of relations", getattr(self, end), count, noun="relation")
         if (k := first(ends["first"] == ends["second"])) is not None:
             raise LogError(f"relation {k} goes from step {ends['first'][k]} to itself; it needs two different steps")
         self._set(**ends, motions=motions, covariances=checked_covariances("relations", covariances, count, 3))
@@ -452,10 +448,9 @@ def checked_sightings(ids: Any, sightings: Any, refused: Collection[int], advice
     if np.isin(numbers, [*refused]).any():
         raise OptionError(advice)
     if z is None or not _are_sightings(z):
-        raise OptionError(
-            "sightings must be (range, bearing) or with psi, finite and with ranges above zero; without psi NaN stands for a "
-            f"range or a bearing that was not measured. They are {quoted(sightings)}"
-        )
+        wanted = "(range, bearing) or with psi, finite and with ranges above zero"
+        alone = "without psi NaN stands for a range or a bearing that was not measured"
+        raise OptionError(f"sightings must be {wanted}; {alone}. They are {quoted(sightings)}")
     check_sighted("sightings", (np.nanmin(z[:, 1:], initial=0.0), np.nanmax(z[:, 1:], initial=0.0)))
     if len(z) != len(numbers):
         message = f"each sighting needs the id of its landmark: there are {len(z)} sightings, ids {quoted(ids)}"

@@ -133,16 +133,12 @@ def finite_fault(values: np.ndarray, title: str, advice: str = "; remove the row
 
 def range_faults(ranges: np.ndarray) -> list[Fault]:
     """The rows whose range (N,) [m] is negative, or zero."""
-    return [
-        Fault(
-            ranges < 0, "a negative range",
-            lambda k: f"the range is {ranges[k]:g} m, but a range is above zero: are range and bearing swapped?",
-        ),
-        Fault(
-            ranges == 0, "a range of 0",
-            lambda k: f"the range is {ranges[k]:g} m, but a range is above zero: remove rows in which nothing was seen",
-        ),
-    ]  # fmt: skip
+
+    def fault(wrong: np.ndarray, what: str, cause: str) -> Fault:
+        return Fault(wrong, what, lambda k: f"the range is {ranges[k]:g} m, but a range is above zero: {cause}")
+
+    swapped = fault(ranges < 0, "a negative range", "are range and bearing swapped?")
+    return [swapped, fault(ranges == 0, "a range of 0", "remove rows in which nothing was seen")]
 
 
 #: a single value is wrong beyond this many times the usual largest one, where no other is above twice that
@@ -326,10 +322,8 @@ class TableOptions:
 def check_table(option: str, table: str, known: Collection[str] = tuple(TABLES)) -> None:
     """Raise `OptionError` unless a table has this name."""
     if table not in known:
-        raise OptionError(
-            f"{option}: there is no table {quoted(table)}"
-            + (suggestion(table, TABLES) or f"; they are {', '.join(TABLES)}")
-        )
+        hint = suggestion(table, TABLES) or f"; they are {', '.join(TABLES)}"
+        raise OptionError(f"{option}: there is no table {quoted(table)}{hint}")
 
 
 def _entries(option: str, value: Any) -> dict[str, Any]:

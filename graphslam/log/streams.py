@@ -60,9 +60,8 @@ def in_order(what: str, stream: Stream, remarks: list[str]) -> tuple[Stream, np.
     """
     behind = disorder(stream.times)
     if (k := first(behind > MOST_DISORDER)) is not None:
-        raise LogError(
-            f"the times of the {what} run backwards in row {k + 1}: {stream.times[k]:.3f} s comes {behind[k]:.3f} s too late"
-        )
+        late = f"{stream.times[k]:.3f} s comes {behind[k]:.3f} s too late"
+        raise LogError(f"the times of the {what} run backwards in row {k + 1}: {late}")
     order = np.argsort(stream.times, kind="stable")
     if moved := np.count_nonzero(behind):
         rows = "row of the {} runs" if moved == 1 else "rows of the {} run"
@@ -138,10 +137,8 @@ def bridge(
 def gap_note(gaps: list[float]) -> str:
     """The note about bridged gaps [s]."""
     lengths = " to ".join(dict.fromkeys((decimals(min(gaps), 1), decimals(max(gaps), 1))))
-    return (
-        f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of {lengths} s in the odometry: bridged, with the noise of a robot "
-        "that moved and turned at will at its usual speeds"
-    )
+    which = f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of {lengths} s in the odometry"
+    return f"{which}: bridged, with the noise of a robot that moved and turned at will at its usual speeds"
 
 
 def truth_at(times: Array, truth: Stream) -> Array:
@@ -191,9 +188,8 @@ def filled(times: Array, most: float, whole: Sequence[int] = ()) -> Array:
     with np.errstate(over="ignore"):
         pieces = np.maximum(1.0, np.ceil(durations / most - 1e-9))
     if pieces.sum() - len(pieces) > MOST_POSES:
-        raise OptionError(
-            f"keep_every of {most:g} s would make {pieces.sum():.3g} poses, more than {MOST_POSES:,}; choose a longer time"
-        )
+        poses = f"{pieces.sum():.3g} poses, more than {MOST_POSES:,}"
+        raise OptionError(f"keep_every of {most:g} s would make {poses}; choose a longer time")
     pieces[[*whole]] = 1
     of = np.repeat(np.arange(len(pieces)), pieces.astype(np.int64))
     part = np.arange(len(of)) - (np.cumsum(pieces) - pieces)[of]
@@ -302,9 +298,8 @@ def synchronize(
         if nameless.any():
             remarks.append(f"{np.sum(nameless)} of these {np.sum(alone)} have no id, which they need, and are left out")
         kept = alone & ~nameless
-        models["partial_sightings"] = PartialSightings(
-            steps=steps[kept], landmarks=ids[kept], ranges=rows[kept, 0], bearings=rows[kept, 1]
-        )
+        single = {"ranges": rows[kept, 0], "bearings": rows[kept, 1]}
+        models["partial_sightings"] = PartialSightings(steps=steps[kept], landmarks=ids[kept], **single)
         steps, ids, rows = steps[~alone], ids[~alone], rows[~alone]
         classes = None if classes is None else classes[~alone]
     return Log(

@@ -103,9 +103,8 @@ class Columns(Table):
                         message = f"{self.title(column)} should be a number, not {quoted(str(value))}"
                         raise self.error(row, message) from None
                 rows = f"; it has {len(values)}, and the first column {len(self)}" if len(values) != len(self) else ""
-                raise self.error(
-                    None, f"{self.title(column)} should hold one number in each {self._rows}{rows}"
-                ) from None
+                message = f"{self.title(column)} should hold one number in each {self._rows}{rows}"
+                raise self.error(None, message) from None
         return numbers
 
     def words(self, column: int) -> np.ndarray:

@@ -37,6 +37,10 @@ class TextTable(Table):
 
     Separators are commas, semicolons, tabs, bars or spaces. Where they are not commas, a comma may be the decimal mark.
 
+    Args:
+        path: of the file.
+        columns: the names of the columns of a file without a header, whose separators are spaces and tabs.
+
     Attributes:
         path: of the file.
         notes: what the reader changed, one sentence each.
@@ -45,7 +49,7 @@ class TextTable(Table):
         FormatError: the file cannot be read, is empty, or has no columns.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, columns: tuple[str, ...] = ()) -> None:
         self.path, self.source = path, str(path)
         text = read_text(path)
         if not text.strip():
@@ -55,30 +59,28 @@ class TextTable(Table):
         if "#" in text or re.search(r"\n[ \t\r\f\v]*\n", text) or not text.partition("\n")[0].strip():
             lines = text.split("\n")
             text = "\n".join(line for line in lines if line.strip() and not line.lstrip().startswith("#"))
-        if not text:
+        if not text and not columns:
             raise FormatError(path, None, "the file has comments only; a table with a header and rows is needed here")
         if '"' in text:
             _check_length(path, text)
         head = text.split("\n", _HEAD + 1)[: _HEAD + 1]
-        self._separator, self._decimal_comma = _form(path, head[1:] or head)
-        first = self._cells(head[0])
+        self._separator, self._decimal_comma = (None, False) if columns else _form(path, head[1:] or head)
+        first = list(columns) or self._cells(head[0])
         # the index that pandas writes has an empty title
-        self._header = not self._holds_numbers([cell for cell in first if cell])
+        self._header = not columns and not self._holds_numbers([cell for cell in first if cell])
         # above the rows a comment with as many words may name the columns, as in the files of TUM
-        self.names = tuple(first if self._header else self._titles_in_comments(lines, len(first)))
+        self.names = columns or tuple(first if self._header else self._titles_in_comments(lines, len(first)))
         self.width = len(first)
         other = re.search("[;,\t]", first[0]) if self._header and self.width == 1 else None
         if other is not None:
-            message = (
-                f"the header has {quoted(other[0])} between its columns, and the rows below have not: use one separator in "
-                "all lines, and no commas at the thousands of numbers"
-            )
-            raise FormatError(path, 1, message)
+            message = f"the header has {quoted(other[0])} between its columns, and the rows below have not"
+            advice = "use one separator in all lines, and no commas at the thousands of numbers"
+            raise FormatError(path, 1, f"{message}: {advice}")
         if self._header:
             _, below, text = text.partition("\n")
             if not below:
                 raise FormatError(path, 1, "there is a header, but no row below it")
-        self._text, self._length = text, text.count("\n") + 1
+        self._text, self._length = text, text.count("\n") + bool(text)
         self._known: dict[int, Array] = {}
         if '"' in text:
             self._check_quotes()
@@ -89,20 +91,18 @@ class TextTable(Table):
 
     @cached_property
     def _rows(self) -> list[str]:
-        return self._text.split("\n")
+        return self._text.split("\n") if self._text else []
 
     def numbers(self, columns: Sequence[int]) -> Array:
-        for column in columns:
-            if column not in self._known:
-                self._known[column] = self._column(column)
+        new = [column for column in columns if column not in self._known]
+        try:
+            self._known |= dict(zip(new, self._loaded(new, float).T)) if new else {}
+        except ValueError:
+            self._known |= {column: self._column(column) for column in new}
         return np.column_stack([self._known[column] for column in columns])
 
     def _column(self, column: int) -> Array:
-        try:
-            return self._loaded(column, float)
-        except ValueError:
-            pass
-        # cell by cell, which takes longer, knows empty cells and says what is wrong
+        """A column cell by cell, which takes longer, knows empty cells and says what is wrong."""
         values = np.empty(len(self))
         for row, line in enumerate(self._rows):
             cells = self._cells(line)
@@ -115,17 +115,18 @@ class TextTable(Table):
                 raise self.error(row, message) from None
         return values
 
-    def _loaded(self, column: int, kind: Any) -> np.ndarray:
-        """A column (N,) by NumPy's reader, for numbers with points for decimal commas.
+    def _loaded(self, columns: Sequence[int], kind: Any) -> np.ndarray:
+        """Columns (N, k) by NumPy's reader, for numbers with points for decimal commas.
 
         Raises:
             ValueError: a cell is none of this kind.
         """
-        points = self._decimal_comma and kind is not str
-        return np.loadtxt(
-            [row.replace(",", ".") for row in self._even] if points else self._even,
-            delimiter=self._separator, usecols=[column], ndmin=1, quotechar='"', dtype=kind, comments=None,
-        )  # fmt: skip
+        rows = self._even
+        if not rows:
+            return np.empty((0, len(columns)), dtype=kind)
+        if self._decimal_comma and kind is not str:
+            rows = [row.replace(",", ".") for row in rows]
+        return np.loadtxt(rows, kind, None, self._separator, usecols=columns, ndmin=2, quotechar='"')
 
     def words(self, column: int) -> np.ndarray:
         # every row of an array of text takes as much memory as the longest one
@@ -133,10 +134,10 @@ class TextTable(Table):
             if len(line) > _LONGEST and len(cells := self._cells(line)) > column and len(cells[column]) > _LONGEST:
                 message = f"{self.title(column)} has {len(cells[column]):,} letters; a word has at most {_LONGEST}"
                 raise self.error(row, message)
-        return np.char.strip(self._loaded(column, str))
+        return np.char.strip(self._loaded([column], str)[:, 0])
 
     def texts(self, column: int) -> np.ndarray:
-        return self._loaded(column, "S40")
+        return self._loaded([column], "S40")[:, 0]
 
     def error(self, row: int | None, message: str) -> FormatError:
         return FormatError(self.path, None if row is None else self._line(row), message)
@@ -149,9 +150,8 @@ class TextTable(Table):
                 next(reader)
                 # it has read on
                 if reader.line_num > 1:
-                    raise self.error(
-                        row, "a quotation mark is opened and not closed in this line; each row is one line"
-                    )
+                    message = "a quotation mark is opened and not closed in this line; each row is one line"
+                    raise self.error(row, message)
 
     def _line(self, row: int) -> int:
         """The line, counted from 1, of a row."""

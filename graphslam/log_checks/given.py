@@ -44,21 +44,17 @@ def against_truth(log: Log) -> Iterator[Finding]:
     ]
     ours, theirs = lengths[1]
     if all(max(each) > 1 and not 0.5 < each[0] / max(each[1], 1e-9) < 2 for each in lengths):
-        yield Finding(
-            "truth scale",
-            f"the odometry drives {decimals(ours, 1)} m where the truth moves {decimals(theirs, 1)} m; one may be in another "
-            "unit",
-        )
+        ways = f"the odometry drives {decimals(ours, 1)} m where the truth moves {decimals(theirs, 1)} m"
+        cause = "one may be in another unit"
+        yield Finding("truth scale", f"{ways}; {cause}")
     mirrored = _truth_is_mirrored(path, truth, placed)
     headed = np.isfinite(truth[begin, 2]) & np.isfinite(truth[end, 2])
     begin, end = begin[headed], end[headed]
     if len(begin) < _FEWEST:
         if mirrored:
-            yield Finding(
-                "truth mirrored",
-                "the true path turns the other way than the odometry: x and y of the truth may be swapped, or one of them "
-                "or of the turn rates have the wrong sign",
-            )
+            what = "the true path turns the other way than the odometry"
+            cause = "x and y of the truth may be swapped, or one of them or of the turn rates have the wrong sign"
+            yield Finding("truth mirrored", f"{what}: {cause}")
         return
     turns, real = path[end, 2] - path[begin, 2], wrap(truth[end, 2] - truth[begin, 2])
     small = np.abs(turns) < np.pi / 2
@@ -99,16 +95,13 @@ def _headings(motions: Array, truth: Array, driven: Array, *, mirrored: bool) ->
     if mirrored and fits[best] > _ALONG > aside.real:
         yield Finding("truth mirrored", f"{best}: read like this, the robot looks where it drives")
     elif abs(aside) > _ALONG and abs(direction := np.angle(aside)) > np.deg2rad(45):
-        yield Finding(
-            "truth heading",
-            f"the true headings point {np.rad2deg(abs(direction)):.0f} degrees away from the direction of driving; they "
-            "may be in another unit, or count from another axis",
-        )
+        away = f"the true headings point {np.rad2deg(abs(direction)):.0f} degrees away from the direction of driving"
+        cause = "they may be in another unit, or count from another axis"
+        yield Finding("truth heading", f"{away}; {cause}")
     elif abs(aside) < 1 - _ALONG:
-        yield Finding(
-            "truth heading",
-            "the true headings have nothing to do with the direction of driving; they may be in another unit or column",
-        )
+        what = "the true headings have nothing to do with the direction of driving"
+        cause = "they may be in another unit or column"
+        yield Finding("truth heading", f"{what}; {cause}")
 
 
 def _truth_is_mirrored(path: Array, truth: Array, known: np.ndarray) -> bool:
@@ -145,11 +138,10 @@ def against_map(log: Log, found: Distances, *, trusted: bool) -> Iterator[Findin
     seen, known = set(log.landmark_ids.tolist()), set(log.true_landmarks)
     if seen and 2 * len(seen & known) < min(len(seen), len(known)):
         which = f"only {len(seen & known)}" if seen & known else "none"
-        yield Finding(
-            "map ids",
-            f"{which} of the {len(seen)} landmarks that are seen ({_listed(seen)}) is among the {len(known)} of the true map "
-            f"({_listed(known)}); the ids of one of them may be of another list or column",
-        )
+        which = f"{which} of the {len(seen)} landmarks that are seen ({_listed(seen)})"
+        among = f"is among the {len(known)} of the true map ({_listed(known)})"
+        cause = "the ids of one of them may be of another list or column"
+        yield Finding("map ids", f"{which} {among}; {cause}")
         return
     if len(seen) == 1:
         return
@@ -163,20 +155,17 @@ def against_map(log: Log, found: Distances, *, trusted: bool) -> Iterator[Findin
         cause = "the ids of the map may belong to other landmarks"
         if not 1 / _FACTOR < ratio < _FACTOR:
             cause = f"they are about {ratio:.3g} times as large: it may be in another unit"
-        yield Finding(
-            "map",
-            f"the distances between landmarks in the true map differ from those that are seen by {off:.0%} of the range "
-            f"(median); {cause}",
-        )
+        what = "the distances between landmarks in the true map differ from"
+        others = f"those that are seen by {off:.0%} of the range (median)"
+        yield Finding("map", f"{what} {others}; {cause}")
     elif _map_is_mirrored(log, places):
         message = "the true map is the mirror image of what is seen: x and y may be swapped, or one have the wrong sign"
         yield Finding("map mirrored", message)
     elif trusted and (off := _seen_from_truth(log)) > _WRONG:
-        yield Finding(
-            "map",
-            f"seen from the true poses the landmarks are {off:.0%} of the range (median) away from their places in the true "
-            "map; its ids may belong to other landmarks, or its axes, units or origin be other ones than those of the poses",
-        )
+        away = f"seen from the true poses the landmarks are {off:.0%} of the range (median) away"
+        reason = "from their places in the true map; its ids may belong to other landmarks"
+        cause = "or its axes, units or origin be other ones than those of the poses"
+        yield Finding("map", f"{away} {reason}, {cause}")
 
 
 def _seen_from_truth(log: Log) -> float:

@@ -31,6 +31,50 @@ class Finding:
     message: str
 
 
+class Carried:
+    """The K sightings of a log that have ids, where dead reckoning puts them.
+
+    Attributes:
+        rows: (K,) their rows in the log.
+        steps, ids, ranges: (K,).
+        way: (K,) to the pose of each, [rad] turned plus [ranges] driven; a range is the median one.
+        places: (K, 2); without controls seen from the pose.
+    """
+
+    def __init__(self, log: Log) -> None:
+        self.rows = rows = np.flatnonzero(log.landmarks != UNIDENTIFIED)
+        self.ids, self.steps, z = log.landmarks[rows], log.steps[rows], log.sightings[rows, :2]
+        # without controls poses are too far apart to be compared
+        way, poses = 1e9 * np.arange(log.num_poses), np.zeros((log.num_poses, 3))
+        if log.controls is not None and log.dt is not None and len(rows):
+            driven = np.abs(log.controls) @ [1 / float(np.median(z[:, 0])), 1.0] * log.dt
+            way = np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts]
+            poses = log.dead_reckoning()
+        self.ranges, self.way = z[:, 0], way[self.steps]
+        self.places = (log.sensor or SensorModel()).h_inverse(poses[self.steps], z)[:, :2]
+
+    def pairs(self, way: float, most: int, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs (P,) of a sighting and a later one, within a way and so many sightings; those nearest in time come first.
+
+        Of so many sightings one is taken, ``every``.
+        """
+        found = [(np.zeros(0, dtype=np.int64),) * 2]
+        for back in range(1, min(most, len(self.rows) - 1) + 1):
+            a = np.arange(0, len(self.rows) - back, every)
+            a = a[self.way[a + back] - self.way[a] <= way]
+            found.append((a, a + back))
+        a, b = map(np.concatenate, zip(*found))
+        return a, b
+
+    def apart(self, a: np.ndarray, b: np.ndarray) -> Array:
+        """The distances [m] between the places of sightings a and b (P,)."""
+        return np.linalg.norm(self.places[a] - self.places[b], axis=1)
+
+    def share(self, a: np.ndarray, b: np.ndarray) -> Array:
+        """The same over the longer of both ranges."""
+        return self.apart(a, b) / np.maximum(self.ranges[a], self.ranges[b])
+
+
 #: two landmarks are compared if they are seen within this way, [rad] turned plus [ranges] driven, and number of sightings
 _SHORT, _BACKWARDS = 3.0, 30
 #: distances that are computed at most
@@ -56,30 +100,12 @@ class Distances:
 
 def distances_of(log: Log) -> Distances:
     """The distances of a log; without controls those of landmarks that are seen from one pose."""
-    known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
-    steps, ids, sightings = log.steps[known], log.landmarks[known], log.sightings[known, :2]
-    # without controls poses are too far apart
-    way, poses = 2 * _SHORT * np.arange(log.num_poses), np.zeros((log.num_poses, 3))
-    if log.controls is not None and len(known):
-        way, poses = ways(log, known), log.dead_reckoning()
-    places = (log.sensor or SensorModel()).h_inverse(poses[steps], sightings)
-    every = max(1, len(ids) * _BACKWARDS // _COMPUTED)
-    parts: list[tuple[np.ndarray, ...]] = []
-    for back in range(1, _BACKWARDS + 1):
-        b = np.arange(back, len(ids), every)
-        b = b[(way[steps[b]] - way[steps[b - back]] <= _SHORT) & (ids[b] != ids[b - back])]
-        a = b - back
-        pair = np.sort(np.column_stack([ids[a], ids[b]]), axis=1)
-        apart = np.linalg.norm(places[b] - places[a], axis=1)
-        parts.append((pair, steps[b], apart, (sightings[a, 0] + sightings[b, 0]) / 2))
-    return Distances(*map(np.concatenate, zip(*parts)))
-
-
-def ways(log: Log, known: np.ndarray) -> Array:
-    """The way (T+1,) to each pose, [rad] turned plus [ranges] driven; a range is the median of the sightings ``known``."""
-    assert log.controls is not None and log.dt is not None
-    driven = np.abs(log.controls) @ [1 / float(np.median(log.sightings[known, 0])), 1.0] * log.dt
-    return np.asarray(np.concatenate([[0.0], np.cumsum(driven)])[log.control_starts])
+    seen = Carried(log)
+    a, b = seen.pairs(_SHORT, _BACKWARDS, max(1, len(seen.ids) * _BACKWARDS // _COMPUTED))
+    other = seen.ids[a] != seen.ids[b]
+    a, b = a[other], b[other]
+    pair = np.sort(np.column_stack([seen.ids[a], seen.ids[b]]), axis=1)
+    return Distances(pair, seen.steps[b], seen.apart(a, b), (seen.ranges[a] + seen.ranges[b]) / 2)
 
 
 #: fewer sightings are not checked
@@ -105,19 +131,14 @@ def misread(log: Log) -> np.ndarray:
     again at the place, and so it is not misread.
     """
     found = np.zeros(len(log.steps), dtype=bool)
-    known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
-    if log.controls is None or len(known) <= _FEWEST:
+    seen = Carried(log)
+    ids = seen.ids
+    if log.controls is None or len(ids) <= _FEWEST:
         return found
-    steps, ids, ranges = log.steps[known], log.landmarks[known], log.sightings[known, 0]
-    way = ways(log, known)[steps]
-    places = (log.sensor or SensorModel()).h_inverse(log.dead_reckoning()[steps], log.sightings[known, :2])[:, :2]
-    pairs: list[tuple[np.ndarray, ...]] = []
-    for back in range(1, min(_AROUND, len(ids) - 1) + 1):
-        a = np.flatnonzero((way[back:] - way[:-back] <= _WAY) & (steps[back:] != steps[:-back]))
-        b = a + back
-        distance = np.linalg.norm(places[a] - places[b], axis=1) / np.maximum(ranges[a], ranges[b])
-        pairs.append((a, b, ids[a] == ids[b], distance))
-    a, b, same, distance = map(np.concatenate, zip(*pairs))
+    a, b = seen.pairs(_WAY, _AROUND)
+    later = seen.steps[a] != seen.steps[b]
+    a, b = a[later], b[later]
+    same, distance = ids[a] == ids[b], seen.share(a, b)
     least = np.full(len(ids), np.inf)
     np.minimum.at(least, b[same], distance[same])
     if not np.isfinite(least).any():
@@ -132,7 +153,7 @@ def misread(log: Log) -> np.ndarray:
     # where landmarks are close to each other, sightings with the right id and a large error lie near others, too
     by_chance = np.sum(~again) * float(np.mean(others[again] >= _OTHERS)) if again.any() else 0.0
     if max(_LEAST, _FEW * len(ids), by_chance + np.sqrt(by_chance)) <= np.sum(wrong) <= _MOST * len(ids):
-        found[known] = wrong
+        found[seen.rows] = wrong
     return found
 
 
@@ -141,12 +162,11 @@ def misread_ids(log: Log, wrong: np.ndarray) -> Iterator[Finding]:
     if (count := int(np.sum(wrong))) == 0:
         return
     total, k = int(np.sum(log.landmarks != UNIDENTIFIED)), int(np.argmax(wrong))
-    yield Finding(
-        "misread ids",
-        f"at least {count} of {total} sightings have ids that the sightings of the same place just before and after "
-        f"contradict, the first one landmark {log.landmarks[k]} at step {log.steps[k]}: single ids are probably misread; a "
-        "robust kernel or method gnc limits what they do",
-    )
+    these = f"at least {count} of {total} sightings have ids"
+    reason = "that the sightings of the same place just before and after contradict"
+    first = f"the first one landmark {log.landmarks[k]} at step {log.steps[k]}: single ids are probably misread"
+    advice = "a robust kernel or method gnc limits what they do"
+    yield Finding("misread ids", f"{these} {reason}, {first}; {advice}")
 
 
 def ids_of(log: Log) -> Iterator[Finding]:
@@ -165,30 +185,25 @@ def ids_of(log: Log) -> Iterator[Finding]:
         message = f"all {len(known)} sightings are of one landmark, {names[0]}; ids may be in another column"
         yield Finding("one landmark", message)
     elif len(known) > _FEWEST and np.mean(counts) < 1.5:
-        yield Finding(
-            "ids jump",
-            f"{len(known)} sightings are of {len(names)} landmarks, so that nearly each is seen once; the ids may be a "
-            "running number",
-        )
+        message = f"{len(known)} sightings are of {len(names)} landmarks, so that nearly each is seen once"
+        cause = "the ids may be a running number"
+        yield Finding("ids jump", f"{message}; {cause}")
     order = np.lexsort((*log.sightings.T[::-1], log.landmarks, log.steps))
     steps, ids, ranges = log.steps[order], log.landmarks[order], log.sightings[order, 0]
     twice = (np.diff(steps) == 0) & (np.diff(ids) == 0)
     if (same := twice & np.all(np.diff(log.sightings[order], axis=0) == 0, axis=1)).any():
-        k = int(np.argmax(same))
-        yield Finding(
-            "doubled sightings",
-            f"{np.sum(same)} of {len(same) + 1} sightings repeat another one of the same step, landmark and numbers, the "
-            f"first of landmark {ids[k]} at step {steps[k]}: rows were probably written twice, and these sightings count "
-            "twice",
-        )
+        count, k = int(np.sum(same)), int(np.argmax(same))
+        again = f"{count} of {len(same) + 1} sightings repeat another one of the same step, landmark and numbers"
+        which = f"the first of landmark {ids[k]} at step {steps[k]}"
+        cause = "rows were probably written twice, and these sightings count twice"
+        yield Finding("doubled sightings", f"{again}, {which}: {cause}")
     apart = twice & (ids[1:] != UNIDENTIFIED) & (np.abs(np.diff(ranges)) > 0.2 * ranges[1:])
     if np.sum(apart) > 0.02 * len(known):
         k = int(np.argmax(apart))
-        yield Finding(
-            "duplicate ids",
-            f"landmark {ids[k]} is seen twice at step {steps[k]}, {ranges[k]:.2f} and {ranges[k + 1]:.2f} m away "
-            f"({np.sum(apart)} such pairs); several objects may have one id, or different stamps became one",
-        )
+        seen = f"landmark {ids[k]} is seen twice at step {steps[k]}"
+        away = f"{ranges[k]:.2f} and {ranges[k + 1]:.2f} m away ({np.sum(apart)} such pairs)"
+        cause = "several objects may have one id, or different stamps became one"
+        yield Finding("duplicate ids", f"{seen}, {away}; {cause}")
 
 
 #: a landmark is compared with those seen before it within this way, [rad] turned plus [ranges] driven, and number of
@@ -224,10 +239,9 @@ def changed_ids(log: Log, distances: Distances, *, trusted: bool, wrong: np.ndar
             when = f"step {step}"
             if log.times is not None:
                 when = f"{log.times[step] - log.start_time:.1f} s after the start"
-            yield Finding(
-                "ids change",
-                f"landmarks have other ids from about {when} on ({evidence}); a detector may have counted them anew",
-            )
+            message = f"landmarks have other ids from about {when} on ({evidence})"
+            cause = "a detector may have counted them anew"
+            yield Finding("ids change", f"{message}; {cause}")
             return
 
 
@@ -311,48 +325,38 @@ def _moments(sums: Array) -> tuple[Array, Array, Array]:
 
 def _in_one_place(log: Log) -> tuple[int, str] | None:
     """Several landmarks at once are where others have just been seen."""
-    known = np.flatnonzero(log.landmarks != UNIDENTIFIED)
-    if log.controls is None or log.dt is None or len(known) < 10 * _FEWEST_CHANGED:
+    seen = Carried(log)
+    ids, way, count = seen.ids, seen.way, len(seen.ids)
+    if log.controls is None or count < 10 * _FEWEST_CHANGED:
         return None
-    steps, ids, sightings = log.steps[known], log.landmarks[known], log.sightings[known, :2]
-    way = ways(log, known)[steps]
-    places = (log.sensor or SensorModel()).h_inverse(log.dead_reckoning()[steps], sightings)[:, :2]
 
     def apart(a: np.ndarray, b: np.ndarray) -> Array:
-        distance = np.linalg.norm(places[a] - places[b], axis=1)
-        return np.where(way[b] - way[a] <= _BACK_WAY, distance / np.maximum(sightings[a, 0], sightings[b, 0]), np.inf)
+        return np.where(way[b] - way[a] <= _BACK_WAY, seen.share(a, b), np.inf)
 
     own = _previous(ids)
-    error = np.where(own >= 0, apart(np.maximum(own, 0), np.arange(len(ids))), np.inf)
+    error = np.where(own >= 0, apart(np.maximum(own, 0), np.arange(count)), np.inf)
     if not np.isfinite(error).any() or (usual := float(np.median(error[np.isfinite(error)]))) > _COARSE:
         return None
     near = max(_STAYS, _STAYS_TIMES * usual)
     stays = error <= near
-    moved = np.flatnonzero(~stays)
-    least, other = np.full(len(moved), np.inf), np.full(len(moved), -1)
-    # the places of each id, one id after the other
+    before, moved = seen.pairs(_BACK_WAY, _BACK)
+    # only a landmark that was seen at its place before can have got another id: in dense fields new ones are beside others by
+    # chance
+    likely = ~stays[moved] & stays[before] & (ids[before] != ids[moved])
+    before, moved = before[likely], moved[likely]
+    # an id that is then seen again at its place is no other one: one of the two is misread, or two landmarks are close
     rank = np.unique(ids, return_inverse=True)[1]
-    sequence = np.sort(rank * len(ids) + np.arange(len(ids)))
-    for back in range(1, _BACK + 1):
-        before = np.maximum(moved - back, 0)
-        close = np.flatnonzero((moved >= back) & (way[moved] - way[before] <= _BACK_WAY))
-        if len(close) == 0:
-            break
-        # only a landmark that was seen at its place before can have got another id: in dense fields new ones are
-        # beside others by chance
-        close = close[stays[before[close]] & (ids[before[close]] != ids[moved[close]])]
-        # an id that is then seen again at its place is no other one: one of the two is misread, or two landmarks are close
-        place = np.searchsorted(sequence, rank[before[close]] * len(ids) + moved[close], side="right")
-        then = sequence[np.minimum(place, len(ids) - 1)]
-        stays_too = (then // len(ids) == rank[before[close]]) & (then > rank[before[close]] * len(ids) + moved[close])
-        close = close[~(stays_too & (apart(moved[close], then % len(ids)) <= near))]
-        distance = apart(before[close], moved[close])
-        nearer = distance < least[close]
-        least[close[nearer]], other[close[nearer]] = distance[nearer], before[close[nearer]]
-    new = np.zeros(len(ids), dtype=bool)
-    new[moved] = least <= near
-    partner = own.copy()
-    partner[moved] = other
+    sequence, now = np.sort(rank * count + np.arange(count)), rank[before] * count + moved
+    then = sequence[np.minimum(np.searchsorted(sequence, now, side="right"), count - 1)]
+    again = (then // count == rank[before]) & (then > now)
+    again &= apart(moved, then % count) <= near
+    before, moved = before[~again], moved[~again]
+    distance = apart(before, moved)
+    order = np.lexsort((distance, moved))
+    found, nearest = np.unique(moved[order], return_index=True)
+    nearest = order[nearest]
+    new, partner = np.zeros(count, dtype=bool), np.where(stays, own, -1)
+    new[found], partner[found] = distance[nearest] <= near, before[nearest]
     # (landmarks with another id, those that keep theirs, the first ones) at each time at which there may be a change
     times: list[tuple[int, int, np.ndarray]] = []
     for k in np.flatnonzero(new)[:_MOST_TIMES]:
@@ -365,14 +369,16 @@ def _in_one_place(log: Log) -> tuple[int, str] | None:
         times.append((len(changed), int(np.sum(stays[after])), np.sort(changed)))
     if not times:
         return None
-    count, kept, changed = max(times, key=lambda each: each[0] - each[1])
+    number, kept, changed = max(times, key=lambda each: each[0] - each[1])
     far = [n > m for n, m, first in times if abs(way[first[0]] - way[changed[0]]) > 2 * _BACK_WAY]
     again = np.isin(changed, own[stays])
     # two that are seen again there are enough where nothing else in the log looks like it
-    if (count >= _FEWEST_CHANGED and count > _MORE * kept) or (
-        count == _FEWEST_CHANGED - 1 and not kept and not any(far) and again.all()
+    if (number >= _FEWEST_CHANGED and number > _MORE * kept) or (
+        number == _FEWEST_CHANGED - 1 and not kept and not any(far) and again.all()
     ):
-        return int(steps[changed[0]]), ", ".join(f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist())
+        return int(seen.steps[changed[0]]), ", ".join(
+            f"{ids[partner[k]]} becomes {ids[k]}" for k in changed[:3].tolist()
+        )
     return None
 
 

@@ -106,11 +106,11 @@ def readings_of(log: Log) -> Iterator[Finding]:
             "noisy, wheels slip, rows of the odometry have wrong times, or the sightings have other axes",
         )
     elif given > _CONTRADICTION:
-        yield Finding(
-            "contradiction",
-            f"sightings contradict the odometry: over short ways a landmark moves by {given:.0%} of its range (median); ids, "
-            "clocks, units or axes may be wrong",
+        what = (
+            f"sightings contradict the odometry: over short ways a landmark moves by {given:.0%} of its range (median)"
         )
+        cause = "ids, clocks, units or axes may be wrong"
+        yield Finding("contradiction", f"{what}; {cause}")
 
 
 def _moves_like(log: Log, slower: tuple[float, float]) -> bool:
@@ -221,13 +221,8 @@ class SightingPairs:
             (1 / 1000, "the speeds are in mm/s"), (1 / 100, "the speeds are in cm/s"), (1 / 3.6, "the speeds are in km/h"),
             (1 / 0.3048, "the ranges are in feet"), (100.0, "the ranges are in cm"), (1000.0, "the ranges are in mm"),
         ):  # fmt: skip
-            yield (
-                "scale",
-                f"{message}, against the other lengths",
-                poses * [factor, factor, 1.0],
-                z,
-                (min(factor, 1.0), 1.0),
-            )
+            scaled = poses * [factor, factor, 1.0]
+            yield "scale", f"{message}, against the other lengths", scaled, z, (min(factor, 1.0), 1.0)
         yield from self._clocks(starts)
 
     def _clocks(self, starts: np.ndarray) -> Iterator[tuple[str, str, Array, Array]]:
@@ -313,11 +308,9 @@ def orientations_of(log: Log) -> Iterator[Finding]:
         return
     psi = log.sightings[:, 2]
     if np.ptp(psi) == 0:
-        yield Finding(
-            "orientation",
-            f"all orientations are {psi[0] + 0.0:g} rad, so that the sensor probably does not measure them: leave out their "
-            "column",
-        )
+        same = f"all orientations are {psi[0] + 0.0:g} rad, so that the sensor probably does not measure them"
+        advice = "leave out their column"
+        yield Finding("orientation", f"{same}: {advice}")
         return
     theta, phi, psi = pairs.poses[..., 2], pairs.sightings[..., 1], psi[np.stack([pairs.first, pairs.second])]
     given = _change(theta + phi - psi)
@@ -335,11 +328,9 @@ def orientations_of(log: Log) -> Iterator[Finding]:
         how = (
             "state the unit" if "radians" in best else "make them psi = theta + phi - m_theta or leave out their column"
         )
-        yield Finding(
-            "orientation",
-            f"{best}: read like this, the heading of a landmark changes by {after:.2g} instead of {before:.2g} rad over "
-            f"short ways (median); {how}",
-        )
+        heading = "read like this, the heading of a landmark"
+        change = f"changes by {after:.2g} instead of {before:.2g} rad over short ways (median)"
+        yield Finding("orientation", f"{best}: {heading} {change}; {how}")
     elif before > _NOTHING:
         yield Finding(
             "orientation",
@@ -380,14 +371,10 @@ def nothing_measured(ranges: Array) -> Iterator[Finding]:
     values, counts = np.unique(ranges, return_counts=True)
     enough = len(ranges) >= ENOUGH and len(values) > 1 and counts[-1] >= REPEATED
     if enough and values[-1] > BEYOND * values[-2]:
-        yield Finding(
-            "range without measurement",
-            f"{counts[-1]} sightings have the same range of {values[-1]:g} m, and all others are below {values[-2]:.3g} m; "
-            "the sensor may report it where it measures nothing. Remove these rows",
-        )
+        message = f"{counts[-1]} sightings have the same range of {values[-1]:g} m, and all others are below"
+        cause = "the sensor may report it where it measures nothing. Remove these rows"
+        yield Finding("range without measurement", f"{message} {values[-2]:.3g} m; {cause}")
     elif enough and counts[-1] > max(CLIPPED * len(ranges), OFTEN * counts[:-1].max()):
-        yield Finding(
-            "range limit",
-            f"{counts[-1]} of {len(ranges)} sightings have the same range of {values[-1]:g} m, and none is longer; the "
-            "sensor may report it for all that is farther away. Remove these rows",
-        )
+        message = f"{counts[-1]} of {len(ranges)} sightings have the same range of {values[-1]:g} m, and none is longer"
+        cause = "the sensor may report it for all that is farther away. Remove these rows"
+        yield Finding("range limit", f"{message}; {cause}")

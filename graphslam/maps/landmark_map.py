@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -69,10 +68,8 @@ class LandmarkMap(dict[int, Array]):
         ends = np.cumsum([0, *(len(self[j]) for j in chosen)])
         matrix = array_of("joint", joint)
         if matrix.shape != (ends[-1], ends[-1]):
-            raise OptionError(
-                f"the joint covariance must have shape ({ends[-1]}, {ends[-1]}), a row for each coordinate of its "
-                f"landmarks, not {matrix.shape}"
-            )
+            shape = f"({ends[-1]}, {ends[-1]}), a row for each coordinate of its landmarks"
+            raise OptionError(f"the joint covariance must have shape {shape}, not {matrix.shape}")
         self.joint = _checked("the joint covariance of the map", matrix)
         self.covariances = {j: self.joint[a:b, a:b] for j, a, b in zip(chosen, ends, ends[1:])}
 
@@ -120,9 +117,6 @@ class LandmarkMap(dict[int, Array]):
         parts = parts * bool(self.covariances) + [f"{exact} exact"] * bool(exact)
         return singular(f"<LandmarkMap of {len(self)} landmarks{': ' * bool(parts)}{', '.join(parts)}>")
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (dict(self), self.covariances, self.classes, self.joint)
-
     @property
     def oriented(self) -> bool:
         """Whether the heading of every landmark is known."""
@@ -143,20 +137,21 @@ class LandmarkMap(dict[int, Array]):
             return self
         return LandmarkMap(self, self.covariances if use == "own" else None, classes=self.classes)
 
-    def widened(self, deviation: float) -> LandmarkMap:
-        """The map with an independent error of every coordinate of its places, with this standard deviation [m], besides."""
+    def widened(self, deviation: float, exact: float = HELD_STD) -> LandmarkMap:
+        """The map with an independent error of every coordinate of its places, with this standard deviation [m], besides.
+
+        Exact coordinates have at least the standard deviation ``exact`` [m, rad], and headings no other error.
+        """
         sizes = [len(place) for place in self.values()]
         known = np.repeat([j in self.covariances for j in self], sizes)
-        heading = np.concatenate([np.arange(size) == 2 for size in sizes])
-        added = np.where(heading, np.where(known, 0.0, HELD_STD**2), deviation**2)
+        heading = np.array([coordinate == 2 for size in sizes for coordinate in range(size)], dtype=bool)
+        added = np.maximum(np.where(heading, 0.0, deviation**2), np.where(known, 0.0, exact**2))
         if self.joint is not None:
             joint = np.diag(added)
             joint[np.ix_(known, known)] += self.joint
             return LandmarkMap(self, classes=self.classes, joint=joint)
-        own = {
-            j: self.covariances.get(j, 0.0) + np.diag(variances)
-            for j, variances in zip(self, np.split(added, np.cumsum(sizes)[:-1]))
-        }
+        parts = zip(self, np.split(added, np.cumsum(sizes)[:-1]))
+        own = {j: self.covariances.get(j, 0.0) + np.diag(variances) for j, variances in parts}
         return LandmarkMap(self, own, classes=self.classes)
 
     def among(self, ids: Iterable[int]) -> LandmarkMap:
@@ -252,13 +247,6 @@ def _class(kind: object) -> str | int:
     return int(number[1]) if number else word
 
 
-def _again(means: Any, covariances: Any, classes: Any, joint: Any) -> LandmarkMap:
-    """A map from its parts, for pickle and copy."""
-    if joint is None:
-        return LandmarkMap(means, covariances, classes=classes)
-    return LandmarkMap(means, classes=classes, joint=joint, joint_ids=covariances)
-
-
 def _id(value: object) -> int:
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not -(2**63) <= value < 2**63:
         raise OptionError(f"the ids of a map are whole numbers of at most 64 bits, not {quoted(value)}")
@@ -289,9 +277,8 @@ def _checked(name: str, matrix: Array) -> Array:
         raise OptionError(f"{name} must be a symmetric matrix of finite numbers")
     matrix = (matrix + matrix.T) / 2
     if len(matrix) and np.linalg.eigvalsh(matrix)[0] < -ROUNDED * size:
-        raise OptionError(
-            f"{name} has the negative eigenvalue {np.linalg.eigvalsh(matrix)[0]:.3g}, but must be positive definite"
-        )
+        least = f"{np.linalg.eigvalsh(matrix)[0]:.3g}"
+        raise OptionError(f"{name} has the negative eigenvalue {least}, but must be positive definite")
     return matrix
 
 
@@ -303,8 +290,6 @@ def _inverse(name: str, matrix: Array) -> Array:
             raise np.linalg.LinAlgError
         root = np.linalg.inv(np.linalg.cholesky(matrix / np.outer(deviations, deviations))) / deviations
     except np.linalg.LinAlgError:
-        raise OptionError(
-            f"{name} is singular, so that it has no inverse; leave covariances out (map_use='fixed') if landmarks "
-            "are exact"
-        ) from None
+        advice = "leave covariances out (map_use='fixed') if landmarks are exact"
+        raise OptionError(f"{name} is singular, so that it has no inverse; {advice}") from None
     return root.T @ root

@@ -11,7 +11,7 @@ agree (`maps.stretch`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 
@@ -21,7 +21,7 @@ from ..errors import GraphError
 from ..errors.checks import check_type, listed
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, in_frame, lever_matrix, perpendicular, turn_matrix
+from ..se2 import Array, in_frame, lever_matrix
 from .constellation import Constellations, Merged, match, merged, with_alike
 from .landmark_map import LandmarkMap, as_map
 from .map_evidence import Weighed, log_sum
@@ -234,15 +234,11 @@ def possible_fixes(
 def _followed_back(fix: Fix, log: Stretch, step: int, landmarks: LandmarkMap, chances: int) -> Fix:
     """The sure fix of a pose as one of the first pose, corrected by the sightings before it."""
     tracker, agree, disagree = Tracker(landmarks, log.sensor, fix.pose, fix.covariance), [], []
-    back = between(log.motions[:step], np.zeros(3))
-    B = -turn_matrix(-log.motions[:step, 2])
-    B[:, :2, 2] = -perpendicular(back[:, :2])
-    noise = B @ log.noise[:step] @ np.swapaxes(B, 1, 2)
+    back, noise = backwards(log.motions[:step], log.noise[:step])
     rows_at = log.rows_at
     for before in range(step - 1, -1, -1):
         tracker.move(back[before], noise[before])
-        rows = rows_at[before]
-        if len(rows):
+        if len(rows := rows_at[before]):
             seen = tracker.see(before, rows, np.full(len(rows), UNIDENTIFIED), log.sightings[rows])
             agree.append(rows[seen.agree])
             disagree.append(rows[seen.contradict])
@@ -321,29 +317,23 @@ def _sure(log: Stretch, landmarks: LandmarkMap, fixes: list[Fix]) -> Fix:
     likely = [fix for fix in fixes if fix.odds > 1 / SURE][:4]
     sure = sum(fix.odds / (1 + fix.odds) for fix in likely)
     # places that are alike leave no doubt about the map
-    for name, (x, y) in CHANGES.items() if sure < 0.99 else ():
-        changed = LandmarkMap({j: place[:2] * (x, y) for j, place in landmarks.items()})
+    for name, changed in _corrected(landmarks) if sure < 0.99 else ():
         known = Constellations.of(changed, float(np.quantile(log.sightings[:, 0], 0.98)))
         others = _fixes_here(log, known, changed)
         if others and others[0].odds > SURE:
-            raise GraphError(
-                f"{log.name} has sightings without ids, which do not say where in the map it begins; they would with the map "
-                f"{name}"
-            )
+            which = f"{log.name} has sightings without ids, which do not say where in the map it begins"
+            raise GraphError(f"{which}; they would with the map {name}")
     if not likely or sure < 0.5:
-        raise GraphError(
-            f"{log.name} has sightings without ids, and they do not say where in the map it begins: no place surely has a "
-            "constellation of landmarks like theirs; is it the map of another place, or has the noise another size?"
-        )
+        which = f"{log.name} has sightings without ids, and they do not say where in the map it begins"
+        cause = "is it the map of another place, or has the noise another size?"
+        raise GraphError(f"{which}: no place surely has a constellation of landmarks like theirs; {cause}")
     places = "; ".join(
         f"({fix.pose[0]:.2f}, {fix.pose[1]:.2f}) m, {np.degrees(fix.pose[2]):.0f} degrees with probability "
         f"{fix.odds / (1 + fix.odds):.2g}"
         for fix in likely
     )
-    raise GraphError(
-        f"{log.name} has sightings without ids, and they do not say surely where in the map it begins: {places}; more "
-        "sightings are needed, or give it the pose"
-    )
+    which = f"{log.name} has sightings without ids, and they do not say surely where in the map it begins"
+    raise GraphError(f"{which}: {places}; more sightings are needed, or give it the pose")
 
 
 def registered(
@@ -379,10 +369,8 @@ def _rows(log: Stretch, landmarks: LandmarkMap) -> np.ndarray:
     rows = np.flatnonzero(np.isin(log.landmarks, list(landmarks)))
     if len(rows) == 0:
         seen, known = (listed("landmark", sorted(ids), most=4) for ids in (set(log.landmarks.tolist()), landmarks))
-        raise GraphError(
-            f"{log.name} sees no landmark of the map: it sees {seen}, and the map has {known}; is it the map of another "
-            "place, or are the ids numbered otherwise?"
-        )
+        cause = "is it the map of another place, or are the ids numbered otherwise?"
+        raise GraphError(f"{log.name} sees no landmark of the map: it sees {seen}, and the map has {known}; {cause}")
     return rows
 
 
@@ -402,31 +390,31 @@ def _no_fix(
     count = len(np.unique(points.ids))
     if count == 1 and not points.oriented.any():
         which = listed("landmark", [int(points.ids[0])])
-        return GraphError(
-            f"{log.name} sees only {which} of the map, and one landmark without a heading does not say where the robot is: "
-            "two are needed"
-        )
+        reason = "one landmark without a heading does not say where the robot is: two are needed"
+        return GraphError(f"{log.name} sees only {which} of the map, and {reason}")
     what = f"{len(points.ids)} sightings of {listed('landmark', np.unique(points.ids).tolist(), most=4)} of the map"
     cause = _cause(log, landmarks, found)
     if not cause and matches and matches[0].covariance[2, 2] >= OPEN**2 and odds_of(matches) > LEAST:
         wide = np.degrees(matches[0].covariance[2, 2] ** 0.5)
-        return GraphError(
-            f"{what} leave open where {log.name} heads at its first pose (standard deviation {wide:.0f} degrees); more "
-            "sightings of other landmarks are needed"
-        )
+        heading = f"where {log.name} heads at its first pose (standard deviation {wide:.0f} degrees)"
+        return GraphError(f"{what} leave open {heading}; more sightings of other landmarks are needed")
     if not cause and len(matches) > 1 and odds_of(matches[:1]) > SURE > odds_of(matches):
         places = " and ".join(f"({m.pose[0]:.2f}, {m.pose[1]:.2f}) m" for m in matches[:2])
-        return GraphError(
-            f"{what} fit several first poses of {log.name} alike, such as {places}; more sightings are needed"
-        )
+        alike = f"several first poses of {log.name} alike, such as {places}"
+        return GraphError(f"{what} fit {alike}; more sightings are needed")
     if not cause and found and found[0].fits > found[0].contradict and found[0].evidence < 0:
-        return GraphError(
-            f"{what} fit it no better than that of another place (odds {np.exp(found[0].evidence):.2g}): is it that, "
-            "or are more sightings of other landmarks needed?"
-        )
+        odds = f"no better than that of another place (odds {np.exp(found[0].evidence):.2g})"
+        return GraphError(f"{what} fit it {odds}: is it that, or are more sightings of other landmarks needed?")
     best = int(np.sum(matches[0].agree)) if matches else 0
     cause = cause or "; is it the map of another place, are ids misread, or has the noise of the sensor another size?"
     return GraphError(f"{what} fit no first pose of {log.name}: at the best place {best} of them agree{cause}")
+
+
+def _corrected(landmarks: LandmarkMap) -> Iterator[tuple[str, LandmarkMap]]:
+    """The common mistakes in maps, each with the map without it."""
+    for name, (x, y) in CHANGES.items():
+        places, squares = {j: place[:2] * (x, y) for j, place in landmarks.items()}, np.outer((x, y), (x, y))
+        yield name, LandmarkMap(places, {j: C[:2, :2] * squares for j, C in landmarks.covariances.items()})
 
 
 def _cause(log: Stretch, landmarks: LandmarkMap, found: list[Weighed]) -> str:
@@ -436,12 +424,7 @@ def _cause(log: Stretch, landmarks: LandmarkMap, found: list[Weighed]) -> str:
     """
     rows = _rows(log, landmarks)
     likely, most = "", max((float(np.mean(each.agree)) for each in found[:1]), default=0.0)
-    for name, scale in CHANGES.items():
-        turn = np.diag(scale)
-        changed = LandmarkMap(
-            {j: turn @ place[:2] for j, place in landmarks.items()},
-            {j: turn @ C[:2, :2] @ turn for j, C in landmarks.covariances.items()},
-        )
+    for name, changed in _corrected(landmarks):
         fix = _searched(log, changed, rows, first=len(rows))[0]
         if fix is None or fix.odds <= SURE or len(np.unique(log.landmarks[fix.agree])) <= 2:
             continue

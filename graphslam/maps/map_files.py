@@ -140,12 +140,9 @@ def _check_errors(table: Table) -> None:
         words = set(plain(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", title.strip()))[0].split("_"))
         of_errors = words & _OF_ERRORS and words - _OF_ERRORS <= _ERRORS_OF
         if (of_errors and name not in COVARIANCE) or (name in COVARIANCE and "var_x" not in names):
-            raise table.error(
-                None,
-                f"the column {title.strip()} seems to tell errors; those of a map are var_x, cov_xy and var_y [m²]. If it is "
-                "a standard deviation, square it and name it so; otherwise rename or remove it: without a covariance a "
-                "landmark counts as exact",
-            )
+            seems = f"the column {title.strip()} seems to tell errors; those of a map are var_x, cov_xy and var_y [m²]"
+            advice = "If it is a standard deviation, square it and name it so; otherwise rename or remove it"
+            raise table.error(None, f"{seems}. {advice}: without a covariance a landmark counts as exact")
 
 
 def _archive(path: Path) -> Parts:
@@ -209,11 +206,8 @@ def _geojson(path: Path) -> Parts:
     places = np.array([place[:2] for place in parts["means"].values()]).reshape(-1, 2)
     small = len(places) > 1 and np.ptp(places, axis=0).max() < 0.02
     if small and np.abs(places).max() > 1 and np.all(np.abs(places) <= (180, 90)):
-        raise FormatError(
-            path,
-            None,
-            "the coordinates look like degrees of longitude and latitude; convert them to metres of a local plane",
-        )
+        message = "the coordinates look like degrees of longitude and latitude; convert them to metres of a local plane"
+        raise FormatError(path, None, message)
     return parts
 
 

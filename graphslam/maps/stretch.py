@@ -167,10 +167,10 @@ def moved(x: Array, P: Array, motion: Array, noise: Array) -> tuple[Array, Array
 
 
 def backwards(x: Array, P: Array) -> tuple[Array, Array]:
-    """The motion (3,) from a pose x (3,) with covariance P back to the origin, in the axes of x, and its covariance."""
+    """The motions (..., 3) from poses x with covariances P back to the origin, in the axes of x, and their covariances."""
     back = between(x, np.zeros(3))
-    F = lever_matrix(perpendicular(back[:2])) @ turn_matrix(back[2])
-    return back, F @ P @ F.T
+    F = lever_matrix(perpendicular(back[..., :2])) @ turn_matrix(back[..., 2])
+    return back, F @ P @ np.swapaxes(F, -1, -2)
 
 
 #: the most sightings by which a pose is smoothed, the most steps, and the shortest part of one

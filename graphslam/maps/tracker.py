@@ -211,11 +211,11 @@ class Tracker:
         self._unknown = [each for each in self._unknown if each.rows[0] not in rows]
 
     def _place(self, q: Array, C: Array) -> tuple[Array, Array, Array]:
-        """The place (2,) in the map of a sighting at q in the robot's axes, its covariance, and the Jacobian by the pose."""
+        """The places (..., 2) in the map of sightings at q in the robot's axes, covariances, and Jacobians by the pose."""
         turn = rotation(self.pose[2])
-        way = turn @ q
-        J = np.array([[1, 0, -way[1]], [0, 1, way[0]]])
-        return self.pose[:2] + way, J @ self.covariance @ J.T + turn @ C @ turn.T, J
+        way = q @ turn.T
+        J = lever_matrix(perpendicular(way))[..., :2, :]
+        return self.pose[:2] + way, J @ self.covariance @ np.swapaxes(J, -1, -2) + turn @ C @ turn.T, J
 
     def _correct(self, n: int, k: int, q: Array, C: Array, seen: Seen) -> float:
         """Correct the pose by sighting n of landmark k where they agree; what it adds to the log odds."""
@@ -239,13 +239,11 @@ class Tracker:
 
     def _assign(self, rows: np.ndarray, q: Array, C: Array, seen: Seen) -> tuple[list[tuple[int, int]], float]:
         """Sightings without ids with the numbers of landmarks that are clear, and what they add to the log odds."""
-        squares, gain = np.empty((len(rows), len(self._ids))), 0.0
-        for m, n in enumerate(rows.tolist()):
-            y, V, _ = self._place(q[n], C[n])
-            e, V = y - self._places, V + self._covariances
-            squares[m] = np.einsum("ki,kij,kj->k", e, np.linalg.inv(V), e)
-            near = np.sum(np.exp(-squares[m] / 2) / (2 * np.pi * np.sqrt(np.linalg.det(V))))
-            gain += float(np.log(RIGHT * near * self._area / len(self._ids) + 1 - RIGHT))
+        y, V, _ = self._place(q[rows], C[rows])
+        e, V = y[:, None] - self._places, V[:, None] + self._covariances
+        squares = np.einsum("nki,nkij,nkj->nk", e, np.linalg.inv(V), e)
+        near = np.sum(np.exp(-squares / 2) / (2 * np.pi * np.sqrt(np.linalg.det(V))), axis=1)
+        gain = float(np.log(RIGHT * near * self._area / len(self._ids) + 1 - RIGHT).sum())
         seen.contradict[rows] = squares.min(axis=1) > AGREES
         chosen: list[tuple[int, int]] = []
         ms, ks = np.nonzero(squares < AGREES)

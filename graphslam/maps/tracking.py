@@ -83,25 +83,22 @@ def in_frame_of(
     notes.append(f"the first pose was found in the map: {fix.sentence}")
     for step, (before, way) in found.lifted.items():
         placed[step:] = begun_at(found.fixes[step].pose, placed[step:])
-        notes.append(
-            f"the robot was lifted between steps {before} and {step}, and put down {way:.2f} m from where it was expected: "
-            f"{found.fixes[step].sentence}"
-        )
+        lifted = f"the robot was lifted between steps {before} and {step}"
+        put_down = f"and put down {way:.2f} m from where it was expected: {found.fixes[step].sentence}"
+        notes.append(f"{lifted}, {put_down}")
     if found.moved:
         landmarks = landmarks.among(set(landmarks) - set(found.moved))
-        notes.append(
-            f"some landmarks have moved since the map was made, as the others show: {listed('landmark', list(found.moved))}; "
-            "the map is used without them"
-        )
+        which = f"some landmarks have moved since the map was made, as the others show: {listed('landmark', [*found.moved])}"
+        rest = "the map is used without them"
+        notes.append(f"{which}; {rest}")
     log = log.replace(initial_poses=placed, **_freed(log, found.lifted))
     if not log.identified:
         known = found.landmarks != UNIDENTIFIED
         new = sorted(set(found.landmarks[known].tolist()) - set(landmarks))
         added = f"; {listed('landmark', new)} {'is' if len(new) == 1 else 'are'} new" if new else ""
-        notes.append(
-            f"the map gives {np.isin(found.landmarks, list(landmarks)).sum()} of {len(known)} sightings without ids their "
-            f"landmark{added}; {(~known).sum()} are left out"
-        )
+        of_map = np.isin(found.landmarks, list(landmarks)).sum()
+        gives = f"the map gives {of_map} of {len(known)} sightings without ids their landmark{added}"
+        notes.append(f"{gives}; {(~known).sum()} are left out")
         log = log.with_sightings(known, landmarks=found.landmarks[known])
     seen = [j for j in log.landmark_ids.tolist() if j in landmarks]
     if log.has_orientation and (bare := [j for j in seen if j not in landmarks.covariances and len(landmarks[j]) == 2]):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from numbers import Real
 from typing import Any
 
 import gtsam
@@ -13,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..edges.robust import Kernel
-from ..errors import GraphError, OptionError, quoted
-from ..errors.checks import check_choice
+from ..errors import GraphError, OptionError
+from ..errors.checks import check_choice, check_count, check_not_negative, check_number, check_positive
 from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, PositionFactor, RelativePoseFactor
 from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..models import RESIDUALS, WEIGHTS, SensorModel
@@ -199,10 +198,8 @@ class Isam2Backend(Backend):
         if len(ids):
             self.columns = columns = sightings.shape[1]
             if columns == 2 and self._edges.startswith("virtual") and self._weight != "marginal":
-                raise GraphError(
-                    "without psi the information of pairs depends on the poses, which isam2 cannot re-evaluate; use "
-                    "weight='marginal' or edges='landmark+motion'"
-                )
+                message = "without psi the information of pairs depends on the poses, which isam2 cannot re-evaluate"
+                raise GraphError(f"{message}; use weight='marginal' or edges='landmark+motion'")
         for landmark, z in zip(ids, sightings, strict=True):
             if np.isnan(z).any():
                 self._add_single_number(pose, landmark, z)
@@ -366,10 +363,10 @@ def _parameters(threshold: float, skip: int, factorization: str) -> gtsam.ISAM2P
         OptionError: a value is impossible.
     """
     check_choice("factorization", factorization, FACTORIZATIONS)
-    if not (isinstance(threshold, Real) and np.isfinite(threshold) and threshold >= 0):
-        raise OptionError(f"threshold must be zero or a positive number, not {quoted(threshold)}")
-    if not (isinstance(skip, int) and skip >= 1):
-        raise OptionError(f"skip must be a whole number from 1 on, not {quoted(skip)}")
+    check_number(threshold=threshold)
+    check_not_negative(threshold=threshold)
+    check_count(skip=skip)
+    check_positive(skip=skip)
     params = gtsam.ISAM2Params()
     params.relinearizeSkip = skip
     params.setRelinearizeThreshold(float(threshold))

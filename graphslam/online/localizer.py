@@ -271,15 +271,7 @@ class Localizer:
 
 
 def relation_covariance(relation: Relation, new: int) -> Array:
-    """The covariance (3, 3) of a relation to the pose ``new``, in the axes of the other one.
-
-    A relation z = (t, theta) from the new pose has the inverse (-R(theta)' t, -theta), and with the derivative J of that the
-    covariance J P J'.
-    """
-    covariance = np.linalg.inv(relation[3])
-    if relation[0] != new:
-        return covariance
-    x, y, theta = relation[2]
-    c, s = np.cos(theta), np.sin(theta)
-    J = -np.array([[c, s, c * y - s * x], [-s, c, -c * x - s * y], [0.0, 0.0, 1.0]])
-    return np.asarray(J @ covariance @ J.T)
+    """The covariance (3, 3) of a relation to the pose ``new``, in the axes of the other one; from it, that of the inverse."""
+    first, _, z, information = relation
+    covariance = np.linalg.inv(information)
+    return backwards(z, covariance)[1] if first == new else covariance

@@ -37,6 +37,8 @@ PASSES = 15
 TOLERANCE = 3e-8
 #: the fewest steps from one pose that stays a node, with a lag, to the next
 STRETCH = 20
+#: no sightings
+NO_ROWS = np.zeros((0, 3))
 
 
 class OwnBackend(Backend):
@@ -143,8 +145,8 @@ class OwnBackend(Backend):
         relations: Sequence[Relation],
         pose: int = 0,
         landmarks: Sequence[int] = (),
-        measured: Array | None = None,
-        information: Array | None = None,
+        measured: Array = NO_ROWS,
+        information: Array = NO_ROWS,
         numbers: Sequence[tuple[int, Array]] = (),
         *,
         places: dict[int, Array] | None = None,
@@ -175,7 +177,6 @@ class OwnBackend(Backend):
             ends = np.array([[self._node(first), self._node(second)]], np.int32)
             added.add(kind, ends, z[None], omega[None], doubted=bool(in_doubt) and not created)
         if len(landmarks):
-            assert measured is not None and information is not None
             self.columns = measured.shape[1]
             ends = np.empty((len(landmarks), 2), np.int32)
             for k, landmark in enumerate(landmarks):
@@ -225,7 +226,6 @@ class OwnBackend(Backend):
         if before is not None and (doubtful := [id for id in doubtful if id in self._others.numbers]):
             self._try_other_places(*before, doubtful)
         if self._latest is not None and len(landmarks):
-            assert measured is not None and information is not None
             self._try_where_seen(self._latest, pose, landmarks, measured, information)
         while self.lag is not None and len(self._poses) > self.lag + 1:
             self._marginalize()

@@ -157,9 +157,8 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         or (sighted is not None and sighted.frame != "body")
         or (sighted is None and not numbers and not any(isinstance(f, PositionEdges) for f in graph.families))
     ):
-        raise GraphError(
-            "the solver step by step needs a graph of edges='landmark+motion' with residual='cartesian' and frame='body'"
-        )
+        needed = "edges='landmark+motion' with residual='cartesian' and frame='body'"
+        raise GraphError(f"the solver step by step needs a graph of {needed}")
     total, known, d = len(graph.steps), graph.map, graph.landmark_dimension
     relations, positions = _arriving(graph)
     held, release = _first_held(graph), None
@@ -171,10 +170,8 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
     backend: Any = solver._backend
     if known is not None:
         if any(len(known[j]) < d for j in graph.landmark_ids.tolist() if j in known):
-            raise GraphError(
-                "the solver step by step needs the headings of all landmarks of the map where sightings have psi; use "
-                "dimensions=2"
-            )
+            message = "the solver step by step needs the headings of all landmarks of the map where sightings have psi"
+            raise GraphError(f"{message}; use dimensions=2")
         backend.begin_with(known.among(graph.landmark_ids.tolist()), d)
     if sighted is None:
         none = np.zeros(0, dtype=np.int64)

@@ -394,10 +394,8 @@ class OnlineSolver:
         if pose > self.step:
             raise GraphError(f"{what} the unknown pose {pose}: the poses so far are 0 to {self.step}")
         if pose < self.num_final:
-            raise GraphError(
-                f"{what} pose {pose}, which is final: with lag={self.step - self.num_final}, the poses from "
-                f"{self.num_final} on can be used. Choose a longer lag"
-            )
+            used = f"with lag={self.step - self.num_final}, the poses from {self.num_final} on can be used"
+            raise GraphError(f"{what} pose {pose}, which is final: {used}. Choose a longer lag")
 
     def _checked(self, ids: ArrayLike | None, sightings: ArrayLike) -> tuple[list[int], Array]:
         in_map, columns = isinstance(self._backend, Localizer), self._backend.columns
@@ -424,9 +422,8 @@ def _pairs(first: Any, second: Any) -> tuple[list[tuple[int, int]], bool]:
     if not any(lists):
         return [(first, second)], False
     if not all(lists) or len(first) != len(second):
-        raise OptionError(
-            f"first and second must be as many pose numbers each, not {quoted(first, 40)} and {quoted(second, 40)}"
-        )
+        given = f"{quoted(first, 40)} and {quoted(second, 40)}"
+        raise OptionError(f"first and second must be as many pose numbers each, not {given}")
     return list(zip(first, second)), True
 
 

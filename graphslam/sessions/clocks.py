@@ -76,14 +76,12 @@ class ClockOffsets:
     def joined(self, robots: Mapping[int, Log]) -> Sessions:
         """The logs as one (`join_robots`), by the clock of the first robot where clocks differ; `Session` has the offsets."""
         found = join_robots(self.applied(robots) if self.differ else robots)
-        sessions = tuple(
-            replace(
-                each, start_time=log.start_time, clock_offset=self.seconds[n],
-                clock_deviation=self.deviations[n],
-            )
-            for each, (n, log) in zip(found.log.sessions, robots.items())
-        )  # fmt: skip
-        log = found.log.replace(sessions=sessions, notes=(*found.log.notes, self.sentence))
+        sessions = []
+        for each, (n, log) in zip(found.log.sessions, robots.items()):
+            offset, deviation = self.seconds[n], self.deviations[n]
+            own = replace(each, start_time=log.start_time, clock_offset=offset, clock_deviation=deviation)
+            sessions.append(own)
+        log = found.log.replace(sessions=tuple(sessions), notes=(*found.log.notes, self.sentence))
         return replace(found, log=log)
 
     @property
@@ -167,10 +165,10 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
         met = {n: sum(counts.get((min(n, m), max(n, m)), 0) for m in found) for n in logs if n not in found}
         n = max(met, key=lambda each: met[each])
         if met[n] < FEWEST:
-            raise LogError(
-                f"robot {n} and the others saw each other {met[n]} times with clocks that differ by at most {REACH:g} s, and "
-                f"the offset of its clock takes {FEWEST}{_apart(n, logs)}"
+            seen = (
+                f"robot {n} and the others saw each other {met[n]} times with clocks that differ by at most {REACH:g} s"
             )
+            raise LogError(f"{seen}, and the offset of its clock takes {FEWEST}{_apart(n, logs)}")
         found[n], _ = _lowest(_cost_of(n, found, grid, costs), grid)
     agree = dict[int, bool]()
     for _ in range(SWEEPS):
@@ -181,10 +179,9 @@ def _searched(logs: Mapping[int, Log]) -> dict[int, float]:
         if found == before:
             break
     if apart := [n for n in agree if not agree[n]]:
-        raise LogError(
-            f"no offset up to {REACH:g} s of the clock of robot {apart[0]} makes the robots' sightings of each other agree: "
-            "do their clocks differ by more, or do sightings name wrong robots?"
-        )
+        which = f"no offset up to {REACH:g} s of the clock of robot {apart[0]}"
+        cause = "do their clocks differ by more, or do sightings name wrong robots?"
+        raise LogError(f"{which} makes the robots' sightings of each other agree: {cause}")
     return {n: found[n] for n in logs}
 
 
@@ -195,10 +192,8 @@ def _apart(n: int, logs: Mapping[int, Log]) -> str:
     begin, end = min(first for first, _ in spans.values()), max(last for _, last in spans.values())
     if first <= end + REACH and last >= begin - REACH:
         return ""
-    return (
-        f": its clock shows {first:.1f} to {last:.1f} s and theirs {begin:.1f} to {end:.1f} s, which do not overlap; "
-        "give the times of all robots by one clock"
-    )
+    shows = f"{first:.1f} to {last:.1f} s and theirs {begin:.1f} to {end:.1f} s, which do not overlap"
+    return f": its clock shows {shows}; give the times of all robots by one clock"
 
 
 def _cost_of(n: int, found: Mapping[int, float], grid: Array, costs: Mapping[tuple[int, int], Array]) -> Array:
@@ -258,7 +253,6 @@ def _step(logs: Mapping[int, Log]) -> tuple[Array, Array, int]:
     except np.linalg.LinAlgError:
         covariance = np.full(S.shape, -1.0)
     if not np.all(np.diagonal(covariance) > 0):
-        raise GraphError(
-            "the sightings of robots by each other do not determine the offsets of their clocks: do the robots move?"
-        )
+        message = "the sightings of robots by each other do not determine the offsets of their clocks"
+        raise GraphError(f"{message}: do the robots move?")
     return -covariance @ gradient, covariance, len(moved)

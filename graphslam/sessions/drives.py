@@ -159,12 +159,9 @@ def with_common_noise(logs: Sequence[Log]) -> list[Log]:
             f", with {ratio:.1f} times the noise of its own sightings, so that these have too little weight: solve this log "
             "alone, and the others in its map (map=)"
         )
-        common.append(
-            log.replace(
-                motion=motion, sensor=sensor, uncertain=uncertain or None, sightings=seen,
-                notes=(*log.notes, mean + unlike * (ratio > UNLIKE)),
-            )
-        )  # fmt: skip
+        models = {"motion": motion, "sensor": sensor, "uncertain": uncertain or None}
+        notes = (*log.notes, mean + unlike * (ratio > UNLIKE))
+        common.append(log.replace(**models, sightings=seen, notes=notes))
     return common
 
 
@@ -173,17 +170,14 @@ def _check(log: Log, first: Log) -> None:
     if log.controls is None:
         raise LogError(f"{log.name} has no controls, and drives are joined by their odometry and their landmarks")
     if log.sightings.shape[1] != first.sightings.shape[1]:
-        raise LogError(
-            f"{log.name} has sightings of {log.sightings.shape[1]} numbers and {first.name} of {first.sightings.shape[1]}; "
-            "leave psi out: dimensions=2, or Log.without_orientation of the one that has it"
-        )
+        numbers = f"{log.sightings.shape[1]} numbers and {first.name} of {first.sightings.shape[1]}"
+        advice = "leave psi out: dimensions=2, or Log.without_orientation of the one that has it"
+        raise LogError(f"{log.name} has sightings of {numbers}; {advice}")
     for name in ("motion", "sensor", "truth_offset"):
         if getattr(log, name) != getattr(first, name):
-            raise LogError(
-                f"{log.name} and {first.name} differ in {name}: {getattr(log, name)} and {getattr(first, name)}. One graph "
-                f"has one; make them the same with Log.replace({name}=...)"
-                + (", or join_logs(logs, mean_noise=True) takes the means" if name != "truth_offset" else "")
-            )
+            differ = f"{log.name} and {first.name} differ in {name}: {getattr(log, name)} and {getattr(first, name)}"
+            means = ", or join_logs(logs, mean_noise=True) takes the means" if name != "truth_offset" else ""
+            raise LogError(f"{differ}. One graph has one; make them the same with Log.replace({name}=...){means}")
 
 
 def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -> Log:
@@ -192,9 +186,8 @@ def _placed(log: Log, before: Log, known: LandmarkMap, models: dict[str, Any]) -
         names = [*([each.name for each in before.sessions] or [before.name]), log.name]
         if len(set(names)) < len(names):
             names = [f"{name} ({number})" for number, name in enumerate(names, start=1)]
-        raise GraphError(
-            f"{names[-1]} and {named(names[:-1])} share no landmark: do the ids mean the same ones in all of them?"
-        )
+        which = f"{names[-1]} and {named(names[:-1])} share no landmark"
+        raise GraphError(f"{which}: do the ids mean the same ones in all of them?")
     fix = first_fix(log, known, **models)
     notes = (*log.notes, f"joined where {fix.sentence}")
     return log.replace(initial_poses=begun_at(fix.pose, log.initial_poses), notes=notes)
@@ -329,12 +322,10 @@ def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
     if len(logs) > 1 and not met:
         raise LogError(_never(logs))
     # a pose of each robot at the instants at which the others saw it
-    finer = {
-        b: with_poses_at(
-            log, np.concatenate([np.zeros(0), *(_times(logs[a])[rows] for (a, c), rows in met.items() if c == b)])
-        )
-        for b, log in logs.items()
-    }
+    finer = {}
+    for b, log in logs.items():
+        instants = [_times(logs[a])[rows] for (a, c), rows in met.items() if c == b]
+        finer[b] = with_poses_at(log, np.concatenate([np.zeros(0), *instants]))
     landmarks = {n: log.with_sightings(not_of_robots(log)) for n, log in finer.items()}
     joined = join_logs(list(landmarks.values()), placed=placed)
     start = dict(zip(logs, joined.starts))
@@ -358,12 +349,9 @@ def join_robots(robots: Mapping[int, Log], *, placed: bool = False) -> Sessions:
 
 def relations_of(first: np.ndarray, second: np.ndarray, sightings: Array, sensor: SensorModel) -> PoseRelations:
     """Sightings (R, 2 or 3) of the poses at steps ``second`` from those at ``first``, as relations."""
-    places, covariances = sensor.places(sightings)
-    if sightings.shape[1] == 3:
-        return PoseRelations(first=first, second=second, motions=places, covariances=covariances)
-    motions, full = np.full((len(first), 3), np.nan), np.zeros((len(first), 3, 3))
-    motions[:, :2], full[:, :2, :2] = places, covariances
-    return PoseRelations(first=first, second=second, motions=motions, covariances=full)
+    motions, covariances, d = np.full((len(first), 3), np.nan), np.zeros((len(first), 3, 3)), sightings.shape[1]
+    motions[:, :d], covariances[:, :d, :d] = sensor.places(sightings)
+    return PoseRelations(first=first, second=second, motions=motions, covariances=covariances)
 
 
 def not_of_robots(log: Log) -> np.ndarray:
@@ -408,9 +396,6 @@ def _never(logs: Mapping[int, Log]) -> str:
     if not any(len(meetings(log, number)) for log in logs.values() for number in logs):
         seen = sorted({str(name) for log in logs.values() for name in np.asarray(log.classes)[~not_of_robots(log)]})
         return f"the robots saw {named(map(repr, seen))} only, and the logs are of robots {named(logs)}"
-    spans = ", ".join(
-        f"robot {n} from {log.times[0]:.1f} to {log.times[-1]:.1f} s"
-        for n, log in logs.items()
-        if log.times is not None
-    )
+    ends = {n: _known(log)[[0, -1]] for n, log in logs.items()}
+    spans = ", ".join(f"robot {n} from {first:.1f} to {last:.1f} s" for n, (first, last) in ends.items())
     return f"the clocks of the robots do not overlap where they see each other: {spans}; are they in one time?"

@@ -15,8 +15,7 @@ import comparisons
 from comparisons.show.recordings import write_mcap
 from graphslam import AbsolutePositions, FormatError, Graph, Log, PoseRelations, simulate, solve
 from graphslam.io.bag_drive import drive_of_bag
-from graphslam.io.bag_messages import Frames
-from graphslam.io.bag_poses import Poses, positions_table, relations_table
+from graphslam.io.bag_messages import Frames, Poses, positions_table, relations_table
 from graphslam.io.bag_topics import open_bag
 from graphslam.io.tables import Recipe, read_recipe
 from graphslam.log.join import local_plane

@@ -111,8 +111,8 @@ def test_sightings_without_ids_are_refused(ids):
         ({"weight": "all"}, OptionError, "weight must be one of"),
         ({"frame": "world"}, GraphError, "use frame='body'"),
         ({"factorization": "lu"}, OptionError, "factorization must be one of"),
-        ({"threshold": -1.0}, OptionError, "threshold must be zero or a positive number"),
-        ({"skip": 0}, OptionError, "skip must be a whole number"),
+        ({"threshold": -1.0}, OptionError, "threshold must not be negative"),
+        ({"skip": 0}, OptionError, "skip must be a positive number"),
     ],
 )
 def test_options_that_isam2_does_not_have(options, error, message, book_log):

@@ -99,7 +99,7 @@ def test_a_missing_map_is_said(folder):
     ("name", "line", "message"),
     [
         ("Robot2_Odometry.dat", "1248444175.000 1.0", r":204: expected 3 columns \(time, velocity, .*\), found 2"),
-        ("Robot2_Odometry.dat", "1248444179.500 fast 0.5", ":204: velocity should be a number, not 'fast'"),
+        ("Robot2_Odometry.dat", "1248444179.500 fast 0.5", ":204: 'velocity' should be a number, not 'fast'"),
         ("Robot2_Odometry.dat", "\n".join(["1248444179.500 nan 0.5"] * 20), ":204: velocity is .*NaN.*; 20 of 221 rows"),
         (
             "Robot2_Odometry.dat", "1248444170.000 1.0 0.5\n1248444170.100 1.0 0.5",
