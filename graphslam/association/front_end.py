@@ -162,11 +162,7 @@ def _columns(places: np.ndarray, d: int) -> np.ndarray:
 
 def nearest(candidates: Candidates) -> np.ndarray:
     """The most likely candidate (I,) of each item by itself, the most likely pair first; no landmark is used twice."""
-    d = candidates.residuals.shape[1]
-    count = len(candidates.landmarks)
-    chosen = np.full(len(candidates.starts) - 1, -1)
-    if count == 0:
-        return chosen
+    (count, d), chosen = candidates.residuals.shape, np.full(len(candidates.starts) - 1, -1)
     blocks = candidates.covariance.reshape(count, d, count, d)[np.arange(count), :, np.arange(count)]
     evidence = candidates.weights + log_density(candidates.residuals, blocks)[0]
     item = np.repeat(np.arange(len(chosen)), np.diff(candidates.starts))

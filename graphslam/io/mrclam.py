@@ -167,8 +167,7 @@ def _subjects(path: Path) -> dict[int, int]:
     # beyond 2^53 floating-point numbers leave out whole numbers
     if (k := first(np.any((rows % 1 != 0) | (np.abs(rows) > 2**53), axis=1))) is not None:
         subject, barcode = rows[k].tolist()
-        message = f"expected two whole numbers, subject and barcode, not {subject:g} and {barcode:g}"
-        raise table.error(k, message)
+        raise table.error(k, f"expected two whole numbers, subject and barcode, not {subject:g} and {barcode:g}")
     subjects = {int(barcode): int(subject) for subject, barcode in rows.tolist()}
     if len(subjects) < len(rows):
         raise FormatError(path, None, "two subjects have the same barcode, so a sighting of it could be of either")

@@ -20,6 +20,7 @@ from ..edges import (
     PartialEdges,
     PositionEdges,
     RelationEdges,
+    RelativePoseEdges,
 )
 from ..edges.robust import DoubtedEdges, Kernel
 from ..edges.sightings import SightingEdges
@@ -160,7 +161,7 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
         needed = "edges='landmark+motion' with residual='cartesian' and frame='body'"
         raise GraphError(f"the solver step by step needs a graph of {needed}")
     total, known, d = len(graph.steps), graph.map, graph.landmark_dimension
-    relations, positions = _arriving(graph)
+    relations, positions = _arriving(graph, motions)
     held, release = _first_held(graph), None
     if held and (known or positions) and "start_covariance" not in options:
         # a free start has so little information that it is lost in rounding errors of precise odometry, until a position or a
@@ -194,12 +195,9 @@ def _by_own(graph: Graph, kernel: Kernel | None, options: dict[str, Any]) -> Ite
             release = None
 
     def add(step: int, now: np.ndarray) -> None:
-        arriving: list[tuple[Relation, Kernel | None]] = []
-        if step:
-            arriving.append(((step - 1, step, motions.measured[step - 1], motions.information[step - 1]), None))
-        for ends, _ in relations[step]:
+        arriving: list[tuple[Relation, Kernel | None]] = relations[step]
+        for ends, _ in arriving:
             solver._check_pose(min(ends[:2]), "a relation from")
-        arriving += relations[step]
         if tracker is not None:
             if step:
                 tracker.pose = backend.pose
@@ -234,9 +232,11 @@ def _anchored(graph: Graph) -> Array:
     return held
 
 
-def _arriving(graph: Graph) -> tuple[dict[int, list[Any]], dict[int, list[Any]]]:
-    """The relations of a graph by the last step that they need, and its positions by their step, each with its kernel."""
+def _arriving(graph: Graph, motions: RelativePoseEdges) -> tuple[dict[int, list[Any]], dict[int, list[Any]]]:
+    """Motions and relations of a graph by the last step that they need, positions by their step, each with its kernel."""
     relations, positions = defaultdict[int, list[Any]](list), defaultdict[int, list[Any]](list)
+    for step, motion in enumerate(zip(motions.measured, motions.information), start=1):
+        relations[step].append(((step - 1, step, *motion), None))
     for family in graph.families:
         if isinstance(family, RelationEdges):
             for a, b, *z in zip(family.first.tolist(), family.second.tolist(), family.measured, family.information):
@@ -251,11 +251,10 @@ def _single_numbers(graph: Graph) -> dict[int, list[tuple[int, Array]]]:
     """The ranges and bearings alone, {step: (landmark, (range, bearing)) of each}, one of the two NaN."""
     found: dict[int, list[tuple[int, Array]]] = defaultdict(list)
     for family in partial_edges(graph):
-        column, ids = int(isinstance(family, BearingEdges)), graph.landmark_ids[family.second - len(graph.steps)]
-        for step, id, value in zip(family.first.tolist(), ids.tolist(), family.measured[:, 0].tolist()):
-            z = np.full(2, np.nan)
-            z[column] = value
-            found[step].append((id, z))
+        ids, z = graph.landmark_ids[family.second - len(graph.steps)], np.full((family.count, 2), np.nan)
+        z[:, int(isinstance(family, BearingEdges))] = family.measured[:, 0]
+        for step, id, row in zip(family.first.tolist(), ids.tolist(), z):
+            found[step].append((id, row))
     return found
 
 
@@ -308,16 +307,14 @@ def _by_isam2(log: Log | Graph, own: dict[str, Any], options: dict[str, Any]) ->
         kernel=options["kernel"] or "none", **own,
     )  # fmt: skip
     backend: Any = solver._backend
-    relations, positions = _arriving(graph)
+    relations, positions = _arriving(graph, motions)
 
     def add(step: int, now: np.ndarray) -> None:
-        if step:
-            backend.add_relation((step - 1, step, motions.measured[step - 1], motions.information[step - 1]))
+        for relation, kernel in relations[step]:
+            backend.add_relation(relation, kernel)
         backend.add_sightings(step, log.landmarks[now].tolist(), sightings[now])
         for landmark, z in numbers[step]:
             backend.add_sightings(step, [landmark], z[None])
-        for relation, kernel in relations[step]:
-            backend.add_relation(relation, kernel)
         for z, kernel in positions[step]:
             backend.add_position(step, *z, kernel)
         backend.update()
