@@ -122,16 +122,14 @@ class Return:
 
 def arrivals(steps: np.ndarray, times: np.ndarray, labels: np.ndarray, moment: int) -> list[Return]:
     """Where, after a blind stretch, landmarks are seen that had not been seen before."""
-    first = {}
-    for row in np.flatnonzero(labels >= 0)[::-1]:
-        first[int(labels[row])] = int(steps[row])
-    scans = np.unique(steps)
+    rows = np.flatnonzero(labels >= 0)
+    names, first = np.unique(labels[rows], return_index=True)
+    scans, at = np.unique(steps), steps[rows[first]]
     found = []
-    for before, step in zip(scans, scans[1:]):
-        if times[step] - times[before] > moment + step - before:
-            new = [j for j, at in first.items() if step <= at and times[at] <= times[step] + moment]
-            if new:
-                found.append(Return(int(step), int(before), np.sort(new), new=True))
+    for before, step in zip(scans.tolist(), scans[1:].tolist()):
+        new = names[(at >= step) & (times[at] <= times[step] + moment)]
+        if times[step] - times[before] > moment + step - before and len(new):
+            found.append(Return(step, before, new, new=True))
     return found
 
 

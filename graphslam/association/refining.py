@@ -147,12 +147,10 @@ def _born(problem: Problem, world: Places, labels: np.ndarray) -> np.ndarray:
     for n, k in enumerate(rows):
         away = np.abs(world.means[k, :2] - means[:count, :2]).max(axis=1)
         near = np.flatnonzero((away <= reach[n]) & (last[:count] != steps[k]))
-        best, square = count, np.inf
-        if len(near):
-            nu = difference(world.means[k], means[near])
-            squares = log_density(nu, world.covariances[k] + spread[near])[1]
-            best, square = int(near[np.argmin(squares)]), float(squares.min())
-        if square > gate:
+        squares = log_density(difference(world.means[k], means[near]), world.covariances[k] + spread[near])[1]
+        if squares.min(initial=np.inf) <= gate:
+            best = int(near[np.argmin(squares)])
+        else:
             best, count = count, count + 1
         own = np.linalg.inv(world.covariances[k])
         total = information[best] + own

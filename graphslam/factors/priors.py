@@ -60,15 +60,13 @@ class PriorFactor(Factor):
         if len(used) != len(keys) or any(n not in (2, 3) or n > m for n, m in zip(used, most)):
             raise OptionError(f"coordinates must be 2 or 3 for each key, and 2 for points, not {quoted(coordinates)}")
         omega = positive_definite(information, sum(used))
-        starts = np.cumsum([0, *used]).tolist()
-        jacobians = []
-        for start, n, m in zip(starts, used, most):
-            jacobian = np.zeros((sum(used), m))
-            jacobian[start : start + n, :n] = np.eye(n)
-            jacobians.append(jacobian)
+        # which of the three coordinates of each key the prior is about, and which it has
+        about, has = (np.flatnonzero(np.arange(3) < np.array(n)[:, None]) for n in (used, most))
+        ends = np.cumsum(most)[:-1]
+        jacobians = np.split(np.eye(3 * len(keys))[np.ix_(about, has)], ends, axis=1)
         rows = held.tolist()
         centre = None if pivot is None else finite_numbers("pivot", pivot, (2,))
-        turning = None if centre is None else _turning(held, complex(*centre), used, most)
+        turning = None if centre is None else _turning(held, complex(*centre), about, has, ends)
 
         def residual(*nodes: Coordinates) -> Linearized:
             if turning is not None:
@@ -86,14 +84,11 @@ class PriorFactor(Factor):
 
 
 def _turning(
-    held: Array, centre: complex, used: list[int], most: list[int]
+    held: Array, centre: complex, about: np.ndarray, has: np.ndarray, ends: np.ndarray
 ) -> Callable[[Sequence[Coordinates]], Linearized]:
     """The residual of a prior that turns with its keys, in complex numbers."""
     places = held[:, 0] + 1j * held[:, 1]
     arms, spread = places - centre, np.conj(places - places.mean())
-    # which of the three coordinates of each key the prior is about, and which it has
-    about, has = (np.flatnonzero(np.arange(3) < np.array(n)[:, None]) for n in (used, most))
-    ends = np.cumsum(most)[:-1]
 
     def residual(nodes: Sequence[Coordinates]) -> Linearized:
         at = np.array([(*node, 0.0)[:3] for node in nodes])

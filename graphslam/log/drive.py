@@ -266,10 +266,8 @@ class Reader:
         if self.has("theta"):
             return np.column_stack([position, self.numbers("theta", finite=finite)])
         if self.has("qz", "qw"):
-            quaternions = np.zeros((len(position), 4))
-            for k, role in enumerate(_POSE[3:]):
-                if self.has(role):
-                    quaternions[:, k] = self.numbers(role, finite=finite)[:, 0]
+            quaternions, there = np.zeros((len(position), 4)), [role for role in _POSE[3:] if self.has(role)]
+            quaternions[:, [_POSE[3:].index(role) for role in there]] = self.numbers(*there, finite=finite)
             known = np.isfinite(quaternions).all(axis=1)
             # rows keep their numbers in messages
             quaternions[~known] = (0, 0, 0, 1)

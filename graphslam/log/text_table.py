@@ -9,6 +9,7 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from itertools import takewhile
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,7 @@ class TextTable(Table):
         lines: list[str] = []
         if "#" in text or re.search(r"\n[ \t\r\f\v]*\n", text) or not text.partition("\n")[0].strip():
             lines = text.split("\n")
-            text = "\n".join(line for line in lines if line.strip() and not line.lstrip().startswith("#"))
+            text = "\n".join(line for line in lines if not _is_comment(line))
         if not text and not columns:
             raise FormatError(path, None, "the file has comments only; a table with a header and rows is needed here")
         if '"' in text:
@@ -155,12 +156,8 @@ class TextTable(Table):
 
     def _line(self, row: int) -> int:
         """The line, counted from 1, of a row."""
-        found = -1 - self._header
-        for number, line in enumerate(read_text(self.path).split("\n"), start=1):
-            found += bool(line.strip()) and not line.lstrip().startswith("#")
-            if found == row:
-                return number
-        raise AssertionError("every row has a line")
+        lines = enumerate(read_text(self.path).split("\n"), start=1)
+        return [number for number, line in lines if not _is_comment(line)][row + self._header]
 
     def _cells(self, line: str) -> list[str]:
         return _split(line, self._separator)
@@ -170,11 +167,7 @@ class TextTable(Table):
 
     def _titles_in_comments(self, lines: list[str], width: int) -> list[str]:
         above: list[str] = []
-        for line in lines:
-            if not line.lstrip().startswith("#"):
-                if line.strip():
-                    break
-                continue
+        for line in takewhile(_is_comment, lines):
             text = line.strip().lstrip("#").strip()
             for separator in (self._separator, None, ","):
                 words = _split(text, separator)
@@ -206,6 +199,11 @@ def _check_length(path: Path, text: str) -> None:
         if len(line) > _LONGEST_QUOTED:
             most = f"with quotation marks it may have {_LONGEST_QUOTED:,}"
             raise FormatError(path, None, f"row {number} has {len(line):,} letters; {most}")
+
+
+def _is_comment(line: str) -> bool:
+    """Whether a line is a comment, or empty."""
+    return line.strip()[:1] in ("", "#")
 
 
 def _split(line: str, separator: str | None) -> list[str]:

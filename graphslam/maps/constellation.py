@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..se2 import Array, rotation, transform, wrap
+from ..se2 import Array, difference, rotation, transform
 from .landmark_map import LandmarkMap
 from .registration import GATE, RIGHT, Match, Points, distinct, refined, those_that_differ, through, volume
 
@@ -116,42 +116,28 @@ def merged(y: Array, sensed: Array, drift: Array, steps: np.ndarray) -> Merged:
         sensed, drift: (M, 3, 3) their covariances by the sensor, and by the odometry since the first pose.
         steps: (M,) at which they were seen; two sightings of one step are two landmarks.
     """
-    means: list[Array] = []
-    information: list[Array] = []
-    first: list[Array] = []
-    last: list[int] = []
-    counts: list[int] = []
-    which = np.empty(len(y), dtype=int)
     d = 3 if np.isfinite(y[:, 2]).all() else 2
+    means, information, W = np.zeros((len(y), d)), np.zeros((len(y), d, d)), np.linalg.inv(sensed[:, :d, :d])
+    # of each landmark its first sighting, and the step of its last one
+    first, last, which, count = np.zeros(len(y), dtype=int), np.full(len(y), -1), np.zeros(len(y), dtype=int), 0
     for k in range(len(y)):
-        best, least = -1, GATE
-        W = np.linalg.inv(sensed[k, :d, :d])
-        for c, mean in enumerate(means):
-            off = y[k, :2] - mean[:2]
-            if last[c] == steps[k] or abs(off[0]) + abs(off[1]) > 5.0:
-                continue
-            V = sensed[k, :2, :2] + np.linalg.inv(information[c])[:2, :2] + drift[k, :2, :2] - first[c][:2, :2]
-            square = float(off @ np.linalg.solve(V, off))
-            if square < least:
-                best, least = c, square
-        if best < 0:
-            which[k] = len(means)
-            means.append(y[k, :d].copy())
-            information.append(W)
-            first.append(drift[k])
-            last.append(int(steps[k]))
-            counts.append(1)
-            continue
-        off = y[k, :d] - means[best]
-        off[2:] = wrap(off[2:])
-        information[best] = information[best] + W
-        means[best] = means[best] + np.linalg.solve(information[best], W @ off)
-        last[best], which[k] = int(steps[k]), best
-        counts[best] += 1
-    places, covariances = np.full((len(means), 3), np.nan), np.zeros((len(means), 3, 3))
-    places[:, :d] = means
-    covariances[:, :d, :d] = np.linalg.inv(np.array(information)) + np.array(first)[:, :d, :d]
-    return Merged(places, covariances, np.array(counts), which)
+        off = y[k, :2] - means[:count, :2]
+        near = np.flatnonzero((np.abs(off).sum(axis=1) <= 5.0) & (last[:count] != steps[k]))
+        off, since = off[near], drift[k, :2, :2] - drift[first[near], :2, :2]
+        V = sensed[k, :2, :2] + np.linalg.inv(information[near])[:, :2, :2] + since
+        squares = np.einsum("ci,ci->c", off, np.linalg.solve(V, off[:, :, None])[:, :, 0])
+        if squares.min(initial=np.inf) < GATE:
+            c = int(near[np.argmin(squares)])
+        else:
+            c, count = count, count + 1
+            first[c], means[c] = k, y[k, :d]
+        information[c] += W[k]
+        means[c] += np.linalg.solve(information[c], W[k] @ difference(y[k, :d], means[c]))
+        last[c], which[k] = steps[k], c
+    places, covariances = np.full((count, 3), np.nan), np.zeros((count, 3, 3))
+    places[:, :d] = means[:count]
+    covariances[:, :d, :d] = np.linalg.inv(information[:count]) + drift[first[:count], :d, :d]
+    return Merged(places, covariances, np.bincount(which), which)
 
 
 def match(landmarks: Merged, known: Constellations) -> list[tuple[Match, np.ndarray]]:
