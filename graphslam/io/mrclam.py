@@ -31,18 +31,9 @@ import numpy as np
 
 from ..errors import FormatError, OptionError, decimals, quoted
 from ..errors.checks import first
-from ..log import Log
+from ..log import UNIDENTIFIED, Log
 from ..log.cells import time_faults
-from ..log.rows import (
-    NO_CLASS,
-    UNIDENTIFIED,
-    Fault,
-    ReadOptions,
-    finite_fault,
-    range_faults,
-    robot_class,
-    sound_rows,
-)  # fmt: skip
+from ..log.rows import NO_CLASS, Fault, ReadOptions, finite_fault, range_faults, robot_class, sound_rows
 from ..log.streams import MOST_DISORDER, Stream, disorder, synchronize
 from ..log.text_table import TextTable
 from ..se2 import Array
@@ -142,8 +133,8 @@ def _stream(
     finite = [finite_fault(rows[:, k], name) for k, name in enumerate(columns, start=1)]
     wrong = [*time_faults(rows[:, 0], "the time", "s", MOST_DISORDER), *finite, *faults(rows)]
     kept, about = sound_rows(len(rows), noun, wrong, table.error, strict=strict, source=path.name)
-    notes += about
     rows, numbers = rows[kept], np.flatnonzero(kept)
+    notes += about
     if (k := first(disorder(rows[:, 0]) > MOST_DISORDER)) is not None:
         order = f"{decimals(rows[k, 0])} s comes after {decimals(np.max(rows[:k, 0]))} s"
         raise table.error(int(numbers[k]), f"time runs backwards: {order}; sort the lines by time")
