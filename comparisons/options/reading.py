@@ -139,7 +139,8 @@ def _joined(
     remarks: list[str] = []
     with noted(remarks, "what has changed between the logs is not known"):
         changes = zip(joined.sessions[1:], session_states(joined) if len(known) > 1 else [])
-        remarks += [f"{each.name}: {found.sentence} (the map of the logs before it)" for each, found in changes]
+        # begins with no log's name: `run` shows in brief what does
+        remarks += [f"compared with the logs before {each.name}, {found.sentence}" for each, found in changes]
     joined = joined.replace(notes=(*joined.notes, *remarks))
     # biases of options and of a noise file are the same for all
     return joined, tuple(source for _, source in read), known[0][1], any(found is not None for _, _, found in known)
