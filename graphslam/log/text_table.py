@@ -25,6 +25,8 @@ from .table import Columns, Table
 MISSING = (b"", b"na", b"n/a", b"null", b"none", b"-")
 #: separators; None is any white space
 _SEPARATORS = ("\t", ";", ",", "|", None)
+#: the first letters of lines that are comments, or empty
+_NO_ROW = ("", "#")
 #: how many lines decide
 _HEAD = 50
 #: the longest word in a column of ids, classes or dates
@@ -59,7 +61,8 @@ class TextTable(Table):
         lines: list[str] = []
         if "#" in text or re.search(r"\n[ \t\r\f\v]*\n", text) or not text.partition("\n")[0].strip():
             lines = text.split("\n")
-            text = "\n".join(line for line in lines if not _is_comment(line))
+            # as `_is_comment`, without a call for each line
+            text = "\n".join([line for line in lines if line.lstrip()[:1] not in _NO_ROW])
         if not text and not columns:
             raise FormatError(path, None, "the file has comments only; a table with a header and rows is needed here")
         if '"' in text:
@@ -105,7 +108,7 @@ class TextTable(Table):
     def _column(self, column: int) -> Array:
         """A column cell by cell, which takes longer, knows empty cells and says what is wrong."""
         values = np.empty(len(self))
-        for row, line in enumerate(self._rows):
+        for row, line in enumerate(self._even):
             cells = self._cells(line)
             try:
                 values[row] = _number(cells[column], self._decimal_comma)
@@ -122,12 +125,18 @@ class TextTable(Table):
         Raises:
             ValueError: a cell is none of this kind.
         """
-        rows = self._even
+        # without a choice of columns NumPy's reader refuses uneven rows itself
+        every = kind is float and list(columns) == list(range(self.width))
+        rows = self._rows if every else self._even
         if not rows:
             return np.empty((0, len(columns)), dtype=kind)
         if self._decimal_comma and kind is not str:
             rows = [row.replace(",", ".") for row in rows]
-        return np.loadtxt(rows, kind, None, self._separator, usecols=columns, ndmin=2, quotechar='"')
+        chosen = None if every else columns
+        found = np.loadtxt(rows, kind, None, self._separator, usecols=chosen, ndmin=2, quotechar='"')
+        if found.shape[1] != len(columns):
+            raise ValueError
+        return found
 
     def words(self, column: int) -> np.ndarray:
         # every row of an array of text takes as much memory as the longest one
@@ -178,9 +187,9 @@ class TextTable(Table):
     @cached_property
     def _even(self) -> list[str]:
         """The rows, which all have the same number of columns, or a `FormatError` for the first one that has not."""
-        separator, simple = self._separator or " ", self._separator is not None and '"' not in self._text
+        separator, simple = self._separator, '"' not in self._text
         for row, line in enumerate(self._rows):
-            count = line.count(separator) + 1 if simple else len(self._cells(line))
+            count = len(line.split(separator)) if simple else len(self._cells(line))
             if count == self.width:
                 continue
             titles = f" ({named(self.names)})" if self.names else ""
@@ -203,7 +212,7 @@ def _check_length(path: Path, text: str) -> None:
 
 def _is_comment(line: str) -> bool:
     """Whether a line is a comment, or empty."""
-    return line.strip()[:1] in ("", "#")
+    return line.lstrip()[:1] in _NO_ROW
 
 
 def _split(line: str, separator: str | None) -> list[str]:
