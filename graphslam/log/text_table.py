@@ -187,9 +187,9 @@ class TextTable(Table):
     @cached_property
     def _even(self) -> list[str]:
         """The rows, which all have the same number of columns, or a `FormatError` for the first one that has not."""
-        separator, simple = self._separator, '"' not in self._text
+        separator, simple = self._separator or " ", self._separator is not None and '"' not in self._text
         for row, line in enumerate(self._rows):
-            count = len(line.split(separator)) if simple else len(self._cells(line))
+            count = line.count(separator) + 1 if simple else len(self._cells(line))
             if count == self.width:
                 continue
             titles = f" ({named(self.names)})" if self.names else ""
