@@ -320,8 +320,7 @@ def place_map(
 def reference_of(comparison: Comparison) -> EstimatorResult | None:
     """The result whose sightings and map are drawn: the graph, or the best of the others."""
     best = ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1", "fastslam2")
-    known = [comparison[name] for name in best if name in comparison]
-    return next(iter([*known, *comparison.results]), None)
+    return next(iter([*(comparison[name] for name in best if name in comparison), *comparison.results]), None)
 
 
 def sensor_of(comparison: Comparison) -> SensorModel:

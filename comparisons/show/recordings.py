@@ -28,6 +28,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -112,28 +113,6 @@ INSTALL_MCAP = (
 FRAME = "map"
 #: places of x, y and heading in the 6 x 6 covariances of ROS
 _PLANE = np.array([0, 1, 5])
-#: vision_msgs is not among the types that come with rosbags
-_DETECTIONS = """std_msgs/Header header
-vision_msgs/Detection3D[] detections
-================================================================================
-MSG: vision_msgs/Detection3D
-std_msgs/Header header
-vision_msgs/ObjectHypothesisWithPose[] results
-vision_msgs/BoundingBox3D bbox
-string id
-================================================================================
-MSG: vision_msgs/ObjectHypothesisWithPose
-vision_msgs/ObjectHypothesis hypothesis
-geometry_msgs/PoseWithCovariance pose
-================================================================================
-MSG: vision_msgs/ObjectHypothesis
-string class_id
-float64 score
-================================================================================
-MSG: vision_msgs/BoundingBox3D
-geometry_msgs/Pose center
-geometry_msgs/Vector3 size
-"""
 
 
 def _check_installed(advice: str, *modules: str) -> None:
@@ -161,7 +140,9 @@ def write_mcap(comparison: Comparison, path: Path) -> None:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(_DETECTIONS, "vision_msgs/msg/Detection3DArray"))
+    # vision_msgs is not among the types that come with rosbags
+    detections = files("comparisons.show").joinpath("Detection3DArray.msg").read_text(encoding="utf-8")
+    store.register(get_types_from_msg(detections, "vision_msgs/msg/Detection3DArray"))
     with write_whole(path) as temporary, temporary.open("wb") as stream:
         writer = Writer(stream)
         schema = cache(lambda kind: writer.register_msgdef(kind, store.generate_msgdef(kind, ros_version=2)[0]))

@@ -16,8 +16,8 @@ from comparisons.estimators.config import read_config
 from comparisons.options.toml_files import to_toml
 from comparisons.results.documents import json_text
 from comparisons.show.canvas import as_text, paper_figure
+from comparisons.show.tables import as_html
 from comparisons.show.tables import as_text as table_text
-from comparisons.show.tables import tables_as_html as as_html
 from comparisons.studies.summary import write_csv, write_json_lines
 from graphslam import Graph, Log, LogError, OptionError, SlamError, load, save, simulate
 from graphslam.errors import printable

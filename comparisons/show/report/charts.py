@@ -48,8 +48,10 @@ MOST_LANDMARKS = 400
 def paths_figure(view: View) -> Figure:
     """The figure."""
     traces: list[dict[str, Any]] = []
-    for estimate in view.estimates:
-        traces += [*_path(view, estimate), *_map(view, estimate)]
+    for e in view.estimates:
+        meta, known = {"estimator": e.name, "layer": "path"}, {"customdata": pose_columns(view, e)}
+        traces += _path(meta, line_of(e.name), e.poses, e.line, hovertemplate="%{text}<extra></extra>", **known)
+        traces += _map(view, e)
     traces += _truth(view)
     # lines to a landmark from the poses that saw it, shown at a click
     traces.append(_silent({"layer": "matches"}, "lines", visible=False, line={"color": MATCHED, "width": 1.2}))
@@ -75,18 +77,14 @@ def pose_columns(view: View, estimate: Estimate) -> list[list[float | int | None
     ]
 
 
-def _path(view: View, estimate: Estimate) -> list[dict[str, Any]]:
-    """The poses, with all that is known of them; their line is a trace of its own where it has other points."""
-    meta, look = {"estimator": estimate.name, "layer": "path"}, line_of(estimate.name)
-    poses = {
-        "type": "scatter", "meta": meta, **_xy(estimate.poses), "customdata": pose_columns(view, estimate),
-        "hovertemplate": "%{text}<extra></extra>", **look,
-    }  # fmt: skip
-    if len(estimate.line) == len(estimate.poses):
-        return [poses]
-    line = _silent(meta | {"part": "line"}, "lines", estimate.line, line=look["line"])
+def _path(meta: dict[str, str], look: dict[str, Any], poses: Array, line: Array, **known: Any) -> list[dict[str, Any]]:
+    """Poses (n, 3) with what is known of them; their line is a trace of its own where it has other points."""
+    trace = {"type": "scatter", "meta": meta, **_xy(poses), **known, **look}
+    if len(line) == len(poses):
+        return [trace]
     # a pose without a marker still shows its values under the pointer
-    return [line, poses | {"mode": "markers", "marker": look.get("marker", {"size": 6, "opacity": 0})}]
+    dots = {"mode": "markers", "marker": look.get("marker", {"size": 6, "opacity": 0})}
+    return [_silent(meta | {"part": "line"}, "lines", line, line=look["line"]), trace | dots]
 
 
 def _silent(meta: dict[str, str], mode: str, points: Array | None = None, **more: Any) -> dict[str, Any]:
@@ -129,10 +127,8 @@ def _now(estimate: Estimate) -> list[dict[str, Any]]:
     """The parts that the slider moves: the sightings from the pose, its ellipse, and the pose."""
     colour, of = colour_of(estimate.name), {"estimator": estimate.name, "layer": "now"}
     arrow = {"symbol": "arrow", "size": 15, "color": colour, "line": {"color": INK, "width": 0.6}}
-    return [
-        _silent(of | {"part": "sightings"}, "lines", line={"color": colour, "width": 1.1}),
-        _silent(of | {"part": "pose"}, "markers", marker=arrow),
-    ]
+    lines = _silent(of | {"part": "sightings"}, "lines", line={"color": colour, "width": 1.1})
+    return [lines, _silent(of | {"part": "pose"}, "markers", marker=arrow)]
 
 
 def _truth(view: View) -> list[dict[str, Any]]:
@@ -142,13 +138,11 @@ def _truth(view: View) -> list[dict[str, Any]]:
         times = [None] * len(view.steps) if view.times is None else [short(t, 8) for t in view.times]
         time = "" if view.times is None else "<br>time %{customdata[1]:.2f} s"
         look: dict[str, Any] = {"mode": "lines", "line": {"color": INK, "width": 1.2}}
-        if view.true_line is not None and len(view.true_line) != len(view.truth):
-            traces.append(common | look | _xy(view.true_line) | {"hoverinfo": "skip"})
-            look = {"mode": "markers", "marker": {"size": 6, "opacity": 0}}
-        traces.append(common | look | {
-            **_xy(view.truth), "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
-            "hovertemplate": f"<b>ground truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
-        })  # fmt: skip
+        line = view.truth if view.true_line is None else view.true_line
+        traces += _path(
+            common["meta"], look, view.truth, line, customdata=[[int(t), s] for t, s in zip(view.steps, times)],
+            hovertemplate=f"<b>ground truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
+        )  # fmt: skip
     if view.aligned_to and (landmarks := true_landmarks(view.log)):
         traces.append(common | {
             **_xy(np.array(list(landmarks.values()))), "customdata": list(landmarks),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from importlib.resources import files
 from importlib.util import find_spec
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from graphslam import Log, OptionError
+from graphslam import Log, OptionError, SlamError
 from graphslam.files import write_text
 from graphslam.log import UNIDENTIFIED
 
@@ -28,27 +28,13 @@ from ...results.documents import jsonable
 from ...results.files import check_can_write
 from ...results.results import sightings_of
 from ..canvas import MATRIX, colour_of, reference_of
-from ..cells import NOTHING, LeanTable, number, word
 from ..language import catalogue, language_of, translated, translated_table
-from ..tables import landmark_table, table_as_html, tables_of
+from ..tables import NOTHING, LeanTable, landmark_table, number, table_as_html, tables_of, word
 from . import charts
 from .view import Figure, View, line_of, view_of
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-
-#: layers of the map: name, label, whether it is shown at first
-LAYERS = (
-    ("path", "paths", True), ("landmarks", "landmarks", True), ("landmark-ellipses", "landmark ellipses", True),
-    ("pose-ellipses", "pose ellipses", False), ("truth", "ground truth", True), ("now", "robot at the step", True),
-)  # fmt: skip
-_CONVERGENCE = (
-    "All four start at the initial poses of the log, with every pair of sightings as an edge. The lectures reset the "
-    "anchor x̂₀ at every step: the cost settles, but the whole graph keeps drifting, and the norm of the correction stays "
-    "constant. With a fixed anchor the world frame converges, at a constant rate, since its information changes with the "
-    "state; Anderson acceleration makes this faster. In the body frame the information depends on the measurements "
-    "alone, so that there is one cost to minimise, and a few steps suffice."
-)
 
 
 def check_page(path: Path) -> None:
@@ -106,12 +92,12 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
         return "\n".join(f"<li>{say(text)}</li>" for text in texts)
 
     view = view_of(comparison)
-    matrix, matrix_note = _matrix(comparison)
-    convergence, convergence_note, endings = _convergence(comparison)
+    matrix, matrix_note = _unless_failed(_matrix, comparison)
+    variants, convergence_note = _unless_failed(_convergence, comparison)
     error_heading, errors_note = _error_texts(view)
     figures = {
         "map": charts.paths_figure(view), "errors": charts.errors_figure(view), "costs": charts.costs_figure(comparison),
-        "convergence": convergence, "matrix": matrix,
+        "convergence": charts.convergence_figure(variants) if variants else None, "matrix": matrix,
     }  # fmt: skip
     tables, sentences = tables_of(comparison)
     tables[0].title = None
@@ -120,15 +106,14 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
         "title": escape(comparison.log.name), "language": language, "summary": say(_summary(view)),
         "table": "\n".join(table_as_html(translated_table(table, language)) for table in tables),
         "remarks": items(sentences), "landmarks": _landmarks(comparison, language),
-        "estimators": "\n".join(_box("estimator", e.name, _sample(e.name) + escape(e.name), True) for e in view.estimates),
-        "layers": "\n".join(
-            _box("layer", name, say(label), on) for name, label, on in LAYERS if name != "pose-ellipses" or poses_known
-        ),
+        "estimators": "\n".join(_box(e.name) for e in view.estimates),
+        "pose_ellipses_hidden": "" if poses_known else "hidden",
         "last": str(len(view.steps) - 1),
         **{f"{name}_hidden": "hidden" if figure is None else "" for name, figure in figures.items()},
         "map_note": say(_map_note(view)), "error_heading": say(error_heading), "errors_note": say(errors_note),
-        "convergence_note": say(convergence_note), "convergence_remarks": items(endings), "matrix_note": say(matrix_note),
-        "entry": MATRIX[charts.ENTRY], "fill": MATRIX[charts.FILL], "configuration": escape(comparison.config),
+        "convergence_note": say(convergence_note), "convergence_remarks": items(charts.remarks(variants or [])),
+        "matrix_note": say(matrix_note), "entry": MATRIX[charts.ENTRY], "fill": MATRIX[charts.FILL],
+        "configuration": escape(comparison.config),
         "versions": items([*versions(), f"plotly.js {get_plotlyjs_version()}", platform.platform()]),
         "figures": embedded({n: _translated_figure(figure, language) for n, figure in figures.items() if figure}),
         "facts": embedded(_facts(view) | {"matches": matches_of(comparison), "words": _words(language)}),
@@ -139,9 +124,10 @@ def page_of(comparison: Comparison, language: str = "en") -> str:
     return Template(page).substitute(part)
 
 
-def _box(kind: str, name: str, label: str, on: bool) -> str:
-    """A box that shows or hides an estimator or a layer."""
-    return f'<label><input type="checkbox"{" checked" * on} data-{kind}="{escape(name)}">{label}</label>'
+def _box(name: str) -> str:
+    """A box that shows or hides an estimator, with a sample of its line."""
+    text = escape(name)
+    return f'<label><input type="checkbox" checked data-estimator="{text}">{_sample(name)}{text}</label>'
 
 
 #: texts between the marks of a page, and those of its labels
@@ -285,23 +271,23 @@ def _error_texts(view: View) -> tuple[str, str]:
     return f"from {view.measured_from} [m]", note
 
 
-def _convergence(comparison: Comparison) -> tuple[Figure | None, str, list[str]]:
-    """The figure, what it shows, and how each variant ended."""
+def _unless_failed(make: Callable[[Comparison], tuple[Any, str]], comparison: Comparison) -> tuple[Any, str]:
+    """A part of the page and a sentence on it; None and the reason where it cannot be made."""
     try:
-        variants = charts.iterations(comparison.log, comparison.options)
-    except Exception as error:
-        return None, f"Left out: {sentence(error)}.", []
-    return charts.convergence_figure(variants), _CONVERGENCE, charts.remarks(variants)
-
-
-def _matrix(comparison: Comparison) -> tuple[Figure | None, str]:
-    reference = reference_of(comparison)
-    if reference is None or reference.graph is None:
-        return None, "Left out: no estimator of this comparison solved a graph."
-    try:
-        before, after = charts.pictures(reference.graph)
+        return make(comparison)
     except Exception as error:
         return None, f"Left out: {sentence(error)}."
+
+
+def _convergence(comparison: Comparison) -> tuple[list[charts.Iterations], str]:
+    return charts.iterations(comparison.log, comparison.options), ""
+
+
+def _matrix(comparison: Comparison) -> tuple[Figure, str]:
+    reference = reference_of(comparison)
+    if reference is None or reference.graph is None:
+        raise SlamError("no estimator of this comparison solved a graph")
+    before, after = charts.pictures(reference.graph)
     return charts.matrix_figure(before, after), charts.description(reference.name, before, after)
 
 
