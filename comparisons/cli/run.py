@@ -50,7 +50,7 @@ def run(
         slam-compare run --config results/latest/config.toml
     """
     from ..results import noted
-    from ..results.files import RESULTS, check_can_make, reason_without_graph
+    from ..results.files import RESULTS, check_can_make
 
     check_can_make(RESULTS if saving.out is None else saving.out)
     writers = {kind: (path, _writer(kind)) for kind in FURTHER if (path := getattr(saving, kind)) is not None}
@@ -89,8 +89,6 @@ def run(
         output.hint(f"Localise in this map: {command('run', 'OTHER_LOG', '--map', files['graph-map.npz'])}")
     if options.kernel != "gnc" and not outcome.log.sessions:
         output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
-    if "graph" in outcome and (reason := reason_without_graph(outcome)):
-        output.hint(f"There is no graph.g2o: {reason}.")
 
 
 def _noise_advice(outcome: Comparison, log: Path | None, options: declared.RunOptions) -> str | None:

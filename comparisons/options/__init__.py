@@ -11,7 +11,7 @@ To add an option, add a field and use it where it takes effect.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ KERNELS = ("none", *ROBUST)
 NOISE, FILTER, GIBBS = "Noise models", "Particle filters", "Particle smoother"
 
 
+@dataclass(frozen=True, kw_only=True)
 class ReadingOptions(Options, ReadOptions):
     """Options of reading a log, those of `graphslam.load` among them, and of the part of it that is kept."""
 
@@ -71,6 +72,7 @@ def _correction(name: str) -> Any:
     )  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True)
 class NoiseOptions(Options):
     """The noise models. Beside these fields every number of `MotionModel` and `SensorModel` is an option by its name.
 
@@ -116,10 +118,12 @@ class NoiseOptions(Options):
         return base[0].changed(**self.of_component("motion")), base[1].changed(**self.of_component("sensor"))
 
 
+@dataclass(frozen=True, kw_only=True)
 class LogOptions(NoiseOptions, ReadingOptions):
     """Options of `reading.prepare`."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class GraphOptions(Options, EdgeOptions):
     """The graph and how it is solved; see `graphslam.Graph.from_log` and `graphslam.solve`."""
 
@@ -136,6 +140,7 @@ class GraphOptions(Options, EdgeOptions):
     )  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True)
 class MapOptions(Options):
     """A map to localise in; see `graphslam.LandmarkMap`."""
 
@@ -164,6 +169,7 @@ class MapOptions(Options):
                     raise OptionError(f"{name} is about a map to localise in; name it with map (--map FILE)")
 
 
+@dataclass(frozen=True, kw_only=True)
 class OnlineOptions(Options):
     """The estimator ``online``."""
 
@@ -173,12 +179,14 @@ class OnlineOptions(Options):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
 class AssociationOptions(Options, FrontEndOptions):
     """Options of the association for estimators that solve graphs, where the log has no ids or they are ignored."""
 
     panel = "Graph"
 
 
+@dataclass(frozen=True, kw_only=True)
 class SmootherOptions(Options):
     """The particle smoother: the fields of `fastslam.GibbsOptions`, whose names begin with ``gibbs_`` here."""
 
@@ -190,6 +198,7 @@ class SmootherOptions(Options):
         return GibbsOptions(**self.of_component("gibbs"))
 
 
+@dataclass(frozen=True, kw_only=True)
 class RunOptions(MapOptions, OnlineOptions, AssociationOptions, GraphOptions, LogOptions, SmootherOptions):
     """All options of a run: reading, noise, graph, filters and smoother; ``comparisons.run(log, kernel="huber")``."""
 
@@ -206,6 +215,7 @@ class RunOptions(MapOptions, OnlineOptions, AssociationOptions, GraphOptions, Lo
         return FilterOptions(**self.of_component("filter"))
 
 
+@dataclass(frozen=True, kw_only=True)
 class LimitOptions(Options):
     """Time limits."""
 
@@ -215,6 +225,7 @@ class LimitOptions(Options):
     )  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True)
 class EstimatorOptions(LimitOptions):
     """Which estimators run, and for how long."""
 
@@ -225,6 +236,7 @@ class EstimatorOptions(LimitOptions):
     )  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True)
 class OutputOptions(Options):
     """Output files of a run."""
 
@@ -244,6 +256,7 @@ class OutputOptions(Options):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
 class JsonOptions(Options):
     """The JSON of every verb."""
 
@@ -254,6 +267,7 @@ class JsonOptions(Options):
     )  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True)
 class FigureOptions(Options):
     """The figure of a study."""
 
@@ -263,6 +277,7 @@ class FigureOptions(Options):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
 class JobsOptions(Options):
     """Parallelism."""
 
@@ -271,6 +286,7 @@ class JobsOptions(Options):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
 class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
     """Which variants `solvers.compare_solvers` solves by hand and with GTSAM."""
 
@@ -283,6 +299,7 @@ class SolverCheckOptions(LimitOptions, JobsOptions, LogOptions):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
 class BackendOptions(LimitOptions):
     """Options of `backends.compare_backends`, which times pose-graph solvers."""
 
@@ -299,6 +316,7 @@ class BackendOptions(LimitOptions):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
 class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
     """Options of `particles.study_particles`, which varies the number of particles."""
 
@@ -313,6 +331,7 @@ class ParticleStudyOptions(LimitOptions, JobsOptions, LogOptions):
     seeds: int = option(10, "Number of random seeds, starting from 0.", minimum=1)
 
 
+@dataclass(frozen=True, kw_only=True)
 class ConsistencyOptions(JobsOptions, SmootherOptions):
     """Options of `consistency.study_consistency`."""
 
@@ -332,6 +351,7 @@ class ConsistencyOptions(JobsOptions, SmootherOptions):
         _ = self.gibbs  # checks the values
 
 
+@dataclass(frozen=True, kw_only=True)
 class AnimationOptions(Options):
     """The animation of an estimator."""
 
@@ -345,6 +365,7 @@ class AnimationOptions(Options):
     max_frames: int = option(200, "Maximum number of frames; longer runs are thinned evenly.", minimum=2, panel=OUTPUT)
 
 
+@dataclass(frozen=True, kw_only=True)
 class CalibrationOptions(ReadingOptions):
     """Options of `graphslam.calibrate`; of the sensor only its place is given."""
 
@@ -367,6 +388,7 @@ class CalibrationOptions(ReadingOptions):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
 class SimulationOptions(Options):
     """A simulated log: a world, the faults of the robot, and the noise models of a clean world."""
 
@@ -398,6 +420,7 @@ class SimulationOptions(Options):
         return {"world": world, "seed": self.seed, **noise, **faults}
 
 
+@dataclass(frozen=True, kw_only=True)
 class SweepOptions(JobsOptions):
     """Options of `studies.sweep`."""
 
@@ -419,6 +442,7 @@ METRICS = {
 }
 
 
+@dataclass(frozen=True, kw_only=True)
 class SummaryOptions(FigureOptions):
     """Options of `studies.summarise`."""
 

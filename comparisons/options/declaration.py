@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Self, dataclass_transform
+from typing import Any, ClassVar, Self
 
 from fastslam.options import GibbsOptions
 from graphslam.errors import OptionError, quoted
@@ -28,12 +28,10 @@ _RENAMED |= {("gibbs", f.name): f"gibbs_{f.name}" for f in fields(GibbsOptions)}
 OUTPUT = "Output"
 
 
-@dataclass_transform(frozen_default=True, kw_only_default=True)
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """The base of all options: makes them from keywords, checks every value, and lists what was changed.
+    """The base of all option dataclasses: makes one from keywords, checks every value, and lists what was changed.
 
-    Every derived class is a dataclass of the same kind.
     The fields of a component, which is a dataclass of another package, are options too. Those that are given are kept in
     ``numbers``; `of_component` returns those of one component.
     """
@@ -44,9 +42,6 @@ class Options:
     #: fields of components that are no options here
     hidden: ClassVar[tuple[str, ...]] = ()
     numbers: Mapping[str, Any] = field(default_factory=dict, hash=False)
-
-    def __init_subclass__(cls) -> None:
-        dataclass(frozen=True, kw_only=True)(cls)
 
     @classmethod
     def of(cls, **given: Any) -> Self:
@@ -114,6 +109,7 @@ def _panel(group: type, name: str) -> str:
     return next((str(heir.panel) for heir in heirs if hasattr(heir, "panel")), "")
 
 
+@dataclass(frozen=True, kw_only=True)
 class ImportOptions(Options):
     """Options of `importing.import_log`: the tables or topics of a drive, and how they are read."""
 
@@ -134,6 +130,7 @@ class ImportOptions(Options):
     )  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True)
 class EvaluationOptions(Options):
     """How `evaluation.evaluate` compares estimates with the ground truth.
 

@@ -197,13 +197,10 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
 
 def log_scale_where_apart(axes: Axes, medians: list[float]) -> None:
     """A logarithmic axis where the medians of errors are more than a factor of ten apart."""
-    positive = [median for median in medians if median > 0]
-    if positive and max(positive) > 10 * min(positive):
+    bottom = canvas.logarithmic_from(medians)
+    if bottom is not None:
         axes.set_yscale("log")
-        # single steps that happen to be exact would otherwise stretch the axis for nothing
-        axes.set_ylim(bottom=min(positive) / 10)
-    else:
-        axes.set_ylim(bottom=0)
+    axes.set_ylim(bottom=bottom or 0)
 
 
 def _draw_convergence(axes: Axes, comparison: Comparison) -> None:

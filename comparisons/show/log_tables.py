@@ -24,7 +24,7 @@ from graphslam.se2 import Array
 from ..estimators import bounds_of, online_steps
 from ..options import NoiseOptions, RunOptions
 from ..options.declaration import options_of
-from .canvas import between_poses
+from .canvas import between_poses, limits_of
 from .tables import NOTHING, LeanTable, Tables, number, written, yes_no
 
 if TYPE_CHECKING:
@@ -57,11 +57,7 @@ def plan(
 
     ``names`` are those of the dots and crosses.
     """
-    everything = np.concatenate([path, points]) if len(points) else path
-    low, high = path.min(axis=0), path.max(axis=0)
-    # points far away must not make the path small
-    room = max(float(np.max(high - low)), 4.0) / 2
-    low, high = np.maximum(everything.min(axis=0), low - room), np.minimum(everything.max(axis=0), high + room)
+    low, high = limits_of(path, [points], least=4.0, margin=0.0)
     # a character is about twice as high as wide
     scale = max((high[0] - low[0]) / (width - 1), (high[1] - low[1]) / (height - 1) / 2, 1e-6)
     columns, rows = int((high[0] - low[0]) / scale) + 1, int((high[1] - low[1]) / (2 * scale)) + 1

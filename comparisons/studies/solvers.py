@@ -31,6 +31,7 @@ POSE_TOLERANCE, COST_TOLERANCE = 1e-6, 1e-9
 STEP_TOLERANCE, MAX_ITERATIONS = 1e-10, 500
 
 
+@dataclass(frozen=True, kw_only=True)
 class Variant(GraphOptions):
     """One way to make a graph of a log: the options of the graph, and the dimensions of its sightings."""
 

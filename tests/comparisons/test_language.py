@@ -51,7 +51,7 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     tables.result_tables, tables.comparison_tables, tables.session_table, tables.state_table, tables.landmark_table,
     tables._exchanged, tables._noise_remarks, verbs.run, verbs.report, verbs._noise_advice,
     comparison.Comparison._noise_findings, comparison.Comparison._unused_options,
-    result_files.reason_without_graph, filters._one_run, filters.of_several_seeds,
+    result_files.write_pose_graph, filters._one_run, filters.of_several_seeds,
     build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._unless_failed, page._matrix,
     charts.remarks, charts.description, page.association_table, defaults.pairs_overweight,
     RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, studies.solver_tables, studies.backend_tables,

@@ -31,7 +31,7 @@ from ...comparison import Comparison
 from ...estimators import pair_count
 from ...options import RunOptions
 from ...results.files import time_axis
-from ..canvas import INK, ITERATIONS, MATCHED, MATRIX, colour_of, true_landmarks
+from ..canvas import INK, ITERATIONS, MATCHED, MATRIX, colour_of, limits_of, logarithmic_from, true_landmarks
 from ..figures import ellipses
 from .view import Estimate, Figure, View, axis, layout, line_of, logarithmic, place, short
 
@@ -57,8 +57,9 @@ def paths_figure(view: View) -> Figure:
     traces.append(_silent({"layer": "matches"}, "lines", visible=False, line={"color": MATCHED, "width": 1.2}))
     for estimate in view.estimates:
         traces += _now(estimate)
-    x = axis("x [m]", constrain="domain", range=_range(view, 0))
-    y = axis("y [m]", scaleanchor="x", range=_range(view, 1))
+    low, high = limits_of(_core(view), ())
+    x = axis("x [m]", constrain="domain", range=[low[0], high[0]])
+    y = axis("y [m]", scaleanchor="x", range=[low[1], high[1]])
     return {"data": traces, "layout": layout(xaxis=x, yaxis=y, dragmode="pan", uirevision="kept")}
 
 
@@ -171,18 +172,14 @@ def _xy(points: Array) -> dict[str, Any]:
     return {"x": [place(v) for v in points[:, 0]], "y": [place(v) for v in points[:, 1]]}
 
 
-def _range(view: View, column: int) -> list[float]:
-    """All that is drawn, with a margin, but for dead reckoning: it may drift far away and make the rest small."""
-    drawn = [e for e in view.estimates if e.name != "dead-reckoning"] or list(view.estimates)
-    parts = [e.line[:, column] for e in drawn] + [m[None, column] for e in drawn for m in e.landmarks.values()]
+def _core(view: View) -> Array:
+    """Points (k, 2) that are in sight at first, all but dead reckoning: it may drift far away and make the rest small."""
+    drawn = [e for e in view.estimates if e.name != "dead-reckoning"] or view.estimates
+    parts = [*(e.line[:, :2] for e in drawn), *(m[None] for e in drawn for m in e.landmarks.values())]
     if view.truth is not None:
-        parts.append((view.truth if view.true_line is None else view.true_line)[:, column])
-    values = np.concatenate([np.empty(0), *parts])
-    if not np.isfinite(values).any():
-        return [-1.0, 1.0]
-    values = values[np.isfinite(values)]
-    margin = 0.06 * max(float(np.ptp(values)), 1.0)
-    return [float(values.min()) - margin, float(values.max()) + margin]
+        parts.append((view.truth if view.true_line is None else view.true_line)[:, :2])
+    points = np.concatenate([np.empty((0, 2)), *parts])
+    return points if np.isfinite(points).any() else np.zeros((1, 2))
 
 
 #: the most steps of each variant, and the norm of the correction below which it has ended
@@ -271,10 +268,6 @@ def plain_steps(name: str, graph: Graph, *, anchored: bool) -> Iterations:
     return Iterations(name, np.array(costs), np.array(norms))
 
 
-#: a figure whose medians differ by a larger factor has a logarithmic axis
-SPREAD = 10.0
-
-
 def errors_figure(view: View) -> Figure | None:
     """The position errors after alignment, whose root mean square is the ATE; None where there is nothing to compare with.
 
@@ -294,12 +287,10 @@ def errors_figure(view: View) -> Figure | None:
         }
         for estimate in drawn
     ]  # fmt: skip
-    positive = [m for m in (float(np.nanmedian(e.errors)) for e in drawn) if m > 0]
     truth = view.measured_from == "truth"
     vertical = axis("position error [m]" if truth else f"distance from {view.measured_from} [m]")
-    if positive and max(positive) > SPREAD * min(positive):
-        # single steps that happen to be exact would otherwise stretch the axis for nothing
-        low, high = min(positive) / 10, 1.3 * max(float(np.nanmax(e.errors)) for e in drawn)
+    if (low := logarithmic_from([float(np.nanmedian(e.errors)) for e in drawn])) is not None:
+        high = 1.3 * max(float(np.nanmax(e.errors)) for e in drawn)
         vertical |= logarithmic([low, high]) | {"range": [float(np.log10(low)), float(np.log10(high))]}
     else:
         vertical |= {"rangemode": "tozero"}

@@ -180,8 +180,7 @@ def _summary(view: View) -> str:
 
 
 def _map_note(view: View) -> str:
-    note = "The ellipses are those of three standard deviations. A click on a path moves the slider to that step, "
-    note += "one on a landmark shows its sightings."
+    note = ""
     if reference := view.aligned_to:
         note += f" Each estimate is aligned to {reference} by the rigid motion that its errors are measured after."
     if view.truth is not None and (where := view.log.truth_place):
