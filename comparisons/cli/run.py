@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 #: options that name further files of a run: module below ``show``, check of its packages, and the function that writes
 FURTHER = {
-    "html": ("report.page", "check_plotly", "write_report"),
+    "html": ("report", "check_plotly", "write_report"),
     "mcap": ("recordings", "check_mcap", "write_mcap"),
     "rerun": ("recordings", "check_rerun", "write_rerun"),
 }
@@ -132,7 +132,7 @@ def report(
         slam-compare report LOG report.html --estimators graph,fastslam1
         slam-compare report report.html --config results/latest/config.toml
     """
-    from ..show.report.page import check_page, write_report
+    from ..show.report import check_page, write_report
 
     log, page = places(words, "a log and a file to write: slam-compare report LOG OUT.html")
     check_page(page)
@@ -331,7 +331,7 @@ def study(
     from graphslam import OptionError
 
     from ..show.tables import write_latex
-    from ..studies.database import StudyDatabase
+    from ..studies.execute import StudyDatabase
     from ..studies.plan import read_study
     from ..studies.summary import summarise, write_csv, write_json_lines, write_summary_csv
 

@@ -30,10 +30,10 @@ from graphslam.se2 import Array, turned_by
 from graphslam.solvers.gtsam_factors import from_values, to_gtsam, to_values
 from graphslam.solvers.initialize import starting_state
 
+from ..estimators.attempt import rows_of
 from ..options import BackendOptions
 from ..results import Displayed, of_expected
 from ..results.documents import Count, jsonable
-from .execute import rows_of
 
 #: every backend stops when a step changes the cost by less than this part of it
 COST_TOLERANCE = 1e-9

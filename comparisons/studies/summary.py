@@ -30,8 +30,7 @@ from graphslam.files import write_whole
 from ..options import METRICS
 from ..results import Displayed
 from ..results.documents import Band, Count, json_line
-from .database import COLUMNS, StudyDatabase
-from .execute import DONE, TIMEOUT
+from .execute import COLUMNS, DONE, TIMEOUT, StudyDatabase
 
 #: the share of resamples that the interval holds
 LEVEL = 0.95

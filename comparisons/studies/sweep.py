@@ -32,7 +32,17 @@ from graphslam.errors import quoted
 from graphslam.processes import default_jobs, process_pool
 
 from ..estimators import ESTIMATORS
-from ..estimators.attempt import add_estimators, added_estimators, ended, loading
+from ..estimators.attempt import (
+    Events,
+    Place,
+    add_estimators,
+    added_estimators,
+    as_they_end,
+    ended,
+    loading,
+    place_of,
+    rows_of,
+)  # fmt: skip
 from ..estimators.config import versions
 from ..estimators.filters import FILTERS, Announce, announce_memory
 from ..options import JobsOptions, ParticleStudyOptions, RunOptions, SweepOptions
@@ -40,8 +50,7 @@ from ..options.declaration import options_of
 from ..options.reading import prepare
 from ..results import Displayed, sentence
 from ..results.documents import Count, jsonable
-from .database import StudyDatabase, row_of
-from .execute import DONE, ERROR, Events, Outcome, Place, as_they_end, execute, log_of, place_of, rows_of, stopped
+from .execute import DONE, ERROR, Outcome, StudyDatabase, execute, log_of, row_of, stopped
 from .plan import Run, Study, read_study
 from .summary import MethodSummary, Summary, summarise
 

@@ -33,8 +33,9 @@ from comparisons.cli.verb import name_of
 from comparisons.estimators import filters
 from comparisons.results import files as result_files
 from comparisons.show import canvas, log_tables, studies, tables
+from comparisons.show import report as page
 from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
-from comparisons.show.report import charts, page
+from comparisons.show.report import charts
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults
 from graphslam.identification.result import RobotEstimate

@@ -17,9 +17,9 @@ from comparisons.cli import app
 from comparisons.comparison import Comparison
 from comparisons.estimators import make_graph
 from comparisons.results import EstimatorResult, dead_reckoning_covariances
-from comparisons.show.report import charts, page
+from comparisons.show import report as page
+from comparisons.show.report import charts, page_of, write_report
 from comparisons.show.report.charts import convergence_figure, costs_figure, errors_figure, iterations, plain_steps
-from comparisons.show.report.page import page_of, write_report
 from comparisons.show.report.view import line_of, view_of
 from comparisons.show.tables import comparison_tables
 from graphslam import Graph, Log, MotionModel, OptionError, SlamError, save, simulate, solve, textbook

@@ -25,8 +25,7 @@ from comparisons.results.results import Row
 from comparisons.show.tables import LeanTable, as_html, as_text, number, seconds, tables_of
 from comparisons.studies.backends import BackendComparison, BackendRow
 from comparisons.studies.consistency import Consistency, ConsistencyStudy
-from comparisons.studies.database import COLUMNS, row_of
-from comparisons.studies.execute import Outcome
+from comparisons.studies.execute import COLUMNS, Outcome, row_of
 from comparisons.studies.plan import Run
 from comparisons.studies.solvers import SkippedVariant, SolverComparison, VariantResult
 from comparisons.studies.summary import Median, MethodSummary, PairedDifference, Summary
