@@ -5,7 +5,7 @@
 Each drive is a `Drive.random` of two minutes. In one stretch of 5 to 30 s the wheels read 1.3 to 1.6 times the speed, or the
 gyroscope half of the turn rate. It is solved four times: with estimated noise (`Graph.from_log`) and with that of the truth
 (ids right and no clutter there), each with the stretch and without. A solution is off where its ATE is more than `FACTOR`
-times the one that its covariances let expect, or NEES/3 above `FACTOR`. It says so where it has a note that the odometry of a
+times the one that its covariances predict, or NEES/3 above `FACTOR`. It says so where it has a note that the odometry of a
 stretch contradicts the rest, or one on J; the first ones are counted apart. The ATE is the median over the drives.
 """
 
@@ -48,7 +48,7 @@ def with_true_noise(log: Log, truth: DriveTruth) -> Log:
 
 
 def is_off(solution: Solution, truth: Array) -> bool:
-    """Whether the errors are beyond what the covariances let expect."""
+    """Whether the errors are beyond what the covariances predict."""
     nees = mean_nees(truth, solution.poses, solution.covariance())
     return ate(truth, solution.poses) > FACTOR * solution.expected_ate or (nees or 0.0) > FACTOR
 

@@ -102,7 +102,7 @@ class Outcome:
         warnings: what it said, one sentence each.
         seconds: of the processor, without reading.
         others: {further estimator: its ATE [m]}, with the same noise and ids.
-        expected: the ATE that the covariances let expect [m], or None.
+        expected: the ATE that the covariances predict [m], or None.
     """
 
     poses: Array

@@ -31,7 +31,7 @@ BEYOND, BEYOND_IN_ALL = 5.0, 3.0
 #: the part of its length and turn by which a motion is uncertain at least, for what its covariance leaves out
 CURVED = 0.02
 #: what a note on a contradiction says
-CONTRADICTION = "times what the noise models let expect from the best particle"
+CONTRADICTION = "times what the noise models predict for the best particle"
 
 
 def noted(result: FilterResult, log: Log | None, maps: bool) -> FilterResult:

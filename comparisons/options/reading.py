@@ -158,7 +158,8 @@ def _of_one_place(logs: list[Log], remarks: list[str]) -> Log:
     joined = graphslam.join_logs(with_common_noise(logs)).log
     with noted(remarks, "what has changed between the logs is not known"):
         changes = zip(joined.sessions[1:], session_states(joined) if len(logs) > 1 else [])
-        remarks += [f"{each.name}: {found.sentence} (the map of the logs before it)" for each, found in changes]
+        # begins with no log's name: `run` shows in brief what does
+        remarks += [f"compared with the logs before {each.name}, {found.sentence}" for each, found in changes]
     return joined
 
 

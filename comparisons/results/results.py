@@ -170,7 +170,7 @@ class EstimatorResult:
 
     @cached_property
     def expected_ate_m(self) -> float | None:
-        """The ATE [m] that the covariances of a graph let expect; None where they are not known."""
+        """The ATE [m] that the covariances of a graph predict; None where they are not known."""
         if self._solution is None or self.covariance_failure is not None:
             return None
         return self._solution.expected_ate
@@ -442,5 +442,5 @@ class Row(Figures, Metrics):
 
     @property
     def expected_ate_m(self) -> float | None:
-        """The ATE that the covariances of a graph let expect [m]; right where the noise models are."""
+        """The ATE that the covariances of a graph predict [m]; right where the noise models are."""
         return None if self.result is None else self.result.expected_ate_m

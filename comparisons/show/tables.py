@@ -275,8 +275,9 @@ def _width(column: Column) -> int:
 
 
 def result_tables(results: ResultTable) -> Tables:
-    """The rows of a comparison, one per estimator; NEES only where the truth is known, optimum only where a proof applies."""
-    metrics = metric_headings()
+    """The rows of a comparison, one per estimator that ran; columns of errors, NEES and proofs only where one is known."""
+    ran = [row for row in results if row.skipped is None]
+    metrics = {n: title for n, title in metric_headings().items() if any(getattr(r, n) is not None for r in ran)}
     known = any(row.nees is not None for row in results)
     proofs = any(row.certificate is not None and row.certificate.applicable for row in results)
     headings = ["converged,\niterations", "time", "cost J", "J per\ndof", *["optimum"] * proofs]
@@ -284,7 +285,7 @@ def result_tables(results: ResultTable) -> Tables:
     in_map = any(row.integrity_risk is not None for row in results)
     last = [*["NEES"] * known, *["P(off)\nmean, most"] * in_map, *["precision,\nrecall", "landmarks"] * scored]
     table = LeanTable(results.title, ["estimator"], [*headings, *metrics.values(), *last])
-    for row in results:
+    for row in ran:
         values = (number(getattr(row, metric)) for metric in metrics)
         cells: list[Text | str] = [yes_no(row.converged, f", {row.iterations}"), seconds(row.seconds)]
         cells += [number(row.cost, 2), number(row.cost_per_dof, 2), *[optimum(row.certificate)] * proofs]
@@ -292,7 +293,7 @@ def result_tables(results: ResultTable) -> Tables:
         of_ids = _scores(row.association) * scored
         name = f"{row.name} ({row.knows})" if row.knows else row.name
         table.add_row(name, *cells, *values, *[number(row.nees, 2)] * known, *off, *of_ids)
-    return [table], []
+    return [table], [f"{row.name} has no result: {row.skipped}." for row in results if row.skipped is not None]
 
 
 def _risk(risk: np.ndarray | None) -> str:

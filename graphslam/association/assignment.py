@@ -230,15 +230,16 @@ def assign(
     kept = (squares <= limit) & (evidence > 0)
     item, landmark, evidence = item[kept], landmark[kept], evidence[kept]
     chosen, margins = np.full(len(steps), -1), np.full(len(steps), np.inf)
-    for run in np.split(np.arange(len(item)), np.flatnonzero(np.diff(steps[item])) + 1):
-        k, j, e = item[run], landmark[run], evidence[run]
-        rows, row = np.unique(k, return_inverse=True)
-        names, column = np.unique(j, return_inverse=True)
-        if len(names) == len(k) == len(rows):
-            chosen[k], margins[k] = j, e
-            continue
+    scan = np.unique(steps[item], return_inverse=True)[1]
+    doubtful = np.unique(scan[_repeated(item) | _repeated(scan * len(landmarks) + landmark)])
+    clear = ~np.isin(scan, doubtful)
+    chosen[item[clear]], margins[item[clear]] = landmark[clear], evidence[clear]
+    for number in doubtful:
+        run = scan == number
+        rows, row = np.unique(item[run], return_inverse=True)
+        names, column = np.unique(landmark[run], return_inverse=True)
         table = np.zeros((len(rows), len(names) + len(rows)))
-        table[row, column] = e
+        table[row, column] = evidence[run]
         a, b = linear_sum_assignment(table, maximize=True)
         good = table[a, b] > 0
         a, b = a[good], b[good]
@@ -247,6 +248,12 @@ def assign(
         others[np.arange(len(a)), b] = 0.0
         margins[rows[a]] = table[a, b] - others.max(axis=1)
     return chosen, margins
+
+
+def _repeated(numbers: np.ndarray) -> np.ndarray:
+    """(C,) whether a number occurs more than once."""
+    _, of_each, times = np.unique(numbers, return_inverse=True, return_counts=True)
+    return times[of_each] > 1
 
 
 def ids_by_map(

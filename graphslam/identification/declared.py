@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import floor, inf, log10
 
 import numpy as np
 
@@ -152,8 +152,16 @@ class ParameterEstimate:
         parts, values = [], dict(zip(self.names, self.values.tolist()))
         for name in names:
             unit = f" {PARAMETERS[name].unit}" if PARAMETERS[name].unit else ""
-            parts.append(f"{name} {values[name]:.4g} +- {self.deviations[name]:.2g}{unit}")
+            parts.append(f"{name} {_as_known(values[name], self.deviations[name])}{unit}")
         return ", ".join(parts)
+
+
+def _as_known(value: float, deviation: float) -> str:
+    """Both with as many decimals as show two digits of the standard deviation: '0.870 +- 0.017'."""
+    if not 1e-6 < deviation < 10:
+        return f"{value:.4g} +- {deviation:.2g}"
+    decimals = 1 - floor(log10(deviation))
+    return f"{value:.{decimals}f} +- {deviation:.{decimals}f}"
 
 
 def ideal_values(sensor: SensorModel) -> dict[str, float]:

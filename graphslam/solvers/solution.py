@@ -308,7 +308,7 @@ class Solution:
 
     @cached_property
     def expected_ate(self) -> float:
-        """The ATE [m] that the covariances let expect, with the uncertainty of biases: the truth is not needed.
+        """The ATE [m] that the covariances predict, with the uncertainty of biases: the truth is not needed.
 
         It is as right as the noise models are. `Uncertainty.expected_ate` has the equation.
 
@@ -366,7 +366,7 @@ MISFIT, MISFIT_OF_LOGS = 10.0, 2.0
 #: and if chance, with the variance of chi-square, does not explain it by so many standard deviations
 BEYOND_CHANCE = 4.0
 #: what a note on the J of a log says
-BEYOND_NOISE = "times what the noise models let expect"
+BEYOND_NOISE = "times what the noise models predict"
 
 
 def make_solution(
@@ -440,7 +440,7 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     ratio = solution.cost / expected if counted else 0.0
     if graph.log is None and ratio > MISFIT:
         notes.append(
-            f"J is {ratio:,.0f} times what the information of the edges lets expect: edges are wrong, which method gnc "
+            f"J is {ratio:,.0f} times what the information of the edges predicts: edges are wrong, which method gnc "
             "leaves out of Graph.with_closures, or their information is too large, or of other units"
         )
     if graph.log is not None and ratio > max(MISFIT_OF_LOGS, 1 + BEYOND_CHANCE * np.sqrt(2 / expected)):

@@ -60,6 +60,11 @@ def test_three_logs_are_one_graph_one_map_and_a_table_each(invoke: Invoke, files
     for k in (1, 2, 3):
         assert re.search(rf"^day{k} +dead-reckoning +0", result.output, re.MULTILINE), result.output
         assert (tmp_path / f"out/graph-{k}.tum").exists() and (tmp_path / f"out/truth-{k}.tum").exists()
+    # however many other notes there are
+    assert (
+        len(re.findall(r"^Compared with the logs before day[23], \d+ landmarks agree", result.stdout, re.MULTILINE))
+        == 2
+    )
     document = json.loads((tmp_path / "o.json").read_text())
     expected = solve(Graph.from_log(join_logs(drives()).log, weight="pairs"))
     rows = {row["name"]: row for row in document["estimators"]}

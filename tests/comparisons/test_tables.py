@@ -209,15 +209,19 @@ def test_the_table_of_the_sample_fits_into_80_characters() -> None:
 # -- what they say -----------------------------------------------------------------------------------------------------
 
 
-def test_table_keeps_its_units_and_dashes(log: Log) -> None:
-    outcome = Comparison(
-        log, (result(log, "graph", converged=True, iterations=7, cost=12.5),), (Skipped("mcl", "no map"),)
-    )
-    text = as_text(outcome)
-    for word in ("ATE", "[m]", "[rad]", "graph", "yes, 7", "12.3 ms", "12.50", "mcl"):
+def test_table_keeps_its_units_and_dashes() -> None:
+    rows = Row(name="graph", converged=True, iterations=7, cost=12.5, seconds=0.0123, ate_m=0.0), Row(name="mcl")
+    text = as_text(ResultTable("t", rows))
+    for word in ("ATE", "[m]", "graph", "yes, 7", "12.3 ms", "12.50", "mcl"):
         assert word in text
     (row,) = [line for line in text.splitlines() if line.startswith("mcl  ")]
-    assert row.split() == ["mcl", *["–"] * 8]
+    assert row.split() == ["mcl", *["–"] * 5]
+
+
+def test_estimators_without_a_result_have_a_sentence_and_no_row() -> None:
+    text = as_text(ResultTable("t", (Row(name="graph", cost=12.5), Row(name="mcl", skipped="no map"))))
+    assert [line for line in text.splitlines() if "mcl" in line] == ["mcl has no result: no map."]
+    assert "ATE" not in text
 
 
 def test_the_nees_is_a_column_where_it_is_known(log: Log) -> None:
@@ -335,8 +339,9 @@ def test_html_has_all_cells_and_escapes_them() -> None:
     assert '<th scope="row" style="text-align:left">&lt;b&gt;</th>' in page
     assert ">converged, iterations</th>" in page
     assert ">yes, 3</td>" in page
-    assert page.count("<tr>") == 3
-    assert page.count("<td") == 16
+    assert page.count("<tr>") == 2
+    assert page.count("<td") == 4
+    assert page.endswith("<p>skipped has no result: no map.</p>")
 
 
 def test_a_metric_is_declared_once():

@@ -30,7 +30,7 @@ from graphslam.identification.corrections import (
     moves,
     without_biases,
 )
-from graphslam.identification.declared import PARAMETERS, parsed
+from graphslam.identification.declared import PARAMETERS, ParameterEstimate, parsed
 from graphslam.se2 import compose
 from graphslam.solvers.joint import JointGraph
 
@@ -425,3 +425,9 @@ def test_a_scale_of_one_is_not_doubted() -> None:
         log, motion=truth.motion, sensor=truth.sensor, edges="landmark+motion", estimate=["wheel_scale"]
     )
     assert solve(graph).parameters.doubt == ""
+
+
+def test_estimates_are_written_with_the_digits_that_are_known() -> None:
+    names = ("wheel_scale", "turn_rate_bias", "range_bias")
+    found = ParameterEstimate(names, np.array([0.86981, -0.003104, 0.2]), np.diag([0.0171, 0.0046, 0.0]) ** 2, {})
+    assert found.sentence == "wheel_scale 0.870 +- 0.017, turn_rate_bias -0.0031 +- 0.0046 rad/s, range_bias 0.2 +- 0 m"

@@ -414,7 +414,7 @@ def test_angles_in_degrees_and_wrong_closures_are_said(tmp_path):
     assert any("in degrees" in note for note in graph.notes)
     closed = written(tmp_path, chain(12, np.pi / 6) + "\nEDGE_SE2 2 8 0 0 0 400 0 0 400 0 10000")
     (note,) = solve(Graph.from_g2o(closed, format="g2o")).notes
-    assert re.match(r"J is [\d,]+ times what the information of the edges lets expect: edges are wrong", note)
+    assert re.match(r"J is [\d,]+ times what the information of the edges predicts: edges are wrong", note)
 
 
 @pytest.mark.parametrize("reads", [read, Graph.from_g2o])

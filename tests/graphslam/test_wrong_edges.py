@@ -230,7 +230,7 @@ def test_residuals_of_a_family_in_numpy_count_as_numbers() -> None:
         more = replace(graph, families=(*graph.families, FixEdges(nodes, places)))
         assert more.degrees_of_freedom == graph.degrees_of_freedom + 2 * len(nodes)
         notes = solve(more).notes
-        assert any("times what the noise models let expect" in note for note in notes) == misfit
+        assert any("times what the noise models predict" in note for note in notes) == misfit
         assert not any("in common" in note for note in notes)
 
 
