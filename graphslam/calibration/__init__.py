@@ -309,6 +309,21 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
     )
 
 
+def _values(found: RobotEstimate, every: Sequence[RobotEstimate]) -> dict[str, tuple[float, float]]:
+    """{name: (value, standard deviation)} of each bias that one of ``every`` log has estimated, in this log.
+
+    A log that prefers the ideal value does not say how well it would tell another one: at most as well as the others do. It
+    contradicts them where they are far from it, but has no part in their mean.
+    """
+    of_logs: dict[str, tuple[float, float]] = {}
+    for name, (ideal, _) in {name: prior for one in every for name, prior in one.parameters.priors.items()}.items():
+        others = [one.parameters.deviations[name] for one in every if name in one.parameters.names]
+        unknown = (found.log.uncertain or {}).get(name, np.inf)
+        of_logs[name] = ideal, max(unknown, *others)
+    own = found.parameters
+    return of_logs | {name: (own[name], own.deviations[name]) for name in own.names}
+
+
 def _noise(every: Sequence[RobotEstimate]) -> tuple[dict[str, float], dict[str, float], list[str], list[str]]:
     """The pooled noise of the estimates, and sentences on noise and biases on which they differ beyond chance.
 
@@ -324,10 +339,9 @@ def _noise(every: Sequence[RobotEstimate]) -> tuple[dict[str, float], dict[str, 
     widths = 0.5 * np.log([one.inflation for one in every])[:, None] * np.isin(names, OF_SENSOR)
     models = [vars(one.motion) | vars(one.sensor) for one in every]
     values = np.log([[model[name] for name in names] for model in models]) - widths
-    # a log that holds a bias at its ideal value has no information on it
-    estimates = [dict(zip(one.parameters.names, one.parameters.values.tolist())) for one in every]
-    biases = np.array([[each.get(name, 0.0) for name in biased] for each in estimates])
-    spreads = [[one.parameters.deviations.get(name, np.inf) for name in biased] for one in every]
+    found = [_values(one, every) for one in every]
+    biases = np.array([[each[name][0] for name in biased] for each in found])
+    spreads = [[each[name][1] for name in biased] for each in found]
     errors = np.hstack([[list(one.errors.values()) for one in every], spreads])
     both, information = np.hstack([values, biases]), errors**-2
     means = np.average(both, axis=0, weights=information)
