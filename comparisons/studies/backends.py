@@ -30,10 +30,10 @@ from graphslam.se2 import Array, turned_by
 from graphslam.solvers.gtsam_factors import from_values, to_gtsam, to_values
 from graphslam.solvers.initialize import starting_state
 
+from ..estimators.attempt import rows_of
 from ..options import BackendOptions
 from ..results import Displayed, of_expected
 from ..results.documents import Count, jsonable
-from .execute import rows_of
 
 #: every backend stops when a step changes the cost by less than this part of it
 COST_TOLERANCE = 1e-9
@@ -51,20 +51,8 @@ class PeerRun:
     costs: tuple[float, ...] = ()
 
 
-def _check_pose_graph(graph: Graph) -> None:
-    """Raise `OptionError` for edges that are not those of a pose graph."""
-    for family in graph.families:
-        if not isinstance(family, RelativePoseEdges | RelativePointEdges) or family.state_dependent_information:
-            raise OptionError(f"{type(family).__name__} do not belong to a pose graph")
-
-
 def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
-    """The graph in GTSAM's own factors: BetweenFactorPose2, a stiff prior per fixed node; our factors for points.
-
-    Raises:
-        OptionError: the graph has edges that are not those of a pose graph.
-    """
-    _check_pose_graph(graph)
+    """A pose graph in GTSAM's own factors: BetweenFactorPose2, a stiff prior per fixed node; our factors for points."""
     factors = gtsam.NonlinearFactorGraph()
     for family in graph.families:
         if isinstance(family, RelativePoseEdges):
@@ -92,39 +80,30 @@ def gtsam_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], 
     parameters.setRelativeErrorTol(COST_TOLERANCE)
     parameters.setAbsoluteErrorTol(0.0)
     kind: Any = gtsam.LevenbergMarquardtOptimizer if damped else gtsam.GaussNewtonOptimizer
-    costs = _gtsam_costs(kind(factors, values, parameters), graph, max_iterations)
 
     def run() -> PeerRun:
-        begin = time.perf_counter()
+        costs, begin = [graph.cost(graph.initial)], time.perf_counter()
         optimizer = kind(factors, values, parameters)
-        try:
-            end = optimizer.optimize()
-        except RuntimeError as error:
-            reason = f"gave up: {str(error).strip().splitlines()[0]}"
-            return PeerRun(graph.initial * np.nan, 0, time.perf_counter() - begin, False, reason)
-        seconds = time.perf_counter() - begin
-        state, iterations = from_values(graph, end), int(optimizer.iterations())
-        if iterations >= max_iterations:
-            return PeerRun(state, iterations, seconds, False, f"max_iterations = {max_iterations} reached", costs)
-        if np.abs(state - graph.initial).max() < 1e-12:
-            return PeerRun(state, iterations, seconds, False, "returned the initial values")
-        reason = f"the cost changed by less than {COST_TOLERANCE:g} of it"
-        return PeerRun(state, iterations, seconds, True, reason, costs)
+        seconds, decreases = time.perf_counter() - begin, True
+        while decreases and len(costs) <= max_iterations:
+            # as optimize() of GTSAM, with a cost by our evaluator after each iteration
+            before, begin = optimizer.error(), time.perf_counter()
+            try:
+                optimizer.iterate()
+            except RuntimeError as error:
+                reason = f"gave up: {str(error).strip().splitlines()[0]}"
+                return PeerRun(graph.initial * np.nan, 0, seconds, False, reason)
+            seconds += time.perf_counter() - begin
+            state = from_values(graph, optimizer.values())
+            costs.append(graph.cost(state))
+            decreases = before - optimizer.error() > COST_TOLERANCE * before
+        moved = np.abs(state - graph.initial).max() >= 1e-12
+        reason = f"the cost changed by less than {COST_TOLERANCE:g} of it" if moved else "returned the initial values"
+        if decreases:
+            reason = f"max_iterations = {max_iterations} reached"
+        return PeerRun(state, len(costs) - 1, seconds, not decreases and bool(moved), reason, tuple(costs))
 
     return run
-
-
-def _gtsam_costs(optimizer: Any, graph: Graph, max_iterations: int) -> tuple[float, ...]:
-    """The chi2 before and after each iteration, from a run of its own, for the figure."""
-    costs, before = [graph.cost(graph.initial)], optimizer.error()
-    with suppress(RuntimeError):
-        while len(costs) <= max_iterations:
-            optimizer.iterate()
-            costs.append(graph.cost(from_values(graph, optimizer.values())))
-            if abs(before - optimizer.error()) <= COST_TOLERANCE * before:
-                break
-            before = optimizer.error()
-    return tuple(costs)
 
 
 def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], PeerRun]:
@@ -136,7 +115,6 @@ def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], Pe
         g2o = import_module("g2opy")
     except ImportError:
         raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
-    _check_pose_graph(graph)
     costs, reaches = _smallest_number(g2o, graph, damped, max_iterations)
 
     def run() -> PeerRun:
@@ -197,8 +175,6 @@ PEERS: dict[str, Callable[[Graph, int], Callable[[], PeerRun]]] = {
     "g2o-gn": partial(g2o_peer, False),
     "g2o-lm": partial(g2o_peer, True),
 }
-
-
 #: the names of the backends, ours first
 BACKENDS = ("graphslam", *PEERS)
 
@@ -338,7 +314,18 @@ def _measured(task: Task, options: BackendOptions) -> BackendRow | None:
             return None
         raise
     _warm_up(name)
-    return _row(file, name, graph, [run() for _ in range(options.repeat)])
+    runs = [run() for _ in range(options.repeat)]
+    seconds, last = statistics.median(run.seconds for run in runs), runs[-1]
+    steps = max(len(last.costs) - 1, 1)
+    chi2 = graph.cost(last.state)
+    return BackendRow(
+        file, name, chi2, last.iterations, seconds, last.converged, last.reason,
+        trace=tuple((seconds * k / steps, cost) for k, cost in enumerate(last.costs)),
+        chi2_per_dof=of_expected(chi2, graph),
+        # GTSAM has no factor of its own for a point in Cartesian coordinates
+        native=not (name.startswith("gtsam") and any(isinstance(f, RelativePointEdges) for f in graph.families)),
+        certificate=certify(graph, last.state).of_run(last.converged, last.reason) if math.isfinite(chi2) else None,
+    )  # fmt: skip
 
 
 def _warm_up_all(names: Sequence[str]) -> None:
@@ -376,20 +363,3 @@ def _warm_up(name: str) -> None:
         path = Path(folder) / "square.g2o"
         path.write_text("\n".join(lines), encoding="utf-8")
         _backend(name, Graph.from_g2o(path), "auto", 5)()
-
-
-def _row(file: str, name: str, graph: Graph, runs: Sequence[PeerRun]) -> BackendRow:
-    seconds = statistics.median(run.seconds for run in runs)
-    last = runs[-1]
-    steps = max(len(last.costs) - 1, 1)
-    trace = tuple((seconds * k / steps, cost) for k, cost in enumerate(last.costs))
-    chi2 = graph.cost(last.state)
-    certificate = None
-    if math.isfinite(chi2):
-        certificate = certify(graph, last.state).of_run(last.converged, last.reason)
-    # GTSAM has no factor of its own for a point in Cartesian coordinates
-    native = not (name.startswith("gtsam") and any(isinstance(f, RelativePointEdges) for f in graph.families))
-    return BackendRow(
-        file, name, chi2, last.iterations, seconds, last.converged, last.reason, trace, of_expected(chi2, graph), native,
-        certificate,
-    )  # fmt: skip
