@@ -51,8 +51,20 @@ class PeerRun:
     costs: tuple[float, ...] = ()
 
 
+def _check_pose_graph(graph: Graph) -> None:
+    """Raise `OptionError` for edges that are not those of a pose graph."""
+    for family in graph.families:
+        if not isinstance(family, RelativePoseEdges | RelativePointEdges) or family.state_dependent_information:
+            raise OptionError(f"{type(family).__name__} do not belong to a pose graph")
+
+
 def native_gtsam_graph(graph: Graph) -> gtsam.NonlinearFactorGraph:
-    """A pose graph in GTSAM's own factors: BetweenFactorPose2, a stiff prior per fixed node; our factors for points."""
+    """The graph in GTSAM's own factors: BetweenFactorPose2, a stiff prior per fixed node; our factors for points.
+
+    Raises:
+        OptionError: the graph has edges that are not those of a pose graph.
+    """
+    _check_pose_graph(graph)
     factors = gtsam.NonlinearFactorGraph()
     for family in graph.families:
         if isinstance(family, RelativePoseEdges):
@@ -80,30 +92,39 @@ def gtsam_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], 
     parameters.setRelativeErrorTol(COST_TOLERANCE)
     parameters.setAbsoluteErrorTol(0.0)
     kind: Any = gtsam.LevenbergMarquardtOptimizer if damped else gtsam.GaussNewtonOptimizer
+    costs = _gtsam_costs(kind(factors, values, parameters), graph, max_iterations)
 
     def run() -> PeerRun:
-        costs, begin = [graph.cost(graph.initial)], time.perf_counter()
+        begin = time.perf_counter()
         optimizer = kind(factors, values, parameters)
-        seconds, decreases = time.perf_counter() - begin, True
-        while decreases and len(costs) <= max_iterations:
-            # as optimize() of GTSAM, with a cost by our evaluator after each iteration
-            before, begin = optimizer.error(), time.perf_counter()
-            try:
-                optimizer.iterate()
-            except RuntimeError as error:
-                reason = f"gave up: {str(error).strip().splitlines()[0]}"
-                return PeerRun(graph.initial * np.nan, 0, seconds, False, reason)
-            seconds += time.perf_counter() - begin
-            state = from_values(graph, optimizer.values())
-            costs.append(graph.cost(state))
-            decreases = before - optimizer.error() > COST_TOLERANCE * before
-        moved = np.abs(state - graph.initial).max() >= 1e-12
-        reason = f"the cost changed by less than {COST_TOLERANCE:g} of it" if moved else "returned the initial values"
-        if decreases:
-            reason = f"max_iterations = {max_iterations} reached"
-        return PeerRun(state, len(costs) - 1, seconds, not decreases and bool(moved), reason, tuple(costs))
+        try:
+            end = optimizer.optimize()
+        except RuntimeError as error:
+            reason = f"gave up: {str(error).strip().splitlines()[0]}"
+            return PeerRun(graph.initial * np.nan, 0, time.perf_counter() - begin, False, reason)
+        seconds = time.perf_counter() - begin
+        state, iterations = from_values(graph, end), int(optimizer.iterations())
+        if iterations >= max_iterations:
+            return PeerRun(state, iterations, seconds, False, f"max_iterations = {max_iterations} reached", costs)
+        if np.abs(state - graph.initial).max() < 1e-12:
+            return PeerRun(state, iterations, seconds, False, "returned the initial values")
+        reason = f"the cost changed by less than {COST_TOLERANCE:g} of it"
+        return PeerRun(state, iterations, seconds, True, reason, costs)
 
     return run
+
+
+def _gtsam_costs(optimizer: Any, graph: Graph, max_iterations: int) -> tuple[float, ...]:
+    """The chi2 before and after each iteration, from a run of its own, for the figure."""
+    costs, before = [graph.cost(graph.initial)], optimizer.error()
+    with suppress(RuntimeError):
+        while len(costs) <= max_iterations:
+            optimizer.iterate()
+            costs.append(graph.cost(from_values(graph, optimizer.values())))
+            if abs(before - optimizer.error()) <= COST_TOLERANCE * before:
+                break
+            before = optimizer.error()
+    return tuple(costs)
 
 
 def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], PeerRun]:
@@ -115,6 +136,7 @@ def g2o_peer(damped: bool, graph: Graph, max_iterations: int) -> Callable[[], Pe
         g2o = import_module("g2opy")
     except ImportError:
         raise OptionError("the backend g2o needs the package g2opy: pip install -e '.[peers]' in the clone") from None
+    _check_pose_graph(graph)
     costs, reaches = _smallest_number(g2o, graph, damped, max_iterations)
 
     def run() -> PeerRun:
