@@ -18,7 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from comparisons.studies.database import StudyDatabase
+from comparisons.studies.execute import StudyDatabase
 from comparisons.studies.plan import read_study
 from comparisons.studies.sweep import sweep
 

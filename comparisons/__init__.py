@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .options import RunOptions
     from .options.reading import calibrate
     from .show.films import animate
-    from .show.report.page import write_report
+    from .show.report import write_report
     from .studies.backends import compare_backends
     from .studies.consistency import study_consistency
     from .studies.plan import read_study

@@ -321,13 +321,12 @@ class Comparison(Displayed):
             for name, write in self._writers():
                 with noted(files.notes, f"there is no {name}"):
                     write(folder / name)
-                    if (folder / name).exists():
-                        files["config" if name == "config.toml" else name] = directory / name
+                    files["config" if name == "config.toml" else name] = directory / name
             write_json(self.to_json(files), folder / files["json"].name)
         return files
 
     def _writers(self) -> Iterator[tuple[str, Callable[[Path], object]]]:
-        """The files beside JSON and figure by name, with what writes each; that of graph.g2o may write none."""
+        """The files beside JSON and figure by name, with what writes each."""
         for name, text in (("config.toml", lambda: self.config), *texts(self)):
             yield name, lambda path, text=text: path.write_text(text(), encoding="utf-8")  # type: ignore[misc]
         for result in self.results:
@@ -335,7 +334,8 @@ class Comparison(Displayed):
                 yield f"{result.name}-map.npz", lambda path, solution=result.origin: solution.map.save(path)  # type: ignore[misc]
         if (found := self.options.calibration) is not None:
             yield "noise.toml", lambda path: write_noise(found, path, self.log.name)
-        yield "graph.g2o", partial(write_pose_graph, self)
+        if "graph" in self:
+            yield "graph.g2o", partial(write_pose_graph, self["graph"])
 
 
 @dataclass(frozen=True)

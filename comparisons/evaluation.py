@@ -144,38 +144,34 @@ class EvaluateDocument:
     notes: tuple[str, ...]
 
 
-def evaluate(
-    truth: str | PathLike[str], *estimates: str | PathLike[str], options: EvaluationOptions | None = None, **changes: Any,
-) -> Evaluation:  # fmt: skip
+def evaluate(truth: str | PathLike[str], *estimates: str | PathLike[str], **options: Any) -> Evaluation:
     """Compare trajectories, and maps, with the ground truth.
 
     Args:
         truth: a table of the true poses, or a log with ground truth, whose map counts, too.
         estimates: tables of poses.
-        options: or single ones as keywords, see `options.EvaluationOptions`.
+        options: the fields of `options.EvaluationOptions`.
 
     Raises:
         LogError: a file holds no trajectory; no pose of an estimate is within the time of the truth.
         OptionError: an option is impossible, or there is no estimate.
     """
-    if options is not None and changes:
-        raise OptionError(f"give {next(iter(changes))} as a field of options, or leave out options")
-    options = options or EvaluationOptions.of(**changes)
+    given = EvaluationOptions.of(**options)
     if not estimates:
         raise OptionError("name at least one estimate after the ground truth: evaluate TRUTH ESTIMATE ...")
-    if options.maps and len(options.maps) != len(estimates):
+    if given.maps and len(given.maps) != len(estimates):
         raise OptionError(
-            f"there are {len(options.maps)} maps for {len(estimates)} estimates; name one for each, - for none"
+            f"there are {len(given.maps)} maps for {len(estimates)} estimates; name one for each, - for none"
         )
-    right, true_map = _truth(Path(truth), _table_options(options, "truth"))
-    tables = _table_options(options, ESTIMATES)
-    if options.true_map is not None:
-        true_map = LandmarkMap.load(options.true_map)
-    if options.maps and true_map is None:
+    right, true_map = _truth(Path(truth), _table_options(given, "truth"))
+    tables = _table_options(given, ESTIMATES)
+    if given.true_map is not None:
+        true_map = LandmarkMap.load(given.true_map)
+    if given.maps and true_map is None:
         raise OptionError("maps are compared with the true map: name it with --true-map FILE")
     paths = [Path(path) for path in estimates]
     found = []
-    for path, name, of_map in zip(paths, _names(paths), options.maps or [NO_MAP] * len(paths)):
+    for path, name, of_map in zip(paths, _names(paths), given.maps or [NO_MAP] * len(paths)):
         try:
             trajectory = read_trajectory(path, name, tables)
         except LogError as error:
@@ -183,8 +179,8 @@ def evaluate(
             advice = re.sub(r"(?<==')truth(?=[=.])", ESTIMATES, str(error))
             raise error if advice == str(error) else LogError(advice) from None
         places = None if of_map == NO_MAP else LandmarkMap.load(of_map)
-        found.append(_evaluated(right, trajectory, true_map, places, options))
-    return Evaluation(right, tuple(found), options, true_map)
+        found.append(_evaluated(right, trajectory, true_map, places, given))
+    return Evaluation(right, tuple(found), given, true_map)
 
 
 def read_trajectory(path: Path, name: str, options: TableOptions) -> Trajectory:

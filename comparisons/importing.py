@@ -131,15 +131,11 @@ def import_log(source: str | PathLike[str] | None = None, **options: Any) -> Imp
         LogError: a table breaks a rule, or a bag cannot be opened.
         OptionError: an option is impossible, or does not apply.
     """
-    return imported(None if source is None else Path(source), ImportOptions.of(**options))
-
-
-def imported(source: Path | None, options: ImportOptions) -> Import:
-    """The same as `import_log`, with the options as one object."""
-    named = {table: place for table in TABLES if (place := getattr(options, table)) is not None}
-    changes = options.of_component("tables")
-    recipe = None if options.recipe is None else read_recipe(options.recipe)
-    reading = ReadOptions(**options.of_component("reading"))
+    given = ImportOptions.of(**options)
+    named = {table: place for table in TABLES if (place := getattr(given, table)) is not None}
+    changes = given.of_component("tables")
+    recipe = None if given.recipe is None else read_recipe(given.recipe)
+    reading = ReadOptions(**given.of_component("reading"))
     if source is None:
         for table in ("odometry", "sightings"):
             if table not in named:
@@ -147,6 +143,7 @@ def imported(source: Path | None, options: ImportOptions) -> Import:
         tables: dict[str, Any] = {table: Path(path) for table, path in named.items()}
         drive = read_drive(**tables, options=merged(recipe or Recipe(), changes).options)
         return _made(Import(None), drive, reading, Path(named["odometry"]).resolve().parent.name)
+    source = Path(source)
     check_path(source)
     if not source.is_dir():
         check_file(source)

@@ -17,8 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from .logs import backends, calibrate, datasets, evaluate, import_, show, simulate, solvers
 from .output import in_language, language_of_words, sentences
-from .run import animate, report, run
-from .studies import consistency, particles, study, sweep
+from .run import animate, consistency, particles, report, run, study, sweep
 from .verb import Lang, add_verb, epilog_of, list_verb, name_of
 
 

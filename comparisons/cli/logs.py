@@ -16,17 +16,7 @@ from .output import DIFFERENT, Output
 from .verb import LogFile, argument, command, places
 
 if TYPE_CHECKING:
-    from ..options import (
-        OUTPUT,
-        BackendOptions,
-        CalibrationOptions,
-        EvaluationOptions,
-        FigureOptions,
-        ImportOptions,
-        ReadingOptions,
-        SimulationOptions,
-        SolverCheckOptions,
-    )
+    from .. import options as declared
     from ..studies.backends import BackendRow
     from ..studies.solvers import SkippedVariant, VariantResult
 
@@ -35,7 +25,7 @@ def simulate(
     output: Output,
     out: Annotated[Path, argument("OUT", "The file to write (.npz keeps everything).")],
     *,
-    options: SimulationOptions,
+    options: declared.SimulationOptions,
     format: Annotated[str | None, typer.Option(help="npz or lnpr.", show_default="by the suffix of OUT")] = None,
     truth: Annotated[bool, typer.Option(help="Keep the true poses and landmarks (lnpr cannot).")] = True,
 ) -> None:
@@ -67,9 +57,9 @@ def calibrate(
     log: LogFile = None,
     others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same kind of robot.")] = None,
     *,
-    options: CalibrationOptions,
+    options: declared.CalibrationOptions,
     out: Annotated[Path | None, typer.Option(
-        metavar="FILE", help="Write the noise models there (TOML), for run --noise.", rich_help_panel=OUTPUT,
+        metavar="FILE", help="Write the noise models there (TOML), for run --noise.", rich_help_panel=declared.OUTPUT,
     )] = None,
 ) -> None:  # fmt: skip
     """Estimate motion and sensor noise, and scales and biases of sightings and odometry, by maximum likelihood.
@@ -114,8 +104,8 @@ def evaluate(
     ],
     estimates: Annotated[list[Path], argument("ESTIMATE ...", "Estimated poses: tables, bags or BAG:TOPIC, or .npz.")],
     *,
-    options: EvaluationOptions,
-    drawing: FigureOptions,
+    options: declared.EvaluationOptions,
+    drawing: declared.FigureOptions,
 ) -> None:
     """Compare trajectories and maps of any program with the ground truth.
 
@@ -132,7 +122,7 @@ def evaluate(
     """
     from ..evaluation import evaluate as compare
 
-    output.result(compare(truth, *estimates, options=options), drawing.figure)
+    output.result(compare(truth, *estimates, **options.keywords()), drawing.figure)
 
 
 def datasets(
@@ -148,12 +138,9 @@ def datasets(
         SLAM_DATA=~/data slam-compare datasets --json -
     """
     from graphslam import OptionError
-    from graphslam.files import check_path
 
     from ..datasets import survey
 
-    if folder is not None:
-        check_path(folder)
     if folder is not None and not folder.is_dir():
         raise OptionError(f"--folder {folder}: there is no such folder")
     with output.bar("data sets") as advance:
@@ -175,7 +162,7 @@ def import_(
         "The folder of tables or the bag, and the log to write; without it, only what was found is listed.",
     )] = None,
     *,
-    options: ImportOptions,
+    options: declared.ImportOptions,
 ) -> None:  # fmt: skip
     """Make a log of your own tables (CSV, TSV, Parquet) or bag (ROS 1, ROS 2, MCAP): odometry and sightings with times.
 
@@ -189,7 +176,7 @@ def import_(
     """
     from graphslam import LogError, save
 
-    from ..importing import imported
+    from ..importing import import_log
     from ..results.files import check_can_write
 
     source: Path | None = None
@@ -200,7 +187,7 @@ def import_(
             source, out = out, None
     if out is not None:
         check_can_write(out)
-    found = imported(source, options)
+    found = import_log(source, **options.keywords())
     output.show(found)
     if found.log is None:
         raise LogError(found.reason)
@@ -214,7 +201,9 @@ def import_(
     output.json(replace(found, file=out).to_json())
 
 
-def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawing: FigureOptions) -> None:
+def show(
+    output: Output, log: LogFile = None, *, reading: declared.ReadingOptions, drawing: declared.FigureOptions
+) -> None:
     """Look at a log before it is solved: times, rates, landmarks, histograms, and what is probably wrong.
 
     Examples:
@@ -232,7 +221,7 @@ def show(output: Output, log: LogFile = None, *, reading: ReadingOptions, drawin
     output.json(found.to_json())
 
 
-def solvers(output: Output, log: LogFile = None, *, options: SolverCheckOptions) -> None:
+def solvers(output: Output, log: LogFile = None, *, options: declared.SolverCheckOptions) -> None:
     """Check the hand-written solver against GTSAM on every graph that a log allows; exit status 1 if they differ.
 
     Examples:
@@ -262,8 +251,8 @@ def backends(
     output: Output,
     files: Annotated[list[Path], argument("FILE...", "Pose graphs: g2o, TORO or iSAM text.")],
     *,
-    options: BackendOptions,
-    drawing: FigureOptions,
+    options: declared.BackendOptions,
+    drawing: declared.FigureOptions,
 ) -> None:
     """Time this solver, GTSAM and g2o on pose graphs; the same function computes the chi2 of every solver's result.
 

@@ -1,4 +1,4 @@
-"""The verbs that run estimators on a log: run, report, animate."""
+"""The verbs that run estimators: run, report and animate on a log; particles, consistency, sweep and study many times."""
 
 from __future__ import annotations
 
@@ -11,18 +11,23 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from .output import Advance, Output
+import typer
+
+from .output import DIFFERENT, INTERRUPTED, Advance, Output
 from .verb import LogFile, argument, command, places
 
 if TYPE_CHECKING:
+    from .. import options as declared
     from ..comparison import Comparison, Progress
     from ..estimators.attempt import Skipped
-    from ..options import AnimationOptions, EstimatorOptions, OutputOptions, RunOptions
     from ..results import EstimatorResult
+    from ..studies.execute import Outcome
+    from ..studies.plan import Run
+    from ..studies.sweep import Progress as ProgressOfStudy
 
 #: options that name further files of a run: module below ``show``, check of its packages, and the function that writes
 FURTHER = {
-    "html": ("report.page", "check_plotly", "write_report"),
+    "html": ("report", "check_plotly", "write_report"),
     "mcap": ("recordings", "check_mcap", "write_mcap"),
     "rerun": ("recordings", "check_rerun", "write_rerun"),
 }
@@ -32,7 +37,7 @@ PAGE = "Wrote the interactive report {}: open it in a browser."
 def run(
     output: Output, log: LogFile = None,
     others: Annotated[list[Path] | None, argument("LOG ...", "More logs of the same place, solved together.")] = None, *,
-    chosen: EstimatorOptions, options: RunOptions, saving: OutputOptions,
+    chosen: declared.EstimatorOptions, options: declared.RunOptions, saving: declared.OutputOptions,
 ) -> None:  # fmt: skip
     """Run all estimators on one log, or on several logs of one place: a table, a figure and the results as JSON.
 
@@ -45,7 +50,7 @@ def run(
         slam-compare run --config results/latest/config.toml
     """
     from ..results import noted
-    from ..results.files import RESULTS, check_can_make, reason_without_graph
+    from ..results.files import RESULTS, check_can_make
 
     check_can_make(RESULTS if saving.out is None else saving.out)
     writers = {kind: (path, _writer(kind)) for kind in FURTHER if (path := getattr(saving, kind)) is not None}
@@ -84,11 +89,9 @@ def run(
         output.hint(f"Localise in this map: {command('run', 'OTHER_LOG', '--map', files['graph-map.npz'])}")
     if options.kernel != "gnc" and not outcome.log.sessions:
         output.hint(f"Animation:           {command('animate', log, 'animation.gif', options=options)}")
-    if "graph" in outcome and (reason := reason_without_graph(outcome)):
-        output.hint(f"There is no graph.g2o: {reason}.")
 
 
-def _noise_advice(outcome: Comparison, log: Path | None, options: RunOptions) -> str | None:
+def _noise_advice(outcome: Comparison, log: Path | None, options: declared.RunOptions) -> str | None:
     """The command that finds better noise models, where those of the book do not fit a log in which nothing is suspicious."""
     from graphslam.identification.robot import FEWEST
 
@@ -119,8 +122,8 @@ def report(
         list[str], argument("[LOG] OUT.html", "The log (default: the sample log of the package), and the page.")
     ],
     *,
-    chosen: EstimatorOptions,
-    options: RunOptions,
+    chosen: declared.EstimatorOptions,
+    options: declared.RunOptions,
 ) -> None:
     """Run all estimators on one log and write an interactive report: one HTML file that works offline.
 
@@ -129,7 +132,7 @@ def report(
         slam-compare report LOG report.html --estimators graph,fastslam1
         slam-compare report report.html --config results/latest/config.toml
     """
-    from ..show.report.page import check_page, write_report
+    from ..show.report import check_page, write_report
 
     log, page = places(words, "a log and a file to write: slam-compare report LOG OUT.html")
     check_page(page)
@@ -148,8 +151,8 @@ def animate(
         "The log (default: the sample log of the package), and the animation: .gif, .mp4 (needs ffmpeg) or .html.",
     )],
     *,
-    animation: AnimationOptions,
-    options: RunOptions,
+    animation: declared.AnimationOptions,
+    options: declared.RunOptions,
 ) -> None:  # fmt: skip
     """Animate an estimator: a graph as it is solved, particles and their maps, ISAM2 as the robot drives, sampled paths.
 
@@ -184,7 +187,10 @@ def animate(
 
 
 def _compared(
-    output: Output, log: Path | list[Path | None] | None, chosen: EstimatorOptions, options: RunOptions
+    output: Output,
+    log: Path | list[Path | None] | None,
+    chosen: declared.EstimatorOptions,
+    options: declared.RunOptions,
 ) -> Comparison:
     from ..comparison import compare
     from ..estimators import default_estimators
@@ -207,7 +213,7 @@ def _progress(output: Output, advance: Advance) -> Progress:
     return report
 
 
-def _draw_live(output: Output, log: Path | list[Path | None] | None, options: RunOptions) -> None:
+def _draw_live(output: Output, log: Path | list[Path | None] | None, options: declared.RunOptions) -> None:
     from ..options.reading import prepare
     from ..results import noted
     from ..show.log_tables import pictures
@@ -231,3 +237,146 @@ def _writer(kind: str) -> Callable[..., None]:
     getattr(found, check)()
     writer: Callable[..., None] = getattr(found, write)
     return writer
+
+
+def particles(
+    output: Output, log: LogFile = None, *, options: declared.ParticleStudyOptions, drawing: declared.FigureOptions
+) -> None:
+    """Error, effective sample size, ancestors and time over the number of particles, for many random seeds.
+
+    Examples:
+        slam-compare particles --particles 10,100,1000 --seeds 5
+        slam-compare particles LOG --figure particles.png --json particles.json
+    """
+    from ..studies.sweep import study_particles
+
+    with output.bar("runs") as advance:
+        report = _progress_of_study(advance, output)
+        outcome = study_particles(log, progress=report, announce=output.progress, **options.keywords())
+    output.result(outcome, drawing.figure)
+
+
+def consistency(output: Output, *, options: declared.ConsistencyOptions, drawing: declared.FigureOptions) -> None:
+    """Average normalised errors (ANEES) over many simulated logs, for each estimator and weight, with the 95 % band.
+
+    Examples:
+        slam-compare consistency
+        slam-compare consistency --noise 1 --figure anees.png --json anees.json
+        slam-compare consistency --estimators 'landmark nodes,fastslam2' --logs 50
+    """
+    from ..options import ConsistencyOptions
+    from ..studies.consistency import study_consistency
+
+    with output.bar("logs", options.logs) as advance:
+        outcome = study_consistency(progress=lambda _: advance(1), **options.keywords())
+    output.result(outcome, drawing.figure)
+    if options.noise == ConsistencyOptions().noise:
+        output.hint(
+            f"The effect of the models' curvature: {command('consistency', options=replace(options, noise=0.5))}"
+        )
+
+
+def sweep(
+    output: Output,
+    study: Annotated[Path, argument("STUDY", "The study file, TOML (examples/study.toml, docs/studies.md).")],
+    *,
+    options: declared.SweepOptions,
+) -> None:
+    """Run a study: logs x simulator settings x seeds x estimators x options, one database row for each run.
+
+    It can be stopped at any time, by Ctrl-C or otherwise: the same command continues it. Exit status 1 if runs failed.
+
+    Examples:
+        slam-compare sweep examples/study.toml
+        slam-compare sweep study.toml --jobs 8
+        slam-compare sweep study.toml --dask tcp://head-node:8786
+    """
+    from ..studies.sweep import sweep as execute
+
+    with output.bar("runs") as advance:
+        outcome = execute(
+            study, progress=_progress_of_study(advance, output), announce=output.progress, **options.keywords()
+        )
+    output.say(
+        f"{outcome.database}: {outcome.before + outcome.ran} of {outcome.planned} runs, {outcome.ran} done now"
+        + (f", {outcome.failed} of these failed." if outcome.failed else ".")
+    )
+    if outcome.interrupted:
+        output.hint(f"Interrupted; finished runs are kept. To continue: {command('sweep', study, options=options)}")
+    elif outcome.failed:
+        output.hint(f"Repeat the failed runs: {command('sweep', study, options=replace(options, retry=True))}")
+    output.hint(f"Next: {command('study', outcome.database)}")
+    output.json(outcome.to_json())
+    if outcome.interrupted:
+        raise typer.Exit(INTERRUPTED)
+    if outcome.failed:
+        raise typer.Exit(DIFFERENT)
+
+
+def study(
+    output: Output,
+    words: Annotated[list[str], argument("DATABASE", "The database of a study, or the study file that names it.")],
+    *,
+    options: declared.SummaryOptions,
+) -> None:
+    """Summarise a study: medians with bootstrap intervals, and paired differences on the same seeds.
+
+    Works on a finished study, an interrupted one, and one that is running.
+
+    Examples:
+        slam-compare study study.sqlite
+        slam-compare study study.sqlite --baseline fastslam1 --figure study.pdf
+        slam-compare study study.sqlite --csv runs.csv --jsonl runs.jsonl
+    """
+    from graphslam import OptionError
+
+    from ..show.tables import write_latex
+    from ..studies.execute import StudyDatabase
+    from ..studies.plan import read_study
+    from ..studies.summary import summarise, write_csv, write_json_lines, write_summary_csv
+
+    if len(words) == 2 and words[0].lower() == "show":
+        words = words[1:]
+    if len(words) != 1:
+        raise OptionError("give one database: slam-compare study study.sqlite")
+    path = Path(words[0])
+    with StudyDatabase.reading(read_study(path).database if path.suffix == ".toml" else path) as database:
+        rows, (_, others) = database.rows(), database.counts()
+        summary = summarise(database, baseline=options.baseline)
+    output.show(summary)
+    if others:
+        output.say(f"{others} rows of runs that are no longer part of the study file are kept, and not shown.")
+    for target, write in ((options.csv, write_csv), (options.jsonl, write_json_lines)):
+        if target is not None:
+            write(rows, target)
+            output.hint(f"Wrote {target}.")
+    if options.summary is not None:
+        write_summary = write_latex if options.summary.suffix.lower() == ".tex" else write_summary_csv
+        write_summary(summary, options.summary)
+        output.hint(f"Wrote {options.summary}.")
+    if rows:
+        output.draw(summary, options.figure, metric=options.metric)
+    output.json(summary.to_json())
+    if missing := summary.planned - summary.done:
+        output.hint(f"To execute the other {missing} runs: {command('sweep', summary.study)}")
+    elif options.figure is None:
+        output.hint(f"Next: {command('study', database.path, '--figure', 'study.png', '--csv', 'runs.csv')}")
+
+
+def _progress_of_study(advance: Advance, output: Output) -> ProgressOfStudy:
+    from ..studies.execute import DONE
+
+    failed = 0
+
+    def report(done: int, planned: int, run: Run | None, outcome: Outcome | None) -> None:
+        nonlocal failed
+        if run is None or outcome is None:
+            # rows of earlier sweeps took no time of this one
+            advance(0, total=planned - done)
+            return
+        failed += outcome.status != DONE
+        advance(1, f"{failed} failed" if failed else "")
+        how = outcome.error or ("" if outcome.seconds is None else f"{outcome.seconds:.2f} s")
+        output.detail(f"{run.log} {run.method} seed {run.seed}: {outcome.status}, {how}")
+
+    return report

@@ -50,7 +50,7 @@ def add_verb(app: typer.Typer, function: Callable[..., None], kind: type[TyperCo
     from ..options.declaration import Options, options_of
 
     # the modules of the verbs do not import the options, so that the list of all verbs is shown at once
-    hints = get_type_hints(function, localns=vars(declared), include_extras=True)
+    hints = get_type_hints(function, localns={"declared": declared}, include_extras=True)
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "output"]
     groups = {p.name: hints[p.name] for p in parameters if isinstance(hints[p.name], type)}
     groups = {name: kind for name, kind in groups.items() if issubclass(kind, Options)}

@@ -66,15 +66,14 @@ class Estimator:
 
     def too_slow(self, log: Log, options: RunOptions) -> str | None:
         """The reason why the estimator would take too long on a log, or None."""
-        if self.seconds_per_iteration is None:
-            return None
-        try:
-            seconds = self.seconds_per_iteration(log, options)
-        except SlamError:  # where no ids can be found, it fails with that reason when it runs
-            return None
-        if seconds <= PATIENCE:
-            return None
-        return f"it would take about {seconds:.0f} s per iteration on this log; name it in --estimators to run it"
+        # where no ids can be found, it fails with that reason when it runs
+        with suppress(SlamError):
+            seconds = 0.0 if self.seconds_per_iteration is None else self.seconds_per_iteration(log, options)
+            if seconds > PATIENCE:
+                return (
+                    f"it would take about {seconds:.0f} s per iteration on this log; name it in --estimators to run it"
+                )
+        return None
 
 
 def make_graph(log: Log, options: RunOptions) -> Graph:

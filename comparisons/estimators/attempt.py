@@ -1,8 +1,8 @@
-"""One estimator of a comparison, in this process or, with a time limit, in one of a pool; an error becomes a `Skipped`.
+"""Work in processes: the tasks of studies and checks, and, with a time limit, the estimators of a comparison.
 
-Neither the engine nor GTSAM can be interrupted in this process. Studies and solver checks use the same pool.
-
-`graphslam.processes` starts the processes; here they also load the modules of estimators before their first task.
+Neither the engine nor GTSAM can be interrupted in this process. `graphslam.processes` starts the processes; here they also
+load the modules of estimators before their first task. `rows_of` executes tasks, `attempt` runs one estimator of a
+comparison, whose error becomes a `Skipped`.
 """
 
 from __future__ import annotations
@@ -14,14 +14,16 @@ from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import TypeVar
+from itertools import islice
+from queue import SimpleQueue
+from typing import Any, Generic, TypeVar
 
 import cloudpickle  # type: ignore[import-untyped]
 import numpy as np
-from pebble import ProcessExpired, ProcessPool
+from pebble import ProcessExpired
 
 from graphslam import Log, OptionError, SlamError
-from graphslam.processes import how_it_ended, processes
+from graphslam.processes import default_jobs, how_it_ended, processes
 
 from ..options import RunOptions
 from ..results import EstimatorResult, sentence
@@ -91,6 +93,111 @@ def ended(
 
 
 @dataclass(frozen=True)
+class Place(Generic[Task, Row]):
+    """An executor of the tasks of a study.
+
+    Attributes:
+        room: how many tasks may be there at a time, executing or waiting.
+        submit: begins a task.
+        row: what a task gives whose future is done; raises `SlamError` where the place is lost.
+    """
+
+    room: int
+    submit: Callable[[Task], Future[Row]]
+    row: Callable[[Future[Row], Task], Row]
+
+
+@contextmanager
+def place_of(
+    work: Callable[[Task], Row], *, jobs: int | None = None, estimators: Sequence[str] = (),
+    prepare: Callable[[], object] = list, limit: float | None = None, instead: Callable[[Task, str], Row] | None = None,
+) -> Iterator[Place[Task, Row]]:  # fmt: skip
+    """Processes of this machine. Starting one and loading its modules do not count towards the limit, reading a log does.
+
+    Args:
+        work: of a module, so that it can be named to a process; tasks are plain data.
+        jobs: how many processes; None for one on each core; 0 for this process, for a debugger and for tests: each task is
+            then done as it is submitted, without a limit.
+        estimators: whose modules are loaded before the first task.
+        prepare: called in each process after that.
+        limit: of the time of each task [s]; None for no limit.
+        instead: makes the row of a task that took longer, or whose process died, from the task and the reason. Without
+            it they are errors.
+
+    Raises:
+        SlamError: a process died, or a task took too long, where nothing stands instead of its row.
+    """
+    if jobs == 0:
+        for name in estimators:
+            warm_up(name)
+        yield Place(1, partial(_done, work), lambda future, _: future.result())
+        return
+    jobs = jobs or default_jobs()
+    with processes(jobs, loading(estimators, prepare)) as pool:
+        # a task that waits in the pool keeps its process from waiting for the next one
+        yield Place(
+            jobs + 1, lambda task: pool.schedule(work, (task,), timeout=limit),
+            lambda future, task: ended(future, task, limit, instead),
+        )  # fmt: skip
+
+
+def _done(work: Callable[[Task], Row], task: Task) -> Future[Row]:
+    future: Future[Row] = Future()
+    future.set_result(work(task))
+    return future
+
+
+#: futures that are done, and None, which ends the work
+Events = SimpleQueue[Future[Row] | None]
+
+
+def as_they_end(place: Place[Task, Row], tasks: Iterable[Task], events: Events[Row]) -> Iterator[tuple[int, Row]]:
+    """The number of each task among all, and its row, as they end; after None among the events those that have ended."""
+    waiting = enumerate(tasks)
+    pending: dict[Future[Row], tuple[int, Task]] = {}
+
+    def submit(count: int) -> None:
+        for k, task in islice(waiting, count):
+            future = place.submit(task)
+            pending[future] = k, task
+            future.add_done_callback(events.put)
+
+    submit(place.room)
+    while pending:
+        event = events.get()
+        for future in [event] if event is not None else [future for future in pending if future.done()]:
+            k, task = pending.pop(future)
+            yield k, place.row(future, task)
+        if event is None:
+            return
+        submit(1)
+
+
+def rows_of(
+    work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | None,
+    progress: Callable[[Row], object] | None = None, **keywords: Any,
+) -> list[Row]:  # fmt: skip
+    """``map(work, tasks)`` in a place, rows in the order of the tasks.
+
+    Args:
+        work, jobs, keywords: see `place_of`.
+        progress: called with each row as its task ends.
+
+    Raises:
+        OptionError: there is a limit and no process to stop.
+        SlamError: see `place_of`, or ``work`` raised it.
+    """
+    if jobs == 0 and keywords.get("limit") is not None:
+        raise OptionError("time_limit needs local processes, which can be stopped: jobs must be at least 1, not 0")
+    rows: dict[int, Row] = {}
+    with place_of(work, jobs=jobs, **keywords) as place:
+        for k, rows[k] in as_they_end(place, tasks, SimpleQueue()):
+            if progress is not None:
+                progress(rows[k])
+    return [rows[k] for k in sorted(rows)]
+
+
+@dataclass(frozen=True)
 class Skipped:
     """An estimator without a result on this log, and why; ``error`` is what it raised, if it began to run."""
 
@@ -156,7 +263,9 @@ class ResultError(TypeError):
     """An estimator returned something that is no result."""
 
 
-#: makes the outcome of an estimator, given its name, the log and the options
+#: the name of an estimator, the log and the options
+Attempted = tuple[str, Log, RunOptions]
+#: makes the outcome of an estimator, given the same
 Attempt = Callable[[str, Log, RunOptions], EstimatorResult | Skipped]
 
 
@@ -166,20 +275,17 @@ def attempts(names: Sequence[str], limit: float | None) -> Iterator[Attempt]:
     if limit is None:
         yield attempt
         return
-    with processes(1, loading(names)) as pool:
-        yield partial(_within, pool, limit)
+
+    def skipped(task: Attempted, reason: str) -> Skipped:
+        return Skipped(task[0], reason, None if reason == too_long(limit) else RuntimeError(reason))
+
+    with place_of(_elsewhere, jobs=1, estimators=names, limit=limit, instead=skipped) as place:
+        yield lambda *task: place.row(place.submit(task), task)
 
 
-def _within(pool: ProcessPool, limit: float, name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:
-    def skipped(name: str, reason: str) -> Skipped:
-        return Skipped(name, reason, None if reason == too_long(limit) else RuntimeError(reason))
-
-    return ended(pool.schedule(_elsewhere, (name, log, options), timeout=limit), name, limit, skipped)
-
-
-def _elsewhere(name: str, log: Log, options: RunOptions) -> EstimatorResult | Skipped:
+def _elsewhere(task: Attempted) -> EstimatorResult | Skipped:
     """`attempt` in a process, whose errors must be of classes that can be sent."""
-    outcome = attempt(name, log, options)
+    outcome = attempt(*task)
     if isinstance(outcome, Skipped) and outcome.error is not None:
         kind = next((k for k in (OptionError, SlamError) if isinstance(outcome.error, k)), RuntimeError)
         outcome = replace(outcome, error=kind(outcome.reason))

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,7 +33,7 @@ from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.rows import ReadOptions
 from graphslam.maps.landmark_map import as_map
 from graphslam.maps.tracking import in_frame_of
-from graphslam.sessions import ClockOffsets, clock_offsets, join_robots, with_common_noise
+from graphslam.sessions import clock_offsets, join_robots, with_common_noise
 from graphslam.solvers.unknown_robot import estimate_robot
 
 from ..results import noted
@@ -82,12 +83,19 @@ def prepare(
     """
     found: Calibration | None = None
     source: Path | tuple[Path | None, ...] | None
+    logs: Sequence[Log]
     if isinstance(log, (list, tuple)):
-        data, source, values, estimated = _joined(log, options)
+        paths = [Path(each).absolute() for each in log if isinstance(each, (str, PathLike))]
+        if twice := [path for k, path in enumerate(paths) if path in paths[:k]]:
+            raise OptionError(f"{twice[0].name} is named twice; its sightings would count twice, so name each log once")
+        logs, source = zip(*(read_log(each, options) for each in log))
+        data, values, estimated = _joined(logs, options, _of_one_place)
     elif together and (robots := _robots(log, options)):
         assert isinstance(log, (str, PathLike))
         source = Path(log).absolute()
-        data, values, estimated = _joined_robots(robots, options)
+        unread: dict[str, Any] = dict.fromkeys(_of_load(options)) | {"strict": False}
+        logs = [read_log(each, replace(options, **unread))[0] for each in robots.values()]
+        data, values, estimated = _joined(logs, options, partial(_of_robots, robots))
     else:
         data, source = read_log(log, options)
         data, values, found = _with_noise(data, options)
@@ -127,31 +135,32 @@ def prepare(
 
 
 def _joined(
-    logs: Sequence[LogOrPath], options: LogOptions
-) -> tuple[Log, tuple[Path | None, ...], dict[str, float], bool]:
-    """Several logs as one with the same noise models for all, their files, biases, and whether noise was estimated."""
-    paths = [Path(each).absolute() for each in logs if isinstance(each, (str, PathLike))]
-    if twice := [path for k, path in enumerate(paths) if path in paths[:k]]:
-        raise OptionError(f"{twice[0].name} is named twice; its sightings would count twice, so name each log once")
-    read = [read_log(each, options) for each in logs]
-    known = [_with_noise(data, options) for data, _ in read]
-    joined = graphslam.join_logs(with_common_noise([_with_given_noise(data, options) for data, _, _ in known])).log
-    remarks: list[str] = []
+    logs: Sequence[Log], options: LogOptions, join: Callable[[list[Log], list[str]], Log]
+) -> tuple[Log, dict[str, float], bool]:
+    """Several logs as one with the same noise models for all, biases, and whether noise was estimated.
+
+    ``join`` makes one log of several, and adds its remarks to a list.
+    """
+    known, remarks = [_with_noise(each, options) for each in logs], list[str]()
+    read = [log for log, _, _ in known]
+    if options.noise is None and _gives_noise(options):
+        # with the noise that options give logs are joined, and clocks of robots compared
+        given = [options.models(log.motion, log.sensor) for log in read]
+        read = [log.replace(motion=motion, sensor=sensor) for log, (motion, sensor) in zip(read, given)]
+    joined = join(read, remarks)
+    # biases of options and of a noise file are the same for all
+    estimated = any(found is not None for _, _, found in known)
+    return joined.replace(notes=(*joined.notes, *remarks)), known[0][1], estimated
+
+
+def _of_one_place(logs: list[Log], remarks: list[str]) -> Log:
+    """Logs of one place as one log."""
+    joined = graphslam.join_logs(with_common_noise(logs)).log
     with noted(remarks, "what has changed between the logs is not known"):
-        changes = zip(joined.sessions[1:], session_states(joined) if len(known) > 1 else [])
+        changes = zip(joined.sessions[1:], session_states(joined) if len(logs) > 1 else [])
         # begins with no log's name: `run` shows in brief what does
         remarks += [f"compared with the logs before {each.name}, {found.sentence}" for each, found in changes]
-    joined = joined.replace(notes=(*joined.notes, *remarks))
-    # biases of options and of a noise file are the same for all
-    return joined, tuple(source for _, source in read), known[0][1], any(found is not None for _, _, found in known)
-
-
-def _with_given_noise(log: Log, options: LogOptions) -> Log:
-    """One of several logs with the noise that options give: with it logs are joined, and clocks of robots compared."""
-    if options.noise is not None or not _gives_noise(options):
-        return log
-    motion, sensor = options.models(log.motion, log.sensor)
-    return log.replace(motion=motion, sensor=sensor)
+    return joined
 
 
 def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[int, Log]:
@@ -164,18 +173,12 @@ def _robots(log: LogOrPath | Sequence[LogOrPath], options: LogOptions) -> dict[i
         return load_robots(log, **{name: each for name, each in _of_load(options).items() if name != "robot"})
 
 
-def _joined_robots(robots: dict[int, Log], options: LogOptions) -> tuple[Log, dict[str, float], bool]:
-    """All robots as one log with the same noise models, biases, and whether noise was estimated."""
-    unread: dict[str, Any] = dict.fromkeys(_of_load(options)) | {"strict": False}
-    read = replace(options, **unread)
-    known = {number: _with_noise(read_log(each, read)[0], options) for number, each in robots.items()}
-    logs, remarks = {number: _with_given_noise(data, options) for number, (data, _, _) in known.items()}, list[str]()
-    offsets: ClockOffsets | None = None
+def _of_robots(numbers: Iterable[int], logs: list[Log], remarks: list[str]) -> Log:
+    """The logs of several robots as one log, on the clock of the first."""
+    robots, offsets = dict(zip(numbers, logs)), None
     with noted(remarks, "whether the clocks of the robots agree is not known"):
-        offsets = clock_offsets(logs)
-    joined = (join_robots(logs) if offsets is None else offsets.joined(logs)).log
-    joined = joined.replace(notes=(*joined.notes, *remarks))
-    return joined, next(iter(known.values()))[1], any(found is not None for _, _, found in known.values())
+        offsets = clock_offsets(robots)
+    return (join_robots(robots) if offsets is None else offsets.joined(robots)).log
 
 
 def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], Calibration | None]:

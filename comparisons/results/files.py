@@ -285,35 +285,18 @@ def _path_text(between: ControlPath, result: EstimatorResult, drive: slice, late
     return tum_text(between.times[known] + late, path[known])
 
 
-def write_pose_graph(comparison: Comparison, path: Path) -> str | None:
+def write_pose_graph(result: EstimatorResult, path: Path) -> None:
     """Write the graph that ``graph`` solved as g2o, with its solution as initial values, see `graphslam.graph.transform`.
 
     It is the graph of the solution itself: sightings that graduated non-convexity rejected do not count in the file, and
     a robust kernel is in it as the weight of each edge at the solution.
 
-    Returns:
-        None, or why there is no such file.
-
     Raises:
+        GraphError: such files cannot hold the graph, or it has more than `MOST_EDGES`.
         FormatError: the file cannot be written.
     """
-    if (reason := reason_without_graph(comparison)) is None:
-        result = comparison["graph"]
-        assert result.graph is not None
-        relative_graph(result.graph, state=result.state).save_g2o(path)
-    return reason
-
-
-def reason_without_graph(comparison: Comparison) -> str | None:
-    """The reason why the graph of ``graph`` cannot be written as g2o; None where it can."""
-    if "graph" not in comparison:
-        return "the estimator graph did not run"
-    if (graph := comparison["graph"].graph) is None:
-        return "the result has no graph"
-    if graph.num_edges > MOST_EDGES:
-        return f"the graph has {graph.num_edges} edges, more than {MOST_EDGES}"
-    try:
-        relative_graph(graph)
-    except GraphError as error:
-        return str(error)
-    return None
+    if result.graph is None:
+        raise GraphError("the result has no graph")
+    if result.graph.num_edges > MOST_EDGES:
+        raise GraphError(f"the graph has {result.graph.num_edges} edges, more than {MOST_EDGES}")
+    relative_graph(result.graph, state=result.state).save_g2o(path)

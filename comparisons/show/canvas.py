@@ -150,25 +150,44 @@ def png_as_html(figure: Figure) -> str:
     return f'<img alt="figure" src="data:image/png;base64,{b64encode(stream.getvalue()).decode()}">'
 
 
+def limits_of(core: Array, rest: Sequence[Array], *, least: float = 1.0, margin: float = 0.05) -> tuple[Array, Array]:
+    """The lower left and the upper right corner of what is drawn of the plane.
+
+    It is all of the core (k, 2), and of the rest what does not make the core smaller than half of the larger side, which
+    counts as at least ``least`` metres long; and a margin, a part of that side.
+    """
+    low, high = np.nanmin(core, axis=0), np.nanmax(core, axis=0)
+    reach = max(float(np.max(high - low)), least) / 2
+    everything = np.concatenate([core, *rest])
+    low = np.maximum(np.nanmin(everything, axis=0), low - reach)
+    high = np.minimum(np.nanmax(everything, axis=0), high + reach)
+    beyond = margin * max(float(np.max(high - low)), least)
+    return low - beyond, high + beyond
+
+
 def set_limits(axes: Axes, core: Array, rest: Sequence[Array]) -> float:
-    """Show all of the core (k, 2), and of the rest what does not make the core smaller than half of the panel.
+    """Show what `limits_of` says.
 
     Returns:
         The larger side of what can be seen [m].
     """
-    low, high = np.nanmin(core, axis=0), np.nanmax(core, axis=0)
-    reach = np.full(2, max(float(np.max(high - low)), 1.0) / 2)
-    everything = np.concatenate([core, *rest])
-    low = np.maximum(np.nanmin(everything, axis=0), low - reach)
-    high = np.minimum(np.nanmax(everything, axis=0), high + reach)
-    margin = 0.05 * max(float(np.max(high - low)), 1.0)
+    low, high = limits_of(core, rest)
     # the panel keeps its size and shows more of the plane instead; auto allows matplotlib to widen the limits
-    axes.set_xlim(low[0] - margin, high[0] + margin, auto=True)
-    axes.set_ylim(low[1] - margin, high[1] + margin, auto=True)
+    axes.set_xlim(low[0], high[0], auto=True)
+    axes.set_ylim(low[1], high[1], auto=True)
     axes.set_aspect("equal", adjustable="datalim")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(9, steps=[1, 2, 5, 10]))
-    return float(np.max(high - low)) + 2 * margin
+    return float(np.max(high - low))
+
+
+def logarithmic_from(medians: Sequence[float]) -> float | None:
+    """Where a logarithmic axis of errors begins; None for a linear axis, where the medians are within a factor of ten.
+
+    Single steps that happen to be exact would otherwise stretch the axis for nothing.
+    """
+    positive = [median for median in medians if median > 0]
+    return min(positive) / 10 if positive and max(positive) > 10 * min(positive) else None
 
 
 # thick light lines are drawn first, thin dark lines and markers over them, so that all estimates that coincide are visible
@@ -320,8 +339,7 @@ def place_map(
 def reference_of(comparison: Comparison) -> EstimatorResult | None:
     """The result whose sightings and map are drawn: the graph, or the best of the others."""
     best = ("graph", "graph-marginal", "gtsam", "textbook", "fastslam1", "fastslam2")
-    known = [comparison[name] for name in best if name in comparison]
-    return next(iter([*known, *comparison.results]), None)
+    return next(iter([*(comparison[name] for name in best if name in comparison), *comparison.results]), None)
 
 
 def sensor_of(comparison: Comparison) -> SensorModel:

@@ -129,14 +129,9 @@ def _draw_map(axes: Axes, comparison: Comparison) -> None:
         begun = np.where(log.covered[starts, None], truth[starts], begun)
     axes.plot(*begun[:, :2].T, label="start" if len(starts) == 1 else "start of each log", **canvas.START)
     box = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
-    beside: dict[str, Any] = {
-        "xytext": (4, 3),
-        "textcoords": "offset points",
-        "zorder": canvas.START["zorder"],
-        "bbox": box,
-    }
+    beside: dict[str, Any] = {"xytext": (4, 3), "textcoords": "offset points", "zorder": canvas.START["zorder"]}
     for number, place in enumerate(begun if len(starts) > 1 else (), start=1):
-        axes.annotate(str(number), place[:2], **beside)
+        axes.annotate(str(number), place[:2], bbox=box, **beside)
     canvas.set_limits(axes, np.concatenate(core), rest)
     how = f", aligned to {aligned}" if aligned else ""
     name = f"{len(log.sessions)} logs" if log.sessions else canvas.as_text(log.name)
@@ -159,8 +154,13 @@ def _draw_sightings(axes: Axes, comparison: Comparison, poses: Array) -> None:
     used = used[:: max(1, -(-len(used) // MOST_SIGHTINGS))]
     begins = poses[log.steps[used]]
     ends = sensor.h_inverse(begins, log.sightings[used])[:, :2]
-    lines = LineCollection(list(np.stack([sensor.mount(begins)[:, :2], ends], axis=1)), **canvas.SIGHTING)
-    lines.set_rasterized(len(used) > 1000)
+    _draw_segments(axes, sensor.mount(begins)[:, :2], ends)
+
+
+def _draw_segments(axes: Axes, begins: Array, ends: Array) -> None:
+    """Lines between points (n, 2); many of them are an image in PDF and SVG files."""
+    lines = LineCollection(list(np.stack([begins, ends], axis=1)), **canvas.SIGHTING)
+    lines.set_rasterized(len(begins) > 1000)
     axes.add_collection(lines, autolim=False)
 
 
@@ -197,13 +197,10 @@ def _draw_errors(axes: Axes, comparison: Comparison) -> None:
 
 def log_scale_where_apart(axes: Axes, medians: list[float]) -> None:
     """A logarithmic axis where the medians of errors are more than a factor of ten apart."""
-    positive = [median for median in medians if median > 0]
-    if positive and max(positive) > 10 * min(positive):
+    bottom = canvas.logarithmic_from(medians)
+    if bottom is not None:
         axes.set_yscale("log")
-        # single steps that happen to be exact would otherwise stretch the axis for nothing
-        axes.set_ylim(bottom=min(positive) / 10)
-    else:
-        axes.set_ylim(bottom=0)
+    axes.set_ylim(bottom=bottom or 0)
 
 
 def _draw_convergence(axes: Axes, comparison: Comparison) -> None:
@@ -242,10 +239,8 @@ def _draw_plan(axes: Axes, overview: Overview) -> None:
     log, path = overview.log, overview.path
     line = canvas.between_poses(log, None).through(path)
     every = max(1, -(-len(log.steps) // MOST_SIGHTINGS))
-    begins, ends = path[log.steps[::every], :2], overview.seen_at[::every]
-    lines = LineCollection(list(np.stack([begins, ends], axis=1)), **canvas.SIGHTING)
-    lines.set_rasterized(True)
-    axes.add_collection(lines, autolim=False)
+    ends = overview.seen_at[::every]
+    _draw_segments(axes, path[log.steps[::every], :2], ends)
     axes.plot(*ends.T, ".", label="sighting", color="0.45", markersize=2, zorder=2)
     axes.plot(*line[:, :2].T, label="dead reckoning", **canvas.style_of("dead-reckoning"))
     core = [line[:, :2], *draw_truth(axes, canvas.true_line(log), log.true_landmarks)]

@@ -24,8 +24,8 @@ from graphslam.se2 import Array
 from ..estimators import bounds_of, online_steps
 from ..options import NoiseOptions, RunOptions
 from ..options.declaration import options_of
-from .canvas import between_poses
-from .cells import NOTHING, LeanTable, number, written, yes_no
+from .canvas import between_poses, limits_of
+from .tables import NOTHING, LeanTable, Tables, number, written, yes_no
 
 if TYPE_CHECKING:
     from graphslam.calibration import Calibration
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from ..datasets import Survey
     from ..evaluation import Evaluation
     from ..importing import Import, Overview
-    from .tables import Tables
 
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
 
@@ -58,21 +57,16 @@ def plan(
 
     ``names`` are those of the dots and crosses.
     """
-    everything = np.concatenate([path, points]) if len(points) else path
-    low, high = path.min(axis=0), path.max(axis=0)
-    # points far away must not make the path small
-    room = max(float(np.max(high - low)), 4.0) / 2
-    low, high = np.maximum(everything.min(axis=0), low - room), np.minimum(everything.max(axis=0), high + room)
+    low, high = limits_of(path, [points], least=4.0, margin=0.0)
     # a character is about twice as high as wide
     scale = max((high[0] - low[0]) / (width - 1), (high[1] - low[1]) / (height - 1) / 2, 1e-6)
     columns, rows = int((high[0] - low[0]) / scale) + 1, int((high[1] - low[1]) / (2 * scale)) + 1
-    grid = [[" "] * columns for _ in range(rows)]
+    grid = np.full((rows, columns), " ")
     for places, mark in ((points, "+"), (path, "·"), (path[:1], "S")):
         across = np.rint((places[:, 0] - low[0]) / scale).astype(int)
         down = rows - 1 - np.rint((places[:, 1] - low[1]) / (2 * scale)).astype(int)
         inside = (across >= 0) & (across < columns) & (down >= 0) & (down < rows)
-        for x, y in zip(across[inside].tolist(), down[inside].tolist()):
-            grid[y][x] = mark
+        grid[down[inside], across[inside]] = mark
     size = f"{high[0] - low[0]:.1f} m wide, {high[1] - low[1]:.1f} m high; S start, · {names[0]}, + {names[1]}"
     return [*("".join(row).rstrip() for row in grid), size]
 

@@ -28,6 +28,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -106,32 +107,12 @@ def _clock(log: Log) -> np.ndarray:
     return int(whole) * 1_000_000_000 + round(part * 1e9) + np.rint(elapsed_of(log) * 1e9).astype(np.int64)
 
 
-INSTALL_MCAP = "MCAP files are written by the packages mcap and rosbags: pip install -e '.[ros]' in the clone"
+INSTALL_MCAP = (
+    "MCAP files are written by the packages mcap-ros2-support and rosbags: pip install -e '.[ros]' in the clone"
+)
 FRAME = "map"
 #: places of x, y and heading in the 6 x 6 covariances of ROS
 _PLANE = np.array([0, 1, 5])
-#: vision_msgs is not among the types that come with rosbags
-_DETECTIONS = """std_msgs/Header header
-vision_msgs/Detection3D[] detections
-================================================================================
-MSG: vision_msgs/Detection3D
-std_msgs/Header header
-vision_msgs/ObjectHypothesisWithPose[] results
-vision_msgs/BoundingBox3D bbox
-string id
-================================================================================
-MSG: vision_msgs/ObjectHypothesisWithPose
-vision_msgs/ObjectHypothesis hypothesis
-geometry_msgs/PoseWithCovariance pose
-================================================================================
-MSG: vision_msgs/ObjectHypothesis
-string class_id
-float64 score
-================================================================================
-MSG: vision_msgs/BoundingBox3D
-geometry_msgs/Pose center
-geometry_msgs/Vector3 size
-"""
 
 
 def _check_installed(advice: str, *modules: str) -> None:
@@ -144,7 +125,7 @@ def _check_installed(advice: str, *modules: str) -> None:
 
 def check_mcap() -> None:
     """Raise `OptionError` with what to install where the optional packages are missing."""
-    _check_installed(INSTALL_MCAP, "mcap.writer", "rosbags.typesys")
+    _check_installed(INSTALL_MCAP, "mcap_ros2.writer", "rosbags.typesys")
 
 
 def write_mcap(comparison: Comparison, path: Path) -> None:
@@ -155,77 +136,31 @@ def write_mcap(comparison: Comparison, path: Path) -> None:
         FormatError: the file cannot be written.
     """
     check_mcap()
-    from mcap.writer import Writer
+    from mcap_ros2.writer import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    ros = _Ros()
-    messages = sorted(_messages(comparison, ros), key=lambda each: each[0])
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    # vision_msgs is not among the types that come with rosbags
+    detections = files("comparisons.show").joinpath("Detection3DArray.msg").read_text(encoding="utf-8")
+    store.register(get_types_from_msg(detections, "vision_msgs/msg/Detection3DArray"))
     with write_whole(path) as temporary, temporary.open("wb") as stream:
         writer = Writer(stream)
-        writer.start(profile="ros2", library="virtual-motion-slam")
-        schema = cache(lambda type: writer.register_schema(type, "ros2msg", ros.definition(type)))
-        channel = cache(lambda topic, type: writer.register_channel(topic, "cdr", schema(type)))
-        for time, topic, message in messages:
+        schema = cache(lambda kind: writer.register_msgdef(kind, store.generate_msgdef(kind, ros_version=2)[0]))
+        for time, topic, kind, message in sorted(_messages(comparison), key=lambda each: each[0]):
             # MCAP knows no times before 1970
-            log_time = max(0, time)
-            content = bytes(ros.store.serialize_cdr(message, kind := message.__msgtype__))
-            writer.add_message(channel(topic, kind), log_time, content, log_time)
+            writer.write_message(topic, schema(kind), message, log_time=max(0, time))
         writer.finish()
 
 
-class _Ros:
-    """Messages of ROS 2."""
-
-    def __init__(self) -> None:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        self.store = get_typestore(Stores.ROS2_HUMBLE)
-        self.store.register(get_types_from_msg(_DETECTIONS, "vision_msgs/msg/Detection3DArray"))
-
-    def definition(self, type: str) -> bytes:
-        return str(self.store.generate_msgdef(type, ros_version=2)[0]).encode()
-
-    def make(self, type: str, /, **fields: Any) -> Any:
-        """A message; numbers that are not given are 0, texts and lists empty."""
-        package, _, name = type.partition("/")
-        full = f"{package}/msg/{name}"
-        values = {}
-        for key, (node, kind) in self.store.fielddefs[full][1]:
-            if key in fields:
-                values[key] = fields.pop(key)
-            elif node == 2:
-                values[key] = self.make(kind.replace("/msg/", "/"))
-            elif node == 1:
-                values[key] = "" if kind[0] == "string" else False if kind[0] == "bool" else 0
-            elif kind[0][0] == 2:
-                values[key] = []
-            else:
-                values[key] = np.zeros(kind[1] if node == 3 else 0, dtype=kind[0][1][0].replace("octet", "uint8"))
-        return self.store.types[full](**values)
-
-    def header(self, ns: int, frame: str = FRAME) -> Any:
-        stamp = self.make("builtin_interfaces/Time", sec=int(ns // 10**9), nanosec=int(ns % 10**9))
-        return self.make("std_msgs/Header", stamp=stamp, frame_id=frame)
-
-    def pose(self, pose: Array) -> Any:
-        x, y, theta = (*map(float, pose), 0.0)[:3]
-        turn = self.make("geometry_msgs/Quaternion", z=float(np.sin(theta / 2)), w=float(np.cos(theta / 2)))
-        return self.make("geometry_msgs/Pose", position=self.make("geometry_msgs/Point", x=x, y=y), orientation=turn)
-
-    def pose_with_covariance(self, pose: Array, covariance: Array | None) -> Any:
-        whole = np.zeros((6, 6))
-        if covariance is not None and np.isfinite(covariance).all():
-            rows = _PLANE[: len(covariance)]
-            whole[np.ix_(rows, rows)] = covariance
-        return self.make("geometry_msgs/PoseWithCovariance", pose=self.pose(pose), covariance=whole.ravel())
-
-    def stamped(self, ns: int, pose: Array, covariance: Array | None, frame: str = FRAME) -> Any:
-        at = self.pose_with_covariance(pose, covariance)
-        return self.make("geometry_msgs/PoseWithCovarianceStamped", header=self.header(ns, frame), pose=at)
+#: a message of ROS 2: numbers that are not given are 0, texts and lists empty
+Message = dict[str, Any]
+STAMPED = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
-def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, Any]]:
-    """(time [ns], topic, message)."""
-    yield from _measured(comparison.log, ros)
+def _messages(comparison: Comparison) -> Iterator[tuple[int, str, str, Message]]:
+    """(time [ns], topic, type, message)."""
+    for ns, topic, message in _measured(comparison.log):
+        yield ns, topic, STAMPED, message
     moving: str | None = None
     for track in tracks(comparison):
         if len(track.poses) == 0:
@@ -234,72 +169,90 @@ def _messages(comparison: Comparison, ros: _Ros) -> Iterator[tuple[int, str, Any
         begin = int(track.nanoseconds[0])
         for k, ns in enumerate(track.nanoseconds.tolist()):
             covariance = None if track.covariances is None else track.covariances[k]
-            yield ns, f"{prefix}/pose", ros.stamped(ns, track.poses[k], covariance)
-        head = ros.header(begin)
-        along = [ros.make("geometry_msgs/PoseStamped", header=head, pose=ros.pose(at)) for at in track.path]
-        yield begin, f"{prefix}/path", ros.make("nav_msgs/Path", header=head, poses=along)
+            yield ns, f"{prefix}/pose", STAMPED, _stamped(ns, track.poses[k], covariance)
+        head = _header(begin)
+        along = [{"header": head, "pose": _pose(at)} for at in track.path]
+        yield begin, f"{prefix}/path", "nav_msgs/msg/Path", {"header": head, "poses": along}
         if track.landmarks:
-            yield begin, f"{prefix}/landmarks", _detections(ros, track, begin)
-            yield begin, f"{prefix}/markers", _markers(ros, track, begin)
+            detections = {"header": head, "detections": _detections(track, head)}
+            yield begin, f"{prefix}/landmarks", "vision_msgs/msg/Detection3DArray", detections
+            yield begin, f"{prefix}/markers", "visualization_msgs/msg/MarkerArray", {"markers": _markers(track, head)}
         if moving is None and track.name != "truth":
             moving = track.name
             for pose, ns in zip(track.poses, track.nanoseconds.tolist()):
-                yield ns, "/tf", _transform(ros, pose, ns)
+                yield ns, "/tf", "tf2_msgs/msg/TFMessage", {"transforms": [_transform(pose, ns)]}
 
 
-def _measured(log: Log, ros: _Ros) -> Iterator[tuple[int, str, Any]]:
+def _measured(log: Log) -> Iterator[tuple[int, str, Message]]:
     """The relations and absolute positions of the log, as `graphslam.io.bag_messages` reads them."""
     clock = _clock(log).tolist()
     if (relations := log.relations) is not None:
         ends = zip(relations.first.tolist(), relations.second.tolist())
         for (a, b), z, C in zip(ends, relations.motions, relations.covariances):
-            yield clock[b], "/relations", ros.stamped(clock[b], z, C, f"base_link@{clock[a]}")
+            yield clock[b], "/relations", _stamped(clock[b], z, C, f"base_link@{clock[a]}")
     if (positions := log.positions) is not None:
         open_ = ~positions.oriented
         places, covariances = positions.places.copy(), positions.covariances.copy()
         places[open_, 2] = covariances[open_, 2] = covariances[open_, :, 2] = 0.0
         covariances[open_, 2, 2] = NO_HEADING
         for k, z, C in zip(positions.steps.tolist(), places, covariances):
-            yield clock[k], "/positions", ros.stamped(clock[k], z, C)
+            yield clock[k], "/positions", _stamped(clock[k], z, C)
 
 
-def _transform(ros: _Ros, pose: Array, ns: int) -> Any:
-    at = ros.pose(pose)
-    place = ros.make("geometry_msgs/Vector3", x=at.position.x, y=at.position.y)
-    frames = {"header": ros.header(ns), "child_frame_id": "base_link"}
-    transform = ros.make("geometry_msgs/Transform", translation=place, rotation=at.orientation)
-    stamped = ros.make("geometry_msgs/TransformStamped", transform=transform, **frames)
-    return ros.make("tf2_msgs/TFMessage", transforms=[stamped])
+def _header(ns: int, frame: str = FRAME) -> Message:
+    return {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": frame}
 
 
-def _detections(ros: _Ros, track: Track, ns: int) -> Any:
+def _pose(pose: Array) -> Message:
+    x, y, theta = (*map(float, pose), 0.0)[:3]
+    turn = {"z": float(np.sin(theta / 2)), "w": float(np.cos(theta / 2))}
+    return {"position": {"x": x, "y": y}, "orientation": turn}
+
+
+def _with_covariance(pose: Array, covariance: Array | None) -> Message:
+    whole = np.zeros((6, 6))
+    if covariance is not None and np.isfinite(covariance).all():
+        rows = _PLANE[: len(covariance)]
+        whole[np.ix_(rows, rows)] = covariance
+    return {"pose": _pose(pose), "covariance": whole.ravel().tolist()}
+
+
+def _stamped(ns: int, pose: Array, covariance: Array | None, frame: str = FRAME) -> Message:
+    return {"header": _header(ns, frame), "pose": _with_covariance(pose, covariance)}
+
+
+def _transform(pose: Array, ns: int) -> Message:
+    at = _pose(pose)
+    transform = {"translation": at["position"], "rotation": at["orientation"]}
+    return {"header": _header(ns), "child_frame_id": "base_link", "transform": transform}
+
+
+def _detections(track: Track, head: Message) -> list[Message]:
     detections = []
     for id, place in sorted(track.landmarks.items()):
-        pose = ros.pose_with_covariance(place, track.landmark_covariances.get(id))
-        hypothesis = ros.make("vision_msgs/ObjectHypothesis", class_id=str(id), score=1.0)
-        result = ros.make("vision_msgs/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=pose)
-        parts = {"results": [result], "bbox": ros.make("vision_msgs/BoundingBox3D", center=ros.pose(place))}
-        detections.append(ros.make("vision_msgs/Detection3D", header=ros.header(ns), id=str(id), **parts))
-    return ros.make("vision_msgs/Detection3DArray", header=ros.header(ns), detections=detections)
+        pose = _with_covariance(place, track.landmark_covariances.get(id))
+        result = {"hypothesis": {"class_id": str(id), "score": 1.0}, "pose": pose}
+        detections.append({"header": head, "id": str(id), "results": [result], "bbox": {"center": pose["pose"]}})
+    return detections
 
 
-def _markers(ros: _Ros, track: Track, ns: int) -> Any:
-    red, green, blue = track.color
+def _markers(track: Track, head: Message) -> list[Message]:
+    """For each landmark a flat cylinder, and above it the id as a text that faces the viewer."""
+    color = dict(zip("rgb", track.color))
     markers = []
     for number, (id, place) in enumerate(sorted(track.landmarks.items())):
-        axes, turn = _ellipse(track.landmark_covariances, id)
-        # a flat cylinder, and above it the id as a text that faces the viewer
-        cylinder = (3, track.name, "", turn, 0.0, {"x": axes[0], "y": axes[1], "z": 0.02}, 0.5)
-        for kind, group, text, heading, height, size, opacity in (
-            cylinder, (9, f"{track.name} ids", str(id), 0.0, 0.2, {"z": 0.2}, 1.0),
-        ):  # fmt: skip
-            pose, scale = ros.pose(np.array([*place[:2], heading])), ros.make("geometry_msgs/Vector3", **size)
-            pose.position.z = height
-            markers.append(ros.make(
-                "visualization_msgs/Marker", header=ros.header(ns), ns=group, id=number, type=kind, pose=pose, text=text,
-                scale=scale, color=ros.make("std_msgs/ColorRGBA", r=red, g=green, b=blue, a=opacity),
-            ))  # fmt: skip
-    return ros.make("visualization_msgs/MarkerArray", markers=markers)
+        (wide, high), turn = _ellipse(track.landmark_covariances, id)
+        above = _pose(place[:2])
+        above["position"]["z"] = 0.2
+        markers.append({
+            "header": head, "ns": track.name, "id": number, "type": 3, "pose": _pose(np.array([*place[:2], turn])),
+            "scale": {"x": wide, "y": high, "z": 0.02}, "color": color | {"a": 0.5},
+        })  # fmt: skip
+        markers.append({
+            "header": head, "ns": f"{track.name} ids", "id": number, "type": 9, "pose": above, "text": str(id),
+            "scale": {"z": 0.2}, "color": color | {"a": 1.0},
+        })  # fmt: skip
+    return markers
 
 
 def _ellipse(covariances: Mapping[int, Array], id: int) -> tuple[tuple[float, float], float]:

@@ -19,7 +19,7 @@ from graphslam.metrics import headings as metric_headings
 
 from ..options import METRICS
 from .canvas import WIDTH, as_text, colour_of, paper_figure, style_of
-from .cells import NOTHING, LeanTable, number, optimum, seconds, written, yes_no
+from .tables import NOTHING, LeanTable, Tables, number, optimum, seconds, written, yes_no
 
 if TYPE_CHECKING:
     from ..studies.backends import BackendComparison
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from ..studies.solvers import SolverComparison
     from ..studies.summary import Median, Summary
     from ..studies.sweep import ParticleStudy
-    from .tables import Tables
 
 #: with more logs than this only the group of all logs is drawn
 MOST_LOGS = 6

@@ -1,22 +1,26 @@
-"""Results as tables and sentences: for the terminal, as plain text, and as HTML.
+"""Results as tables and sentences: for the terminal, as plain text, as HTML and for LaTeX.
 
-`tables_of` chooses the function for a class of results. These functions import no results at run time, so that showing one
-class does not load all the others.
+A `LeanTable` never cuts a number. `tables_of` chooses the function for a class of results. These functions import no results
+at run time, so that showing one class does not load all the others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from html import escape
 from importlib import import_module
 from io import StringIO
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.table import Column, Table
 from rich.text import Text
 
 from graphslam.errors import SlamError, printable
@@ -28,9 +32,10 @@ from ..options import DOUBTFUL
 from ..results.documents import errors_of_sessions
 from ..results.results import sightings_of
 from .canvas import placement_of_result, png_as_html, save_figure  # noqa: F401
-from .cells import NOTHING, LeanTable, number, optimum, seconds, word, written, yes_no
 
 if TYPE_CHECKING:
+    from graphslam import Certificate
+
     from ..comparison import Comparison, ResultTable
     from ..results.results import FoundIds
 
@@ -88,19 +93,14 @@ def as_text(result: object, width: int = WIDTH) -> str:
     return "\n".join(line.rstrip() for line in stream.getvalue().rstrip().splitlines())
 
 
-def tables_as_html(result: object) -> str:
-    """Tables and sentences as HTML without scripts or styles of the page's own; all text escaped."""
-    tables, remarks = tables_of(result)
-    return "\n".join([*map(table_as_html, tables), *(f"<p>{escape(remark)}</p>" for remark in remarks)])
-
-
 def as_html(result: object) -> str:
-    """Tables, sentences and, where there is one, the figure of a result."""
-    text = tables_as_html(result)
+    """Tables, sentences and, where there is one, the figure of a result, without scripts or styles; all text escaped."""
+    tables, remarks = tables_of(result)
+    parts = [*map(table_as_html, tables), *(f"<p>{escape(remark)}</p>" for remark in remarks)]
     # a table without its figure is better than neither
     with suppress(SlamError, NotImplementedError):
-        text += "\n" + png_as_html(figure_of(result))
-    return text
+        parts.append(png_as_html(figure_of(result)))
+    return "\n".join(parts)
 
 
 def figure_of(result: object, **options: Any) -> Any:
@@ -155,11 +155,10 @@ def table_as_latex(table: Table) -> str:
 
 def _latex(cell: object) -> str:
     """A cell with the characters that LaTeX takes for commands escaped."""
-    special = {
+    special: dict[str, str | int | None] = {
         "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "–": "--", "µ": r"\textmu{}",
-        **{letter: f"\\{letter}" for letter in "&%$#_{}"},
     }  # fmt: skip
-    return "".join(special.get(letter, letter) for letter in _text(cell))
+    return _text(cell).translate(str.maketrans(special | {letter: f"\\{letter}" for letter in "&%$#_{}"}))
 
 
 def _plain(cell: object) -> str:
@@ -168,6 +167,111 @@ def _plain(cell: object) -> str:
 
 def _text(cell: object) -> str:
     return (cell.plain if isinstance(cell, Text) else str(cell)).replace("\n", " ").strip()
+
+
+NOTHING = "–"
+#: columns of names wrap in a narrow terminal, but each keeps this width where it needs it
+NAMES = 18
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number for a table: short, and a dash where it is not known."""
+    if value is None or value != value:
+        return NOTHING
+    if value == 0 or 1e-3 <= abs(value) < 1e5:
+        return f"{value:.{digits}f}"
+    return f"{value:.{digits - 1}e}"
+
+
+def written(value: Any, form: str = "") -> str:
+    """A value as the format says, and a dash where it is not known."""
+    return NOTHING if value is None else format(value, form)
+
+
+def seconds(value: float | None) -> str:
+    """A time with the unit that suits it."""
+    if value is None or value != value:
+        return NOTHING
+    if value < 1e-3:
+        return f"{value * 1e6:.0f} µs"
+    return f"{value * 1e3:.1f} ms" if value < 1 else f"{value:.2f} s"
+
+
+def word(value: int | str | None) -> Text:
+    """A name from the data, which may hold any characters; a dash where there is none."""
+    return Text(NOTHING if value is None else printable(str(value)))
+
+
+def yes_no(value: bool | None, more: str = "") -> Text:
+    """Yes, no, or a dash where the question makes no sense; ``more`` follows in the same cell."""
+    if value is None:
+        return Text(NOTHING)
+    answer = Text("yes", style="green") if value else Text("no", style="bold red")
+    return answer.append(more, style="not bold default")
+
+
+def optimum(certificate: Certificate | None) -> Text:
+    """Whether a solver's end is proven to be the global minimum, with the relative gap; a dash where no proof applies.
+
+    What the proof holds is named: the weights of a robust kernel, the parameters that were estimated.
+    """
+    if certificate is None or not certificate.applicable:
+        return Text(NOTHING)
+    if not certificate.proven:
+        return Text("not proven")
+    held = certificate.status.removeprefix("global")
+    return Text(f"proven{held}", style="green").append(f", {certificate.relative_gap:.0e}", style="default")
+
+
+class LeanTable(Table):
+    """A table without frame. Names wrap, numbers never do: it becomes several tables where the terminal is too narrow.
+
+    Args:
+        title: above the table.
+        names: the headings of the columns of names, which come first.
+        numbers: the headings of the other columns, aligned to the right.
+    """
+
+    def __init__(self, title: str, names: Sequence[str], numbers: Sequence[str]) -> None:
+        super().__init__(
+            title=Text(printable(title), style="bold"), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1),
+            pad_edge=False, show_edge=False,
+        )  # fmt: skip
+        # as Text: rich would take [m] for markup
+        for heading in names:
+            self.add_column(Text(heading), overflow="fold")
+        for heading in numbers:
+            self.add_column(Text(heading), justify="right", no_wrap=True)
+
+    def add_row(self, *cells: RenderableType | None, **settings: Any) -> None:
+        """Add a row; texts are shown as they are, without markup and without what controls a terminal."""
+        plain = [printable(cell) if isinstance(cell, str) else cell for cell in cells]
+        # rich could take a bracket for markup
+        super().add_row(*(Text(cell) if isinstance(cell, str) and "[" in cell else cell for cell in plain), **settings)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The table, as few tables with the same rows where it is too wide; gaps are narrow where that makes them fewer."""
+        names, widths = sum(not column.no_wrap for column in self.columns), list(map(_width, self.columns))
+        for count, gap in product(range(1, max(len(widths) - names, 1) + 1), (2, 1)):
+            parts = [[*range(names), *part] for part in np.array_split(range(names, len(widths)), count)]
+            if all(sum(widths[j] + gap for j in part) - gap <= options.max_width for part in parts):
+                break
+        for k, part in enumerate(parts):
+            table = LeanTable("", (), ())
+            table.title = None if k else self.title
+            table.padding = (0, 0, 0, gap - 1)
+            table.columns = [replace(self.columns[j], _index=i) for i, j in enumerate(part)]
+            table.rows = self.rows
+            if k:
+                yield ""
+            yield from Table.__rich_console__(table, console, options)
+
+
+def _width(column: Column) -> int:
+    """The longest line of a column, of names at most `NAMES`, because they wrap."""
+    texts = (cell.plain if isinstance(cell, Text) else str(cell) for cell in (column.header, *column.cells))
+    longest = max(cell_len(line) for text in texts for line in text.split("\n"))
+    return longest if column.no_wrap else min(NAMES, longest)
 
 
 def result_tables(results: ResultTable) -> Tables:
@@ -236,11 +340,12 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
     if (difference := comparison.difference("graph", "gtsam")) is not None:
         remarks.append(f"graph and gtsam differ by at most {difference:.1e} in any x, y [m] or heading [rad].")
     if log.true_poses is None:
-        on_map = any(metrics.aligned_by for metrics in comparison.metrics.values())
-        maps_alone = (
-            "The log has no true poses: the maps are aligned to the true landmarks, and only maps have an error."
-        )
-        remarks.append(maps_alone if on_map else "The log has no true poses, so no error can be measured.")
+        if any(metrics.aligned_by for metrics in comparison.metrics.values()):
+            remarks.append(
+                "The log has no true poses: the maps are aligned to the true landmarks, and only maps have an error."
+            )
+        else:
+            remarks.append("The log has no true poses, so no error can be measured.")
     elif (covered := int(log.covered.sum())) < log.num_poses:
         remarks.append(f"The errors are those of the {covered} of {log.num_poses} poses that the ground truth covers.")
     if log.true_poses is not None and (where := log.truth_place):
@@ -251,13 +356,13 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
     notes: dict[str, list[str]] = {note: [log.name] for note in log.notes if not log.sessions}
     # those of several logs begin with the name of theirs
     of_single = tuple(f"{session.name}: " for session in log.sessions)
-    single = [note for note in log.notes if log.sessions and note.startswith(of_single)]
-    hidden = single if brief and len(single) > BRIEF else []
+    single = [note for note in log.notes if note.startswith(of_single)]
+    hidden = brief and len(single) > BRIEF
     of_all = [f"{note[0].upper()}{note[1:]}" for note in log.notes if log.sessions and note not in single]
-    remarks += [f"{note}." for note in (*(each for each in single if each not in hidden), *of_all)]
+    remarks += [f"{note}." for note in (*(() if hidden else single), *of_all)]
     if hidden:
         remarks.append(
-            f"{len(hidden)} notes about reading, noise and ids of single logs are in the JSON (log.notes) and in the report."
+            f"{len(single)} notes about reading, noise and ids of single logs are in the JSON (log.notes) and in the report."
         )
     for result in comparison.results:
         for note in comparison.notes_of(result):
@@ -265,38 +370,38 @@ def comparison_tables(comparison: Comparison, *, brief: bool = False) -> Tables:
             if note not in warnings:
                 notes.setdefault(note, []).append(result.name)
     remarks += [f"{', '.join(names)}: {note}." for note, names in notes.items()]
-    others = [session_table(comparison), state_table(comparison)]
-    return [*result_tables(comparison.table)[0], *(table for table in others if table is not None)], remarks
+    tables, _ = result_tables(comparison.table)
+    return [*tables, *session_table(comparison), *state_table(comparison)], remarks
 
 
-def session_table(comparison: Comparison) -> Table | None:
-    """The errors in each of several logs that were solved together, and of each log by itself; None where none is known."""
+def session_table(comparison: Comparison) -> list[Table]:
+    """The errors in each of several logs that were solved together, and of each log by itself; empty where none is known."""
     errors = list(errors_of_sessions(comparison))
     metrics = {n: title for n, title in metric_headings().items() if any(getattr(e, n) is not None for e in errors)}
     if not metrics and all(each.together_m is None for each in errors):
-        return None
+        return []
     of_all = ["ATE in the\ncommon\nframe [m]", "ATE of\nthis log\nalone [m]"][: 1 + bool(comparison.alone)]
     table = LeanTable("Errors in each log", ["log", "estimator"], [*metrics.values(), *of_all])
     for before, each in zip([None, *errors], errors):
         numbers = [*(getattr(each, metric) for metric in metrics), each.together_m, each.alone_m]
         name = "" if before is not None and each.session is before.session else each.session.name
         table.add_row(name, each.estimator, *map(number, numbers[: len(metrics) + len(of_all)]))
-    return table
+    return [table]
 
 
-def state_table(comparison: Comparison) -> Table | None:
-    """The landmarks of the map that were in view and do not surely agree, and new ones; None where there are none."""
+def state_table(comparison: Comparison) -> list[Table]:
+    """The landmarks of the map that were in view and do not surely agree, and new ones; empty where there are none."""
     every = comparison.options.landmark_states or ()
     states = [e for e in every if e.state != "not in view" and (e.state != "agrees" or e.probability < 0.95)]
     if not states:
-        return None
+        return []
     headings = ["state", "probability", "moved by\n[m]", "sightings", "views"]
     table = LeanTable("Landmarks of the map that do not surely agree, and new ones", ["landmark"], headings)
     for each in states:
         shift = None if each.shift is None else float(np.hypot(*each.shift))
         seen = str(each.seen), written(each.views)
         table.add_row(str(each.id), each.state, number(each.probability), number(shift, 2), *seen)
-    return table
+    return [table]
 
 
 def landmark_table(comparison: Comparison) -> Table | None:

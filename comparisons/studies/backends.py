@@ -30,10 +30,10 @@ from graphslam.se2 import Array, turned_by
 from graphslam.solvers.gtsam_factors import from_values, to_gtsam, to_values
 from graphslam.solvers.initialize import starting_state
 
+from ..estimators.attempt import rows_of
 from ..options import BackendOptions
 from ..results import Displayed, of_expected
 from ..results.documents import Count, jsonable
-from .execute import rows_of
 
 #: every backend stops when a step changes the cost by less than this part of it
 COST_TOLERANCE = 1e-9
@@ -197,8 +197,6 @@ PEERS: dict[str, Callable[[Graph, int], Callable[[], PeerRun]]] = {
     "g2o-gn": partial(g2o_peer, False),
     "g2o-lm": partial(g2o_peer, True),
 }
-
-
 #: the names of the backends, ours first
 BACKENDS = ("graphslam", *PEERS)
 
@@ -338,7 +336,18 @@ def _measured(task: Task, options: BackendOptions) -> BackendRow | None:
             return None
         raise
     _warm_up(name)
-    return _row(file, name, graph, [run() for _ in range(options.repeat)])
+    runs = [run() for _ in range(options.repeat)]
+    seconds, last = statistics.median(run.seconds for run in runs), runs[-1]
+    steps = max(len(last.costs) - 1, 1)
+    chi2 = graph.cost(last.state)
+    return BackendRow(
+        file, name, chi2, last.iterations, seconds, last.converged, last.reason,
+        trace=tuple((seconds * k / steps, cost) for k, cost in enumerate(last.costs)),
+        chi2_per_dof=of_expected(chi2, graph),
+        # GTSAM has no factor of its own for a point in Cartesian coordinates
+        native=not (name.startswith("gtsam") and any(isinstance(f, RelativePointEdges) for f in graph.families)),
+        certificate=certify(graph, last.state).of_run(last.converged, last.reason) if math.isfinite(chi2) else None,
+    )  # fmt: skip
 
 
 def _warm_up_all(names: Sequence[str]) -> None:
@@ -376,20 +385,3 @@ def _warm_up(name: str) -> None:
         path = Path(folder) / "square.g2o"
         path.write_text("\n".join(lines), encoding="utf-8")
         _backend(name, Graph.from_g2o(path), "auto", 5)()
-
-
-def _row(file: str, name: str, graph: Graph, runs: Sequence[PeerRun]) -> BackendRow:
-    seconds = statistics.median(run.seconds for run in runs)
-    last = runs[-1]
-    steps = max(len(last.costs) - 1, 1)
-    trace = tuple((seconds * k / steps, cost) for k, cost in enumerate(last.costs))
-    chi2 = graph.cost(last.state)
-    certificate = None
-    if math.isfinite(chi2):
-        certificate = certify(graph, last.state).of_run(last.converged, last.reason)
-    # GTSAM has no factor of its own for a point in Cartesian coordinates
-    native = not (name.startswith("gtsam") and any(isinstance(f, RelativePointEdges) for f in graph.families))
-    return BackendRow(
-        file, name, chi2, last.iterations, seconds, last.converged, last.reason, trace, of_expected(chi2, graph), native,
-        certificate,
-    )  # fmt: skip

@@ -27,11 +27,11 @@ from graphslam.metrics import pose_nees
 from graphslam.se2 import Array, difference
 
 from ..estimators import ESTIMATORS
+from ..estimators.attempt import rows_of
 from ..estimators.filters import FILTERS, particle_filter
 from ..options import ConsistencyOptions, RunOptions
 from ..results import Displayed
 from ..results.documents import Band, Count, Numbers, one_of
-from .execute import rows_of
 
 #: the graphs that can be tested, by name: options of the estimator ``graph``
 GRAPHS: dict[str, dict[str, Any]] = {

@@ -1,6 +1,12 @@
-"""One run of a study, from its description to the columns of its row, and the executors of runs.
+"""One run of a study, from its description to its row in the SQLite file of the study.
 
-A run is the task of every process, wherever it is: this one, local processes, or a Dask cluster (`sweep`).
+`execute` is the task of every process, wherever it is: this one, local processes, or a Dask cluster (`sweep`).
+`StudyDatabase` has the runs that are planned, and one row for each that has ended.
+
+A row is one transaction and is on the disk when `StudyDatabase.add` returns (``synchronous=FULL``): it survives a killed
+process and a power cut, and SQLite's journal undoes a row that was half written. The journal is the write-ahead log, which
+flushes once for a row instead of three times, and lets ``slam-compare study`` read while a sweep writes. It needs a file
+system with shared memory (a local disk). When a study ends, one plain file is left.
 """
 
 from __future__ import annotations
@@ -9,35 +15,35 @@ import hashlib
 import json
 import os
 import platform
+import sqlite3
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
-from functools import lru_cache, partial
-from itertools import islice
+from functools import lru_cache
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Any, Generic
+from typing import Any
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from fastslam.particles import FilterResult
-from graphslam import Log, LogError, OptionError
+from graphslam import FormatError, Log, LogError
+from graphslam.errors import printable
+from graphslam.files import check_file
 from graphslam.identification.declared import CORRECTIONS
 from graphslam.metrics import ate
-from graphslam.processes import default_jobs, processes
 
 from ..comparison import compare
-from ..estimators import warm_up
-from ..estimators.attempt import Row, Task, ended, loading, too_long
+from ..estimators.attempt import too_long
+from ..estimators.config import versions
 from ..options import NoiseOptions, ReadingOptions, RunOptions
 from ..options.declaration import options_of
 from ..options.reading import read_log, sha256_of
 from ..results import Figures, sentence
 from ..results.documents import Count
-from .plan import Run, simulated_log
+from .plan import Run, Study, simulated_log
 
 #: a run ended well, raised (or its process died), or took longer than the limit
 DONE, ERROR, TIMEOUT = "done", "error", "timeout"
@@ -141,106 +147,190 @@ def stopped(run: Run, reason: str, limit: float | None) -> Outcome:
     return Outcome(key=run.key, status=TIMEOUT, error=reason, total_seconds=limit)
 
 
-@dataclass(frozen=True)
-class Place(Generic[Task, Row]):
-    """An executor of the tasks of a study.
+#: "SLAM" in ASCII, in the head of the file: the place where SQLite keeps the application of a database
+APPLICATION = 0x534C414D
+VERSION = 4
 
-    Attributes:
-        room: how many tasks may be there at a time, executing or waiting.
-        submit: begins a task.
-        row: what a task gives whose future is done; raises `SlamError` where the place is lost.
-    """
+_TYPES = {"Count | None": "INTEGER", "bool | None": "INTEGER", "float | None": "REAL"}
+_FIGURES = [(f.name, _TYPES.get(str(f.type), "TEXT")) for f in fields(Outcome) if f.name != "key"]
+#: the columns of the table ``runs``
+COLUMNS = ("key", "log", "source", "seed", "estimator", "method", "options", *(name for name, _ in _FIGURES))
+_SCHEMA = f"""
+BEGIN;
+CREATE TABLE about (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE planned (key TEXT PRIMARY KEY, position INTEGER NOT NULL);
+CREATE TABLE runs (
+    key TEXT PRIMARY KEY, log TEXT NOT NULL, source TEXT NOT NULL, seed INTEGER NOT NULL, estimator TEXT NOT NULL,
+    method TEXT NOT NULL, options TEXT NOT NULL, {", ".join(f"{name} {kind}" for name, kind in _FIGURES)});
+PRAGMA application_id = {APPLICATION};
+PRAGMA user_version = {VERSION};
+COMMIT;
+"""
 
-    room: int
-    submit: Callable[[Task], Future[Row]]
-    row: Callable[[Future[Row], Task], Row]
+
+def row_of(run: Run, outcome: Outcome) -> dict[str, Any]:
+    """A run with its outcome as {column: value}."""
+    return {name: getattr(outcome if hasattr(outcome, name) else run, name) for name in COLUMNS}
+
+
+class StudyDatabase:
+    """An open database; get one from `writing` or `reading`."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path, self._connection = path, connection
+
+    @classmethod
+    @contextmanager
+    def writing(cls, path: Path) -> Iterator[StudyDatabase]:
+        """Open the database for a sweep, alone; make it if there is none.
+
+        Raises:
+            FormatError: another sweep has it, it is something else, damaged, or cannot be written.
+        """
+        if path.is_dir():
+            raise FormatError(path, None, "this is a folder; give the name of a database file")
+        if not path.parent.is_dir():
+            raise FormatError(path, None, f"cannot write into {path.parent}: there is no such folder")
+        with _alone(path), _connected(path, "rwc") as connection:
+            database = cls(path, connection)
+            if connection.execute("SELECT count(*) FROM sqlite_master").fetchone() == (0,):
+                connection.executescript(_SCHEMA)
+            database._check()
+            (state,) = connection.execute("PRAGMA quick_check").fetchone()
+            if state != "ok":
+                raise FormatError(path, None, f"the database is damaged ({state}); name another one in the study file")
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.execute("PRAGMA synchronous = FULL")
+            yield database
+            with suppress(sqlite3.OperationalError):
+                # one plain file again, which can be copied, unless another process reads it now
+                connection.execute("PRAGMA journal_mode = DELETE")
+
+    @classmethod
+    @contextmanager
+    def reading(cls, path: Path) -> Iterator[StudyDatabase]:
+        """Open the database for reading, also while a sweep writes.
+
+        Raises:
+            FormatError: there is no such file, or it is something else, or damaged.
+        """
+        check_file(path)
+        with _connected(path, "rw") as connection:
+            database = cls(path, connection)
+            database._check()
+            yield database
+
+    def _check(self) -> None:
+        (application,) = self._connection.execute("PRAGMA application_id").fetchone()
+        (version,) = self._connection.execute("PRAGMA user_version").fetchone()
+        if application != APPLICATION:
+            raise FormatError(self.path, None, "this SQLite file is no study of slam-compare; name another one")
+        if not 1 <= version <= VERSION:
+            raise FormatError(self.path, None, f"a study of version {version}; this program reads version {VERSION}")
+        # a program with further metrics, or of a later version, has more figures, which are not known of older rows
+        present = {row[1] for row in self._connection.execute("PRAGMA table_info(runs)")}
+        for name, kind in _FIGURES:
+            if name not in present:
+                self._connection.execute(f"ALTER TABLE runs ADD COLUMN {name} {kind}")
+        self._connection.execute(f"PRAGMA user_version = {VERSION}")
+
+    def plan(self, study: Study) -> None:
+        """Store the list of the study's runs. Rows of runs that it no longer has stay, but count in no summary."""
+        about = {"study": printable(str(study.path.absolute())), "text": study.text, "versions": ", ".join(versions())}
+        positions = [(run.key, position) for position, run in enumerate(study.runs)]
+        with self._transaction():
+            self._connection.execute("DELETE FROM planned")
+            self._connection.executemany("INSERT INTO planned VALUES (?, ?)", positions)
+            self._connection.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", about.items())
+
+    def about(self) -> dict[str, str]:
+        """The study file's path and text, and the versions that wrote the rows last."""
+        return dict(self._connection.execute("SELECT name, value FROM about"))
+
+    def keys(self) -> set[str]:
+        """The keys of all runs that have a row."""
+        return {key for (key,) in self._connection.execute("SELECT key FROM runs")}
+
+    def add(self, run: Run, outcome: Outcome) -> None:
+        """Write the row of a run, in a transaction of its own.
+
+        Raises:
+            sqlite3.IntegrityError: the run has a row already.
+        """
+        row = row_of(run, outcome)
+        row |= {name: json.dumps(row[name]) for name in ("source", "options")}
+        marks = ", ".join(f":{name}" for name in COLUMNS)
+        with self._transaction():
+            self._connection.execute(f"INSERT INTO runs ({', '.join(COLUMNS)}) VALUES ({marks})", row)
+
+    def forget_failures(self) -> int:
+        """Remove the rows of planned runs that did not end well, so that they run again; how many there were."""
+        failures = "DELETE FROM runs WHERE status != ? AND key IN (SELECT key FROM planned)"
+        with self._transaction():
+            return self._connection.execute(failures, (DONE,)).rowcount
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of the planned runs in the order of the study, as {column: value} with options and source as data."""
+        names = ", ".join(f"runs.{name}" for name in COLUMNS)
+        query = f"SELECT {names} FROM runs JOIN planned ON planned.key = runs.key ORDER BY planned.position"
+        return list(map(_row, self._connection.execute(query)))
+
+    def counts(self) -> tuple[int, int]:
+        """The number of planned runs, and of rows of runs that are no longer planned."""
+        others = "SELECT count(*) FROM runs WHERE key NOT IN (SELECT key FROM planned)"
+        queries = ("SELECT count(*) FROM planned", others)
+        planned, left = (self._connection.execute(query).fetchone()[0] for query in queries)
+        return planned, left
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        # which commits at the end of the block, or rolls back
+        with self._connection:
+            self._connection.execute("BEGIN IMMEDIATE")
+            yield
+
+
+def _row(values: Iterable[Any]) -> dict[str, Any]:
+    row = dict(zip(COLUMNS, values, strict=True))
+    for name in ("converged", "proven"):
+        row[name] = None if row[name] is None else bool(row[name])
+    return row | {"source": json.loads(row["source"]), "options": json.loads(row["options"])}
 
 
 @contextmanager
-def place_of(
-    work: Callable[[Task], Row], *, jobs: int | None = None, estimators: Sequence[str] = (),
-    prepare: Callable[[], object] = list, limit: float | None = None, instead: Callable[[Task, str], Row] | None = None,
-) -> Iterator[Place[Task, Row]]:  # fmt: skip
-    """Processes of this machine. Starting one and loading its modules do not count towards the limit, reading a log does.
+def _alone(path: Path) -> Iterator[None]:
+    """Hold the lock ``path.lock``, which the operating system releases when the process ends, however it ends.
 
-    Args:
-        work: of a module, so that it can be named to a process; tasks are plain data.
-        jobs: how many processes; None for one on each core; 0 for this process, for a debugger and for tests: each task is
-            then done as it is submitted, without a limit.
-        estimators: whose modules are loaded before the first task.
-        prepare: called in each process after that.
-        limit: of the time of each task [s]; None for no limit.
-        instead: makes the row of a task that took longer, or whose process died, from the task and the reason. Without
-            it they are errors.
+    SQLite's own locks would not do: held for hours, they would shut out readers, too.
 
     Raises:
-        SlamError: a process died, or a task took too long, where nothing stands instead of its row.
+        FormatError: another process holds it, or the file cannot be made.
     """
-    if jobs == 0:
-        for name in estimators:
-            warm_up(name)
-        yield Place(1, partial(_done, work), lambda future, _: future.result())
-        return
-    jobs = jobs or default_jobs()
-    with processes(jobs, loading(estimators, prepare)) as pool:
-        # a task that waits in the pool keeps its process from waiting for the next one
-        yield Place(
-            jobs + 1, lambda task: pool.schedule(work, (task,), timeout=limit),
-            lambda future, task: ended(future, task, limit, instead),
-        )  # fmt: skip
+    lock = FileLock(path.with_name(path.name + ".lock"))
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise FormatError(
+            path, None, "another study is at work on this database; wait for it, or name another database"
+        ) from None
+    except OSError as error:
+        raise FormatError(path, None, f"cannot write into {path.parent}: {error.strerror}") from None
+    try:
+        yield
+    finally:
+        # while it is held: whoever opened the file before finds that it is gone, and is refused
+        Path(lock.lock_file).unlink(missing_ok=True)
+        lock.release()
 
 
-def _done(work: Callable[[Task], Row], task: Task) -> Future[Row]:
-    future: Future[Row] = Future()
-    future.set_result(work(task))
-    return future
-
-
-#: futures that are done, and None, which ends the work
-Events = SimpleQueue[Future[Row] | None]
-
-
-def as_they_end(place: Place[Task, Row], tasks: Iterable[Task], events: Events[Row]) -> Iterator[tuple[int, Row]]:
-    """The number of each task among all, and its row, as they end; after None among the events those that have ended."""
-    waiting = enumerate(tasks)
-    pending: dict[Future[Row], tuple[int, Task]] = {}
-
-    def submit(count: int) -> None:
-        for k, task in islice(waiting, count):
-            future = place.submit(task)
-            pending[future] = k, task
-            future.add_done_callback(events.put)
-
-    submit(place.room)
-    while pending:
-        event = events.get()
-        for future in [event] if event is not None else [future for future in pending if future.done()]:
-            k, task = pending.pop(future)
-            yield k, place.row(future, task)
-        if event is None:
-            return
-        submit(1)
-
-
-def rows_of(
-    work: Callable[[Task], Row], tasks: Iterable[Task], *, jobs: int | None,
-    progress: Callable[[Row], object] | None = None, **keywords: Any,
-) -> list[Row]:  # fmt: skip
-    """``map(work, tasks)`` in a place, rows in the order of the tasks.
-
-    Args:
-        work, jobs, keywords: see `place_of`.
-        progress: called with each row as its task ends.
-
-    Raises:
-        OptionError: there is a limit and no process to stop.
-        SlamError: see `place_of`, or ``work`` raised it.
-    """
-    if jobs == 0 and keywords.get("limit") is not None:
-        raise OptionError("time_limit needs local processes, which can be stopped: jobs must be at least 1, not 0")
-    rows: dict[int, Row] = {}
-    with place_of(work, jobs=jobs, **keywords) as place:
-        for k, rows[k] in as_they_end(place, tasks, SimpleQueue()):
-            if progress is not None:
-                progress(rows[k])
-    return [rows[k] for k in sorted(rows)]
+@contextmanager
+def _connected(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
+    """A connection whose errors with the file become `FormatError`."""
+    uri = f"{path.absolute().as_uri()}?mode={mode}"
+    try:
+        with closing(sqlite3.connect(uri, uri=True, isolation_level=None, timeout=30)) as connection:
+            yield connection
+    except sqlite3.IntegrityError:
+        raise
+    except sqlite3.DatabaseError as error:
+        raise FormatError(path, None, f"SQLite cannot use this file as the database of a study: {error}") from None

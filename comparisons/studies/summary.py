@@ -30,8 +30,7 @@ from graphslam.files import write_whole
 from ..options import METRICS
 from ..results import Displayed
 from ..results.documents import Band, Count, json_line
-from .database import COLUMNS, StudyDatabase
-from .execute import DONE, TIMEOUT
+from .execute import COLUMNS, DONE, TIMEOUT, StudyDatabase
 
 #: the share of resamples that the interval holds
 LEVEL = 0.95
@@ -58,26 +57,28 @@ class Median:
     quartiles: Band
 
 
-def median_of(values: Sequence[float], units: Sequence[Hashable]) -> Median | None:
+def median_of(values: Sequence[float | None], units: Sequence[Hashable]) -> Median | None:
     """The median of values and its percentile-bootstrap interval (Efron and Tibshirani, 1993, chapter 13).
 
     Units are drawn with replacement, each with all its values: values of one log share its noise, and are not
     independent. With fewer than about ten units the interval is too short.
 
     Args:
-        values: the numbers.
+        values: the numbers; those that are None do not count.
         units: of each value; equal for values that belong together.
 
     Returns:
         None where there are no values.
     """
-    if len(values) == 0:
-        return None
     members: dict[Hashable, list[float]] = {}
     for value, unit in zip(values, units, strict=True):
-        members.setdefault(unit, []).append(value)
-    first, median, third = map(float, np.percentile(values, (25, 50, 75)))
-    found, count = Median(median, None, None, len(values), (first, third)), len(members)
+        if value is not None:
+            members.setdefault(unit, []).append(value)
+    if not members:
+        return None
+    known = np.concatenate(list(members.values()))
+    first, median, third = map(float, np.percentile(known, (25, 50, 75)))
+    found, count = Median(median, None, None, len(known), (first, third)), len(members)
     if count < 2:
         return found
     # a row for each unit, NaN after its last value
@@ -208,13 +209,14 @@ def summarise(study: str | PathLike[str] | StudyDatabase | Sequence[Row], *, bas
 
 def _method(log: str, name: str, rows: Sequence[Row]) -> MethodSummary:
     status, measured = Counter(row["status"] for row in rows), _measured(rows)
+    units = [_unit(row, log) for row in measured]
     converged = [row["converged"] for row in rows if row["converged"] is not None]
     proven = [row["proven"] for row in rows if row.get("proven") is not None]
     return MethodSummary(
         log=log, method=name, runs=len(rows), failed=len(rows) - status[DONE] - status[TIMEOUT], timeouts=status[TIMEOUT],
         converged=sum(converged) / len(converged) if converged else None,
         proven=sum(proven) / len(proven) if proven else None,
-        figures={metric: _median([(row[metric], _unit(row, log)) for row in measured]) for metric in METRICS},
+        figures={metric: median_of([row[metric] for row in measured], units) for metric in METRICS},
     )  # fmt: skip
 
 
@@ -223,16 +225,17 @@ def _difference(log: str, name: str, baseline: str, rows: Sequence[Row], base: S
     for row in _measured(base):
         partners.setdefault(row["log"], []).append(row)
     pairs = [
-        (row, other, _unit(other if row["seed"] is None else row, log))
+        (row, other)
         for row in _measured(rows)
         for other in partners.get(row["log"], [])
         if row["seed"] == other["seed"] or None in (row["seed"], other["seed"])
     ]
+    units = [_unit(other if row["seed"] is None else row, log) for row, other in pairs]
     figures, lower = {}, {}
     for metric in METRICS:
-        gaps = [(a[metric] - b[metric], unit) for a, b, unit in pairs if None not in (a[metric], b[metric])]
-        figures[metric] = _median(gaps)
-        lower[metric] = sum(gap < 0 for gap, _ in gaps)
+        gaps = [None if None in (a[metric], b[metric]) else a[metric] - b[metric] for a, b in pairs]
+        figures[metric] = median_of(gaps, units)
+        lower[metric] = sum(gap is not None and gap < 0 for gap in gaps)
     return PairedDifference(log, name, baseline, figures, lower)
 
 
@@ -251,12 +254,6 @@ def _measured(rows: Sequence[Row]) -> list[Row]:
         once = {"seed": None, "seconds": median(times) if times else None}
         measured.append({**first, **once} if repeats else first)
     return measured
-
-
-def _median(values: Sequence[tuple[float | None, Hashable]]) -> Median | None:
-    """The median of the values that are known, each with the unit that it belongs to."""
-    known = [(value, unit) for value, unit in values if value is not None]
-    return median_of([value for value, _ in known], [unit for _, unit in known])
 
 
 def _unit(row: Row, log: str) -> Hashable:

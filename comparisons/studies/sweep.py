@@ -17,7 +17,6 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
-from importlib.metadata import PackageNotFoundError, version
 from itertools import count, product
 from os import PathLike
 from pathlib import Path
@@ -33,15 +32,25 @@ from graphslam.errors import quoted
 from graphslam.processes import default_jobs, process_pool
 
 from ..estimators import ESTIMATORS
-from ..estimators.attempt import add_estimators, added_estimators, ended, loading
+from ..estimators.attempt import (
+    Events,
+    Place,
+    add_estimators,
+    added_estimators,
+    as_they_end,
+    ended,
+    loading,
+    place_of,
+    rows_of,
+)  # fmt: skip
+from ..estimators.config import versions
 from ..estimators.filters import FILTERS, Announce, announce_memory
 from ..options import JobsOptions, ParticleStudyOptions, RunOptions, SweepOptions
 from ..options.declaration import options_of
 from ..options.reading import prepare
 from ..results import Displayed, sentence
 from ..results.documents import Count, jsonable
-from .database import StudyDatabase, row_of
-from .execute import DONE, ERROR, Events, Outcome, Place, as_they_end, execute, log_of, place_of, rows_of, stopped
+from .execute import DONE, ERROR, Outcome, StudyDatabase, execute, log_of, row_of, stopped
 from .plan import Run, Study, read_study
 from .summary import MethodSummary, Summary, summarise
 
@@ -162,23 +171,16 @@ def _no_scheduler(address: str, reason: str) -> OptionError:
     return OptionError(f"no Dask scheduler answers at {address} ({reason}); start one with: dask scheduler")
 
 
-def our_version() -> str:
-    """The version of this project that is installed here."""
-    try:
-        return version("virtual-motion-slam")
-    except PackageNotFoundError:
-        return "not installed"
-
-
 def _check_versions(client: Any, address: str) -> None:
     try:
-        versions = set(client.run(our_version).values())
+        theirs = {project for project, *_ in client.run(versions).values()}
     except Exception as error:
         imports = f"the workers at {address} cannot import this project"
         raise OptionError(f"{imports}; install the same version there ({error})") from None
-    if versions - {our_version()}:
-        theirs = f"the workers at {address} have version {', '.join(sorted(versions))} of this project"
-        raise OptionError(f"{theirs}, but this is {our_version()}; install the same version there")
+    ours, *_ = versions()
+    if theirs != {ours}:
+        have = f"the workers at {address} have {', '.join(sorted(theirs))}"
+        raise OptionError(f"{have}, but this is {ours}; install the same version there")
 
 
 #: fewer particles never need much memory

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import named
 from ..log import UNIDENTIFIED, Log
 from ..se2 import Array
 from .odometry import Edges, ordinary, sighting_times
@@ -83,6 +84,10 @@ class Predictions:
         return squares, -0.5 * (squares + np.linalg.slogdet(2 * np.pi * covariances)[1])
 
 
+#: an id that so many sightings have which fit no landmark, and a quarter of these, is named: other objects may have it
+FEWEST_DOUBLED = 10
+
+
 @dataclass(frozen=True)
 class Ids:
     """The ids of the sightings of a log, checked.
@@ -109,9 +114,12 @@ class Ids:
         changed, dropped, count = (int(each.sum()) for each in (self.changed, self.dropped, self.identified))
         if changed + dropped == 0:
             return None
+        doubled, times = np.unique(self.landmarks[self.dropped], return_counts=True)
+        doubled = doubled[times >= max(FEWEST_DOUBLED, dropped / 4)]
+        several = f"; several objects may have the id {named(doubled)}" if len(doubled) else ""
         return (
             f"{changed + dropped} of {count} sightings ({self.share:.1%}) contradict their id: {changed} got the id of the "
-            f"landmark that fits, {dropped} fit none and were left out"
+            f"landmark that fits, {dropped} fit none and were left out{several}"
         )
 
     def within(self, landmarks: np.ndarray) -> Ids:

@@ -120,7 +120,7 @@ AT_MEASURED = "the noise of ranges is taken at the measured ones, and by solve a
 
 
 def takes_estimated_ranges(graph: Graph, range_noise: str) -> bool:
-    """Whether a graph is solved with its noise at estimated ranges: "auto" does so where the noise was estimated from it.
+    """Whether a graph is solved with its noise at estimated ranges: "auto" does so except with the lectures' noise or logs.
 
     Graphs with parameters do it in any case, and by themselves.
     """
@@ -128,7 +128,8 @@ def takes_estimated_ranges(graph: Graph, range_noise: str) -> bool:
     if range_noise != "auto" or graph.parameters is not None or log is None or sensor is None:
         return range_noise == "estimated" and graph.parameters is None
     grows = sensor.range_rate > 0 and len(log.steps) > 0
-    return grows and log.uncertain is not None and log.partial_sightings is None
+    of_lectures = log.uncertain is None and (log.simulated or sensor.of_book)
+    return grows and not of_lectures and log.partial_sightings is None
 
 
 def at_estimated_ranges(

@@ -139,7 +139,7 @@ def test_a_figure_and_a_page_that_fail_are_notes(
         raise ZeroDivisionError
 
     monkeypatch.setattr("comparisons.comparison.Comparison.figure", breaks)
-    monkeypatch.setattr("comparisons.show.report.page.page_of", breaks)
+    monkeypatch.setattr("comparisons.show.report.page_of", breaks)
     result = invoke(
         "run", log_file, *QUICK, "--out", "here", "--html", "page.html", "--json", "out.json", "--figures", "png"
     )

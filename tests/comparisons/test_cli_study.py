@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from comparisons.cli import app
-from comparisons.studies.database import StudyDatabase
+from comparisons.studies.execute import StudyDatabase
 from comparisons.studies.sweep import check_answers
 from graphslam import OptionError
 

@@ -13,6 +13,7 @@ from comparisons.importing import inspect_log
 from comparisons.show.canvas import colour_of, placement_of_result
 from comparisons.show.figures import comparison_figure
 from comparisons.show.films import animate
+from comparisons.show.films.scene import Scene
 from comparisons.show.log_tables import plan
 from comparisons.show.report import charts
 from comparisons.show.report.view import view_of
@@ -61,13 +62,13 @@ def test_the_figure_and_plan_of_a_log_before_it_is_solved(log: Log) -> None:
 def test_the_film(log: Log, expected: np.ndarray) -> None:
     film = animate(log, max_frames=2)
     figure = Figure()
-    film.set_up(figure)(film.frames[-1])
+    Scene(figure, film).at(film.frames[-1])
     drawn = next(line for line in figure.axes[0].get_lines() if line.get_color() == colour_of("graph"))
     np.testing.assert_allclose(drawn.get_xydata(), expected, atol=1e-6)
     # step by step there are the first poses only
     steps = animate(log, estimator="fastslam1", particles=20, max_frames=3)
-    move = steps.set_up(figure := Figure())
-    move(steps.frames[1])
+    scene = Scene(figure := Figure(), steps)
+    scene.at(steps.frames[1])
     drawn = [line for line in figure.axes[0].get_lines() if line.get_color() == colour_of("fastslam1")]
     assert 5 * steps.frames[1].number + 1 in [len(np.asarray(line.get_xydata())) for line in drawn]
 

@@ -90,6 +90,7 @@ def test_a_graph_that_g2o_cannot_hold_is_left_out(tmp_path):
         tmp_path, figures=["svg"]
     )
     assert "graph.g2o" not in files
+    assert [note.partition(": ")[0] for note in files.notes] == ["there is no graph.g2o"]
     assert not (tmp_path / "graph.g2o").exists()
     assert files["figure"].name == "comparison.svg"
     with pytest.raises(OptionError, match="png, pdf, svg"):

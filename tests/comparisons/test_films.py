@@ -24,7 +24,7 @@ from comparisons.options.declaration import options_of
 from comparisons.show.figures import ellipses
 from comparisons.show.films import Film, animate
 from comparisons.show.films.graphs import Residuals
-from comparisons.show.films.scene import kept
+from comparisons.show.films.scene import Scene, kept
 from fastslam import ParticleGibbs
 from graphslam import (
     AbsolutePositions,
@@ -336,7 +336,7 @@ def test_refused_logs(log: Log) -> None:
 def test_without_truth_the_whole_map_is_in_sight(log: Log, name: str) -> None:
     film = animate(log.replace(true_poses=None, true_landmarks=None), estimator=name, **FEW, max_frames=2)
     figure = Figure()
-    film.set_up(figure)(film.frames[-1])
+    Scene(figure, film).at(film.frames[-1])
     plane = figure.axes[0]
     frame = film.frames[-1]
     curves = ellipses(frame.landmarks, frame.landmark_covariances).reshape(-1, 2)
@@ -352,7 +352,7 @@ def test_a_log_without_truth_and_controls_has_a_film(log: Log) -> None:
 
 def _legend(film: Film) -> Legend:
     figure = Figure()
-    film.set_up(figure)
+    Scene(figure, film)
     return figure.legends[0]
 
 
@@ -417,11 +417,11 @@ class TestCommandLine:
 def test_a_film_without_true_poses_shows_the_whole_map(log: Log, name: str) -> None:
     film = animate(log.replace(true_poses=None), estimator=name, **FEW, max_frames=2)
     figure = Figure()
-    film.set_up(figure)
+    Scene(figure, film)
     view, true = figure.axes[0].viewLim, np.array([log.true_landmarks[j][:2] for j in log.landmark_ids.tolist()])
     assert view.count_contains(true) == len(true)
     assert "true landmark" in [text.get_text() for text in figure.legends[0].get_texts()]
     bare = Figure()
-    animate(log.replace(true_poses=None, true_landmarks=None), estimator="graph").set_up(bare)
+    Scene(bare, animate(log.replace(true_poses=None, true_landmarks=None), estimator="graph"))
     landmarks = np.array([m[:2] for m in solve(make_graph(log, RunOptions())).landmarks.values()])
     assert bare.axes[0].viewLim.count_contains(landmarks) == len(landmarks)

@@ -11,7 +11,7 @@ from comparisons import run
 from comparisons.estimators import ESTIMATORS, pair_count
 from comparisons.results.files import texts
 from comparisons.show.films import animate
-from comparisons.show.report.page import association_table
+from comparisons.show.report import association_table
 from comparisons.show.tables import landmark_table
 from fastslam import FastSLAM2
 from graphslam import Graph, GraphError, OptionError, load, sample_log_path

@@ -33,8 +33,9 @@ from comparisons.cli.verb import name_of
 from comparisons.estimators import filters
 from comparisons.results import files as result_files
 from comparisons.show import canvas, log_tables, studies, tables
+from comparisons.show import report as page
 from comparisons.show.language import NUMBER, PLACE, VERBATIM, _translated, catalogue, key_of, language_of, translated
-from comparisons.show.report import charts, page
+from comparisons.show.report import charts
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults
 from graphslam.identification.result import RobotEstimate
@@ -51,8 +52,8 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     tables.result_tables, tables.comparison_tables, tables.session_table, tables.state_table, tables.landmark_table,
     tables._exchanged, tables._noise_remarks, verbs.run, verbs.report, verbs._noise_advice,
     comparison.Comparison._noise_findings, comparison.Comparison._unused_options,
-    result_files.reason_without_graph, filters._one_run, filters.of_several_seeds,
-    build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._convergence, page._matrix,
+    result_files.write_pose_graph, filters._one_run, filters.of_several_seeds,
+    build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._unless_failed, page._matrix,
     charts.remarks, charts.description, page.association_table, defaults.pairs_overweight,
     RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, studies.solver_tables, studies.backend_tables,
     log_tables.import_tables, log_tables.overview_tables, log_tables.evaluation_tables, studies.particle_tables,

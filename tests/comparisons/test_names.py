@@ -16,8 +16,8 @@ from comparisons.estimators.config import read_config
 from comparisons.options.toml_files import to_toml
 from comparisons.results.documents import json_text
 from comparisons.show.canvas import as_text, paper_figure
+from comparisons.show.tables import as_html
 from comparisons.show.tables import as_text as table_text
-from comparisons.show.tables import tables_as_html as as_html
 from comparisons.studies.summary import write_csv, write_json_lines
 from graphslam import Graph, Log, LogError, OptionError, SlamError, load, save, simulate
 from graphslam.errors import printable
@@ -125,13 +125,13 @@ def test_tables_and_json_in_memory(log: Log, name: str, tmp_path: Path) -> None:
     assert json.loads(json_text({"name": name, name: [name, {"x": name}]}).encode()) == {
         "name": name, name: [name, {"x": name}],
     }  # fmt: skip
-    rows = [dict.fromkeys(comparisons.studies.database.COLUMNS, name)]
+    rows = [dict.fromkeys(comparisons.studies.execute.COLUMNS, name)]
     write_json_lines(rows, tmp_path / "rows.jsonl")
     assert json.loads((tmp_path / "rows.jsonl").read_text(encoding="utf-8"))["log"] == name
 
 
 def test_cells_that_spreadsheets_would_execute(tmp_path: Path) -> None:
-    columns = comparisons.studies.database.COLUMNS
+    columns = comparisons.studies.execute.COLUMNS
     texts = ["=1+1", "+1", "-x", "@a", "plain", "a=b"]
     write_csv([dict.fromkeys(columns, text) for text in texts] + [dict.fromkeys(columns, -0.5)], tmp_path / "rows.csv")
     written = [row["log"] for row in csv.DictReader((tmp_path / "rows.csv").read_text().splitlines())]

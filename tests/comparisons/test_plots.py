@@ -33,8 +33,7 @@ from comparisons.show.studies import study_figure
 from comparisons.show.tables import RESULTS
 from comparisons.studies.backends import BackendComparison, BackendRow
 from comparisons.studies.consistency import Consistency, ConsistencyStudy
-from comparisons.studies.database import row_of
-from comparisons.studies.execute import Outcome
+from comparisons.studies.execute import Outcome, row_of
 from comparisons.studies.plan import Run
 from comparisons.studies.summary import Summary
 from comparisons.studies.sweep import ParticleStudy

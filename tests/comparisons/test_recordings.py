@@ -153,7 +153,11 @@ def test_the_verb_writes_both(tmp_path, monkeypatch):
     ("words", "module", "message"),
     [
         (["--mcap", "a.txt"], None, "a.txt: the name of this file must end in .mcap"),
-        (["--mcap", "a.mcap"], "mcap.writer", "MCAP files are written by the packages mcap and rosbags: pip install"),
+        (
+            ["--mcap", "a.mcap"],
+            "mcap_ros2.writer",
+            "MCAP files are written by the packages mcap-ros2-support and rosbags",
+        ),
         (["--rerun", "a.rrd"], "rerun", "Rerun recordings are written by the package rerun-sdk: pip install"),
     ],
 )

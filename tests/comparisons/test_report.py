@@ -17,10 +17,10 @@ from comparisons.cli import app
 from comparisons.comparison import Comparison
 from comparisons.estimators import make_graph
 from comparisons.results import EstimatorResult, dead_reckoning_covariances
-from comparisons.show.report import charts, page
+from comparisons.show import report as page
+from comparisons.show.report import charts, page_of, write_report
 from comparisons.show.report.charts import convergence_figure, costs_figure, errors_figure, iterations, plain_steps
-from comparisons.show.report.page import page_of, write_report
-from comparisons.show.report.view import dash_of, view_of
+from comparisons.show.report.view import line_of, view_of
 from comparisons.show.tables import comparison_tables
 from graphslam import Graph, Log, MotionModel, OptionError, SlamError, save, simulate, solve, textbook
 from graphslam.linear.cholesky import analyze
@@ -277,8 +277,9 @@ def test_costs_end_where_the_estimators_say(comparison: Comparison) -> None:
 
 
 def test_dashes_are_in_pixels() -> None:
-    assert dash_of({"linestyle": (0, (5, 1.5))}, 2.0) == "10.0px,3.0px"
-    assert dash_of({}, 2.0) == "solid"
+    # five and one and a half widths of 1.1 points, which are 1.35 times as wide on a screen
+    assert line_of("dead-reckoning")["line"]["dash"] == "7.4px,2.2px"
+    assert line_of("graph")["line"]["dash"] == "solid"
 
 
 # -- logs of all kinds -------------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from chromium import Chromium, find_browser
 
 from comparisons import run
 from comparisons.comparison import Comparison
-from comparisons.show.report.page import write_report
+from comparisons.show.report import write_report
 from comparisons.show.report.view import View, view_of
 from graphslam import simulate
 from graphslam.metrics import position_errors

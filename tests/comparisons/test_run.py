@@ -16,7 +16,7 @@ from comparisons.estimators.config import read_config
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
 from comparisons.results.results import CHI_SQUARE_MEDIANS
-from comparisons.show.report.page import page_of
+from comparisons.show.report import page_of
 from comparisons.show.tables import as_text
 from graphslam import FormatError, GraphError, Log, OptionError, SensorModel, SlamError, simulate
 from graphslam.metrics import ate

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from comparisons.studies.database import StudyDatabase
+from comparisons.studies.execute import StudyDatabase
 from comparisons.studies.plan import read_study
 from comparisons.studies.sweep import check_answers, sweep
 from graphslam import OptionError

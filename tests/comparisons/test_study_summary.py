@@ -13,7 +13,7 @@ import pytest
 
 from comparisons.show.studies import study_figure
 from comparisons.show.tables import write_latex
-from comparisons.studies.database import COLUMNS
+from comparisons.studies.execute import COLUMNS
 from comparisons.studies.summary import (
     ALL,
     median_of,

@@ -20,10 +20,10 @@ from pebble import ProcessExpired
 
 from comparisons.comparison import run as run_by_hand
 from comparisons.estimators import ESTIMATORS, Estimator
+from comparisons.estimators.attempt import rows_of
 from comparisons.options import RunOptions
 from comparisons.results import EstimatorResult
-from comparisons.studies.database import COLUMNS, StudyDatabase
-from comparisons.studies.execute import DONE, ERROR, TIMEOUT, Outcome, rows_of
+from comparisons.studies.execute import COLUMNS, DONE, ERROR, TIMEOUT, Outcome, StudyDatabase
 from comparisons.studies.plan import Study, read_study
 from comparisons.studies.sweep import SweepOutcome, sweep
 from graphslam import FormatError, Log, OptionError, SlamError, save, simulate
@@ -193,7 +193,7 @@ def test_results_come_in_order_and_a_death_is_an_error() -> None:
 def test_a_script_without_a_guard_can_use_the_pool(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(
         # more processes than tasks: some are still starting when the work is done, and must be silent then
-        "from comparisons.studies.execute import rows_of\nprint('once')\nprint(rows_of(abs, [-1, -2], jobs=3))\n"
+        "from comparisons.estimators.attempt import rows_of\nprint('once')\nprint(rows_of(abs, [-1, -2], jobs=3))\n"
     )
     done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, env=ENVIRONMENT)
     assert (done.stdout, done.stderr) == ("once\n[1, 2]\n", "")

@@ -22,13 +22,10 @@ from comparisons.options.declaration import options_of
 from comparisons.results import EstimatorResult
 from comparisons.results.documents import SessionErrors, shown_by
 from comparisons.results.results import Row
-from comparisons.show.cells import LeanTable, number, seconds
-from comparisons.show.tables import as_text, tables_of
-from comparisons.show.tables import tables_as_html as as_html
+from comparisons.show.tables import LeanTable, as_html, as_text, number, seconds, tables_of
 from comparisons.studies.backends import BackendComparison, BackendRow
 from comparisons.studies.consistency import Consistency, ConsistencyStudy
-from comparisons.studies.database import COLUMNS, row_of
-from comparisons.studies.execute import Outcome
+from comparisons.studies.execute import COLUMNS, Outcome, row_of
 from comparisons.studies.plan import Run
 from comparisons.studies.solvers import SkippedVariant, SolverComparison, VariantResult
 from comparisons.studies.summary import Median, MethodSummary, PairedDifference, Summary

@@ -39,7 +39,7 @@ from graphslam.identification.declared import ParameterEstimate
 from graphslam.identification.known import known_robot
 from graphslam.identification.odometry import Odometry, motion_parts
 from graphslam.identification.robot import RobotEstimate
-from graphslam.identification.sighting_errors import LAGS, _unlikely, inflation, smoothed
+from graphslam.identification.sighting_errors import LAGS, Ids, _unlikely, inflation, smoothed
 from graphslam.identification.unknowns import (
     DEGREES_MOTIONS,
     DEGREES_SIGHTINGS,
@@ -169,6 +169,13 @@ def test_misread_ids_are_found() -> None:
     kept = found.log.landmarks[found.ids.changed[~found.ids.dropped]]
     assert np.mean(kept == truth.landmarks[found.ids.changed]) > 0.98
     assert len(found.log.steps) == len(log.steps) - found.ids.dropped.sum()
+
+
+def test_an_id_that_several_objects_may_have_is_named() -> None:
+    dropped, none = np.arange(120) < 30, np.zeros(120, dtype=bool)
+    for ids, ending in ((np.arange(120) // 40, "; several objects may have the id 0"), (np.arange(120) % 12, "")):
+        sentence = Ids(ids, none, dropped, ~none).sentence
+        assert sentence is not None and sentence.endswith(f"30 fit none and were left out{ending}")
 
 
 @pytest.mark.slow

@@ -66,11 +66,10 @@ def player(film: Film, progress: Callable[[], None]) -> str:
     """A page with a player, which needs no other file: the background once, and each picture as a layer above it."""
     still = film.pictures.still
     layers = []
-    for picture, image in _indexed(film):
+    for picture, image in _indexed(film, progress):
         layer = Image.fromarray(np.where((picture == still).all(axis=2), CLEAR, np.asarray(image)).astype(np.uint8))
         layer.putpalette(image.getpalette() or [])
         layers.append(_data_url(layer, transparency=CLEAR))
-        progress()
     names = ("Play", "Pause", "speed", "picture", "space bar")
     words = {name.lower().replace(" ", "_"): translated(name, film.language) for name in names}
     template = Template(files("comparisons.show.films").joinpath("player.html").read_text(encoding="utf-8"))
@@ -82,18 +81,13 @@ def player(film: Film, progress: Callable[[], None]) -> str:
 
 
 def _write_gif(film: Film, path: Path, progress: Callable[[], None]) -> None:
-    def images() -> Iterator[Image.Image]:
-        for _, image in _indexed(film):
-            yield image
-            progress()
-
     # the format counts hundredths of a second, and viewers take a single one for ten
     duration = max(20, round(100 / film.fps) * 10)
     durations = [duration] * (len(film) - 1) + [max(duration, round(1000 * HOLD))]
-    rest = images()
-    first = next(rest)
+    images = (image for _, image in _indexed(film, progress))
+    first = next(images)
     # a file of our own, which is closed when the film is interrupted
-    timing = {"append_images": rest, "duration": durations, "loop": 0}
+    timing = {"append_images": images, "duration": durations, "loop": 0}
     with path.open("wb") as file:
         first.save(file, format="GIF", save_all=True, disposal=1, optimize=False, **timing)
 
@@ -121,7 +115,7 @@ def _write_html(film: Film, path: Path, progress: Callable[[], None]) -> None:
 _WRITERS = {".gif": _write_gif, ".mp4": _write_mp4, ".html": _write_html}
 
 
-def _indexed(film: Film) -> Iterator[tuple[np.ndarray, Image.Image]]:
+def _indexed(film: Film, progress: Callable[[], None]) -> Iterator[tuple[np.ndarray, Image.Image]]:
     """The pictures (h, w, 3) of a film, each with its copy in the palette that all of them share.
 
     With one palette what does not move has the same colours in every picture. Each colour that occurs counts once in it,
@@ -131,13 +125,15 @@ def _indexed(film: Film) -> Iterator[tuple[np.ndarray, Image.Image]]:
     bright = [number for number, frame in enumerate(film.frames) if frame.flash]
     spread = np.linspace(0, len(film) - 1, SAMPLES).round().astype(int).tolist()
     samples = dict.fromkeys([*spread, *bright[:: max(1, len(bright) // SAMPLES)]])
-    codes = np.unique(np.concatenate([np.unique(film.pictures[k] @ (65536, 256, 1)) for k in samples]))
-    colours = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
-    palette = Image.fromarray(colours[None]).quantize(CLEAR, method=Image.Quantize.MAXCOVERAGE)
+    pictures = (Image.fromarray(film.pictures[k]) for k in samples)
+    colours = {colour for picture in pictures for _, colour in picture.getcolors(maxcolors=1 << 24) or ()}
+    each_once = Image.fromarray(np.array([sorted(colours)], dtype=np.uint8))
+    palette = each_once.quantize(CLEAR, method=Image.Quantize.MAXCOVERAGE)
     # as long as it can be, since what is clear needs an entry, too
     palette.putpalette((palette.getpalette() or [])[: 3 * CLEAR] + [255, 255, 255])
     for picture in film.pictures:
         yield picture, Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
+        progress()
 
 
 def _data_url(image: Image.Image, **options: int) -> str:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.lines import Line2D
 
 from fastslam import GibbsResult, ParticleFilter, Samples, VanishedWeightsWarning
@@ -95,21 +94,17 @@ def _particles(log: Log, filter: ParticleFilter, state: ParticleState, resamplin
 
 def _add_particles(scene: Scene) -> None:
     """Dots in three grades of opacity, by weight."""
-    dots = [
-        scene.plane.plot([], [], "o", markersize=2.2, markeredgewidth=0, alpha=opacity, animated=True)[0]
-        for opacity in OPACITIES
-    ]
+    dots = [scene.plane.plot([], [], "o", markersize=2.2, markeredgewidth=0, alpha=each)[0] for each in OPACITIES]
     scene.remember("particle", Line2D([], [], color=PARTICLE, linestyle="none", marker=".", markersize=5))
 
-    def move(frame: Frame) -> Sequence[Artist]:
+    def update(frame: Frame) -> None:
         places = scene.placed(frame.dots)
         grades = np.digitize(frame.values, (0.1, 0.5))
         for grade, dot in enumerate(dots):
             dot.set_data(*places[grades == grade].T)
             dot.set_color(FLASH if frame.flash else PARTICLE)
-        return dots
 
-    scene.add(move)
+    scene.add(update, *dots)
 
 
 #: the most earlier samples that a picture shows, evenly spread
@@ -182,17 +177,14 @@ def _add_samples(scene: Scene) -> None:
     """Earlier samples pale, the newest of each chain dark, and the landmarks of all as dots."""
     pale = scene.add_lines(colors=scene.color, linewidths=0.5, alpha=0.15)
     dark = scene.add_lines(colors=PARTICLE, linewidths=0.9, alpha=0.9)
-    (dots,) = scene.plane.plot(
-        [], [], "o", color=scene.color, markersize=2.0, markeredgewidth=0, alpha=0.35, animated=True
-    )
+    (dots,) = scene.plane.plot([], [], "o", color=scene.color, markersize=2.0, markeredgewidth=0, alpha=0.35)
     scene.remember("newest samples", Line2D([], [], color=PARTICLE, linewidth=0.9))
     scene.remember("earlier samples", Line2D([], [], color=scene.color, linewidth=0.5, alpha=0.5))
     scene.remember("sampled landmark", Line2D([], [], color=scene.color, linestyle="none", marker="o", markersize=3))
 
-    def move(frame: SampleFrame) -> Sequence[Artist]:
+    def update(frame: SampleFrame) -> None:
         pale.set_segments([scene.along(path) for path in frame.earlier])
         dark.set_segments([scene.along(path) for path in frame.paths])
         dots.set_data(*scene.moved(frame.dots).T)
-        return [pale, dots, dark]
 
-    scene.add(move)
+    scene.add(update, pale, dots, dark)

@@ -68,8 +68,8 @@ class Frame:
     flash: str = ""
 
 
-#: brings the artists of a scene up to a frame of its film, and returns those to draw, in this order
-Show = Callable[[Any], Sequence[Artist]]
+#: brings artists of a scene up to a frame of its film
+Update = Callable[[Any], object]
 #: norm, colours and label of a colour bar
 Scale = tuple[Normalize, Colormap, str]
 
@@ -89,13 +89,13 @@ class Pictures(Sequence[np.ndarray]):
     What does not move is drawn once; each picture is a copy of it with a few artists on top.
     """
 
-    def __init__(self, frames: Sequence[Frame], set_up: Callable[[Figure], Show], language: str = "en") -> None:
-        self._frames, self._language, self._font = frames, language, canvas.font_of(language)
+    def __init__(self, film: Film) -> None:
+        self._film, self._font = film, canvas.font_of(film.language)
         with canvas.paper_figure(SIZE) as figure:
             figure.set_dpi(DPI)
             # a layout that is computed at each frame would move the panels
             figure.set_layout_engine("none")
-            self._show = set_up(figure)
+            self._scene = Scene(figure, film)
             self._translate(figure)
             assert isinstance(figure.canvas, FigureCanvasAgg)
             self._canvas = figure.canvas
@@ -104,10 +104,10 @@ class Pictures(Sequence[np.ndarray]):
             self._background = self._canvas.copy_from_bbox(figure.bbox)
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return len(self._film)
 
     def __getitem__(self, number: int) -> np.ndarray:  # type: ignore[override]
-        return self._drawn(self._show(self._frames[number]))
+        return self._drawn(self._scene.at(self._film.frames[number]))
 
     @property
     def still(self) -> np.ndarray:
@@ -116,7 +116,7 @@ class Pictures(Sequence[np.ndarray]):
 
     def _translate(self, drawn: Artist) -> None:
         if self._font is not None:
-            canvas.translate_texts(drawn, partial(translated, language=self._language), self._font)
+            canvas.translate_texts(drawn, partial(translated, language=self._film.language), self._font)
 
     def _drawn(self, artists: Sequence[Artist]) -> np.ndarray:
         self._canvas.restore_region(self._background)
@@ -164,19 +164,13 @@ class Film:
     source: Path | None = None
     language: str = "en"
 
-    def set_up(self, figure: Figure) -> Show:
-        """Draw everything that does not move onto an empty figure; returns what draws a frame."""
-        scene = Scene(figure, self)
-        self.parts(scene)
-        return scene.finish()
-
     def __len__(self) -> int:
         return len(self.frames)
 
     @cached_property
     def pictures(self) -> Pictures:
         """The pictures, each drawn when it is asked for: ``film.pictures[-1]``."""
-        return Pictures(self.frames, self.set_up, self.language)
+        return Pictures(self)
 
     def save(self, path: str | PathLike[str], *, progress: Callable[[], None] | None = None) -> Path:
         """Write the film, whole or not at all; its last picture stays for two seconds.
@@ -217,7 +211,7 @@ class Scene:
         self.figure, self.log, self.color, self.placement = figure, log, canvas.colour_of(film.name), np.zeros(3)
         if film.aligned:
             self.placement = canvas.placement_of(log, last.poses, last.estimated, last.landmarks, named=film.named)
-        self._movers: list[Show] = []
+        self._moving: list[tuple[Update, tuple[Artist, ...]]] = []
         self._handles: dict[str, Artist] = {}
         width = 0.90 if scale is None else 0.805
         self.plane = figure.add_axes((0.085, 0.285, width, 0.64))
@@ -240,10 +234,24 @@ class Scene:
             self.remember(str(line.get_label()), line)
             if line.get_label() == "ground truth":
                 line.set(color="0.55", linewidth=1.6)
-        self._content = np.concatenate(core), [drifting, self.along(film.frames[0].poses)]
-        self.extent = canvas.set_limits(self.plane, *self._content)
+        content = np.concatenate(core), [drifting, self.along(film.frames[0].poses)]
+        self.extent = canvas.set_limits(self.plane, *content)
         # the second line of the title is left empty for the caption
         self.plane.set(xlabel="x [m]", ylabel="y [m]", title=f"{canvas.as_text(film.title)}\n ")
+        film.parts(self)
+        self._add_texts()
+        # again, because what was added since lets matplotlib choose the limits
+        canvas.set_limits(self.plane, *content)
+        figure.legend(
+            list(self._handles.values()), list(self._handles), loc="lower center", bbox_to_anchor=(0.5, 0.0),
+            ncols=-(-len(self._handles) // (1 if len(self._handles) <= 5 else 2)), handlelength=2.2,
+        )  # fmt: skip
+
+    def at(self, frame: Frame) -> list[Artist]:
+        """What moves, as it is at a frame, in the order in which it is drawn."""
+        for update, _ in self._moving:
+            update(frame)
+        return [artist for _, artists in self._moving for artist in artists]
 
     def placed(self, poses: Array) -> Array:
         """Positions (k, 2) in the picture of poses (k, 3) in the estimator's axes."""
@@ -261,50 +269,41 @@ class Scene:
         """Add an entry to the legend."""
         self._handles[label] = handle
 
-    def add(self, *movers: Show) -> None:
-        """Add parts that move: each brings its artists up to a frame and returns them."""
-        self._movers += movers
+    def add(self, update: Update, *artists: Artist) -> None:
+        """Add artists that move: ``update`` brings them up to a frame."""
+        for artist in artists:
+            artist.set_animated(True)
+        self._moving.append((update, artists))
 
-    def finish(self) -> Show:
-        """Add caption and legend, and return what draws a frame."""
+    def _add_texts(self) -> None:
+        """The caption, and the word that lights up."""
         above: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
-        caption = self.plane.annotate("", (0, 1), (0, 4), animated=True, **above)
+        caption = self.plane.annotate("", (0, 1), (0, 4), **above)
         flash = self.plane.text(
-            0.985, 0.975, "", ha="right", va="top", color="white", weight="bold", size=10, animated=True,
-            transform=self.plane.transAxes,
+            0.985, 0.975, "", ha="right", va="top", color="white", weight="bold", size=10, transform=self.plane.transAxes,
             bbox={"facecolor": canvas.FLASH, "edgecolor": "none", "boxstyle": "round,pad=0.35"},
         )  # fmt: skip
 
-        def texts(frame: Frame) -> list[Artist]:
+        def update(frame: Frame) -> None:
             caption.set_text(frame.caption)
             flash.set_text(frame.flash)
-            return [caption, flash] if frame.flash else [caption]
 
-        self.add(texts)
-        # again, because what was added since lets matplotlib choose the limits
-        canvas.set_limits(self.plane, *self._content)
-        self.figure.legend(
-            list(self._handles.values()), list(self._handles), loc="lower center", bbox_to_anchor=(0.5, 0.0),
-            ncols=-(-len(self._handles) // (1 if len(self._handles) <= 5 else 2)), handlelength=2.2,
-        )  # fmt: skip
-        return lambda frame: [artist for mover in self._movers for artist in mover(frame)]
+        self.add(update, caption, flash)
 
     def add_path(self, label: str, **style: Any) -> None:
         """The path so far, in the estimator's colour."""
         (line,) = self.plane.plot([], [], color=self.color, **({"linewidth": 1.8} | style))
         self.remember(label, line)
-        line.set_animated(True)
 
-        def move(frame: Frame) -> list[Artist]:
+        def update(frame: Frame) -> None:
             drawn = np.ones(len(frame.poses), dtype=bool) if frame.estimated is None else frame.estimated
             line.set_data(*self.along(np.where(drawn[:, None], frame.poses, np.nan)).T)
-            return [line]
 
-        self.add(move)
+        self.add(update, line)
 
     def add_lines(self, **style: Any) -> LineCollection:
         """Line segments, which a part of its own has to move."""
-        lines = LineCollection([], animated=True, **style)
+        lines = LineCollection([], **style)
         self.plane.add_collection(lines, autolim=False)
         return lines
 
@@ -314,14 +313,13 @@ class Scene:
         """Lines (E, 2, 2) in the picture in the colours of values (E,): those that a frame has, or ``drawn`` of a frame."""
         lines = self.add_lines(cmap=colours, norm=norm, **style)
 
-        def move(frame: Frame) -> list[Artist]:
+        def update(frame: Frame) -> None:
             own = self.moved(frame.lines.reshape(-1, 2)).reshape(-1, 2, 2), frame.values
             segments, values = own if drawn is None else drawn(frame)
             lines.set_segments(list(segments))
             lines.set_array(values)
-            return [lines]
 
-        self.add(move)
+        self.add(update, lines)
 
     def add_sightings(self) -> None:
         """The lines from the last pose to what is seen from it."""
@@ -329,30 +327,28 @@ class Scene:
         lines = self.add_lines(**style)
         self.remember("sighting", Line2D([], [], **style))
 
-        def move(frame: Frame) -> list[Artist]:
+        def update(frame: Frame) -> None:
             ends = self.moved(frame.sightings)
             begins = np.broadcast_to(self.placed(frame.poses[-1:]), ends.shape)
             lines.set_segments(list(np.stack([begins, ends], axis=1)))
-            return [lines]
 
-        self.add(move)
+        self.add(update, lines)
 
     def add_map(self, label: str) -> None:
         """Landmarks and their ellipses."""
         (dots,) = self.plane.plot(
-            [], [], ".", color=self.color, markersize=4, markeredgecolor="white", markeredgewidth=0.3, animated=True
+            [], [], ".", color=self.color, markersize=4, markeredgecolor="white", markeredgewidth=0.3
         )
-        curves = PolyCollection([], animated=True, **canvas.ellipse_style(self.color))
+        curves = PolyCollection([], **canvas.ellipse_style(self.color))
         self.plane.add_collection(curves, autolim=False)
         self.remember(label, Patch(**canvas.ellipse_style(self.color)))
 
-        def move(frame: Frame) -> list[Artist]:
+        def update(frame: Frame) -> None:
             means, polygons = self._map(frame)
             dots.set_data(*means.T)
             curves.set_verts(list(polygons))
-            return [curves, dots]
 
-        self.add(move)
+        self.add(update, curves, dots)
 
     def _map(self, frame: Frame) -> tuple[Array, Array]:
         """The landmarks (L, 2) of a frame and their ellipses (L', corners, 2), placed."""
@@ -362,14 +358,13 @@ class Scene:
     def add_robot(self) -> None:
         """A triangle at the last pose that points where the robot is heading."""
         shape = self.extent * np.array([[0.016, 0.0], [-0.009, 0.009], [-0.009, -0.009]])
-        triangle = Polygon(shape, closed=True, facecolor=self.color, edgecolor="black", linewidth=0.7, animated=True)
+        triangle = Polygon(shape, closed=True, facecolor=self.color, edgecolor="black", linewidth=0.7)
         self.plane.add_patch(triangle)
 
-        def move(frame: Frame) -> list[Artist]:
+        def update(frame: Frame) -> None:
             triangle.set_xy(transform(canvas.placed(self.log, self.placement, frame.poses[-1]), shape))
-            return [triangle]
 
-        self.add(move)
+        self.add(update, triangle)
 
     def add_curve(self, numbers: np.ndarray, values: Array, xlabel: str, ylabel: str, *, log: bool = False) -> None:
         """A curve (F,) over the numbers (F,) in the lower panel: pale as a whole, dark up to the current frame.
@@ -386,15 +381,12 @@ class Scene:
         axes.set_xlabel(xlabel, labelpad=1)
         axes.set_ylabel(ylabel)
         axes.margins(y=0.15)
-        (past,) = axes.plot([], [], color=self.color, linewidth=1.6, animated=True)
-        (now,) = axes.plot(
-            [], [], "o", color=self.color, markersize=5, markeredgecolor="black", clip_on=False, animated=True
-        )
+        (past,) = axes.plot([], [], color=self.color, linewidth=1.6)
+        (now,) = axes.plot([], [], "o", color=self.color, markersize=5, markeredgecolor="black", clip_on=False)
 
-        def move(frame: Frame) -> list[Artist]:
+        def update(frame: Frame) -> None:
             before = numbers <= frame.number
             past.set_data(numbers[before], values[before])
             now.set_data(numbers[before][-1:], values[before][-1:])
-            return [past, now]
 
-        self.add(move)
+        self.add(update, past, now)

@@ -31,7 +31,7 @@ from ...comparison import Comparison
 from ...estimators import pair_count
 from ...options import RunOptions
 from ...results.files import time_axis
-from ..canvas import INK, ITERATIONS, MATCHED, MATRIX, colour_of, true_landmarks
+from ..canvas import INK, ITERATIONS, MATCHED, MATRIX, colour_of, limits_of, logarithmic_from, true_landmarks
 from ..figures import ellipses
 from .view import Estimate, Figure, View, axis, layout, line_of, logarithmic, place, short
 
@@ -48,15 +48,18 @@ MOST_LANDMARKS = 400
 def paths_figure(view: View) -> Figure:
     """The figure."""
     traces: list[dict[str, Any]] = []
-    for estimate in view.estimates:
-        traces += [*_path(view, estimate), *_map(view, estimate)]
+    for e in view.estimates:
+        meta, known = {"estimator": e.name, "layer": "path"}, {"customdata": pose_columns(view, e)}
+        traces += _path(meta, line_of(e.name), e.poses, e.line, hovertemplate="%{text}<extra></extra>", **known)
+        traces += _map(view, e)
     traces += _truth(view)
     # lines to a landmark from the poses that saw it, shown at a click
     traces.append(_silent({"layer": "matches"}, "lines", visible=False, line={"color": MATCHED, "width": 1.2}))
     for estimate in view.estimates:
         traces += _now(estimate)
-    x = axis("x [m]", constrain="domain", range=_range(view, 0))
-    y = axis("y [m]", scaleanchor="x", range=_range(view, 1))
+    low, high = limits_of(_core(view), ())
+    x = axis("x [m]", constrain="domain", range=[low[0], high[0]])
+    y = axis("y [m]", scaleanchor="x", range=[low[1], high[1]])
     return {"data": traces, "layout": layout(xaxis=x, yaxis=y, dragmode="pan", uirevision="kept")}
 
 
@@ -75,18 +78,14 @@ def pose_columns(view: View, estimate: Estimate) -> list[list[float | int | None
     ]
 
 
-def _path(view: View, estimate: Estimate) -> list[dict[str, Any]]:
-    """The poses, with all that is known of them; their line is a trace of its own where it has other points."""
-    meta, look = {"estimator": estimate.name, "layer": "path"}, line_of(estimate.name)
-    poses = {
-        "type": "scatter", "meta": meta, **_xy(estimate.poses), "customdata": pose_columns(view, estimate),
-        "hovertemplate": "%{text}<extra></extra>", **look,
-    }  # fmt: skip
-    if len(estimate.line) == len(estimate.poses):
-        return [poses]
-    line = _silent(meta | {"part": "line"}, "lines", estimate.line, line=look["line"])
+def _path(meta: dict[str, str], look: dict[str, Any], poses: Array, line: Array, **known: Any) -> list[dict[str, Any]]:
+    """Poses (n, 3) with what is known of them; their line is a trace of its own where it has other points."""
+    trace = {"type": "scatter", "meta": meta, **_xy(poses), **known, **look}
+    if len(line) == len(poses):
+        return [trace]
     # a pose without a marker still shows its values under the pointer
-    return [line, poses | {"mode": "markers", "marker": look.get("marker", {"size": 6, "opacity": 0})}]
+    dots = {"mode": "markers", "marker": look.get("marker", {"size": 6, "opacity": 0})}
+    return [_silent(meta | {"part": "line"}, "lines", line, line=look["line"]), trace | dots]
 
 
 def _silent(meta: dict[str, str], mode: str, points: Array | None = None, **more: Any) -> dict[str, Any]:
@@ -129,10 +128,8 @@ def _now(estimate: Estimate) -> list[dict[str, Any]]:
     """The parts that the slider moves: the sightings from the pose, its ellipse, and the pose."""
     colour, of = colour_of(estimate.name), {"estimator": estimate.name, "layer": "now"}
     arrow = {"symbol": "arrow", "size": 15, "color": colour, "line": {"color": INK, "width": 0.6}}
-    return [
-        _silent(of | {"part": "sightings"}, "lines", line={"color": colour, "width": 1.1}),
-        _silent(of | {"part": "pose"}, "markers", marker=arrow),
-    ]
+    lines = _silent(of | {"part": "sightings"}, "lines", line={"color": colour, "width": 1.1})
+    return [lines, _silent(of | {"part": "pose"}, "markers", marker=arrow)]
 
 
 def _truth(view: View) -> list[dict[str, Any]]:
@@ -142,13 +139,11 @@ def _truth(view: View) -> list[dict[str, Any]]:
         times = [None] * len(view.steps) if view.times is None else [short(t, 8) for t in view.times]
         time = "" if view.times is None else "<br>time %{customdata[1]:.2f} s"
         look: dict[str, Any] = {"mode": "lines", "line": {"color": INK, "width": 1.2}}
-        if view.true_line is not None and len(view.true_line) != len(view.truth):
-            traces.append(common | look | _xy(view.true_line) | {"hoverinfo": "skip"})
-            look = {"mode": "markers", "marker": {"size": 6, "opacity": 0}}
-        traces.append(common | look | {
-            **_xy(view.truth), "customdata": [[int(t), s] for t, s in zip(view.steps, times)],
-            "hovertemplate": f"<b>ground truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
-        })  # fmt: skip
+        line = view.truth if view.true_line is None else view.true_line
+        traces += _path(
+            common["meta"], look, view.truth, line, customdata=[[int(t), s] for t, s in zip(view.steps, times)],
+            hovertemplate=f"<b>ground truth</b>, step %{{customdata[0]}}{time}<extra></extra>",
+        )  # fmt: skip
     if view.aligned_to and (landmarks := true_landmarks(view.log)):
         traces.append(common | {
             **_xy(np.array(list(landmarks.values()))), "customdata": list(landmarks),
@@ -177,18 +172,14 @@ def _xy(points: Array) -> dict[str, Any]:
     return {"x": [place(v) for v in points[:, 0]], "y": [place(v) for v in points[:, 1]]}
 
 
-def _range(view: View, column: int) -> list[float]:
-    """All that is drawn, with a margin, but for dead reckoning: it may drift far away and make the rest small."""
-    drawn = [e for e in view.estimates if e.name != "dead-reckoning"] or list(view.estimates)
-    parts = [e.line[:, column] for e in drawn] + [m[None, column] for e in drawn for m in e.landmarks.values()]
+def _core(view: View) -> Array:
+    """Points (k, 2) that are in sight at first, all but dead reckoning: it may drift far away and make the rest small."""
+    drawn = [e for e in view.estimates if e.name != "dead-reckoning"] or view.estimates
+    parts = [*(e.line[:, :2] for e in drawn), *(m[None] for e in drawn for m in e.landmarks.values())]
     if view.truth is not None:
-        parts.append((view.truth if view.true_line is None else view.true_line)[:, column])
-    values = np.concatenate([np.empty(0), *parts])
-    if not np.isfinite(values).any():
-        return [-1.0, 1.0]
-    values = values[np.isfinite(values)]
-    margin = 0.06 * max(float(np.ptp(values)), 1.0)
-    return [float(values.min()) - margin, float(values.max()) + margin]
+        parts.append((view.truth if view.true_line is None else view.true_line)[:, :2])
+    points = np.concatenate([np.empty((0, 2)), *parts])
+    return points if np.isfinite(points).any() else np.zeros((1, 2))
 
 
 #: the most steps of each variant, and the norm of the correction below which it has ended
@@ -277,10 +268,6 @@ def plain_steps(name: str, graph: Graph, *, anchored: bool) -> Iterations:
     return Iterations(name, np.array(costs), np.array(norms))
 
 
-#: a figure whose medians differ by a larger factor has a logarithmic axis
-SPREAD = 10.0
-
-
 def errors_figure(view: View) -> Figure | None:
     """The position errors after alignment, whose root mean square is the ATE; None where there is nothing to compare with.
 
@@ -300,12 +287,10 @@ def errors_figure(view: View) -> Figure | None:
         }
         for estimate in drawn
     ]  # fmt: skip
-    positive = [m for m in (float(np.nanmedian(e.errors)) for e in drawn) if m > 0]
     truth = view.measured_from == "truth"
     vertical = axis("position error [m]" if truth else f"distance from {view.measured_from} [m]")
-    if positive and max(positive) > SPREAD * min(positive):
-        # single steps that happen to be exact would otherwise stretch the axis for nothing
-        low, high = min(positive) / 10, 1.3 * max(float(np.nanmax(e.errors)) for e in drawn)
+    if (low := logarithmic_from([float(np.nanmedian(e.errors)) for e in drawn])) is not None:
+        high = 1.3 * max(float(np.nanmax(e.errors)) for e in drawn)
         vertical |= logarithmic([low, high]) | {"range": [float(np.log10(low)), float(np.log10(high))]}
     else:
         vertical |= {"rangemode": "tozero"}

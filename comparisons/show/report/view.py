@@ -147,15 +147,10 @@ def line_of(name: str) -> dict[str, Any]:
         marker = {"symbol": _SYMBOLS[style["marker"]], "size": 8, "color": style["color"], "maxdisplayed": 20,
                   "line": {"width": 1.6}}  # fmt: skip
         return {"mode": "lines+markers", "line": {"color": style["color"], "width": 0.7}, "marker": marker}
-    return {"mode": "lines", "line": {"color": style["color"], "width": width, "dash": dash_of(style, width)}}
-
-
-def dash_of(style: dict[str, Any], width: float) -> str:
-    """A line style of matplotlib as Plotly has it: lengths in pixels, not in line widths."""
-    pattern = style.get("linestyle", "-")
-    if not isinstance(pattern, tuple):
-        return "solid"
-    return ",".join(f"{max(1.0, length * max(width, 1.2)):.1f}px" for length in pattern[1])
+    _, dashes = style["linestyle"] if isinstance(style["linestyle"], tuple) else (0, ())
+    # lengths in pixels, not in line widths
+    dash = ",".join(f"{max(1.0, length * max(width, 1.2)):.1f}px" for length in dashes) or "solid"
+    return {"mode": "lines", "line": {"color": style["color"], "width": width, "dash": dash}}
 
 
 def layout(**more: Any) -> dict[str, Any]:
