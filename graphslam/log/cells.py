@@ -148,7 +148,9 @@ def _beyond(table: Table, row: int, column: int) -> LogError:
     """The error of a time that does not fit."""
     given = f"the time {table.title(column)} is {shortened(str(table.words(column)[row]))}"
     limits = "but times are whole nanoseconds in 64 bits, from 1678 to 2262"
-    return table.error(row, f"{given}, {limits}: is its unit stated rightly (s, ms, us or ns)?")
+    return table.error(
+        row, f"{given}, {limits}: is its unit stated rightly (s, ms, us or ns)? For nanoseconds add time='ns'"
+    )
 
 
 def added(table: Table, column: int, times: np.ndarray, more: np.ndarray | int) -> np.ndarray:
