@@ -29,7 +29,7 @@ from ..identification.declared import OF_SIGHTINGS, Parameters, declared
 from ..identification.known import noise_of
 from ..linear.information import BlockSystem, Structure, SystemOfThread
 from ..log import Log, check_is_log
-from ..log_checks import mistakes_of
+from ..log_checks import mistakes_of, single_pose
 from ..maps.landmark_map import LandmarkMap, as_map
 from ..maps.tracking import in_frame_of
 from ..models import EdgeOptions, MotionModel, SensorModel
@@ -184,6 +184,7 @@ class Graph:
             # noise and biases that were found for numbers read in the wrong way are wrong, too
             notes = [*(each.message for each in mistakes_of(recorded)), *notes, *robot.doubts]
         if known_map is None:
+            notes += [each.message for each in single_pose(log)]
             log = in_frame_of_positions(log)
         else:
             options = replace(options, edges=edges_for_map(log, edges))
