@@ -128,7 +128,7 @@ def import_tables(found: Import) -> Tables:
             f"{stream.begin:.2f}", f"{stream.end:.2f}", number(stream.rate),
         )  # fmt: skip
     log = found.log
-    sizes = f"The log has {log.num_poses} poses and {log.seen}"
+    sizes = singular(f"The log has {log.num_poses} poses and {log.seen}")
     known = f"; the true map has {found.landmarks} landmarks" if found.landmarks is not None else ""
     columns = [f"Columns of {stream.kind}: {', '.join(stream.columns)}." for stream in found.streams]
     warnings = [f"WARNING: {finding.message}." for finding in found.findings]

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import GraphError, LogError, OptionError, quoted
-from ..errors.checks import check_count, check_type
+from ..errors.checks import check_count, check_type, singular
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
 from .declared import ParameterEstimate
@@ -257,9 +257,9 @@ def with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
     """
     count = np.count_nonzero(log.landmarks != UNIDENTIFIED)
     if log.controls is None or count < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
+        sizes = singular(f"{count} sightings with ids from {log.num_poses} poses")
         raise LogError(
-            f"{log.name} has {count} sightings with ids from {log.num_poses} poses; that takes odometry, "
-            f"{FEWEST['sightings']} sightings and {FEWEST['poses']} poses"
+            f"{log.name} has {sizes}; that takes odometry, {FEWEST['sightings']} sightings and {FEWEST['poses']} poses"
         )
     try:
         drive, _, ids, slips = _with_ids(log, sensor, np.random.default_rng(0), motion)
@@ -287,10 +287,16 @@ def _check(log: Log) -> None:
     if count < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
         with_ids = "" if log.identified else " with ids"
         with_ids += " of range and bearing" if log.partial_sightings is not None else ""
-        raise LogError(
-            f"{log.name} has {count} sightings{with_ids} from {log.num_poses} poses; noise and biases are estimated from at "
-            f"least {FEWEST['sightings']} sightings and {FEWEST['poses']} poses"
-        )
+        raise too_few(log, f"{count} sightings{with_ids}")
+
+
+def too_few(log: Log, sightings: str) -> LogError:
+    """The error for a log with so few sightings, "7 sightings", or so few poses that noise and biases cannot be estimated."""
+    sizes = singular(f"{sightings} from {log.num_poses} poses")
+    return LogError(
+        f"{log.name} has {sizes}; noise and biases are estimated from at least {FEWEST['sightings']} sightings and "
+        f"{FEWEST['poses']} poses"
+    )
 
 
 def _local(

@@ -20,9 +20,9 @@ import numpy as np
 from ..log import Log
 from .given import against_map, against_truth
 from .ids import Finding, changed_ids, distances_of, ids_of, misread, misread_ids
-from .readings import orientations_of, readings_of, sizes
+from .readings import orientations_of, readings_of, single_pose, sizes
 
-__all__ = ["Finding", "check_log", "mistakes_of"]
+__all__ = ["Finding", "check_log", "mistakes_of", "single_pose"]
 
 
 def check_log(log: Log) -> tuple[Finding, ...]:

@@ -345,7 +345,8 @@ def _change(headings: Array) -> Array:
 
 
 def sizes(log: Log) -> Iterator[Finding]:
-    """Ranges, speeds, turn rates and times that no robot has."""
+    """Ranges, speeds, turn rates and times that no robot has, and a log of a single pose."""
+    yield from single_pose(log)
     if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > FARTHEST:
         yield Finding("range unit", f"half of the ranges are above {decimals(far, 0)} m; they may be in millimetres")
     yield from nothing_measured(log.sightings[:, 0])
@@ -361,6 +362,16 @@ def sizes(log: Log) -> Iterator[Finding]:
         yield Finding("time unit", f"controls last {lasting:g} s (median); the times may be in milliseconds")
     if not np.any(log.controls):
         yield Finding("no motion", "all controls are zero; the odometry may be another column or topic")
+
+
+def single_pose(log: Log) -> Iterator[Finding]:
+    """Whether there is no motion at all."""
+    if log.num_poses == 1:
+        yield Finding(
+            "single pose",
+            "the log has a single pose: there is no motion, and without a map nothing to estimate, so that convergence, "
+            "proofs and expected errors mean nothing; the rows may all have the same time",
+        )
 
 
 def nothing_measured(ranges: Array) -> Iterator[Finding]:

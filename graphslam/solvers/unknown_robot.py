@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import GraphError, LogError
+from ..errors import GraphError
 from ..graph import Graph
 from ..identification.restricted_likelihood import fit, hold_needless
 from ..identification.result import ESTIMATE, LeftOut, RobotEstimate, without_found
-from ..identification.robot import FEWEST, check_robot_options, estimate_from_sightings
+from ..identification.robot import FEWEST, check_robot_options, estimate_from_sightings, too_few
 from ..identification.sighting_errors import LAGS, Ids
 from ..identification.unknowns import PRIORS, Unknowns
 from ..log import Log
@@ -64,10 +64,7 @@ def estimate_robot(
     if len(log.steps) or partial is None or log.controls is None:
         return estimate_from_sightings(log, sensor, given, seed)
     if len(partial) < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
-        raise LogError(
-            f"{log.name} has {len(partial)} ranges and bearings alone from {log.num_poses} poses; noise and biases are "
-            f"estimated from at least {FEWEST['sightings']} of them and {FEWEST['poses']} poses"
-        )
+        raise too_few(log, f"{len(partial)} ranges and bearings alone")
     sensor = sensor or (given[1] if given else log.sensor) or SensorModel()
     motion, seen = given or (MotionModel(), sensor)
     first = solve(Graph.from_log(log, motion=motion, sensor=replace(seen, offset=sensor.offset)))

@@ -6,7 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from graphslam import MotionModel, SensorModel, Stream, load, sample_log_path, simulate, synchronize
+from graphslam import (
+    Graph,
+    LogError,
+    MotionModel,
+    SensorModel,
+    Stream,
+    estimate_robot,
+    load,
+    sample_log_path,
+    simulate,
+    synchronize,
+)
 from graphslam.log.rows import UNIDENTIFIED
 from graphslam.log_checks import check_log
 from graphslam.log_checks.readings import pairs_of
@@ -141,7 +152,6 @@ def test_truth_that_does_not_fit(sample):
 def test_logs_that_cannot_be_checked(sample):
     assert not checks(sample.replace(dt=None, controls=None))
     assert not checks(sample.replace(landmarks=np.full_like(sample.landmarks, UNIDENTIFIED)))
-    assert not checks(sample.at_steps([0]))
     assert pairs_of(sample.at_steps([0, 1])) is None
 
 
@@ -348,3 +358,12 @@ def test_jitter_of_the_true_poses_is_no_other_unit():
     )
     assert "truth scale" not in checks(log.replace(true_poses=truth))
     assert "truth scale" in checks(log.replace(true_poses=truth * [3.0, 3.0, 1.0]))
+
+
+def test_a_single_pose_is_said(sample):
+    log = sample.at_steps(np.array([0]))
+    assert checks(log) == ["single pose"] and not checks(sample)
+    notes = Graph.from_log(log, edges="landmark+motion").notes
+    assert any(note.startswith("the log has a single pose") for note in notes)
+    with pytest.raises(LogError, match="sightings? from 1 pose;"):
+        estimate_robot(log)

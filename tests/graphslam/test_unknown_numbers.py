@@ -165,7 +165,7 @@ def test_the_order_of_the_numbers_does_not_matter():
 def test_few_numbers_are_refused_and_the_graph_says_that_the_noise_is_the_books():
     log = drive(True)
     few = log.replace(partial_sightings=log.partial_sightings.among(np.arange(40)))
-    with pytest.raises(LogError, match="40 ranges and bearings alone from .* at least 60 of them and 20 poses"):
+    with pytest.raises(LogError, match="40 ranges and bearings alone from .* at least 60 sightings and 20 poses"):
         estimate_robot(few)
     assert any("the noise models are the book's" in note for note in solve(Graph.from_log(few)).notes)
     with pytest.raises(OptionError, match="given must be"):

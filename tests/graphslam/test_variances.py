@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,3 +46,19 @@ def test_a_bound_is_where_the_profile_likelihood_has_dropped() -> None:
 
     best = max(map(profile, np.linspace(0, 2, 2001)))
     assert best - profile(fit.bound("b")) == pytest.approx(1.645**2 / 2, abs=0.1)
+
+
+def test_the_end_does_not_depend_on_where_the_search_begins() -> None:
+    """In logarithms the gradient of a variance near zero vanishes: a start there must not end there."""
+    rng = np.random.default_rng(4)
+    parts = {
+        "a": np.ones((300, 1, 1)),
+        "b": rng.uniform(0, 1, (300, 1, 1)) ** 2,
+        "c": np.linspace(0, 2, 300)[:, None, None],
+    }
+    e = rng.normal(size=(300, 1)) * np.sqrt(0.2 + parts["b"][:, :, 0] + 0.5 * parts["c"][:, :, 0])
+    fit = fit_variances(e, parts, degrees=np.inf)
+    for zero in ({"a"}, {"b"}, {"c"}, {"a", "b"}, {"b", "c"}):
+        start = replace(fit, variances={name: 0.0 if name in zero else 2.0 for name in parts})
+        again = fit_variances(e, parts, degrees=np.inf, start=start)
+        assert again.log_likelihood == pytest.approx(fit.log_likelihood, abs=0.01)
