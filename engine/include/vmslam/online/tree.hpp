@@ -130,8 +130,6 @@ class Tree {
     /// The joint covariance (3k, 3k) of k nodes in world axes.
     std::vector<double> covariance(Graph& graph, std::span<const Id> nodes);
 
-    std::span<const Id> released() const { return free_; }
-    void set_released(std::vector<Id> free) { free_ = std::move(free); }
     /// The numbers that all supernodes hold.
     std::ptrdiff_t numbers() const;
 
