@@ -287,7 +287,6 @@ void bind_runs(nb::module_& m) {
             "state", [](const Run& run) { return state_array(run.state.data(), run.state.size()); }, nb::rv_policy::move)
         .def_ro("costs", &Run::costs)
         .def_ro("norms", &Run::norms)
-        .def_ro("predicted", &Run::predicted)
         .def_ro("converged", &Run::converged)
         .def_ro("end", &Run::end)
         .def_ro("cost_at_end", &Run::cost_at_end)
