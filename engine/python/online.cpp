@@ -123,7 +123,7 @@ void bind(nb::module_& m) {
             [](OnlineSystem& s, double value) { s.tree().pivot_tolerance = value; })
         .def("__deepcopy__", [](const OnlineSystem& s, nb::handle) { return OnlineSystem(s); })
         .def("__getstate__",
-             [](const OnlineSystem& s) {
+             [](OnlineSystem& s) {
                  const std::string bytes = s.save();
                  return nb::bytes(bytes.data(), bytes.size());
              })

@@ -222,8 +222,7 @@ void bind_objectives(nb::module_& m) {
             const auto values = nb::cast<InOut<double>>(system[2]), xi = nb::cast<InOut<double>>(system[3]);
             const auto places = [](nb::handle h) { return span(nb::cast<In<Index>>(h)); };
             new (at) BoundGraph(std::move(members), {{places(system[0]), places(system[1])}, values.data(), xi.data()},
-                                {places(held[0]), places(held[1]), places(held[2])}, constant, *nb::cast<Factor*>(owned[4]),
-                                owned);
+                                {places(held[0]), places(held[1])}, constant, *nb::cast<Factor*>(owned[4]), owned);
         });
     // initial values (n, 3), poses whose heading no edge measures, and a node that the edges do not tie, and one of a
     // relation that the pattern does not have, or -1
@@ -288,7 +287,6 @@ void bind_runs(nb::module_& m) {
             "state", [](const Run& run) { return state_array(run.state.data(), run.state.size()); }, nb::rv_policy::move)
         .def_ro("costs", &Run::costs)
         .def_ro("norms", &Run::norms)
-        .def_ro("predicted", &Run::predicted)
         .def_ro("converged", &Run::converged)
         .def_ro("end", &Run::end)
         .def_ro("cost_at_end", &Run::cost_at_end)
@@ -299,7 +297,6 @@ void bind_runs(nb::module_& m) {
     m.def("levenberg_marquardt", &levenberg_marquardt, release());
     nb::class_<AndersonAcceleration>(m, "AndersonAcceleration")
         .def(nb::init<>())
-        .def_prop_ro("active", &AndersonAcceleration::active)
         .def("next", [](AndersonAcceleration& anderson, In<double> x, In<double> f) {
             const std::vector<double> next = anderson.next(span(x), span(f));
             return state_array(next.data(), next.size());

@@ -63,7 +63,6 @@ void bind_symbolic(nb::module_& m) {
     nb::class_<Symbolic>(m, "Symbolic")
         .def_prop_ro(
             "order", [](const Symbolic& s) { return array(s.order); }, nb::rv_policy::move)
-        .def_prop_ro("supernodes", &Symbolic::supernodes)
         .def_prop_ro("numbers", [](const Symbolic& s) { return s.panel_start.back(); })
         .def_ro("parts", &Symbolic::parts)
         .def_ro("blocks", &Symbolic::blocks);

@@ -229,17 +229,6 @@ void a_refused_step_changes_nothing(unsigned seed) {
     expect(system.converged, "the next step is taken", seed);
 }
 
-void what_has_never_been_set_is_not_saved(unsigned seed) {
-    Drive drive(seed, 1.0);
-    for (int k = 0; k < 30; ++k) drive.step();
-    const std::string before = drive.system.save();
-    for (Supernode& group : drive.system.tree().groups) {
-        const Front front = group.front();
-        for (Id j = 0; j < 3 * front.r; ++j) std::fill_n(group.update() + j * front.update_height, front.update_pad + j, 7.0);
-    }
-    expect(drive.system.save() == before, "what is above the diagonal of U is not saved", seed);
-}
-
 /// A loop closure after a heading error of a radian needs the batch solver.
 void the_batch_solver_takes_a_large_correction(unsigned seed) {
     Drive drive(seed, 0.0);
@@ -275,7 +264,6 @@ void test_online() {
         priors_have_the_right_gradient(seed);
         edges_have_the_right_gradient(seed);
         a_refused_step_changes_nothing(seed);
-        what_has_never_been_set_is_not_saved(seed);
         the_batch_solver_takes_a_large_correction(seed);
     }
 }

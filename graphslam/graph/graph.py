@@ -324,7 +324,7 @@ class Graph:
             families = tuple(engine.PythonFamily(f, *others) if e is None else e.in_engine for f, e in both)
             pairs = tuple(_none() if family is None else family.blocks(system) for family in own)
             fixed = np.ascontiguousarray(self.fixed, dtype=np.int64)
-            held = (system.blocks_of(fixed), fixed, self.without_heading)
+            held = (fixed, self.without_heading)
             objective = engine.GraphObjective((families, pairs, system.arrays, held, factor), self.prior_cost)
             objective.state_dependent, objective.reweighted = self.state_dependent_information, self.reweighted
             if None not in own:

@@ -234,7 +234,9 @@ def test_a_pickled_solver_goes_on():
     assert everything(other) == everything(solver)
     for one in (solver, other):
         step(one, (1.0, 0.0), 1.0, ids=[2, 3], sightings=[[1.0, -0.8], [2.0, 0.0]])
-    np.testing.assert_array_equal(solver.poses, other.poses)
+    # the elimination tree is made anew: both end where J is within 1e-9 of its minimum, whose curvature is above 10 / m²
+    np.testing.assert_allclose(solver.poses, other.poses, atol=1e-6)
+    np.testing.assert_allclose(solver.cost, other.cost, rtol=1e-9)
     with pytest.raises(ValueError, match="no saved online solver"):
         type(solver._backend.system).__new__(type(solver._backend.system)).__setstate__(b"vmslam")
 

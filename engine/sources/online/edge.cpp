@@ -117,7 +117,8 @@ struct Curvature {
     Lever h{};
 };
 [[gnu::always_inline]] inline Curvature curvature(const Edge& edge, const Present& now, const Bent& bent) {
-    if (now.cost < bent.convex || edge.robust) return {};
+    if (bent.edges == Bent::Edges::none || edge.robust) return {};
+    if (bent.edges == Bent::Edges::costly && now.cost < costly) return {};
     const Symmetric& W = edge.omega;
     const Vector& g = now.g;
     const double gamma = (now.u.x * g.y - now.u.y * g.x) * (edge.one_ended() ? -1.0 : 1.0);
@@ -128,7 +129,7 @@ struct Curvature {
     // along the direction in which its residual does not change, the edge adds gamma + 2 h' u - h' P h, P its covariance.
     // That is -(gamma + h' P h), because h' u = -gamma
     const double least = (a * g.x * g.x + 2 * b * g.x * g.y + c * g.y * g.y) / (a * c - b * b);
-    if (least + gamma > 0.0 && now.cost < bent.exact) return {std::max(gamma, 0.0), {}};
+    if (least + gamma > 0.0 && (bent.convex || now.cost < costly)) return {std::max(gamma, 0.0), {}};
     return {gamma, {-g.y, g.x}};
 }
 
@@ -197,7 +198,7 @@ void relinearize(Graph& graph, Edge& edge, const Bent& bent) {
     add_diagonal(graph, edge, -1.0);
     const Curvature second = curvature(edge, now, bent);
     edge.weight = now.weight;
-    const bool bent_kernel = edge.robust && bent.convex < infinity;
+    const bool bent_kernel = edge.robust && bent.edges != Bent::Edges::none;
     edge.linear = {edge.robust ? robust_information(graph, edge, now, bent_kernel) : information(graph, edge, now),
                    bent_kernel,
                    now.u,

@@ -57,13 +57,19 @@ std::vector<char> points_of(const Graph& graph, std::span<const Id> members) {
     return point;
 }
 
+std::vector<Triple> values_of(const Graph& graph, std::span<const Id> members) {
+    std::vector<Triple> x;
+    for (const Id node : members) x.push_back(graph.nodes[node].x);
+    return x;
+}
+
 /// A place in the axes of a node.
 Lever in_axes(const Rotation& axes, const Triple& node, const Triple& place) {
     const double x = place[0] - node[0], y = place[1] - node[1];
     return {axes.c * x + axes.s * y, axes.c * y - axes.s * x};
 }
 
-/// How far the Jacobian of a way may turn, in radians, before the tree takes the present one.
+/// How far the Jacobian of a way may turn, in radians, or be stretched, as a part, before the tree takes the present one.
 constexpr double most_turned = 3e-3;
 
 }  // namespace
@@ -84,15 +90,12 @@ void Prior::turn_to_poses() {
 }
 
 double Prior::cost(const Graph& graph) const {
-    std::vector<Triple> x;
-    for (const Id member : members) x.push_back(graph.nodes[member].x);
-    return Way(*this, x, points_of(graph, members)).cost(*this);
+    return Way(*this, values_of(graph, members), points_of(graph, members)).cost(*this);
 }
 
 void Prior::evaluate(const Graph& graph, bool renew) {
     const std::vector<char> point = points_of(graph, members);
-    std::vector<Triple> x;
-    for (const Id member : members) x.push_back(graph.nodes[member].x);
+    std::vector<Triple> x = values_of(graph, members);
     const Way way(*this, x, point);
     pull = way.gradient(*this);
     if (!renew) return;
@@ -101,23 +104,8 @@ void Prior::evaluate(const Graph& graph, bool renew) {
 }
 
 bool Prior::outdated(const Graph& graph) const {
-    if (!pivot.empty()) {
-        const std::vector<char> point = points_of(graph, members);
-        std::vector<Triple> x;
-        for (const Id member : members) x.push_back(graph.nodes[member].x);
-        return Way(*this, x, point).turned_from(Way(*this, at, point)) > most_turned;
-    }
-    const Triple &first = graph.nodes[members[0]].x, &then = at[0];
-    const Rotation axes(first[2]), axes_then(then[2]);
-    const double turned = first[2] - then[2];
-    for (std::size_t k = 1; k < members.size(); ++k) {
-        const Node& node = graph.nodes[members[k]];
-        if (std::abs(node.point ? turned : node.x[2] - at[k][2] - turned) > most_turned) return true;
-        const Lever seen = in_axes(axes, first, node.x), before = in_axes(axes_then, then, at[k]);
-        if (std::hypot(seen.x - before.x, seen.y - before.y) > most_turned * (1.0 + std::hypot(before.x, before.y)))
-            return true;
-    }
-    return false;
+    const std::vector<char> point = points_of(graph, members);
+    return Way(*this, values_of(graph, members), point).turned_from(Way(*this, at, point)) > most_turned;
 }
 
 Way::Way(const Prior& prior, std::span<const Triple> x, const std::vector<char>& point)
@@ -187,8 +175,12 @@ void Way::turn_with(const Prior& prior, std::span<const Triple> x) {
 
 double Way::turned_from(const Way& other) const {
     double most = 0.0, stretched = 0.0, steepest = 0.0;
-    for (std::size_t k = 0; k < own_.size(); ++k)
-        most = std::max(most, std::abs(own_[k].s * other.own_[k].c - own_[k].c * other.own_[k].s));
+    for (std::size_t k = 0; k < own_.size(); ++k) {
+        const Rotation &now = own_[k], &then = other.own_[k];
+        const Lever &seen = seen_[k], &before = other.seen_[k];
+        most = std::max({most, std::abs(now.s * then.c - now.c * then.s),
+                         std::hypot(seen.x - before.x, seen.y - before.y) / (1.0 + std::hypot(before.x, before.y))});
+    }
     for (std::size_t k = 0; k < along_.size(); ++k) {
         stretched = std::max(stretched, std::abs(along_[k] - other.along_[k]));
         steepest = std::max(steepest, std::abs(gradient_[k]));

@@ -1,6 +1,5 @@
 // Eliminate the top of the tree again, in a new order.
 #include <algorithm>
-#include <tuple>
 
 #include "vmslam/online/edge.hpp"
 #include "vmslam/online/tree.hpp"
@@ -28,9 +27,7 @@ struct Top {
             if (graph.nodes[node].local < 0) add(graph, node);
         edges.assign(changes.fresh.begin(), changes.fresh.end());
         fresh = edges.size();
-        for (const Id node : nodes)
-            for (Id e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned)
-                if (!graph.edges[e].taken_out()) edges.push_back(e);
+        for (const Id node : nodes) each_owned(graph, node, [&](Id e, const Edge&, int) { edges.push_back(e); });
         find_below(tree);
     }
 
@@ -96,8 +93,7 @@ class Kept {
         for (const Id e : top.edges) edges_.push_back(graph.edges[e]);
         for (const Id s : top.below) {
             Supernode& group = tree.groups[s];
-            places_.push_back({group.parent, group.sibling, group.ascending, group.separator_change, group.relative,
-                               group.run_end, std::vector<double>(group.pull_now(), group.pull_now() + 3 * group.tall)});
+            places_.emplace_back(group, std::vector<double>(group.pull_now(), group.pull_now() + 3 * group.tall));
         }
         for (Id c = root_; c > 0; c = tree.groups[c].sibling) roots_.push_back(c);
     }
@@ -109,10 +105,8 @@ class Kept {
         for (std::size_t k = 0; k < edges_.size(); ++k) graph.edges[top_.edges[k]] = edges_[k];
         for (std::size_t k = 0; k < places_.size(); ++k) {
             Supernode& group = tree.groups[top_.below[k]];
-            std::vector<double> pull;
-            std::tie(group.parent, group.sibling, group.ascending, group.separator_change, group.relative, group.run_end,
-                     pull) = std::move(places_[k]);
-            std::copy(pull.begin(), pull.end(), group.pull_now());
+            static_cast<Hanging&>(group) = std::move(places_[k].first);
+            std::ranges::copy(places_[k].second, group.pull_now());
         }
         tree.groups[0].child = root_;
         for (std::size_t k = 0; k < roots_.size(); ++k)
@@ -124,7 +118,7 @@ class Kept {
     Id root_;
     std::vector<Node> nodes_;
     std::vector<Edge> edges_;
-    std::vector<std::tuple<Id, Id, bool, double, std::vector<Id>, std::vector<Id>, std::vector<double>>> places_;
+    std::vector<std::pair<Hanging, std::vector<double>>> places_;  ///< of the supernodes below, and their `pull_now`
     std::vector<Id> roots_;
 };
 

@@ -153,7 +153,7 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
     m.shrinks *= forget;
     while (done < most_passes_) {
         if (progress.first() && is_small(least_left * m.predicted)) return Outcome::done;
-        if (m.hold > 0 && --m.hold == 0) m.bent.exact = usual_bent().exact;
+        if (m.hold > 0 && --m.hold == 0) m.bent.convex = false;
         const Pass pass = this->pass(progress.part * settled * m.cost);
         // J cannot fall by more than itself: far from any minimum, undamped passes lead nowhere
         if (!(pass.predicted < hopeless * m.cost + 1.0) || !std::isfinite(m.cost)) break;
@@ -165,7 +165,7 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
         ++done;
         while (progress.renewed && !factorize_late(pass.late, above)) {
             if (m.hold > 0) return Outcome::indefinite;
-            m.bent.exact = infinity;
+            m.bent.convex = true;
             m.hold = held;
         }
         // the factor before may have been too stiff along directions that are hardly determined, and predicted too little
@@ -178,7 +178,7 @@ OnlineSystem::Outcome OnlineSystem::advance(int& done) {
 /// Whether further passes would lower J little in all, if their predictions shrink as slowly as those of the last passes.
 bool OnlineSystem::is_last(double predicted, double last) {
     Memory& m = memory_;
-    m.shrinks = std::max({m.shrinks, std::min(predicted / last, 0.9), m.bent.convex == 0.0 ? 0.75 : 0.0});
+    m.shrinks = std::max({m.shrinks, std::min(predicted / last, 0.9), m.bent.edges == Bent::Edges::all ? 0.75 : 0.0});
     return is_small(predicted * std::max(least_left, m.shrinks / (1 - m.shrinks)));
 }
 
@@ -192,9 +192,8 @@ void OnlineSystem::adapt(double predicted, bool ends, Progress& progress) {
     }
     if (predicted <= (progress.renewed ? diverging : slow) * last) return;
     const bool near_the_end = grows * last < predicted && predicted < near * m.cost && progress.part < fine;
-    if (near_the_end && progress.renewed && m.hold == 0 && m.limit < strict && m.bent.convex > 0.0 &&
-        m.bent.convex < infinity)
-        m.bent.convex = 0.0;
+    if (near_the_end && progress.renewed && m.hold == 0 && m.limit < strict && m.bent.edges == Bent::Edges::costly)
+        m.bent.edges = Bent::Edges::all;
     else
         m.limit = std::max(stricter * m.limit, 1e-9);
     progress.part *= finer;
@@ -252,7 +251,7 @@ bool OnlineSystem::iterate(std::span<const Id> newest) {
         const Outcome outcome = advance(done);
         passes += done - earlier;
         if (outcome != Outcome::indefinite) return outcome == Outcome::done;
-        memory_.bent.exact = infinity;
+        memory_.bent.convex = true;
         memory_.hold = held;
         tree_.move_all(graph_);
         const std::vector<Id> every = graph_.live_nodes();
@@ -273,7 +272,7 @@ bool OnlineSystem::eliminate(const Changes& changes) {
         memory_.predicted = found.predicted;
         if (good) return true;
         if (memory_.hold > 0) return false;
-        memory_.bent.exact = infinity;
+        memory_.bent.convex = true;
         memory_.hold = held;
     }
 }

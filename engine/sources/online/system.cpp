@@ -76,17 +76,10 @@ void OnlineSystem::write_prior(const Prior& prior, bool renewed) {
 bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Id> newest) {
     for (std::size_t k = 0; k < x.size(); ++k) {
         Node& node = graph_.nodes[k];
-        Node anew;
-        anew.place_std = node.place_std, anew.heading_std = node.heading_std, anew.borrows = node.borrows,
-        anew.edges = node.edges;
-        anew.point = node.point, anew.gone = node.gone, anew.held = node.held;
-        anew.begin(x[k]);
-        node = anew;
+        node = Node{NodeValue(node)};
+        node.begin(x[k]);
     }
-    for (Edge& edge : graph_.edges) {
-        edge.linear = {};
-        edge.weight = edge.cost = edge.squares = 0.0;
-    }
+    for (Edge& edge : graph_.edges) edge = Edge{Measurement(edge)};
     memory_.cost = 0.0;
     tree_.clear();
     for (Prior& prior : priors_) {
@@ -126,14 +119,14 @@ void OnlineSystem::relinearize(std::span<const Id> newest) {
 bool OnlineSystem::factorize_again(std::span<const Id> newest) {
     complete();
     const std::vector<Triple> x = places();
-    memory_.bent.convex = infinity;
+    memory_.bent.edges = Bent::Edges::none;
     const std::vector<Id> nodes = graph_.live_nodes(), edges = graph_.live_edges();
     std::vector<Prior*> priors;
     for (Prior& prior : priors_) priors.push_back(&prior);
     const std::vector<Id> above = renew_priors(priors);
     bool good = !lost_ && (factorize_late(edges, above) || eliminate({nodes, {}, newest, {}}));
     good = good || begin_at(x, newest);
-    memory_.bent.convex = usual_bent().convex;
+    memory_.bent.edges = usual_bent().edges;
     // second derivatives may make it definite, so that steps can go on
     if (!good) begin_at(x, newest);
     return good;
@@ -142,7 +135,7 @@ bool OnlineSystem::factorize_again(std::span<const Id> newest) {
 // Second derivatives only help passes to converge: they are no information that the graph has, or take some away. So edges
 // enter the factor as Gauss-Newton has them, where covariances would be wrong otherwise.
 bool OnlineSystem::linearize_late(std::span<const Id> newest) {
-    if ((lost_ || memory_.bent.convex == 0.0) && !factorize_again(newest)) return false;
+    if ((lost_ || memory_.bent.edges == Bent::Edges::all) && !factorize_again(newest)) return false;
     if (covariances_ready_) return true;
     covariances_ready_ = true;
     complete();
@@ -151,7 +144,7 @@ bool OnlineSystem::linearize_late(std::span<const Id> newest) {
         if (differs_from_gauss_newton(graph_, graph_.edges[e], known_limit)) late.push_back(e);
     if (late.empty()) return true;
     pass(-1.0);
-    Evaluation found{memory_.limit, {infinity, memory_.bent.exact}};
+    Evaluation found{memory_.limit, Bent::never()};
     const bool good = refactor(graph_, tree_, late, {}, found);
     memory_.cost += found.change;
     if (!good) return covariances_ready_ = factorize_again(newest);

@@ -111,12 +111,10 @@ void Tree::relate_children(Graph& graph, Id s) {
         }
     }
     for (const Id node : parent.columns())
-        for (Id e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned) {
-            Edge& edge = graph.edges[e];
-            if (edge.taken_out()) continue;
-            edge.place = graph.nodes[edge.ends[1 - edge.side(node)]].local;
+        each_owned(graph, node, [&](Id, Edge& edge, int side) {
+            edge.place = graph.nodes[edge.ends[1 - side]].local;
             parent.absolute |= edge.one_ended();
-        }
+        });
     for (const Id node : parent.nodes) graph.nodes[node].local = -1;
     for (Id k = parent.r - 1; k >= 0 && !parent.absolute; --k)
         if (!graph.nodes[parent.nodes[parent.w + k]].point) parent.frame = k;
@@ -173,10 +171,7 @@ void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
         const Id number = group.nodes[q];
         double* const column = x + group.row[q] * h + front.pad;
         used = group.row[q] + graph.nodes[number].size();
-        for (Id e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
-            const Edge& edge = graph.edges[e];
-            if (edge.taken_out()) continue;
-            const int side = edge.side(number);
+        each_owned(graph, number, [&](Id, const Edge& edge, int side) {
             const Blocks own = diagonal_blocks(edge);
             const Node &first = graph.nodes[edge.ends[0]], &second = graph.nodes[edge.ends[1]];
             add_symmetric(column + group.row[q], h, side == 0 ? own.first : own.second, graph.nodes[number].point);
@@ -187,7 +182,7 @@ void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
             double* const to = column + edge.place;
             for (int k = 0; k < first.size(); ++k)
                 for (int i = 0; i < second.size(); ++i) to[side == 0 ? k * h + i : i * h + k] += block[3 * k + i];
-        }
+        });
     }
     for (; used < 3 * group.wide; ++used) x[used * (h + 1) + front.pad] = 1.0;
 }
@@ -196,14 +191,12 @@ void Tree::put_entries(const Graph& graph, const Supernode& group, double* x) {
 void Tree::put_separator_entries(const Graph& graph, const Supernode& group, double* update) {
     const Front front = group.front();
     for (const Id number : group.columns())
-        for (Id e = graph.nodes[number].owned; e >= 0; e = graph.edges[e].next_owned) {
-            const Edge& edge = graph.edges[e];
-            if (edge.taken_out() || edge.place < 3 * group.wide) continue;
+        each_owned(graph, number, [&](Id, const Edge& edge, int side) {
+            if (edge.place < 3 * group.wide) return;
             const Blocks own = diagonal_blocks(edge);
-            const int side = edge.side(number);
             add_symmetric(update + (edge.place - 3 * group.wide) * (front.update_height + 1) + front.update_pad,
                           front.update_height, side == 0 ? own.second : own.first, graph.nodes[edge.ends[1 - side]].point);
-        }
+        });
 }
 
 bool Tree::factorize(Graph& graph, Id s) {

@@ -32,6 +32,18 @@ Seen seen_from(const Node& frame, const Node& node) {
 }
 Seen value_of(const Node& node) { return {node.x[0], node.x[1], node.x[2], node.axes}; }
 
+/// The frame of a supernode now and at its last evaluation: the world where it has none.
+struct Frame {
+    const Node& now;
+    const Seen& then;
+};
+const Node world;
+const Seen origin{};
+Frame frame_of(const Graph& graph, const Supernode& group) {
+    if (group.frame < 0) return {world, origin};
+    return {graph.nodes[group.separator()[group.frame]], group.seen[group.frame]};
+}
+
 double* at_least(Numbers& numbers, Index size) {
     if (numbers.size() < size) numbers = Numbers(2 * size);
     return numbers.data();
@@ -43,22 +55,17 @@ const double* Tree::motion(const Graph& graph, const Supernode& group) {
     const Front front = group.front();
     std::fill_n(at_least(motion_, front.update_height + 1), front.update_height, 0.0);
     double* const all = motion_.data() + front.update_pad;
-    const Node* const frame = group.frame < 0 ? nullptr : &graph.nodes[group.nodes[group.w + group.frame]];
+    const Frame frame = frame_of(graph, group);
     for (Id k = 0; k < group.r; ++k) {
-        const Node& node = graph.nodes[group.nodes[group.w + k]];
-        const Seen& then = group.seen[k];
+        if (k == group.frame) continue;
+        const Node& node = graph.nodes[group.separator()[k]];
+        const Seen now = seen_from(frame.now, node), &then = group.seen[k];
+        // the axes of a pose at that time, or those of the world, as the frame saw them
+        const Rotation axes = node.point ? frame.then.axes.inverse() : then.axes;
+        const Lever way = turned_back(axes, now.x - then.x, now.y - then.y);
         double* const m = all + group.begin_of(k);
-        if (!frame) {
-            const Lever way = turned_back(node.point ? Rotation() : then.axes, node.x[0] - then.x, node.x[1] - then.y);
-            m[0] = way.x, m[1] = way.y;
-            if (!node.point) m[2] = node.x[2] - then.angle;
-        } else if (k != group.frame) {
-            const Lever at = turned_back(frame->axes, node.x[0] - frame->x[0], node.x[1] - frame->x[1]);
-            const Lever way = node.point ? turned(group.seen[group.frame].axes, at.x - then.x, at.y - then.y)
-                                         : turned_back(then.axes, at.x - then.x, at.y - then.y);
-            m[0] = way.x, m[1] = way.y;
-            if (!node.point) m[2] = node.x[2] - frame->x[2] - then.angle;
-        }
+        m[0] = way.x, m[1] = way.y;
+        if (!node.point) m[2] = now.angle - then.angle;
     }
     return all;
 }
@@ -93,43 +100,29 @@ const double* Tree::predict(Supernode& group, const double* m) {
 }
 
 void Tree::follow(const Graph& graph, Supernode& group, const double* pull) {
-    const double* const pull_then = group.pull_then();
-    double* const pull_now = group.pull_now();
-    if (group.frame < 0) {
-        for (Id k = 0; k < group.r; ++k) {
-            const Node& node = graph.nodes[group.nodes[group.w + k]];
-            const Rotation turn = node.point ? Rotation() : between(node.axes, group.seen[k].axes);
-            const Id at = group.begin_of(k);
-            const Lever own = turned_back(turn, pull_then[at] - pull[at], pull_then[at + 1] - pull[at + 1]);
-            pull_now[at] = own.x, pull_now[at + 1] = own.y;
-            if (!node.point) pull_now[at + 2] = pull_then[at + 2] - pull[at + 2];
-        }
-        return;
-    }
-    const Node& frame = graph.nodes[group.nodes[group.w + group.frame]];
-    const Rotation& axes_then = group.seen[group.frame].axes;
+    const Frame frame = frame_of(graph, group);
+    // the pull of the frame takes what the others have lost
     double x = 0.0, y = 0.0, torque = 0.0;
     for (Id k = 0; k < group.r; ++k) {
         if (k == group.frame) continue;
-        const Node& node = graph.nodes[group.nodes[group.w + k]];
-        const Seen& then = group.seen[k];
-        const double *const f = pull_then + group.begin_of(k), *const p = pull + group.begin_of(k);
-        double* const to = pull_now + group.begin_of(k);
-        const auto in_frame = [&](const double* v) {
-            return node.point ? turned_back(axes_then, v[0], v[1]) : turned(then.axes, v[0], v[1]);
-        };
-        const Lever before = in_frame(f), change = in_frame(p), now{before.x - change.x, before.y - change.y};
-        const Lever own =
-            node.point ? turned(frame.axes, now.x, now.y) : turned_back(between(node.axes, frame.axes), now.x, now.y);
+        const Node& node = graph.nodes[group.separator()[k]];
+        const Seen now = seen_from(frame.now, node), &then = group.seen[k];
+        const double *const f = group.pull_then() + group.begin_of(k), *const p = pull + group.begin_of(k);
+        double* const to = group.pull_now() + group.begin_of(k);
+        const Rotation axes_then = node.point ? frame.then.axes.inverse() : then.axes;
+        const Rotation axes_now = node.point ? frame.now.axes.inverse() : now.axes;
+        // in the axes of the frame
+        const Lever before = turned(axes_then, f[0], f[1]), change = turned(axes_then, p[0], p[1]);
+        const Lever after{before.x - change.x, before.y - change.y}, own = turned_back(axes_now, after.x, after.y);
         to[0] = own.x, to[1] = own.y;
         if (!node.point) to[2] = f[2] - p[2];
-        const Lever at = turned_back(frame.axes, node.x[0] - frame.x[0], node.x[1] - frame.x[1]);
         x += change.x;
         y += change.y;
-        torque += (node.point ? 0.0 : p[2]) - at.x * now.y + at.y * now.x + then.x * before.y - then.y * before.x;
+        torque += (node.point ? 0.0 : p[2]) - now.x * after.y + now.y * after.x + then.x * before.y - then.y * before.x;
     }
-    const double* const f = pull_then + group.begin_of(group.frame);
-    double* const own = pull_now + group.begin_of(group.frame);
+    if (group.frame < 0) return;
+    const double* const f = group.pull_then() + group.begin_of(group.frame);
+    double* const own = group.pull_now() + group.begin_of(group.frame);
     own[0] = f[0] + x, own[1] = f[1] + y, own[2] = f[2] + torque;
 }
 
@@ -148,31 +141,24 @@ void Tree::move(Graph& graph, Supernode& group, const double* m) {
     const auto get = [y](Index j) { return Part{y[3 * j], y[3 * j + 1], y[3 * j + 2]}; };
     sparse::solve_backward<Real3>(front, group.panel(), a, 0, get,
                                   [a](Index, Index row, const Part& part) { std::copy_n(part.v, 3, a + row); });
-    const Node* const frame = group.frame < 0 ? nullptr : &graph.nodes[group.nodes[group.w + group.frame]];
-    const Seen* const then = frame ? &group.seen[group.frame] : nullptr;
-    const Rotation turn = frame ? between(frame->axes, then->axes) : Rotation();
+    // the nodes move along with the frame, and from there by a
+    const Frame frame = frame_of(graph, group);
+    const Rotation turn = between(frame.now.axes, frame.then.axes);
     for (Id q = 0; q < group.w; ++q) {
         Node& node = graph.nodes[group.nodes[q]];
-        const double* const at = a + front.pad + group.row[q];
         if (node.changed != step) {
             node.changed = step;
             node.kept = node.x;
         }
-        node.x = node.base;
-        Rotation axes = node.base_axes;
-        if (frame) {
-            const Lever along = turned(turn, node.base[0] - then->x, node.base[1] - then->y);
-            node.x[0] = frame->x[0] + along.x, node.x[1] = frame->x[1] + along.y;
-            axes = between(axes, turn.inverse());
-        }
-        const Lever way = turned(node.point ? turn : axes, at[0], at[1]);
-        node.x[0] += way.x;
-        node.x[1] += way.y;
-        if (!node.point) {
-            if (frame) node.x[2] += frame->x[2] - then->angle;
-            node.x[2] += at[2];
-            node.axes = Rotation(node.x[2]);
-        }
+        const Rotation axes = node.point ? turn : between(node.base_axes, turn.inverse());
+        const double* const own = a + front.pad + group.row[q];
+        const Lever along = turned(turn, node.base[0] - frame.then.x, node.base[1] - frame.then.y);
+        const Lever way = turned(axes, own[0], own[1]);
+        node.x[0] = frame.now.x[0] + along.x + way.x;
+        node.x[1] = frame.now.x[1] + along.y + way.y;
+        if (node.point) continue;
+        node.x[2] = node.base[2] + (frame.now.x[2] - frame.then.angle) + own[2];
+        node.axes = Rotation(node.x[2]);
     }
 }
 
@@ -231,9 +217,8 @@ void Tree::rest(Graph& graph, Id s) {
         node.base_axes = node.axes;
     }
     for (Id k = 0; k < group.r; ++k) {
-        const Node& node = graph.nodes[group.nodes[group.w + k]];
-        const bool alone = group.frame < 0 || k == group.frame;
-        group.seen[k] = alone ? value_of(node) : seen_from(graph.nodes[group.nodes[group.w + group.frame]], node);
+        const Node& node = graph.nodes[group.separator()[k]];
+        group.seen[k] = k == group.frame ? value_of(node) : seen_from(frame_of(graph, group).now, node);
     }
     std::fill_n(group.y(), 3 * group.wide, 0.0);
     group.separator_change = group.largest_decrease = 0.0;
@@ -248,20 +233,17 @@ void Tree::evaluate(Graph& graph, Id s, Evaluation& found) {
     std::memset(b, 0, front.height * sizeof(double));
     double* const at = b + front.pad;
     for (Id q = 0; q < group.w; ++q)
-        for (Id e = graph.nodes[group.nodes[q]].owned; e >= 0; e = graph.edges[e].next_owned) {
-            Edge& edge = graph.edges[e];
-            if (edge.taken_out()) continue;
+        each_owned(graph, group.nodes[q], [&](Id e, Edge& edge, int side) {
             const Evaluated now = online::evaluate(graph, edge, found.limit, found.bent);
             found.change += now.change;
             group.largest_squares = std::max(group.largest_squares, edge.squares);
             if (now.outdated) found.late.push_back(e);
-            const int side = edge.side(group.nodes[q]);
             const auto add = [&](Id row, int end) {
                 for (int p = 0; p < graph.nodes[edge.ends[end]].size(); ++p) at[row + p] += now.pulls.ends[end][p];
             };
             add(group.row[q], side);
             add(edge.place, 1 - side);
-        }
+        });
     for (Id c = group.child; c > 0; c = groups[c].sibling) {
         Supernode& child = groups[c];
         const double* const pull_now = child.pull_now();

@@ -202,9 +202,10 @@ Filter::Reweighed Filter::reweigh() {
     const auto updated = fresh(1);
     double* const log_weights = updated->row(0);
     for (std::size_t i = 0; i < particles_; ++i) log_weights[i] = log_likelihoods_.row(0)[i] + log_weights_->row(0)[i];
-    const auto [highest, place] = highest_of({log_weights, particles_});
+    const auto place = static_cast<std::size_t>(std::max_element(log_weights, log_weights + particles_) - log_weights);
+    const double highest = log_weights[place];
     if (!(highest > -std::numeric_limits<double>::infinity())) return {false, 0.0, 0.0};
-    const WeightSums sums = normalize(ranges_, log_weights, highest, weights_.row(0));
+    const WeightSums sums = normalize({log_weights, particles_}, highest, weights_.row(0));
     log_weights_ = updated;
     best_ = place;
     const double ess = std::fmin(sums.total * sums.total / sums.squares, static_cast<double>(particles_));

@@ -8,41 +8,25 @@ namespace vmslam::particles {
 
 using namespace numbers;
 
-WeightSums normalize(const Ranges& ranges, double* log_weights, double highest, double* weights) {
-    const std::size_t particles = ranges.particles();
-    std::vector<WeightSums> sums((particles + chunk - 1) / chunk, {0.0, 0.0});
-    ranges.each_light([&](std::size_t lo, std::size_t hi) {
-        for (std::size_t begin = lo; begin < hi; begin += chunk) {
-            Lanes total{}, squares{};
-            const std::size_t end = std::min(begin + chunk, hi);
-            for (std::size_t i = begin; i < end; i += lanes) {
-                Lanes w = numbers::exp(Lanes(load(log_weights + i) - highest));
-                // the lanes behind the last particle
-                for (std::size_t k = i + lanes; k > end; --k) w[k - 1 - i] = 0.0;
-                store(weights + i, w);
-                total += w, squares += w * w;
-            }
-            sums[begin / chunk] = {sparse::sum<lanes>(total), sparse::sum<lanes>(squares)};
-        }
-    });
+WeightSums normalize(std::span<double> log_weights, double highest, double* weights) {
     WeightSums all{0.0, 0.0};
-    for (const WeightSums& s : sums) all = {all.total + s.total, all.squares + s.squares};
-    const double less = highest + numbers::log(all.total);
-    for (std::size_t i = 0; i < particles; ++i) log_weights[i] -= less;
-    return all;
-}
-
-Highest highest_of(std::span<const double> values) {
-    double top = values[0];
-    std::size_t i = 0;
-    if (values.size() >= lanes) {
-        Lanes most = load(values.data());
-        for (i = lanes; i + lanes <= values.size(); i += lanes) most = larger(most, load(values.data() + i));
-        for (int k = 0; k < lanes; ++k) top = larger(top, double(most[k]));
+    // sums of 1024 particles each lose less to rounding
+    constexpr std::size_t chunk = 1024;
+    for (std::size_t begin = 0; begin < log_weights.size(); begin += chunk) {
+        Lanes total{}, squares{};
+        const std::size_t end = std::min(begin + chunk, log_weights.size());
+        for (std::size_t i = begin; i < end; i += lanes) {
+            Lanes w = numbers::exp(Lanes(load(log_weights.data() + i) - highest));
+            // the lanes behind the last particle
+            for (std::size_t k = i + lanes; k > end; --k) w[k - 1 - i] = 0.0;
+            store(weights + i, w);
+            total += w, squares += w * w;
+        }
+        all = {all.total + sparse::sum<lanes>(total), all.squares + sparse::sum<lanes>(squares)};
     }
-    for (; i < values.size(); ++i) top = larger(top, values[i]);
-    const auto place = std::find(values.begin(), values.end(), top) - values.begin();
-    return {top, static_cast<std::size_t>(place)};
+    const double less = highest + numbers::log(all.total);
+    for (double& log_weight : log_weights) log_weight -= less;
+    return all;
 }
 
 // The first position of particle k is the number of positions before cumulative[k-1]. Each particle writes its index there;

@@ -10,7 +10,9 @@
 
 namespace vmslam::solve {
 
-Graph::Graph(Index nodes) : nodes_(nodes) { require(nodes > 0, "a graph needs at least one node"); }
+Graph::Graph(Index nodes, std::vector<Index> points) : nodes_(nodes), points_(std::move(points)) {
+    require(nodes > 0, "a graph needs at least one node");
+}
 
 void Graph::check_node(Index node) const {
     require(node >= 0 && node < nodes_, "an edge or an anchor names a node that the graph does not have");
@@ -24,24 +26,30 @@ void Graph::check_state(std::span<const double> state) const {
 void Graph::add_anchor(Index node, const edges::Vector& value, double information) {
     check_node(node);
     const edges::Symmetric omega{information, 0.0, information, 0.0, 0.0, information};
-    members_.push_back({std::make_unique<edges::PositionEdges>(std::vector{edges::Position{node, value, omega}}), {}, {}});
+    add_pairs(std::make_unique<edges::PositionEdges>(std::vector{edges::Position{node, value, omega}}));
     anchors_.emplace_back(node, value);
 }
 
-void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel) {
+void Graph::add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel, bool oriented) {
     reweighted = reweighted || kernel;
-    Member member;
+    std::vector<Index> first, second;
     for (const edges::RelativeEdge& edge : edges) {
-        check_node(edge.i);
-        check_node(edge.j);
-        require(edge.i != edge.j, "an edge ties two different nodes");
-        member.first.push_back(edge.i);
-        member.second.push_back(edge.j);
-        sizes_.push_back(2);
-        grouped_.insert(grouped_.end(), {std::min(edge.i, edge.j), std::max(edge.i, edge.j)});
+        first.push_back(edge.i);
+        second.push_back(edge.j);
     }
-    member.family = std::make_unique<edges::RelativeEdges>(std::move(edges), true, false, kernel);
-    members_.push_back(std::move(member));
+    add_pairs(std::make_unique<edges::RelativeEdges>(std::move(edges), oriented, false, kernel), std::move(first),
+              std::move(second));
+}
+
+void Graph::add_pairs(std::unique_ptr<const edges::Family> family, std::vector<Index> first, std::vector<Index> second) {
+    for (std::size_t e = 0; e < first.size(); ++e) {
+        check_node(first[e]);
+        check_node(second[e]);
+        require(first[e] != second[e], "an edge ties two different nodes");
+        sizes_.push_back(2);
+        grouped_.insert(grouped_.end(), {std::min(first[e], second[e]), std::max(first[e], second[e])});
+    }
+    members_.push_back({std::move(family), std::move(first), std::move(second)});
 }
 
 void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<const Index> starts,
@@ -56,7 +64,7 @@ void Graph::add_groups(std::unique_ptr<const edges::Family> family, std::span<co
 }
 
 Graph::Assembled::Assembled(const Graph& graph, int threads)
-    : system(sparse::pattern_of_groups(graph.nodes_, graph.sizes_, graph.grouped_), threads) {
+    : system(sparse::pattern_of_groups(graph.nodes_, graph.sizes_, graph.grouped_), threads, graph.points_) {
     std::vector<GraphObjective::Member> families;
     for (const Member& m : graph.members_) {
         std::vector<Index>& blocks = pairs.emplace_back();
@@ -64,7 +72,7 @@ Graph::Assembled::Assembled(const Graph& graph, int threads)
             blocks.push_back(sparse::block_between(system.view(), m.first[e], m.second[e]));
         families.push_back({m.family.get(), blocks});
     }
-    objective.emplace(std::move(families), system);
+    objective.emplace(std::move(families), system, Held{{}, graph.points_});
     objective->state_dependent = graph.state_dependent;
     objective->reweighted = graph.reweighted;
 }

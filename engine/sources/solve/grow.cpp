@@ -81,10 +81,9 @@ Part::Part(const GraphObjective& whole, std::span<const char> used) {
         members.push_back({families_.back().get(), pairs_.back()});
     }
     held_nodes_ = renumbered(whole.held().nodes, number);
-    held_blocks_ = sparse::blocks_of_nodes(pattern, held_nodes_);
     points_ = renumbered(whole.held().without_heading, number);
     system_.emplace(std::move(pattern), whole.symbolic().threads, points_);
-    objective_.emplace(std::move(members), *system_, Held{held_blocks_, held_nodes_, points_});
+    objective_.emplace(std::move(members), *system_, Held{held_nodes_, points_});
     objective_->state_dependent = whole.state_dependent;
     objective_->reweighted = whole.reweighted;
 }

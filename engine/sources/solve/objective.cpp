@@ -26,7 +26,7 @@ double GraphObjective::linearize(std::span<const double> state, std::span<const 
     double total = 0.0;
     for (const Member& m : families_) total += m.family->accumulate({state.data(), reference.data()}, &system_, m.pairs);
     for (const Index node : held_.without_heading) system_.diagonal(node)[8] = 1.0;
-    for (const Index block : held_.blocks) std::fill_n(system_.block(block), 9, 0.0);
+    for (const Index block : held_blocks_) std::fill_n(system_.block(block), 9, 0.0);
     for (const Index node : held_.nodes) {
         std::fill_n(system_.xi + 3 * node, 3, 0.0);
         for (int c = 0; c < 3; ++c) system_.diagonal(node)[4 * c] = 1.0;

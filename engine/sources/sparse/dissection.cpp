@@ -3,8 +3,6 @@
 #include <array>
 #include <cstdlib>
 #include <limits>
-#include <numeric>
-#include <tuple>
 
 #include "vmslam/sparse/ordering.hpp"
 
@@ -112,16 +110,6 @@ class Separator {
             side[chosen[m - 1 - k]] = 2;
         }
         return separate(nodes);
-    }
-
-    /// Add the neighbours of the separator of a region to it.
-    void widen(std::span<const Node> nodes) {
-        for (const Node v : nodes) part_[v] = side[v];
-        for (const Node v : nodes) {
-            if (part_[v] != 1) continue;
-            for (const Node w : graph_.of(v))
-                if (side[w] >= 0) side[w] = 1;
-        }
     }
 
    private:
@@ -299,71 +287,7 @@ class Separator {
     std::vector<Index> bins_;
 };
 
-/// Clusters of up to 2^rounds neighbours as the nodes of a smaller graph (Karypis and Kumar 1998).
-struct Contracted {
-    std::vector<Node> cluster;  ///< of each node
-    Neighbours graph;
-};
-
-/// Pairs of neighbours: each node with the unpaired neighbour of the lowest degree. In graphs of poses and landmarks these
-/// are consecutive poses, which see nearly the same landmarks, so that most of the edges of the pair are double.
-struct Matching {
-    std::vector<Node> number, first, second;  // the pair of each node; the nodes of each pair, -1 for none
-
-    Matching(const Neighbours& graph, Node limit) : number(graph.size(), -1) {
-        for (Node v = 0; v < graph.size(); ++v) {
-            if (number[v] >= 0) continue;
-            number[v] = static_cast<Node>(first.size());
-            Node partner = -1, least = limit + 1;
-            if (graph.degree(v) <= limit)
-                for (const Node w : graph.of(v))
-                    if (number[w] < 0 && graph.degree(w) < least) {
-                        least = graph.degree(w);
-                        partner = w;
-                    }
-            if (partner >= 0) number[partner] = number[v];
-            first.push_back(v);
-            second.push_back(partner);
-        }
-    }
-
-    Neighbours quotient(const Neighbours& graph) const {
-        const auto count = static_cast<Node>(first.size());
-        Neighbours result;
-        result.start.assign(1, 0);
-        result.list.reserve(graph.list.size());
-        std::vector<Node> mark(count, -1);
-        for (Node c = 0; c < count; ++c) {
-            mark[c] = c;
-            for (const Node v : {first[c], second[c]}) {
-                if (v < 0) continue;
-                for (const Node w : graph.of(v))
-                    if (mark[number[w]] != c) {
-                        mark[number[w]] = c;
-                        result.list.push_back(number[w]);
-                    }
-            }
-            result.start.push_back(static_cast<Index>(result.list.size()));
-        }
-        return result;
-    }
-};
-
-Contracted contracted(const Neighbours& graph, int rounds, Node limit) {
-    Contracted result{std::vector<Node>(graph.size()), graph};
-    std::iota(result.cluster.begin(), result.cluster.end(), 0);
-    for (int round = 0; round < rounds; ++round) {
-        const Matching matching(result.graph, limit);
-        if (static_cast<double>(matching.first.size()) > 0.9 * result.graph.size()) break;
-        result.graph = matching.quotient(result.graph);
-        for (Node& c : result.cluster) c = matching.number[c];
-    }
-    return result;
-}
-
 constexpr std::size_t leaf = 400;     ///< regions of up to so many nodes are not dissected
-constexpr std::size_t large = 2'000;  ///< regions of more nodes are cut in the contracted graph first
-constexpr int rounds = 3;             ///< its clusters have up to 2^rounds nodes
 /// A region whose separator would have more than this part of the nodes of the smaller side stays whole.
 constexpr double thick = 0.5;
 
@@ -372,21 +296,10 @@ struct Region {
     Node depth;
 };
 
-/// The clusters of nodes, marked as a region of the contracted graph.
-std::vector<Node> clusters_of(std::span<const Node> nodes, const std::vector<Node>& cluster, Separator& coarse) {
-    std::vector<Node> clusters;
-    for (const Node v : nodes)
-        if (coarse.side[cluster[v]] < 0) {
-            coarse.side[cluster[v]] = 1;
-            clusters.push_back(cluster[v]);
-        }
-    return clusters;
-}
-
 /// Move the nodes of side 0 to the front, then those of side 2, then the separator; how many have side 0, and 2.
-std::pair<std::size_t, std::size_t> divide(std::span<Node> nodes, const Separator& fine) {
-    const auto right = std::stable_partition(nodes.begin(), nodes.end(), [&](Node v) { return fine.side[v] == 0; });
-    const auto end = std::stable_partition(right, nodes.end(), [&](Node v) { return fine.side[v] == 2; });
+std::pair<std::size_t, std::size_t> divide(std::span<Node> nodes, const Separator& separator) {
+    const auto right = std::stable_partition(nodes.begin(), nodes.end(), [&](Node v) { return separator.side[v] == 0; });
+    const auto end = std::stable_partition(right, nodes.end(), [&](Node v) { return separator.side[v] == 2; });
     return {right - nodes.begin(), end - right};
 }
 
@@ -394,10 +307,8 @@ std::pair<std::size_t, std::size_t> divide(std::span<Node> nodes, const Separato
 
 // Nodes with more than `limit` neighbours are left out: they would be in every separator.
 std::vector<Node> separator_depths(const Neighbours& graph, Node limit) {
-    const auto n = static_cast<std::size_t>(graph.size());
-    std::vector<Node> depth_of(n, -1);
-    const Contracted small = contracted(graph, n > large ? rounds : 0, limit);
-    Separator fine(graph), coarse(small.graph);
+    std::vector<Node> depth_of(graph.size(), -1);
+    Separator separator(graph);
     std::vector<Node> nodes;
     for (Node v = 0; v < graph.size(); ++v)
         if (graph.degree(v) <= limit) nodes.push_back(v);
@@ -407,27 +318,12 @@ std::vector<Node> separator_depths(const Neighbours& graph, Node limit) {
         todo.pop_back();
         const std::span<Node> region(nodes.data() + low, high - low);
         if (region.size() <= leaf) continue;
-        std::size_t left = 0, right = 0;
-        bool thin = false;
-        for (int contract = region.size() > large ? 1 : 0; contract >= 0 && !thin; --contract) {
-            Node size = 0;
-            if (contract) {
-                // the nodes of the clusters that separate the contracted region are cut in the graph itself
-                const std::vector<Node> clusters = clusters_of(region, small.cluster, coarse);
-                coarse.cut(clusters);
-                coarse.widen(clusters);
-                for (const Node v : region) fine.side[v] = coarse.side[small.cluster[v]];
-                for (const Node c : clusters) coarse.side[c] = -1;
-                size = fine.separate(region);
-            } else {
-                size = fine.cut(region);
-            }
-            std::tie(left, right) = divide(region, fine);
-            thin = size <= thick * static_cast<double>(std::min(left, right));
-        }
+        const Node size = separator.cut(region);
+        const auto [left, right] = divide(region, separator);
+        const bool thin = size <= thick * static_cast<double>(std::min(left, right));
         for (const Node v : region) {
-            if (fine.side[v] == 1 && thin) depth_of[v] = depth;
-            fine.side[v] = -1;
+            if (separator.side[v] == 1 && thin) depth_of[v] = depth;
+            separator.side[v] = -1;
         }
         if (!thin) continue;
         todo.push_back({low, low + left, depth + 1});

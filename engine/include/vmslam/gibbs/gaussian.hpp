@@ -99,13 +99,6 @@ inline double log_density(const Vector& r, const Inverse& W, const Vector& g) {
     return -0.5 * (edges::dot(r, g) + logarithm(W.determinant));
 }
 
-/// log N(mean_b; mean_a, S_a + S_b) without the constant of 2 pi.
-inline double density(const Gaussian& a, const Gaussian& b, bool oriented) {
-    const Inverse W = inverse(a.S + b.S);
-    const Vector r = innovation(b.mean, a.mean, oriented);
-    return log_density(r, W, W.matrix * r);
-}
-
 /// The sum of many log densities; one logarithm serves many determinants, whose product stays within floating point.
 class LogDensities {
    public:
@@ -124,6 +117,12 @@ class LogDensities {
    private:
     double squares_ = 0.0, determinants_ = 1.0, logarithms_ = 0.0;
 };
+/// log N(mean_b; mean_a, S_a + S_b) without the constant of 2 pi.
+inline double density(const Gaussian& a, const Gaussian& b, bool oriented) {
+    LogDensities one;
+    one.add(a, b, oriented);
+    return one.sum();
+}
 
 /// Let a landmark absorb an observation of it, N(y; m, C); returns log N(y; mean, S + C), 0 for the first one.
 double fuse(Gaussian& mark, const Gaussian& observed, bool oriented);

@@ -15,26 +15,28 @@
 //
 // Gauss-Newton leaves out the second derivatives of the residual. Where residuals are as large as levers, the curvature of J
 // can be more than twice B' W B, and Gauss-Newton then diverges from the minimum itself. So an edge with a cost above
-// `Bent::convex` has them in the factor, and all edges where the passes show that many small residuals do the same. With
+// `costly` has them in the factor, and all edges where the passes show that many small residuals do the same. With
 // g = W e, increments (a, phi) of the first end, b of the second and q = R(alpha) b,
 //
 //     J/2 has the further terms  phi h' (q - a) + gamma phi^2 / 2,   h = (-g_y, g_x),  gamma = -g' d,  d = (u_y, -u_x).
 //
 // They may make Omega indefinite. So an edge that is indefinite by itself has gamma only, and only if that is positive,
-// unless its cost is above `Bent::exact`: next to a minimum, passes converge faster with all of them.
+// unless its cost is above `costly`: next to a minimum, passes converge faster with all of them.
 #pragma once
 
 #include "vmslam/online/graph.hpp"
 
 namespace vmslam::online {
 
-/// The costs from which the second derivatives of an edge enter the factor, and from which they stay as they are although the
-/// edge may be indefinite.
+/// Which edges have their second derivatives in the factor, and whether these are left out where the edge is indefinite although
+/// it is costly.
 struct Bent {
-    double convex = 4.0, exact = 4.0;
+    enum class Edges { none, costly, all } edges = Edges::costly;
+    bool convex = false;
 
-    static Bent never() { return {infinity, infinity}; }
+    static Bent never() { return {Edges::none}; }
 };
+inline constexpr double costly = 4.0;
 
 /// An edge at the estimate: lever, cosine and sine of alpha (of theta for a position), robust weight w, w W e, W e, e' W e,
 /// and its cost; of a number n; whether there is no second end.

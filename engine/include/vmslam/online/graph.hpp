@@ -23,23 +23,28 @@ using Triple = std::array<double, 3>;
 
 inline constexpr double infinity = std::numeric_limits<double>::infinity();
 
-/// A pose, or a landmark. A landmark without heading is a `point`, whose third coordinate means nothing.
-struct Node {
-    Triple x{};          ///< the estimate
-    Triple base{};       ///< the value at which its supernode was evaluated last
-    Rotation axes, base_axes;  ///< of x and of the base
-    Triple kept{};       ///< the value before the latest step that changed it
-    Triple diagonal{};   ///< the diagonal of Omega, without priors
+/// What is known of a node without the tree.
+struct NodeValue {
+    Triple x{};  ///< the estimate
     /// The smallest standard deviations of its edges [m, rad], with which changes of Jacobians are weighed. A new pose has
     /// those of the pose before it until its first sighting.
     double place_std = infinity, heading_std = infinity;
-    Stamp changed = 0;  ///< the latest step that changed x
-    Id home = 0;  ///< the supernode in which the node is eliminated; 0: none yet
-    Id edges = -1, owned = -1;  ///< the first edge of the node; the first that is assembled where it is eliminated
-    Id local = -1;  ///< the number within a part of the graph; -1 between the calls
+    Id edges = -1;  ///< the first edge of the node
     bool point = false, gone = false;  ///< gone: marginalised
     bool held = false;  ///< a pose with a prior of its own
     bool borrows = false;  ///< whether both deviations are those of the pose before, which a first sighting replaces
+};
+
+/// A pose, or a landmark. A landmark without heading is a `point`, whose third coordinate means nothing.
+struct Node : NodeValue {
+    Triple base{};  ///< the value at which its supernode was evaluated last
+    Rotation axes, base_axes;  ///< of x and of the base
+    Triple kept{};  ///< the value before the latest step that changed it
+    Triple diagonal{};  ///< the diagonal of Omega, without priors
+    Stamp changed = 0;  ///< the latest step that changed x
+    Id home = 0;  ///< the supernode in which the node is eliminated; 0: none yet
+    Id owned = -1;  ///< the first edge that is assembled where the node is eliminated
+    Id local = -1;  ///< the number within a part of the graph; -1 between the calls
 
     /// The numbers that the node has in the equations.
     Id size() const { return point ? 2 : 3; }
@@ -66,21 +71,24 @@ struct Linear {
 /// point of its only node in the world.
 enum class Form : std::int8_t { relative, range, bearing, position };
 
-/// An edge; `oriented` where it measures a heading, too. A single number stands in z.x and omega.xx. An edge of one node has
-/// it at both ends.
-struct Edge {
+/// What an edge measures; `oriented` where that is a heading, too. A single number stands in z.x and omega.xx. An edge of one
+/// node has it at both ends.
+struct Measurement {
     Vector z{};
     Symmetric omega{};
+    Lever lever{};  ///< where the sensor of a number is on the robot, or the point that a position measures
+    Id ends[2] = {-1, -1};  ///< -1 once the edge was taken out
+    Id next[2] = {-1, -1};  ///< the next edge of either end
+    Form form = Form::relative;
+    bool oriented = true, robust = false, sighting = false;
+};
+
+struct Edge : Measurement {
     Linear linear;
     double weight = 0.0;  ///< the robust weight in the factor; 0 before the edge is in it
     double cost = 0.0, squares = 0.0;  ///< at the last evaluation: the cost, and e' W e
-    Id ends[2] = {-1, -1};  ///< -1 once the edge was taken out
-    Id next[2] = {-1, -1};  ///< the next edge of either end
     Id owner = -1, next_owned = -1;  ///< the end that is eliminated first, and the next edge that this owns
     Id place = 0;  ///< where the numbers of the other end begin in the front of the owner
-    Lever lever{};  ///< where the sensor of a number is on the robot, or the point that a position measures
-    Form form = Form::relative;
-    bool oriented = true, robust = false, sighting = false;
 
     int side(Id node) const { return ends[0] == node ? 0 : 1; }
     bool one_ended() const { return form == Form::position; }
@@ -126,5 +134,12 @@ struct Graph {
     std::vector<Id> edges_of(Id node) const;
     std::vector<Id> live_nodes() const, live_edges() const;
 };
+
+/// use(number, edge, side of the node) for the edges that are assembled where a node is eliminated.
+template <class Use>
+void each_owned(auto& graph, Id node, const Use& use) {
+    for (Id e = graph.nodes[node].owned; e >= 0; e = graph.edges[e].next_owned)
+        if (auto& edge = graph.edges[e]; !edge.taken_out()) use(e, edge, edge.side(node));
+}
 
 }  // namespace vmslam::online

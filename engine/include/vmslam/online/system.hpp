@@ -81,8 +81,9 @@ class OnlineSystem {
     bool converged = true;     ///< whether it ended at the minimum
     int batch_solutions = 0;   ///< how many steps the batch solver had to take
 
-    /// Everything as bytes, and back; false, and nothing changes, where the bytes are damaged or none of a system.
-    std::string save() const;
+    /// Graph and estimate as bytes, and back, with a tree that is built anew where the nodes are. False where the bytes are
+    /// damaged, or none of a system; nothing changes then.
+    std::string save();
     bool restore(std::string_view bytes);
 
    private:
@@ -96,8 +97,8 @@ class OnlineSystem {
     /// How the passes of a step have gone so far.
     struct Progress {
         double last = infinity;  ///< the decrease of J that the last pass predicted
-        double part = 1.0;       ///< a factor on the size below which the next pass leaves out subtrees
-        bool renewed = false;    ///< whether edges were linearised again after the last pass
+        double part = 1.0;  ///< a factor on the size below which the next pass leaves out subtrees
+        bool renewed = false;  ///< whether edges were linearised again after the last pass
 
         bool first() const { return last == infinity; }
     };
@@ -125,6 +126,8 @@ class OnlineSystem {
     bool is_small(double decrease) const;
     void hang_prior(Prior& prior);
     void write_prior(const Prior& prior, bool renewed);
+    template <class Each>
+    void transfer(Each& each);
     std::vector<Triple> places() const;
 
     double tolerance_;
@@ -135,7 +138,7 @@ class OnlineSystem {
     Memory memory_;
     Id ordered_ = 0;  ///< the number of nodes when all were ordered last
     bool covariances_ready_ = false;  ///< whether nothing has changed since a covariance was asked for
-    bool lost_ = false;   ///< whether the tree is empty, because not all nodes could be eliminated where they are
+    bool lost_ = false;  ///< whether the tree is empty, because not all nodes could be eliminated where they are
 };
 
 }  // namespace vmslam::online

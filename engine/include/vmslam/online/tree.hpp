@@ -39,20 +39,25 @@ struct Seen {
     Rotation axes;
 };
 
-struct Supernode {
+/// Where a supernode hangs in the tree.
+struct Hanging {
+    Id parent = 0, sibling = 0;
+    bool ascending = true;  ///< whether `relative` ascends
+    double separator_change = 0.0;  ///< abs(m' U m), by how much the motion of the separator since then changes J
+    std::vector<Id> relative, run_end;  ///< where those of the separator begin in the front of the parent; ends of its runs
+};
+
+struct Supernode : Hanging {
     Id w = 0, r = 0;
     Id wide = 0, tall = 0;  ///< the blocks of three numbers that hold its w and its r nodes
-    Id parent = 0, child = 0, sibling = 0;
+    Id child = 0;
     Id frame = -1;  ///< the first pose of the separator; -1: none, or the subtree is absolute
     bool marked = false;  ///< false between the calls
-    bool ascending = true;  ///< whether `relative` ascends
     bool absolute = false;  ///< whether something in the subtree resists motions as a rigid body
     double largest_decrease = 0.0;  ///< y' y, by how much solving a supernode lowers J: the largest in the subtree
-    double separator_change = 0.0;  ///< abs(m' U m), by how much the motion of the separator since then changes J
     double largest_squares = 1.0;  ///< the largest e' W e of an edge of the subtree, at least 1
     std::vector<Id> nodes;  ///< w nodes, then r nodes, both in the order of elimination
     std::vector<Id> row;  ///< (w + r + 1) where the numbers of each begin in the front, and where those of the last one end
-    std::vector<Id> relative, run_end;  ///< where those of the separator begin in the front of the parent; ends of its runs
     std::vector<Seen> seen;  ///< the separator at the last evaluation
     Numbers numbers;
 
@@ -130,8 +135,6 @@ class Tree {
     /// The joint covariance (3k, 3k) of k nodes in world axes.
     std::vector<double> covariance(Graph& graph, std::span<const Id> nodes);
 
-    std::span<const Id> released() const { return free_; }
-    void set_released(std::vector<Id> free) { free_ = std::move(free); }
     /// The numbers that all supernodes hold.
     std::ptrdiff_t numbers() const;
 

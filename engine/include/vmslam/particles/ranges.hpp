@@ -9,12 +9,10 @@
 
 namespace vmslam::particles {
 
-/// Threads take ranges of whole chunks, so that no sum depends on the number of threads.
+/// Threads take ranges of whole chunks, so that no group of particles is divided.
 inline constexpr std::size_t chunk = 1024;
 /// With fewer particles than this per thread, starting the thread costs more than it saves.
 inline constexpr std::size_t least_particles = 4096;
-/// The same for work of a few ns per particle.
-inline constexpr std::size_t least_particles_light = 32'768;
 
 /// The ranges of particles of the threads.
 class Ranges {
@@ -23,7 +21,6 @@ class Ranges {
         const std::size_t count = std::max<std::size_t>(1, std::min(threads, particles / least_particles));
         const std::size_t chunks = (particles + chunk - 1) / chunk;
         for (std::size_t k = 0; k <= count; ++k) edges_.push_back(std::min(chunks * k / count * chunk, particles));
-        light_in_parallel_ = particles / least_particles_light >= count;
     }
 
     std::size_t particles() const { return edges_.back(); }
@@ -35,18 +32,9 @@ class Ranges {
     void each(const Work& work) const {
         in_parallel(static_cast<int>(count()), [&](int k) { work(edges_[k], edges_[k + 1]); });
     }
-    /// The same for work that takes only a few ns per particle: several threads only for many particles.
-    template <class Work>
-    void each_light(const Work& work) const {
-        if (light_in_parallel_)
-            each(work);
-        else
-            work(std::size_t{0}, particles());
-    }
 
    private:
     std::vector<std::size_t> edges_;
-    bool light_in_parallel_;
 };
 
 }  // namespace vmslam::particles

@@ -3,7 +3,6 @@
 
 #include <span>
 
-#include "vmslam/particles/ranges.hpp"
 #include "vmslam/particles/rows.hpp"
 
 namespace vmslam::particles {
@@ -14,15 +13,8 @@ struct WeightSums {
 };
 
 /// Write w = exp(log weight - highest), and subtract highest + log of the sum of w from the logarithms, so that their
-/// exponentials sum to 1. Sums are kept per chunk of particles, so that they do not depend on the number of threads.
-WeightSums normalize(const Ranges& ranges, double* log_weights, double highest, double* weights);
-
-/// The largest of some numbers, and the first place where it stands.
-struct Highest {
-    double value;
-    std::size_t place;
-};
-Highest highest_of(std::span<const double> numbers);
+/// exponentials sum to 1. Weights, and logarithms, are filled up to whole groups.
+WeightSums normalize(std::span<double> log_weights, double highest, double* weights);
 
 /// The first k with cumulative[k] > position * total for each of the ascending positions in [0, 1). A particle of weight zero
 /// is never chosen: where rounding puts a position at the very end, the last particle with a weight is taken.

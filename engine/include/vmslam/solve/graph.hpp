@@ -16,15 +16,18 @@ namespace vmslam::solve {
 
 /// Nodes 0 to n - 1 and edges between them. A graph without absolute measurements needs an anchor, which holds it in the world.
 /// Every node that an edge or an anchor names must be one of the n, and every state must have 3 n numbers; other ones throw
-/// std::invalid_argument.
+/// std::invalid_argument. `points` are nodes without a heading.
 class Graph {
    public:
-    explicit Graph(Index nodes);
+    explicit Graph(Index nodes, std::vector<Index> points = {});
 
     /// Hold a node near a value: the gauge of a graph without a map.
     void add_anchor(Index node, const edges::Vector& value, double information = 1e6);
-    /// Measured relative poses, such as motions and loop closures.
-    void add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel = {});
+    /// Measured relative poses, such as motions and loop closures, or, unless `oriented`, relative points.
+    void add_relative(std::vector<edges::RelativeEdge> edges, const edges::Kernel& kernel = {}, bool oriented = true);
+    /// Edges of a family that lists them, each between two different nodes; none for a family of single nodes.
+    void add_pairs(std::unique_ptr<const edges::Family> family, std::vector<Index> first = {},
+                   std::vector<Index> second = {});
     /// Edges of any family that tie groups of nodes: those of group g are nodes[starts[g]] to nodes[starts[g + 1] - 1], not
     /// decreasing.
     void add_groups(std::unique_ptr<const edges::Family> family, std::span<const Index> starts, std::span<const Index> nodes);
@@ -63,6 +66,7 @@ class Graph {
         std::vector<Index> first, second;  ///< the ends of pairs, for the families that list their edges
     };
     Index nodes_;
+    std::vector<Index> points_;
     std::vector<Member> members_;
     std::vector<std::pair<Index, edges::Vector>> anchors_;
     /// the groups of nodes of all families, one after another

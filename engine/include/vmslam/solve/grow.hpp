@@ -28,7 +28,7 @@ class Part {
     GraphObjective& objective() { return *objective_; }
 
    private:
-    std::vector<Index> nodes_, held_blocks_, held_nodes_, points_;
+    std::vector<Index> nodes_, held_nodes_, points_;
     std::vector<std::unique_ptr<const edges::Family>> families_;
     std::vector<std::vector<Index>> pairs_;
     std::optional<OwnedSystem> system_;

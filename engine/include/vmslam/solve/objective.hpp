@@ -34,9 +34,9 @@ class Objective {
     bool reweighted = false;       ///< whether some edges have a robust kernel
 };
 
-/// What does not move: blocks and nodes whose rows and columns become those of the identity, and nodes without a heading.
+/// Nodes that do not move, whose rows and columns become those of the identity, and nodes without a heading.
 struct Held {
-    std::span<const Index> blocks, nodes, without_heading;
+    std::span<const Index> nodes, without_heading;
 };
 
 /// The system of a graph with the memory for its numbers and its factor.
@@ -67,7 +67,12 @@ class GraphObjective : public Objective {
     /// `constant` is added to J, such as priors of what is not solved for.
     GraphObjective(std::vector<Member> families, edges::System system, Held held, double constant,
                    sparse::Factor<sparse::Real3>& factor)
-        : families_(std::move(families)), system_(system), held_(held), constant_(constant), factor_(factor) {}
+        : families_(std::move(families)),
+          system_(system),
+          held_(held),
+          held_blocks_(sparse::blocks_of_nodes(system, held.nodes)),
+          constant_(constant),
+          factor_(factor) {}
     GraphObjective(std::vector<Member> families, OwnedSystem& system, Held held = {})
         : GraphObjective(std::move(families), system.view(), held, 0.0, system.factor()) {}
 
@@ -97,6 +102,7 @@ class GraphObjective : public Objective {
     std::vector<Member> families_;
     edges::System system_;
     Held held_;
+    std::vector<Index> held_blocks_;
     double constant_;
     sparse::Factor<sparse::Real3>& factor_;
 };
