@@ -26,7 +26,7 @@ from ..errors.checks import listed
 from ..log import UNIDENTIFIED, Log
 from ..models import ANYWHERE, MotionModel, SensorModel, additional_variances
 from ..se2 import Array, begun_at, difference
-from .landmark_map import LandmarkMap
+from .landmark_map import CORRELATIONS_LOST, LandmarkMap
 from .localization import SURE, Fix, carried_back, first_fix, possible_fixes
 from .stretch import Stretch, drifted
 from .tracker import NOTHING, Tracker
@@ -76,7 +76,7 @@ def in_frame_of(
     the robot was lifted, the control says nothing. The log has no psi where a landmark that is seen and exact in the map has
     no heading there.
     """
-    notes = []
+    notes = [CORRELATIONS_LOST] * landmarks.correlated
     found = follow(log, landmarks, motion=motion, sensor=sensor)
     fix = found.fixes[0]
     placed = begun_at(fix.pose, log.initial_poses)
