@@ -267,7 +267,11 @@ def texts(comparison: Comparison) -> Iterator[tuple[str, Callable[[], str]]]:
         if result.association is not None:
             yield f"{result.name}-sightings.csv", partial(sightings_text, log, result)
         if result.landmarks:
-            yield f"{result.name}-map.csv", partial(map_text, result.landmarks, result.landmark_covariances)
+            covariances = result.landmark_covariances
+            yield (
+                f"{result.name}-map.csv",
+                partial(map_text, result.landmarks, covariances, correlated=bool(covariances)),
+            )
 
 
 def _clocks(log: Log) -> Iterator[tuple[str, slice, float]]:

@@ -18,6 +18,11 @@ from .map_files import read_map, write_map
 
 #: how a map is used: as its covariances say, without their correlations between landmarks, or as exact
 USES = ("joint", "own", "fixed")
+#: what is said of a map that is `correlated`
+CORRELATIONS_LOST = (
+    "the file of the map has lost the correlations between its landmarks, which share errors, so that poses in it are less "
+    "exact than their covariances say: use the .npz file of this map, or of a graph of the same log"
+)
 #: the standard deviation [m, rad] of places and headings that are exact, where they need one
 HELD_STD = 1e-5
 #: the largest asymmetry and negative eigenvalue of a covariance that count as rounding, over its size
@@ -37,6 +42,8 @@ class LandmarkMap(dict[int, Array]):
             files do not distinguish them.
         joint: (N, N), the covariance of the coordinates of landmarks together, in increasing order of the ids ``joint_ids``.
         joint_ids: the ids of these landmarks; default: all.
+        correlated: whether the errors of landmarks are correlated although there is no joint covariance, as in a file other
+            than .npz of an estimated map. `Graph.from_log` and `OnlineSolver` have a note on it.
 
     Raises:
         OptionError: an id, a place or a covariance is impossible.
@@ -50,12 +57,14 @@ class LandmarkMap(dict[int, Array]):
         classes: Mapping[int, str | int] | None = None,
         joint: ArrayLike | None = None,
         joint_ids: Iterable[int] | None = None,
+        correlated: bool = False,
     ) -> None:
         if not isinstance(means, Mapping):
             raise OptionError(f"a map is a mapping {{id: (x, y) or (x, y, heading)}}, not {quoted(means)}")
         super().__init__({_id(j): _place(j, place) for j, place in sorted(means.items())})
         self.classes: dict[int, str | int] = {j: _class(kind) for j, kind in (classes or {}).items() if j in self}
         self.joint: Array | None = None
+        self.correlated = correlated
         given = covariances or {}
         if given and joint is not None:
             raise OptionError("give covariances of single landmarks or a joint covariance, not both")
@@ -78,7 +87,7 @@ class LandmarkMap(dict[int, Array]):
         """The map of numbers that a solver has made, which need no check; by increasing id."""
         made = cls.__new__(cls)
         dict.__init__(made, means)
-        made.covariances, made.classes, made.joint = dict(covariances), {}, None
+        made.covariances, made.classes, made.joint, made.correlated = dict(covariances), {}, None, False
         return made
 
     @classmethod
@@ -101,8 +110,9 @@ class LandmarkMap(dict[int, Array]):
     def save(self, path: str | PathLike[str]) -> None:
         """Write the map in the format of the name's ending: .npz keeps everything, the others no joint covariance.
 
-        Without it, errors that landmarks have in common count as if each had its own, so that poses in the map are too sure:
-        the mean squared Mahalanobis distance over their dimension is 2.4 with a map as .csv, .yaml or .geojson, 1.1 as .npz.
+        The others say that it is lost (`correlated`). Without it, errors that landmarks have in common count as if each had
+        its own, so that poses in the map are too sure: the mean squared Mahalanobis distance over their dimension is 2.4 with
+        a map as .csv, .yaml or .geojson, 1.1 as .npz.
 
         Raises:
             OptionError: there is no format with this ending.

@@ -2,15 +2,16 @@
 
 * Tables (.csv, .tsv, .txt; .parquet is only read): one landmark per row, with the columns id, x, y and, where they are known,
   heading, class and the covariance: var_x, cov_xy, var_y, cov_x_heading, cov_y_heading, var_heading. Other common names of
-  the first ones are recognised (`graphslam.log.table`). Empty cells say that something is not known.
+  the first ones are recognised (`graphslam.log.table`). Empty cells say that something is not known. In the column correlated
+  1 says that the errors of the landmark are correlated with those of others, and the file does not say how.
 * .npz, which keeps everything without rounding: ``format`` ("graphslam-map-1"), ``ids`` (L,), ``places`` (L, 3) with NaN for
   a heading that is not known, ``covariances`` (L, 3, 3) with NaN for what is not known, ``classes`` (L,) words, and
   ``joint`` (N, N) where the covariances are those of the landmarks together.
 * YAML of tags (.yaml, .yml): mappings with an id, anywhere in the file, such as the layouts of AprilTag bundles and of
   TagSLAM: x and y, themselves or in ``position``, ``translation`` or ``pose``; and heading (theta, yaw) or a quaternion
   (qx, qy, qz, qw) about the vertical. A quaternion that is tilted gives no heading: which axis a tag faces by is not known.
-* GeoJSON (.geojson, .json): a collection of points in metres of the map's plane, with the properties id, heading, class and
-  covariance. (RFC 7946 means degrees of longitude and latitude by coordinates; these are refused.)
+* GeoJSON (.geojson, .json): a collection of points in metres of the map's plane, with the properties id, heading, class,
+  covariance and correlated. (RFC 7946 means degrees of longitude and latitude by coordinates; these are refused.)
 
 Positions are in metres, headings in radians.
 """
@@ -84,16 +85,20 @@ def map_text(
     covariances: Mapping[int, Array],
     classes: Mapping[int, Any] | None = None,
     comma: str = ",",
+    correlated: bool = False,
 ) -> str:
     """A map as a table with commas, or another separator; what is not known stays empty."""
     classes = classes or {}
-    lines = [comma.join(("id", "x", "y", "heading", *COVARIANCE, *(["class"] if classes else [])))]
+    lines = [
+        comma.join(("id", "x", "y", "heading", *COVARIANCE, *["correlated"] * correlated, *["class"] * bool(classes)))
+    ]
     for j in sorted(means):
         mean = np.asarray(means[j], dtype=float).tolist()
         cells: list[float | None] = [*mean, *[None] * (3 - len(mean))]
         C = covariances.get(j)
         cells += [None if C is None or max(place) >= len(C) else C[place] for place in UPPER]
         row = [str(j), *("" if c is None or np.isnan(c) else repr(float(c)) for c in cells)]
+        row += ["" if C is None else "1"] * correlated
         lines.append(comma.join(row + [_quoted_cell(str(classes.get(j, "")))] * bool(classes)))
     return "\n".join(lines) + "\n"
 
@@ -124,6 +129,8 @@ def _table(path: Path) -> Parts:
             elif np.isfinite(whole).any():
                 raise table.error(row, f"the covariance of landmark {j} is not complete; fill in all of it, or nothing")
         parts["covariances"] = covariances
+        marked = [str(word).strip() for word in table.words(columns["correlated"])] if "correlated" in columns else []
+        parts["correlated"] = "1" in marked or "1.0" in marked
     if "class" in columns:
         words = [str(word).strip() for word in table.words(columns["class"])]
         parts["classes"] = {j: word for j, word in zip(ids, words) if word}
@@ -157,7 +164,7 @@ def _archive(path: Path) -> Parts:
         sizes = np.isfinite(places).sum(axis=1).tolist()
         means = {j: place[:d] for j, place, d in zip(ids, places, sizes)}
         known = {j: c[:d, :d] for j, c, d in zip(ids, C, sizes) if np.isfinite(c[:d, :d]).all()}
-        parts: Parts = {"means": means, "covariances": known}
+        parts: Parts = {"means": means, "covariances": known, "correlated": "correlated" in content}
         if "classes" in content:
             parts["classes"] = {j: word for j, word in zip(ids, content["classes"].tolist()) if word}
         if "joint" in content:
@@ -178,6 +185,8 @@ def _archived(landmarks: LandmarkMap) -> bytes:
         arrays["classes"] = np.array([str(landmarks.classes.get(j, "")) for j in landmarks])
     if landmarks.joint is not None:
         arrays["joint"] = landmarks.joint
+    if landmarks.correlated:
+        arrays["correlated"] = True
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
@@ -228,7 +237,12 @@ def _entries(landmarks: LandmarkMap) -> Iterator[dict[str, Any]]:
         entry: dict[str, Any] = {"id": j, "x": float(place[0]), "y": float(place[1])}
         entry |= {"heading": float(place[2])} if len(place) == 3 else {}
         entry |= {"class": str(classes[j])} if j in classes else {}
-        yield entry | ({"covariance": covariances[j].tolist()} if j in covariances else {})
+        entry |= {"covariance": covariances[j].tolist()} if j in covariances else {}
+        yield entry | ({"correlated": True} if j in covariances and _loses_correlations(landmarks) else {})
+
+
+def _loses_correlations(landmarks: LandmarkMap) -> bool:
+    return landmarks.correlated or landmarks.joint is not None
 
 
 def _as_yaml(landmarks: LandmarkMap) -> bytes:
@@ -329,7 +343,13 @@ def _of_entries(path: Path, entries: list[_Entry]) -> Parts:
                 covariances[j] = np.array(entry["covariance"], dtype=float)
             except (TypeError, ValueError):
                 raise FormatError(path, line, f"{where} has a covariance that is no matrix of numbers") from None
-    return {"means": dict(sorted(means.items())), "covariances": covariances, "classes": classes}
+    correlated = any(entry.get("correlated") is True for entry, *_ in entries)
+    return {
+        "means": dict(sorted(means.items())),
+        "covariances": covariances,
+        "classes": classes,
+        "correlated": correlated,
+    }
 
 
 def _number(path: Path, line: int | None, where: str, entry: Mapping[str, Any], name: str) -> float:
@@ -344,7 +364,8 @@ def _number(path: Path, line: int | None, where: str, entry: Mapping[str, Any], 
 
 
 def _as_table(landmarks: LandmarkMap, comma: str = ",") -> bytes:
-    return map_text(landmarks, landmarks.covariances, landmarks.classes, comma).encode()
+    lost = _loses_correlations(landmarks)
+    return map_text(landmarks, landmarks.covariances, landmarks.classes, comma, lost).encode()
 
 
 _Writer = Callable[["LandmarkMap"], bytes]

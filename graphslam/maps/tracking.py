@@ -26,8 +26,9 @@ from ..errors.checks import listed
 from ..log import UNIDENTIFIED, Log
 from ..models import ANYWHERE, MotionModel, SensorModel, additional_variances
 from ..se2 import Array, begun_at, difference
-from .landmark_map import LandmarkMap
+from .landmark_map import CORRELATIONS_LOST, LandmarkMap
 from .localization import SURE, Fix, carried_back, first_fix, possible_fixes
+from .parts import Part, displaced_part
 from .stretch import Stretch, drifted
 from .tracker import NOTHING, Tracker
 
@@ -42,6 +43,8 @@ SHOW, LIFTS = 3, 6
 #: landmarks have moved where so many more agree with the other place, of those with so many more sightings of their own; how
 #: many more landmarks end the count
 MORE, OFTEN, DECIDE = 2, 3, 15
+#: the most parts of a map that are left out
+MOST_PARTS = 3
 #: where so few landmarks agreed since the last fix, and the other place is nearer than this [m], they moved together
 GROUP, NEARBY = 4, 2.0
 
@@ -56,6 +59,7 @@ class Followed:
         lifted: {step: (last step that agreed before, distance [m] to where it was expected)} of the latter.
         agree: (M,) whether the sighting agrees with a landmark of the map.
         moved: the landmarks of the map that were left out, because they have moved.
+        parts: those of them that lie wrong together.
     """
 
     landmarks: np.ndarray
@@ -63,6 +67,7 @@ class Followed:
     lifted: dict[int, tuple[int, float]]
     agree: np.ndarray
     moved: tuple[int, ...] = ()
+    parts: tuple[Part, ...] = ()
 
 
 def in_frame_of(
@@ -76,7 +81,7 @@ def in_frame_of(
     the robot was lifted, the control says nothing. The log has no psi where a landmark that is seen and exact in the map has
     no heading there.
     """
-    notes = []
+    notes = [CORRELATIONS_LOST] * landmarks.correlated
     found = follow(log, landmarks, motion=motion, sensor=sensor)
     fix = found.fixes[0]
     placed = begun_at(fix.pose, log.initial_poses)
@@ -86,11 +91,11 @@ def in_frame_of(
         lifted = f"the robot was lifted between steps {before} and {step}"
         put_down = f"and put down {way:.2f} m from where it was expected: {found.fixes[step].sentence}"
         notes.append(f"{lifted}, {put_down}")
-    if found.moved:
-        landmarks = landmarks.among(set(landmarks) - set(found.moved))
-        which = f"some landmarks have moved since the map was made, as the others show: {listed('landmark', [*found.moved])}"
-        rest = "the map is used without them"
-        notes.append(f"{which}; {rest}")
+    landmarks = landmarks.among(set(landmarks) - set(found.moved)) if found.moved else landmarks
+    notes += [part.sentence for part in found.parts]
+    if single := sorted(set(found.moved).difference(*(part.ids for part in found.parts))):
+        which = f"some landmarks have moved since the map was made, as the others show: {listed('landmark', single)}"
+        notes.append(f"{which}; the map is used without them")
     log = log.replace(initial_poses=placed, **_freed(log, found.lifted))
     if not log.identified:
         known = found.landmarks != UNIDENTIFIED
@@ -143,16 +148,22 @@ def follow(
     Raises:
         GraphError: as `first_fix`.
     """
-    drive, moved = Stretch.of(log, motion, sensor), set[int]()
-    found = _followed(log, drive, landmarks, True)
+    drive, moved, parts = Stretch.of(log, motion, sensor), set[int](), list[Part]()
+    if drive.identified and log.controls is not None:
+        while len(parts) < MOST_PARTS and (part := displaced_part(drive, landmarks.among(set(landmarks) - moved))):
+            parts.append(part)
+            moved |= set(part.ids)
+    found: Followed | set[int] = moved
     while not isinstance(found, Followed):
         moved |= found
         try:
             found = _followed(log, drive, landmarks.among(set(landmarks) - moved), True)
         except GraphError:
+            if not moved:
+                raise
             # what is left does not suffice
-            found, moved = _followed(log, drive, landmarks, False), set()
-    return replace(found, moved=tuple(sorted(moved)))
+            found, moved, parts = _followed(log, drive, landmarks, False), set(), []
+    return replace(found, moved=tuple(sorted(moved)), parts=tuple(parts))
 
 
 def _followed(log: Log, drive: Stretch, landmarks: LandmarkMap, leave_out: bool) -> Followed | set[int]:

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import GraphError
 from ..linear.precision import inverses
 from ..log import UNIDENTIFIED
-from ..maps.landmark_map import LandmarkMap
+from ..maps.landmark_map import CORRELATIONS_LOST, LandmarkMap
 from ..maps.localization import SURE, Fix
 from ..maps.registration import evenly
 from ..maps.stretch import Stretch, backwards, drifted
@@ -112,11 +112,13 @@ class Localizer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the drive says against the map."""
+        """What the map lacks, and what the drive says against it."""
+        lost = (CORRELATIONS_LOST,) * self._declared.correlated
         if not self._contradicted:
-            return ()
+            return lost
         counted = said_of_wider(self._deviation) if self._deviation else TAKEN_FOR_RIGHT.replace("covariances", "risks")
         return (
+            *lost,
             f"the drive contradicts the map: its landmarks seem to be off by {self._contradicted:.1f} times what its "
             f"covariances and the noise models allow, in the median. {counted}; check its unit and its source, whether ids "
             "are misread, and whether the robot has biases or more noise than its models",

@@ -58,7 +58,8 @@ def test_trajectories_keep_every_bit(saved):
 def test_maps_are_tables(saved):
     comparison, folder, _ = saved
     lines = (folder / "graph-map.csv").read_text().splitlines()
-    assert lines[0] == "id,x,y,heading,var_x,cov_xy,var_y,cov_x_heading,cov_y_heading,var_heading"
+    names = "id,x,y,heading,var_x,cov_xy,var_y,cov_x_heading,cov_y_heading,var_heading,correlated"
+    assert lines[0] == names and all(line.endswith(",1") for line in lines[1:])
     result = comparison["graph"]
     for line in lines[1:]:
         j, x, y, heading, var_x, cov_xy, var_y, *_ = line.split(",")

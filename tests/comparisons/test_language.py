@@ -41,7 +41,7 @@ from graphslam.graph import build, defaults
 from graphslam.identification.result import RobotEstimate
 from graphslam.log import cells, geometry, streams
 from graphslam.log_checks import given, ids, readings
-from graphslam.maps import tracking
+from graphslam.maps import parts, tracking
 
 #: the module, whose package has a function of the same name
 verbs = import_module("comparisons.cli.run")
@@ -53,7 +53,8 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     tables._exchanged, tables._noise_remarks, verbs.run, verbs.report, verbs._noise_advice,
     comparison.Comparison._noise_findings, comparison.Comparison._unused_options,
     result_files.write_pose_graph, filters._one_run, filters.of_several_seeds,
-    build._tied_steps, tracking.in_frame_of, page._map_note, page._error_texts, page._unless_failed, page._matrix,
+    build._tied_steps, tracking.in_frame_of, parts.Part.sentence.fget, page._map_note,
+    page._error_texts, page._unless_failed, page._matrix,
     charts.remarks, charts.description, page.association_table, defaults.pairs_overweight,
     RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, studies.solver_tables, studies.backend_tables,
     log_tables.import_tables, log_tables.overview_tables, log_tables.evaluation_tables, studies.particle_tables,

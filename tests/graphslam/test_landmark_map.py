@@ -1,12 +1,14 @@
 """Maps and their files: what is written is read again, and what cannot be is refused with its place."""
 
+import copy
 import json
 import pickle
 
 import numpy as np
 import pytest
 
-from graphslam import FormatError, LandmarkMap, OptionError, SlamError
+from graphslam import FormatError, Graph, LandmarkMap, OnlineSolver, OptionError, SlamError, simulate, solve
+from graphslam.maps.landmark_map import CORRELATIONS_LOST
 
 
 def random_covariance(rng, n):
@@ -62,6 +64,21 @@ def test_a_joint_covariance_is_kept_by_npz_and_its_blocks_by_others(tmp_path):
     with pytest.raises(OptionError, match="maps are not written as .parquet"):
         known.save(tmp_path / "map.parquet")
     assert not known.used_as("fixed").covariances
+
+
+@pytest.mark.parametrize("ending", ["csv", "tsv", "yaml", "geojson", "npz"])
+def test_a_file_that_has_lost_correlations_is_noted(tmp_path, ending):
+    log = simulate(seed=0, steps=12, clean=True)
+    joint, path = solve(Graph.from_log(log)).map, tmp_path / f"map.{ending}"
+    independent = LandmarkMap(joint, joint.covariances)
+    for known, lost in ((joint, ending != "npz"), (independent, False), (joint.used_as("fixed"), False)):
+        known.save(path)
+        read = LandmarkMap.load(path)
+        assert read.correlated == copy.copy(read).correlated == lost
+        assert (CORRELATIONS_LOST in Graph.from_log(log, map=path).notes) == lost
+        assert (CORRELATIONS_LOST in OnlineSolver(map=path).notes) == lost
+        read.save(tmp_path / "again.npz")
+        assert LandmarkMap.load(tmp_path / "again.npz").correlated == lost
 
 
 def test_the_joint_information_of_some_landmarks_is_the_schur_complement_of_the_others():

@@ -17,6 +17,7 @@ from graphslam import (
     solve_with_gtsam,
 )
 from graphslam.log import UNIDENTIFIED
+from graphslam.maps.tracking import follow
 from graphslam.se2 import difference
 
 ROBOT = {
@@ -191,6 +192,24 @@ def test_a_map_with_joint_covariances_is_doubted_where_its_size_is_wrong():
     larger = LandmarkMap({j: 1.05 * place for j, place in first.items()}, joint=first.joint)
     (doubt,) = doubts(log, larger)
     assert "times its size" in doubt
+
+
+@pytest.mark.parametrize("off", [0.1, 0.3])
+def test_a_part_of_a_map_that_was_surveyed_apart_is_left_out(off):
+    """At 0.3 m its borders were lifts; at 0.1 m poses were several standard deviations off without a note."""
+    world = np.random.default_rng(7).uniform(-8, 8, (30, 2))
+    log = simulate(seed=7, steps=400, clean=True, orientation=False, landmarks=world, max_range=8.0, **ROBOT)
+    log, known = log.replace(**ROBOT), {j: place[:2] for j, place in log.true_landmarks.items()}
+    wing = {j for j, place in known.items() if place[0] > 2}
+    assert not follow(log, LandmarkMap(known)).parts
+    graph = Graph.from_log(log, map={j: place + (off, 0) if j in wing else place for j, place in known.items()})
+    (note,) = (note for note in graph.notes if "surveyed apart" in note)
+    assert float(re.search(r"lie ([\d.]+) m", note)[1]) == pytest.approx(off, abs=0.03)
+    assert not any("lifted" in note for note in graph.notes) and set(graph.map) == set(known) - wing
+    # in the map without the part, poses are where they are in the right map
+    errors = [solve(each).poses - log.true_poses for each in (graph, Graph.from_log(log, map=known))]
+    ours, best = (np.sqrt(np.mean(np.sum(e[:, :2] ** 2, axis=1))) for e in errors)
+    assert ours < 2 * best
 
 
 def test_few_moved_landmarks_are_no_doubt_of_the_map_but_named():
