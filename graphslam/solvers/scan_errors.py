@@ -58,6 +58,8 @@ SUSPECTED = 2.0, -2.0
 ROUNDS, LASTING = 4, 9
 #: ticks of encoders leave at least so many different speeds, and at most this part of the number of controls
 TICKS = 5, 0.05
+#: directions of which less than this part is left where the nodes follow them are not told from the nodes
+DETERMINED = 1e-4
 #: the fewest scans and motions that say something; the most samples, and their number times that of the poses
 FEWEST, MOST, SAMPLES = 20, 24, 20_000
 
@@ -144,7 +146,8 @@ def _of_scans(graph: Graph, moved: RelativePoseEdges, state: Array, C: Array) ->
     drive.kinds = [*scans, *(A @ lasting for A in scans), *drive.motions(1)]
     drive.kinds += [drive.single(k) for k in (0, *range(2, len(drive.edges)))]
     q, S = equations(drive, poses)
-    return tuple(each[: len(AXES)] for each in variances(q, S))
+    theta, z, share = variances(q, S)
+    return theta[: len(AXES)], z[: len(AXES)], share[: len(AXES)]
 
 
 def equations(drive: Whitened, poses: int) -> tuple[Array, Array]:
@@ -192,6 +195,7 @@ class Whitened:
         self.first = np.cumsum([0, *(each.residuals.size for each in self.edges)])
         white = [root @ each.residuals[:, :, None] for root, each in zip(self._roots, self.edges)]
         self.residuals = np.concatenate([each.reshape(-1, 1) for each in white])
+        self._followed = np.zeros((len(self.residuals), 0))
         free = np.ones((graph.num_nodes, 3))
         free[graph.fixed] = 0.0
         ends = [(k, J, nodes) for k, each in enumerate(self.edges) for J, nodes in zip(each.jacobians, each.nodes)]
@@ -214,12 +218,23 @@ class Whitened:
 
         return eye(self.first[-1], self.edges[k].residuals.size, -self.first[k], format="csr")
 
+    def free(self, directions: Array) -> None:
+        """Let the estimate follow errors in some directions (N, K), too, as far as the nodes do not follow them anyway."""
+        lengths = np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
+        followed, sizes, _ = np.linalg.svd(self._left(directions / lengths), full_matrices=False)
+        self._followed = followed[:, sizes > DETERMINED]
+
     def squares(self, errors: Array) -> Array:
         """abs(A_p' M errors)² of each kind, the mean over the columns of errors (N, K)."""
+        left = self._left(errors)
+        left = left - self._followed @ (self._followed.T @ left)
+        return np.array([np.mean(np.sum((A.T @ left) ** 2, axis=0)) for A in self.kinds])
+
+    def _left(self, errors: Array) -> Array:
+        """What is left of errors (N, K) where the nodes follow them."""
         errors = self._without_landmarks(errors)
         pulls = (self._by_nodes.T @ errors).reshape(-1, 3, errors.shape[1])
-        left = self._without_landmarks(errors - self._by_nodes @ self._factor.solve(pulls).reshape(-1, errors.shape[1]))
-        return np.array([np.mean(np.sum((A.T @ left) ** 2, axis=0)) for A in self.kinds])
+        return self._without_landmarks(errors - self._by_nodes @ self._factor.solve(pulls).reshape(-1, errors.shape[1]))
 
     def _without_landmarks(self, errors: Array) -> Array:
         """What is left of errors (N, K) where landmarks that are no nodes follow them."""

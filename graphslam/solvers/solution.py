@@ -433,15 +433,11 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
         notes.append(found)
     solution, of_odometry = without_slips_of(solution, again)
     graph = solution.graph or graph
-    of_positions, (wider_positions, lasting) = doubt_of_positions(graph, solution.state), with_lasting_errors(solution, again)
-    if lasting:
-        # a lever that nobody has stated is an error that lasts, too
-        of_positions = doubt_of_positions(wider_positions.graph or graph, wider_positions.state, lasting=True)
-        if not of_positions:
-            solution, of_positions = wider_positions, lasting
-            graph = solution.graph or graph
+    solution, lasting = with_lasting_errors(solution, again)
+    graph = solution.graph or graph
+    of_positions = doubt_of_positions(graph, solution.state, lasting=bool(lasting))
     common, of_scans = errors_of_scans(graph, solution.state)
-    notes += filter(None, (of_positions, *of_odometry, of_scans))
+    notes += filter(None, (of_positions, lasting, *of_odometry, of_scans))
     # families that do not say how many numbers they measure leave the expected cost open
     counted = all(f.numbers[0] or isinstance(f, AnchorEdges) or not f.count for f in graph.families)
     expected = max(graph.expected_cost, 1.0)
