@@ -30,7 +30,7 @@ from ..linear.cholesky import FactorizationError
 from ..se2 import Array, turn_matrix
 from .contradictions import OTHER_FRAME
 from .joint import motion_edges
-from .scan_errors import SHARE, Whitened, equations, settled, variances
+from .scan_errors import SHARE, Whitened, counted_once, equations, settled, variances
 
 if TYPE_CHECKING:
     from .solution import Solution
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 #: lasting errors count whose variance is so many standard errors above zero. Squares of ten windows are larger by chance once
 #: in 100,000 drives; without lasting errors at most 5.4 was found on 200 drives, and with 2 s of it at 1 Hz 18
 SURELY = 7.0
-#: the fewest positions that say something; the number of lengths L, each a quarter of the one before, and the part of the
-#: drive that the longest one is; the windows of a length that overlap
+#: the fewest positions that say something; the number of lengths L, each half of the one before, and the part of the
+#: positions that the longest one is; the windows of a length that overlap
 FEWEST, LENGTHS, LONGEST, OVERLAP = 20, 10, 5, 4
 #: positions that the kernel gives less than this weight are wrong, and have it; others count as a whole
 WRONG = 0.25
@@ -57,7 +57,7 @@ def with_lasting_errors(solution: Solution, again: Callable[[Graph], Solution] |
     """
     graph = solution.graph
     log = None if graph is None else graph.log
-    if graph is None or log is None or log.times is None or motion_edges(graph) is None:
+    if graph is None or log is None or log.times is None or motion_edges(graph) is None or not counted_once(graph):
         return solution, ""
     families = [f for f in graph.families if isinstance(f, PositionEdges) and f.count]
     if sum(f.count for f in families) < FEWEST:
@@ -83,12 +83,12 @@ def with_lasting_errors(solution: Solution, again: Callable[[Graph], Solution] |
     )
     if again is None:
         return solution, text + (
-            f"Covariances take them for independent, and are too small: multiply the standard deviations of the positions "
+            "Covariances take them for independent, and are too small: multiply the standard deviations of the positions "
             f"by {m**0.5:.2g}"
         )
-    seconds = solution.seconds + wider.seconds
-    positions = {k: trust for k, trust in solution.other_trust.items() if k == "positions"}
-    wider = replace(wider, seconds=seconds, other_trust={**wider.other_trust, **positions})
+    # the trust in positions is part of the information that the last solution began with
+    trust = wider.other_trust | {k: each for k, each in solution.other_trust.items() if k == "positions"}
+    wider = replace(wider, seconds=solution.seconds + wider.seconds, other_trust=trust)
     return wider, text + "Poses, covariances and risks contain it"
 
 

@@ -71,12 +71,8 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     """
     C, sure = np.zeros((3, 3)), np.zeros(len(AXES), dtype=bool)
     moved, log = motion_edges(graph), graph.log
-    # pairs of sightings count these more than once, so that poses follow their errors
-    once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
     seen = any(isinstance(family, SightingEdges) and family.count for family in graph.families)
-    # what edges of a user's own say about the noise is not known
-    known = all(isinstance(family, (EngineEdges, PriorEdges)) for family in graph.families)
-    if moved is None or log is None or log.times is None or not (once and seen and known) or moved.count < FEWEST:
+    if moved is None or log is None or log.times is None or not (counted_once(graph) and seen) or moved.count < FEWEST:
         return C, ""
     # sightings on an arc, which the Cartesian residual has along a line, have an error in common, too
     straight = isinstance(sighted_edges(graph), CartesianObservationEdges)
@@ -107,6 +103,14 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
         "inexact. Covariances contain it; for better poses fasten the sensor, record the time at which it measured, or "
         "estimate the noise (noise='auto')"
     )
+
+
+def counted_once(graph: Graph) -> bool:
+    """Whether all edges are of known families, and sightings have errors of their own, as pairs of them have not."""
+    seen = [family for family in graph.families if isinstance(family, SightingEdges)]
+    once = graph.num_nodes > len(graph.steps) or all(isinstance(family, MarginalEdges) for family in seen)
+    # what edges of a user's own say about the noise is not known
+    return once and all(isinstance(family, (EngineEdges, PriorEdges)) for family in graph.families)
 
 
 def _suspected(graph: Graph, moved: RelativePoseEdges, state: Array) -> bool:
