@@ -58,7 +58,7 @@ SUSPECTED = 2.0, -2.0
 ROUNDS, LASTING = 4, 9
 #: ticks of encoders leave at least so many different speeds, and at most this part of the number of controls
 TICKS = 5, 0.05
-#: directions of which less than this part is left where the nodes follow them are not told from the nodes
+#: the nodes follow directions of which less than this part is left
 DETERMINED = 1e-4
 #: the fewest scans and motions that say something; the most samples, and their number times that of the poses
 FEWEST, MOST, SAMPLES = 20, 24, 20_000
