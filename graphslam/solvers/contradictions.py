@@ -229,8 +229,12 @@ def _scores(graph: Graph, state: Array, directions: Array) -> tuple[Array, Array
     return g, S, alone
 
 
-def doubt_of_positions(graph: Graph, state: Array) -> str:
-    """A sentence where the lever or the covariances of positions are probably wrong; empty otherwise."""
+def doubt_of_positions(graph: Graph, state: Array, *, lasting: bool = False) -> str:
+    """A sentence where the lever or the covariances of positions are probably wrong; empty otherwise.
+
+    Args:
+        lasting: whether the covariances are those of lasting errors, so that they say nothing of single ones.
+    """
     families = [family for family in graph.families if isinstance(family, PositionEdges)]
     if graph.parameters is not None or sum(family.count for family in families) < FEWEST_POSITIONS:
         return ""
@@ -250,7 +254,7 @@ def doubt_of_positions(graph: Graph, state: Array) -> str:
             f"where the log has it (standard error {error:.1g} m): poses are off by as much. Check the lever of the antenna "
             "(lever_x, lever_y), and whether the times of the positions are late or early"
         )
-    if ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
+    if lasting or ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
         return ""
     if ratio > OTHER_FRAME:
         return (

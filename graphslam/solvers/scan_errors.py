@@ -25,6 +25,7 @@ Sources: Rao, *Estimation of variance and covariance components: MINQUE theory*,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -57,6 +58,8 @@ SUSPECTED = 2.0, -2.0
 ROUNDS, LASTING = 4, 9
 #: ticks of encoders leave at least so many different speeds, and at most this part of the number of controls
 TICKS = 5, 0.05
+#: the nodes follow directions of which less than this part is left
+DETERMINED = 1e-4
 #: the fewest scans and motions that say something; the most samples, and their number times that of the poses
 FEWEST, MOST, SAMPLES = 20, 24, 20_000
 
@@ -68,12 +71,8 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     """
     C, sure = np.zeros((3, 3)), np.zeros(len(AXES), dtype=bool)
     moved, log = motion_edges(graph), graph.log
-    # pairs of sightings count these more than once, so that poses follow their errors
-    once = len(state) > len(graph.steps) or any(isinstance(family, MarginalEdges) for family in graph.families)
     seen = any(isinstance(family, SightingEdges) and family.count for family in graph.families)
-    # what edges of a user's own say about the noise is not known
-    known = all(isinstance(family, (EngineEdges, PriorEdges)) for family in graph.families)
-    if moved is None or log is None or log.times is None or not (once and seen and known) or moved.count < FEWEST:
+    if moved is None or log is None or log.times is None or not (counted_once(graph) and seen) or moved.count < FEWEST:
         return C, ""
     # sightings on an arc, which the Cartesian residual has along a line, have an error in common, too
     straight = isinstance(sighted_edges(graph), CartesianObservationEdges)
@@ -81,7 +80,7 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
         return C, ""
     try:
         for k in range(ROUNDS):
-            theta, z, share = _variances(_Whitened(graph, state, C), int(np.clip(SAMPLES / len(graph.steps), 4, MOST)))
+            theta, z, share = _of_scans(graph, moved, state, C)
             if k == 0:
                 sure = (z > SURELY) & (share > SHARE)
             if not sure.any():
@@ -106,6 +105,14 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
     )
 
 
+def counted_once(graph: Graph) -> bool:
+    """Whether all edges are of known families, and sightings have errors of their own, as pairs of them have not."""
+    seen = [family for family in graph.families if isinstance(family, SightingEdges)]
+    once = graph.num_nodes > len(graph.steps) or all(isinstance(family, MarginalEdges) for family in seen)
+    # what edges of a user's own say about the noise is not known
+    return once and all(isinstance(family, (EngineEdges, PriorEdges)) for family in graph.families)
+
+
 def _suspected(graph: Graph, moved: RelativePoseEdges, state: Array) -> bool:
     """Whether sightings of one scan have correlated residuals, or the errors of successive motions cancel each other.
 
@@ -125,75 +132,113 @@ def _suspected(graph: Graph, moved: RelativePoseEdges, state: Array) -> bool:
     return any(np.sum(each) > limit * np.sqrt(np.sum(each**2)) for products, limit in kinds for each in products)
 
 
-def _variances(drive: _Whitened, samples: int) -> tuple[Array, Array, Array]:
-    """theta of errors of scans along `AXES`, over their standard errors, and the part of q that they explain."""
-    rng, nothing = np.random.default_rng(0), (np.zeros(len(AXES)),) * 3
+def _of_scans(graph: Graph, moved: RelativePoseEdges, state: Array, C: Array) -> tuple[Array, Array, Array]:
+    """`variances` of errors of scans along `AXES`; the weights of sightings count the covariance C of such errors."""
+    from scipy.sparse import diags
+
+    seen, poses = sighted_edges(graph), len(graph.steps)
+    weighted = _weighted(seen, state, C)
+    changed = graph.with_families(weighted if f is seen else f for f in graph.families)
+    # poses follow the noise of positions, too
+    positions = [settled(f, state) for f in graph.families if isinstance(f, PositionEdges) and f.count]
+    drive = Whitened(changed, [weighted, replace(moved, frame="body"), *positions], state)
+    steps = drive.edges[0].nodes[0]
+    at_scan = drive.edges[0].jacobians[0] @ turn_matrix(state[steps, 2])
+    scans = [drive.rows(0, at_scan[:, :, a : a + 1], steps, poses) for a in AXES]
+    lags = range(-(LASTING // 2), LASTING // 2 + 1)
+    lasting = diags([LASTING**-0.5] * LASTING, list(lags), shape=(poses, poses))
+    drive.kinds = [*scans, *(A @ lasting for A in scans), *drive.motions(1)]
+    drive.kinds += [drive.single(k) for k in (0, *range(2, len(drive.edges)))]
+    q, S = equations(drive, poses)
+    theta, z, share = variances(q, S)
+    return theta[: len(AXES)], z[: len(AXES)], share[: len(AXES)]
+
+
+def equations(drive: Whitened, poses: int) -> tuple[Array, Array]:
+    """q (P,) and S (P, P) of the kinds of errors of a drive with so many poses."""
+    rng, samples = np.random.default_rng(0), int(np.clip(SAMPLES / poses, 4, MOST))
     q = drive.squares(drive.residuals)
-    S = np.stack([drive.squares(A @ rng.choice([-1.0, 1.0], (A.shape[1], samples))) for A in drive.kinds], axis=1)
+    S = [drive.squares(A @ rng.choice([-1.0, 1.0], (A.shape[1], samples))) for A in drive.kinds]
+    return q, np.stack(S, axis=1)
+
+
+def variances(q: Array, S: Array) -> tuple[Array, Array, Array]:
+    """theta (P,), that over its standard errors, and the part of q that each kind explains; zeros where S is singular."""
     size = np.sqrt(np.diag(S))
-    if not (size.all() and q.all()):
-        return nothing
-    scaled = S / size[:, None] / size
-    inverse = np.linalg.inv((scaled + scaled.T) / 2)
-    if np.diag(inverse).min() <= 0:
-        return nothing
-    theta, errors = inverse @ (q / size) / size, np.sqrt(2 * np.diag(inverse)) / size
-    first = slice(len(AXES))
-    return theta[first], (theta / errors)[first], (size**2 * theta / q)[first]
+    if size.all() and q.all():
+        scaled = S / size[:, None] / size
+        inverse = np.linalg.inv((scaled + scaled.T) / 2)
+        if np.diag(inverse).min() > 0:
+            theta, errors = inverse @ (q / size) / size, np.sqrt(2 * np.diag(inverse)) / size
+            return theta, theta / errors, size**2 * theta / q
+    return (np.zeros(len(q)),) * 3
 
 
-class _Whitened:
-    """The edges of a graph at a state, whitened; the weights of sightings count the covariance C of errors of scans.
+def settled(family: Any, state: Array) -> Any:
+    """Edges without a kernel, with the weights that it gives them at a state as their trust."""
+    return replace(family, kernel=None, trust=family.trusted * family.kernel_weights(state))
+
+
+class Whitened:
+    """Families of a graph without kernels at a state, whitened, and what the estimate leaves of errors in them.
 
     Attributes:
-        residuals: e (N, 1) of the sightings, the motions and the positions.
-        kinds: A_p, sparse, those of errors of scans first.
+        edges: each family linearised.
+        first: where the residuals of each begin, and their number.
+        residuals: e (N, 1) of all of them, in their order.
+        kinds: the sparse matrices A_p (N, K) of kinds of errors, which the caller adds.
     """
 
-    def __init__(self, graph: Graph, state: Array, C: Array) -> None:
-        from scipy.sparse import diags, eye
+    def __init__(self, graph: Graph, families: Sequence[Any], state: Array) -> None:
+        from scipy.sparse import diags
         from scipy.sparse.linalg import splu
 
-        moved, seen, poses = motion_edges(graph), sighted_edges(graph), len(graph.steps)
-        assert moved is not None
-        weighted = _weighted(seen, state, C)
-        changed = graph.with_families(weighted if f is seen else f for f in graph.families)
-        self._factor = changed.linearize(state)[0].own_factor()
-        # poses follow the noise of positions, too
-        positions = [family for family in graph.families if isinstance(family, PositionEdges) and family.count]
-        edges = [each.linearize(state, state) for each in (weighted, replace(moved, frame="body"), *positions)]
-        for k, family in enumerate(positions, 2):
-            edges[k] = replace(edges[k], information=edges[k].information * family.kernel_weights(state)[:, None, None])
-        self._roots = [np.swapaxes(np.linalg.cholesky(each.information), 1, 2) for each in edges]
-        self._first = np.cumsum([0, *(each.residuals.size for each in edges)])
-        white = [root @ each.residuals[:, :, None] for root, each in zip(self._roots, edges)]
+        self._factor, self.kinds = graph.linearize(state)[0].own_factor(), list[Any]()
+        self.edges = [family.linearize(state, state) for family in families]
+        self._roots = [np.swapaxes(np.linalg.cholesky(each.information), 1, 2) for each in self.edges]
+        self.first = np.cumsum([0, *(each.residuals.size for each in self.edges)])
+        white = [root @ each.residuals[:, :, None] for root, each in zip(self._roots, self.edges)]
         self.residuals = np.concatenate([each.reshape(-1, 1) for each in white])
+        self._followed = np.zeros((len(self.residuals), 0))
         free = np.ones((graph.num_nodes, 3))
         free[graph.fixed] = 0.0
-        ends = [(k, J, nodes) for k, each in enumerate(edges) for J, nodes in zip(each.jacobians, each.nodes)]
-        self._by_nodes = sum(self._rows(k, J, nodes, graph.num_nodes) for k, J, nodes in ends) @ diags(free.ravel())
-        steps = edges[0].nodes[0]
-        at_scan = edges[0].jacobians[0] @ turn_matrix(state[steps, 2])
-        of_motion = np.sqrt(np.diagonal(np.linalg.inv(edges[1].information), axis1=1, axis2=2))[:, :, None] * np.eye(3)
-        scans = [self._rows(0, at_scan[:, :, a : a + 1], steps, poses) for a in AXES]
-        lags = range(-(LASTING // 2), LASTING // 2 + 1)
-        lasting = diags([LASTING**-0.5] * LASTING, list(lags), shape=(poses, poses))
-        self.kinds = [*scans, *(A @ lasting for A in scans)]
-        self.kinds += [self._rows(1, of_motion[:, :, a : a + 1], np.arange(moved.count), moved.count) for a in AXES]
-        for k in (0, *range(2, len(edges))):
-            self.kinds.append(eye(self._first[-1], edges[k].residuals.size, -self._first[k], format="csr"))
+        ends = [(k, J, nodes) for k, each in enumerate(self.edges) for J, nodes in zip(each.jacobians, each.nodes)]
+        self._by_nodes = sum(self.rows(k, J, nodes, graph.num_nodes) for k, J, nodes in ends) @ diags(free.ravel())
         self._of_landmarks = None
-        if isinstance(seen, MarginalEdges):
-            blocks = np.zeros((len(steps), 1, 1)) + np.eye(seen.dimension)
-            by_landmarks = self._rows(0, blocks, seen.group, len(seen.starts) - 1)
-            self._of_landmarks = splu((by_landmarks.T @ by_landmarks).tocsc()), by_landmarks
+        for k, seen in enumerate(families):
+            if isinstance(seen, MarginalEdges):
+                blocks = np.zeros((len(self.edges[k].nodes[0]), 1, 1)) + np.eye(seen.dimension)
+                by_landmarks = self.rows(k, blocks, seen.group, len(seen.starts) - 1)
+                self._of_landmarks = splu((by_landmarks.T @ by_landmarks).tocsc()), by_landmarks
+
+    def motions(self, k: int) -> list[Any]:
+        """A_p of errors of single motions, the family k, along each of `AXES`."""
+        sizes = np.sqrt(np.diagonal(np.linalg.inv(self.edges[k].information), axis1=1, axis2=2))[:, :, None] * np.eye(3)
+        return [self.rows(k, sizes[:, :, a : a + 1], np.arange(len(sizes)), len(sizes)) for a in AXES]
+
+    def single(self, k: int) -> Any:
+        """A_p of errors of single measurements of the family k."""
+        from scipy.sparse import eye
+
+        return eye(self.first[-1], self.edges[k].residuals.size, -self.first[k], format="csr")
+
+    def free(self, directions: Array) -> None:
+        """Let the estimate follow errors in some directions (N, K), too, as far as the nodes do not follow them anyway."""
+        lengths = np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
+        followed, sizes, _ = np.linalg.svd(self._left(directions / lengths), full_matrices=False)
+        self._followed = followed[:, sizes > DETERMINED]
 
     def squares(self, errors: Array) -> Array:
         """abs(A_p' M errors)² of each kind, the mean over the columns of errors (N, K)."""
+        left = self._left(errors)
+        left = left - self._followed @ (self._followed.T @ left)
+        return np.array([np.mean(np.sum((A.T @ left) ** 2, axis=0)) for A in self.kinds])
+
+    def _left(self, errors: Array) -> Array:
+        """What is left of errors (N, K) where the nodes follow them."""
         errors = self._without_landmarks(errors)
         pulls = (self._by_nodes.T @ errors).reshape(-1, 3, errors.shape[1])
-        left = self._without_landmarks(errors - self._by_nodes @ self._factor.solve(pulls).reshape(-1, errors.shape[1]))
-        return np.array([np.mean(np.sum((A.T @ left) ** 2, axis=0)) for A in self.kinds])
+        return self._without_landmarks(errors - self._by_nodes @ self._factor.solve(pulls).reshape(-1, errors.shape[1]))
 
     def _without_landmarks(self, errors: Array) -> Array:
         """What is left of errors (N, K) where landmarks that are no nodes follow them."""
@@ -202,15 +247,15 @@ class _Whitened:
         factor, by_landmarks = self._of_landmarks
         return errors - by_landmarks @ factor.solve(by_landmarks.T @ errors)
 
-    def _rows(self, k: int, blocks: Array, columns: np.ndarray, width: int) -> Any:
+    def rows(self, k: int, blocks: Array, columns: np.ndarray, width: int) -> Any:
         """Blocks (E, d, m) of the edges k, whitened, in columns (E,) of m numbers each, as a sparse matrix (N, m width)."""
         from scipy.sparse import csr_matrix
 
         blocks = self._roots[k] @ blocks
         E, d, m = blocks.shape
-        row = np.broadcast_to(self._first[k] + np.arange(E * d).reshape(E, d, 1), blocks.shape)
+        row = np.broadcast_to(self.first[k] + np.arange(E * d).reshape(E, d, 1), blocks.shape)
         column = np.broadcast_to(m * columns[:, None, None] + np.arange(m), blocks.shape)
-        return csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(self._first[-1], m * width))
+        return csr_matrix((blocks.ravel(), (row.ravel(), column.ravel())), shape=(self.first[-1], m * width))
 
 
 def _weighted(seen: SightingEdges, state: Array, C: Array) -> SightingEdges:

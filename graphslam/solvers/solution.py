@@ -34,6 +34,7 @@ from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_positions, w
 from .iteration import Run
 from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
+from .position_errors import with_lasting_errors
 from .scan_errors import errors_of_scans
 from .uncertainty import Uncertainty, doubts, ids_of, shaped
 
@@ -432,8 +433,11 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
         notes.append(found)
     solution, of_odometry = without_slips_of(solution, again)
     graph = solution.graph or graph
+    solution, lasting = with_lasting_errors(solution, again)
+    graph = solution.graph or graph
+    of_positions = doubt_of_positions(graph, solution.state, lasting=bool(lasting))
     common, of_scans = errors_of_scans(graph, solution.state)
-    notes += filter(None, (doubt_of_positions(graph, solution.state), *of_odometry, of_scans))
+    notes += filter(None, (of_positions, lasting, *of_odometry, of_scans))
     # families that do not say how many numbers they measure leave the expected cost open
     counted = all(f.numbers[0] or isinstance(f, AnchorEdges) or not f.count for f in graph.families)
     expected = max(graph.expected_cost, 1.0)

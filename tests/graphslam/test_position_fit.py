@@ -25,6 +25,7 @@ from graphslam.se2 import difference, mounted, turned_by
 from graphslam.solvers.uncertainty import Uncertainty
 
 LEVER, NOISE = "the positions fit better", "the errors of the positions"
+LASTING = "errors of absolute positions last"
 ROBOT = {"motion": MotionModel(nn=0.05, on=0.03, oo=0.05), "sensor": SensorModel(range_rate=0.02, bearing_std=0.02)}
 
 
@@ -39,7 +40,7 @@ def notes_on_positions(
     places[rng.random(len(steps)) < wrong] += 5.0
     positions = AbsolutePositions(steps=steps, places=places, covariances=said**2 * np.eye(2), levers=stated)
     solution = solve(Graph.from_log(log.replace(positions=positions), edges="landmark+motion", kernel=kernel))
-    return [note for note in solution.notes if note.startswith((LEVER, NOISE))]
+    return [note for note in solution.notes if note.startswith((LEVER, NOISE, LASTING))]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -75,6 +76,39 @@ def test_positions_of_another_frame_are_called_so():
     (note,) = (note for note in solve(graph).notes if note.startswith(NOISE))
     assert float(note.split()[6]) > 100 and "they are probably in another frame or unit than the map" in note
     assert "別の座標系" in translated(note, "ja")
+
+
+def with_lasting_errors(seed, correlation, *, sigma=0.3):
+    """The solution with a position at each step, whose errors have this correlation from one to the next, and the log."""
+    log = simulate(seed=seed, steps=200, clean=True, orientation=False, max_range=5.0, **ROBOT).replace(**ROBOT)
+    errors = sigma * np.random.default_rng(seed).standard_normal((log.num_poses, 2))
+    for k in range(1, len(errors)):
+        errors[k] = correlation * errors[k - 1] + np.sqrt(1 - correlation**2) * errors[k]
+    places = log.true_poses[:, :2] + errors + [4.1e5, 5.3e6]
+    truth = log.true_poses + [4.1e5, 5.3e6, 0.0]
+    positions = AbsolutePositions(steps=np.arange(log.num_poses), places=places, covariances=sigma**2 * np.eye(2))
+    return solve(Graph.from_log(log.replace(positions=positions), edges="landmark+motion", kernel="cauchy")), truth
+
+
+def test_errors_of_positions_that_last():
+    """With independent errors NEES / 3 would be 5 to 10."""
+    nees, counts = [], []
+    for seed in range(4):
+        solution, truth = with_lasting_errors(seed, 0.85)
+        (note,) = (each for each in solution.notes if each.startswith(LASTING))
+        assert not any(each.startswith((LEVER, NOISE)) for each in solution.notes)
+        assert "絶対位置の誤差は" in translated(note, "ja")
+        counts.append(float(note.split("so that ")[1].split()[0]))
+        nees.append(np.mean(solution.nees(truth)))
+    # (1 + a) / (1 - a)
+    assert np.median(counts) == pytest.approx(12.3, rel=0.5)
+    assert 0.4 < np.mean(nees) < 2.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_errors_of_positions_that_do_not_last(seed):
+    solution, _ = with_lasting_errors(seed, 0.0)
+    assert not any(each.startswith((LASTING, LEVER, NOISE)) for each in solution.notes)
 
 
 def notes_on_slip(seed, *, speed=1.0, turn=1.0, steps=slice(60, 70), **models):
