@@ -36,7 +36,7 @@ class Archive {
         }
         good = good && sizeof value <= rest_.size();
         if (!good) return;
-        std::memcpy(&value, rest_.data(), sizeof value);
+        rest_.copy(reinterpret_cast<char*>(&value), sizeof value);
         rest_.remove_prefix(sizeof value);
     }
     template <class T>

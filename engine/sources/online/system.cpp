@@ -76,10 +76,10 @@ void OnlineSystem::write_prior(const Prior& prior, bool renewed) {
 bool OnlineSystem::begin_at(std::span<const Triple> x, std::span<const Id> newest) {
     for (std::size_t k = 0; k < x.size(); ++k) {
         Node& node = graph_.nodes[k];
-        node = Node{NodeValue(node)};
+        node = Node{static_cast<const NodeValue&>(node)};
         node.begin(x[k]);
     }
-    for (Edge& edge : graph_.edges) edge = Edge{Measurement(edge)};
+    for (Edge& edge : graph_.edges) edge = Edge{static_cast<const Measurement&>(edge)};
     memory_.cost = 0.0;
     tree_.clear();
     for (Prior& prior : priors_) {

@@ -37,9 +37,9 @@ struct Frame {
     const Node& now;
     const Seen& then;
 };
-const Node world;
-const Seen origin{};
 Frame frame_of(const Graph& graph, const Supernode& group) {
+    static const Node world;
+    static const Seen origin{};
     if (group.frame < 0) return {world, origin};
     return {graph.nodes[group.separator()[group.frame]], group.seen[group.frame]};
 }
