@@ -31,8 +31,8 @@ from graphslam.identification.robot import with_checked_ids
 from graphslam.io.formats import load_robots, robots_in
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.log.rows import ReadOptions
-from graphslam.maps.landmark_map import LandmarkMap, as_map
-from graphslam.maps.tracking import apart, freed_controls, in_frame_of, together
+from graphslam.maps.landmark_map import as_map
+from graphslam.maps.tracking import in_frame_of
 from graphslam.sessions import clock_offsets, join_robots, with_common_noise
 from graphslam.solvers.unknown_robot import estimate_robot
 
@@ -97,10 +97,8 @@ def prepare(
         logs = [read_log(each, replace(options, **unread))[0] for each in robots.values()]
         data, values, estimated = _joined(logs, options, partial(_of_robots, robots))
     else:
-        recorded, source = read_log(log, options)
-        data, values, found = _with_noise(recorded, options)
-        if found is not None and (known_map := _map_of(options)) is not None and enough_ids(recorded):
-            data, found = _without_lifts(recorded, data, found, known_map, options)
+        data, source = read_log(log, options)
+        data, values, found = _with_noise(data, options)
         estimated = found is not None
     values |= {name: value for name in values if (value := getattr(options, name)) is not None}
     corrected: dict[str, Any] = {n: None if value == CORRECTIONS[n] else value for n, value in values.items()}
@@ -118,7 +116,8 @@ def prepare(
         least, most, view = sensor.limits
         sensor = sensor.with_limits(least, min(most, options.max_range), view)
     in_map: dict[str, Any] = {}
-    if (landmark_map := _map_of(options)) is not None:
+    if isinstance(options, MapOptions) and (options.map or options.landmark_map) is not None:
+        landmark_map = as_map(options.landmark_map or options.map).used_as(options.map_use)
         data, kept, notes = in_frame_of(data, landmark_map, motion=motion, sensor=sensor)
         in_map = {"landmark_map": kept}
         remarks = list(notes)
@@ -210,29 +209,6 @@ def _with_noise(log: Log, options: LogOptions) -> tuple[Log, dict[str, float], C
         return known, values, None if estimate is None else Calibration.of(estimate)
     except (GraphError, LogError) as error:
         return log.replace(notes=(*log.notes, f"noise auto kept {_kept(log)}: {error}")), values, None
-
-
-def _map_of(options: LogOptions) -> LandmarkMap | None:
-    """The map that the options name, if any."""
-    if not isinstance(options, MapOptions) or (options.map or options.landmark_map) is None:
-        return None
-    return as_map(options.landmark_map or options.map).used_as(options.map_use)
-
-
-def _without_lifts(
-    recorded: Log, log: Log, found: Calibration, known_map: LandmarkMap, options: LogOptions
-) -> tuple[Log, Calibration]:
-    """A log and its estimate; both once more where the map shows lifts, as in `graphslam.graph.defaults.prepared`."""
-    try:
-        placed = in_frame_of(log, known_map)[0]
-    except GraphError:
-        # the log does not fit the map, which is said where it is placed in it
-        return log, found
-    if (freed := freed_controls(log, placed)).size:
-        again, _, other = _with_noise(apart(recorded, placed, freed), options)
-        if other is not None:
-            return together(again, recorded, log, freed), other
-    return log, found
 
 
 def _with_checked_ids(log: Log, motion: MotionModel, sensor: SensorModel) -> Log:
