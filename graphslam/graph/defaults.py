@@ -14,15 +14,10 @@ import numpy as np
 from ..edges import ANCHOR_INFORMATION, AnchorEdges, EdgeFamily, PositionEdges
 from ..edges.robust import Kernel
 from ..errors import GraphError
-from ..identification.known import noise_of
-from ..identification.result import RobotEstimate
 from ..linear.precision import inverses
 from ..log import Log
 from ..log.cells import COVERED, DOUBLED, REPEATED, SHARED, SIDEWAYS
 from ..log.measurements import AbsolutePositions
-from ..log_checks import mistakes_of, single_pose
-from ..maps.landmark_map import LandmarkMap
-from ..maps.tracking import apart, freed_controls, in_frame_of, together
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array, transform
 
@@ -82,40 +77,6 @@ def suitable_for_isam2(
         robust = kernel != "none" and log.controls is not None
         edges = "landmark+motion" if robust else suitable_edges(log, motion, sensor)
     return edges, kernel
-
-
-def prepared(
-    recorded: Log,
-    known_map: LandmarkMap | None,
-    motion: MotionModel | None,
-    sensor: SensorModel | None,
-    noise: str | None,
-) -> tuple[Log, LandmarkMap | None, MotionModel, SensorModel, list[str]]:
-    """A recorded log with its noise models (`noise_of`), in the frame of its positions or of a map; the map; and notes.
-
-    What a lift contradicts looks like noise. So noise is estimated once more where the map shows lifts, with landmarks of
-    their own after each of them.
-    """
-    log, moved, seen, robot = noise_of(recorded, motion, sensor, noise)
-    if known_map is None:
-        notes = [*_notes_of_estimate(recorded, log, robot), *(each.message for each in single_pose(log))]
-        return in_frame_of_positions(log), None, moved, seen, notes
-    placed, landmarks, notes_of_map = in_frame_of(log, known_map, motion=moved, sensor=seen)
-    if robot is not None and (freed := freed_controls(log, placed)).size:
-        again, moved_again, seen_again, other = noise_of(apart(recorded, placed, freed), motion, sensor, noise)
-        if other is not None:
-            log, moved, seen, robot = together(again, recorded, log, freed), moved_again, seen_again, other
-            placed, landmarks, notes_of_map = in_frame_of(log, known_map, motion=moved, sensor=seen)
-    return placed, landmarks, moved, seen, [*_notes_of_estimate(recorded, log, robot), *notes_of_map]
-
-
-def _notes_of_estimate(recorded: Log, log: Log, robot: RobotEstimate | None) -> list[str]:
-    """What was estimated of the robot of a recorded log, or why that could not be."""
-    notes = [note for note in log.notes if note not in recorded.notes]
-    if robot is None:
-        return notes
-    # noise and biases that were found for numbers read in the wrong way are wrong, too
-    return [*(each.message for each in mistakes_of(recorded)), *notes, *robot.doubts]
 
 
 def notes_on_options(log: Log, sensor: SensorModel, options: EdgeOptions, missing: list[str]) -> list[str]:

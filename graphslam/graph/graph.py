@@ -26,13 +26,16 @@ from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import array_of, make_read_only, singular
 from ..identification.declared import OF_SIGHTINGS, Parameters, declared
+from ..identification.known import noise_of
 from ..linear.information import BlockSystem, Structure, SystemOfThread
 from ..log import Log, check_is_log
+from ..log_checks import mistakes_of, single_pose
 from ..maps.landmark_map import LandmarkMap, as_map
+from ..maps.tracking import in_frame_of
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .build import graph_of_log, node_names, with_closures, with_dimensions
-from .defaults import edges_for_map, notes_on_options, prepared, suitable_edges, suitable_kernel
+from .defaults import edges_for_map, in_frame_of_positions, notes_on_options, suitable_edges, suitable_kernel
 from .mapping import estimate_map
 
 
@@ -173,10 +176,20 @@ class Graph:
         check_is_log(log)
         options = EdgeOptions(edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, residual=residual)
         recorded = with_dimensions(log, dimensions)
+        log, motion, sensor, robot = noise_of(recorded, motion, sensor, noise)
         known_map = None if map is None else as_map(map)
-        if known_map is not None:
-            options = replace(options, edges=edges_for_map(recorded, edges))
-        log, known_map, motion, sensor, notes = prepared(recorded, known_map, motion, sensor, noise)
+        # what was estimated, or why that could not be
+        notes = [note for note in log.notes if note not in recorded.notes]
+        if robot is not None:
+            # noise and biases that were found for numbers read in the wrong way are wrong, too
+            notes = [*(each.message for each in mistakes_of(recorded)), *notes, *robot.doubts]
+        if known_map is None:
+            notes += [each.message for each in single_pose(log)]
+            log = in_frame_of_positions(log)
+        else:
+            options = replace(options, edges=edges_for_map(log, edges))
+            log, known_map, found = in_frame_of(log, known_map, motion=motion, sensor=sensor)
+            notes += found
         options = replace(options, edges=options.edges or suitable_edges(log, motion, sensor))
         kernel = suitable_kernel(log) if kernel is None else kernel
         parameters, held = declared(estimate, log, motion, sensor, options), None

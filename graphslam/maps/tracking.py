@@ -112,34 +112,6 @@ def in_frame_of(
     return log, landmarks, tuple(notes)
 
 
-def freed_controls(log: Log, placed: Log) -> np.ndarray:
-    """The rows of the controls that say nothing in the log that `in_frame_of` made of another one, because of lifts."""
-    count = len(placed.initial_poses) - 1 if log.controls is None else len(log.controls)
-    before, after = (additional_variances(each.control_variances, count) for each in (log, placed))
-    return np.flatnonzero((before != after).any(axis=1))
-
-
-def apart(log: Log, placed: Log, freed: np.ndarray) -> Log:
-    """A log with landmarks of their own after each lift, and with the `freed_controls` of ``placed``."""
-    assert log.controls is not None and placed.control_variances is not None
-    names, numbers = np.unique(log.landmarks, return_inverse=True)
-    part = np.searchsorted(freed, log.control_starts[log.steps])
-    landmarks = np.where(log.landmarks == UNIDENTIFIED, UNIDENTIFIED, part * len(names) + numbers)
-    variances = additional_variances(log.control_variances, len(log.controls))
-    variances[freed] = placed.control_variances[freed]
-    return log.replace(landmarks=landmarks, control_variances=variances, true_landmarks=None)
-
-
-def together(estimated: Log, recorded: Log, log: Log, freed: np.ndarray) -> Log:
-    """What was estimated from `apart`, with the landmarks of the recorded log, and the controls of ``log`` at lifts."""
-    assert estimated.controls is not None
-    names, one = np.unique(recorded.landmarks), estimated.landmarks == UNIDENTIFIED
-    landmarks = np.where(one, UNIDENTIFIED, names[estimated.landmarks % len(names)])
-    variances = additional_variances(estimated.control_variances, len(estimated.controls))
-    variances[freed] = additional_variances(log.control_variances, len(variances))[freed]
-    return estimated.replace(landmarks=landmarks, control_variances=variances, true_landmarks=recorded.true_landmarks)
-
-
 def follow(
     log: Log, landmarks: LandmarkMap, *, motion: MotionModel | None = None, sensor: SensorModel | None = None
 ) -> Followed:

@@ -313,27 +313,3 @@ def test_searches_that_find_nothing_become_rarer(monkeypatch: pytest.MonkeyPatch
     tracking.follow(log, wrong, motion=truth.motion, sensor=truth.sensor)
     # 18 if each doubt were looked into as the first one
     assert 4 <= len(steps) <= 12 and steps[-1] > 500
-
-
-@pytest.mark.slow
-def test_noise_that_is_estimated_does_not_contain_a_lift():
-    """Twenty seconds of a drive are missing, with sightings by their ids on both sides."""
-    drive, truth = Drive(
-        seed=8005, duration=200.0, misread=0.0, parameters={}, odometry_rate=20.0, sensor_rate=5.0
-    ).simulate()
-    last, first = np.searchsorted(drive.times, [90.0, 110.0])
-    kept = np.r_[:last, first : drive.num_poses]
-    begin, end = drive.control_starts[[last - 1, first - 1]]
-    rows, seen = np.r_[:begin, end : len(drive.controls)], np.isin(drive.steps, kept)
-    log = Log(
-        dt=drive.dt[rows], controls=drive.controls[rows], sightings=drive.sightings[seen],
-        control_starts=np.r_[drive.control_starts[:last], drive.control_starts[first:] - (end - begin)],
-        steps=np.searchsorted(kept, drive.steps[seen]), landmarks=drive.landmarks[seen],
-    )  # fmt: skip
-    graph = Graph.from_log(log, map=drive.true_landmarks)
-    assert any("the robot was lifted" in note for note in graph.notes)
-    # 5.8 times the true one where the lift counts as noise; its standard error is 3 %
-    assert graph.sensor.bearing_std == pytest.approx(truth.sensor.bearing_std, rel=0.1)
-    errors = np.hypot(*(solve(graph).poses - drive.true_poses[kept])[:, :2].T)
-    # 0.065 m where the lift counts as noise, 0.024 m otherwise
-    assert np.sqrt(np.mean(errors**2)) < 0.04
