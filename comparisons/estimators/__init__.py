@@ -422,8 +422,10 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
         at_estimate = any(getattr(family, "noise_at", None) is not None for family in families)
         estimated = at_estimate or options.filter.range_noise == "estimated"
         values["options"]["range_noise"] = "estimated" if estimated else "measured"
-    elif graph is not None and takes_estimated_ranges(graph, "auto") and AT_MEASURED not in notes:
-        notes.append(AT_MEASURED)
+    elif graph is not None:
+        # by the option of this run, and not by the default of `solve`
+        notes = [note for note in notes if note != AT_MEASURED]
+        notes += [AT_MEASURED] * takes_estimated_ranges(graph, options.filter.range_noise)
     parameters = solution.parameters
     if parameters is not None:
         notes.append(f"estimated with the poses: {parameters.sentence}")

@@ -88,7 +88,8 @@ def prepare(
         paths = [Path(each).absolute() for each in log if isinstance(each, (str, PathLike))]
         if twice := [path for k, path in enumerate(paths) if path in paths[:k]]:
             raise OptionError(f"{twice[0].name} is named twice; its sightings would count twice, so name each log once")
-        logs, source = zip(*(read_log(each, options) for each in log))
+        read = [read_log(each, options) for each in log]
+        logs, source = [data for data, _ in read], tuple(path for _, path in read)
         data, values, estimated = _joined(logs, options, _of_one_place)
     elif together and (robots := _robots(log, options)):
         assert isinstance(log, (str, PathLike))

@@ -12,7 +12,6 @@ from dataclasses import replace
 from html import escape
 from importlib import import_module
 from io import StringIO
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -250,28 +249,47 @@ class LeanTable(Table):
         super().add_row(*(Text(cell) if isinstance(cell, str) and "[" in cell else cell for cell in plain), **settings)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """The table, as few tables with the same rows where it is too wide; gaps are narrow where that makes them fewer."""
-        names, widths = sum(not column.no_wrap for column in self.columns), list(map(_width, self.columns))
-        for count, gap in product(range(1, max(len(widths) - names, 1) + 1), (2, 1)):
-            parts = [[*range(names), *part] for part in np.array_split(range(names, len(widths)), count)]
-            if all(sum(widths[j] + gap for j in part) - gap <= options.max_width for part in parts):
-                break
+        """The table, with narrow gaps where that lets it fit, else as few tables with the same rows as possible."""
+        widths = [_width(column) for column in self.columns]
+        names = [column for column in self.columns if not column.no_wrap]
+        numbers = list(zip(self.columns, widths))[len(names) :]
+
+        def split(gap: int, limit: int = options.max_width) -> list[list[Column]]:
+            used = sum(min(NAMES, width) + gap for width in widths[: len(names)]) - gap
+            return _split(numbers, limit - used, gap)
+
+        gap = 1 if len(split(2)) > 1 == len(split(1)) else 2
+        # as even as possible
+        fewest, limits = len(split(gap)), range(1, options.max_width + 1)
+        parts = next(even for limit in limits if len(even := split(gap, limit)) == fewest)
         for k, part in enumerate(parts):
             table = LeanTable("", (), ())
             table.title = None if k else self.title
             table.padding = (0, 0, 0, gap - 1)
-            table.columns = [replace(self.columns[j], _index=i) for i, j in enumerate(part)]
+            table.columns = [replace(column, _index=i) for i, column in enumerate((*names, *part))]
             table.rows = self.rows
             if k:
                 yield ""
             yield from Table.__rich_console__(table, console, options)
 
 
+def _split(columns: Sequence[tuple[Column, int]], limit: int, gap: int) -> list[list[Column]]:
+    """The columns, given with their widths, in runs no wider than the limit, or a single column where one is wider."""
+    parts: list[list[Column]] = [[]]
+    used = 0
+    for column, width in columns:
+        used += width + gap
+        if parts[-1] and used > limit:
+            parts.append([])
+            used = width + gap
+        parts[-1].append(column)
+    return parts
+
+
 def _width(column: Column) -> int:
-    """The longest line of a column, of names at most `NAMES`, because they wrap."""
+    """The longest line of a column."""
     texts = (cell.plain if isinstance(cell, Text) else str(cell) for cell in (column.header, *column.cells))
-    longest = max(cell_len(line) for text in texts for line in text.split("\n"))
-    return longest if column.no_wrap else min(NAMES, longest)
+    return max(cell_len(line) for text in texts for line in text.split("\n"))
 
 
 def result_tables(results: ResultTable) -> Tables:

@@ -310,10 +310,10 @@ def _with_true_motion(found: Calibration, motion: MotionModel, moved: VarianceFi
 
 
 def _values(found: RobotEstimate, every: Sequence[RobotEstimate]) -> dict[str, tuple[float, float]]:
-    """{name: (value, standard deviation)} of each bias that one of ``every`` log has estimated, in this log.
+    """{name: (value, standard deviation)} in one log of each bias that at least one log of ``every`` has estimated.
 
-    A log that prefers the ideal value does not say how well it would tell another one: at most as well as the others do. It
-    contradicts them where they are far from it, but has no part in their mean.
+    A log that prefers the ideal value does not say how well it would tell another one: at most as well as the others do. So
+    it contradicts them where they are far from it.
     """
     of_logs: dict[str, tuple[float, float]] = {}
     for name, (ideal, _) in {name: prior for one in every for name, prior in one.parameters.priors.items()}.items():

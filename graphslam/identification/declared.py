@@ -161,7 +161,8 @@ def _as_known(value: float, deviation: float) -> str:
     if not 1e-6 < deviation < 10:
         return f"{value:.4g} +- {deviation:.2g}"
     decimals = 1 - floor(log10(deviation))
-    return f"{value:.{decimals}f} +- {deviation:.{decimals}f}"
+    # adding zero makes -0.0 zero
+    return f"{round(value, decimals) + 0.0:.{decimals}f} +- {deviation:.{decimals}f}"
 
 
 def ideal_values(sensor: SensorModel) -> dict[str, float]:

@@ -279,11 +279,17 @@ class TableOptions:
         value = self.by_table("clocks").get(table, 0.0)
         try:
             seconds = float(value)
-        except (TypeError, ValueError, OverflowError):
+        except OverflowError:
+            seconds = math.inf
+        except (TypeError, ValueError):
             seconds = math.nan
-        if not abs(seconds) <= _MOST_SECONDS:
-            most = f"at most {_MOST_SECONDS:.2g} (146 years) forward or back"
-            raise OptionError(f"clocks: {table} should be a number of seconds, {most}, not {quoted(value)}")
+        if math.isnan(seconds):
+            raise OptionError(f"clocks: {table} should be a number of seconds, not {quoted(value)}")
+        if abs(seconds) > _MOST_SECONDS:
+            raise OptionError(
+                f"clocks: {table} should be at most {_MOST_SECONDS:.2g} seconds (146 years) forward or back, "
+                f"not {quoted(value)}"
+            )
         return round(seconds * 1e9)
 
     def columns_of(self, table: str) -> Mapping[str, str | int]:

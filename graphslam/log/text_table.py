@@ -42,7 +42,8 @@ class TextTable(Table):
 
     Args:
         path: of the file.
-        columns: the names of the columns of a file without a header, whose separators are spaces and tabs.
+        columns: the names of the columns of a file without a header, whose separators are spaces and tabs. It may be empty,
+            and comments may end its lines.
 
     Attributes:
         path: of the file.
@@ -55,7 +56,10 @@ class TextTable(Table):
     def __init__(self, path: Path, columns: tuple[str, ...] = ()) -> None:
         self.path, self.source = path, str(path)
         text = read_text(path)
-        if not text.strip():
+        if columns:
+            # comments may follow the numbers of a line
+            text = re.sub(r"[ \t]*#[^\n]*", "", text)
+        elif not text.strip():
             raise FormatError(path, None, "the file is empty; a table with a header and rows is needed here")
         text = text.strip("\n")
         lines: list[str] = []

@@ -73,7 +73,8 @@ def solve(
             solution predicts: it is solved again with `Graph.with_noise_at` until it no longer moves. Where the noise of the
             range grows with the range, measured ranges that are too short weigh too much, and the map becomes too small.
             Costs and iterations are those of the last pass. Graphs with parameters do this in any case. "auto" is
-            "measured" for "gnc", for the noise of the lectures and for logs of `simulate`, and "estimated" else.
+            "measured" for "gnc", for the noise of the lectures, for logs of `simulate`, and for ranges or bearings alone, and
+            "estimated" else. Where the noise does not grow with the range, both are the same.
 
     Whatever the tolerances, the iteration has also converged when the steps no longer become shorter and the predicted
     decrease of J is below its rounding error (1e-15 of J, or what rounding of the coordinates makes of J: in UTM they are

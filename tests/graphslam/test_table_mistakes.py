@@ -439,7 +439,7 @@ def test_wrong_arguments():
         Log.from_tables("a.csv", "b.csv", columns={"sighting": {"range": 3}})
     with pytest.raises(OptionError, match="columns: 'range' should name a table, too, such as odometry.range=3"):
         Log.from_tables("a.csv", "b.csv", columns="range=3")
-    with pytest.raises(OptionError, match="clocks: truth should be a number of seconds, .* not 'soon'"):
+    with pytest.raises(OptionError, match="clocks: truth should be a number of seconds, not 'soon'"):
         Log.from_tables("a.csv", "b.csv", clocks="truth=soon")
     with pytest.raises(FormatError, match="a.csv: there is no such file"):
         Log.from_tables("a.csv", "b.csv")

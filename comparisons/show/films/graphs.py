@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm, Normalize
@@ -18,7 +18,7 @@ from graphslam.edges import AnchorEdges, EdgeFamily, MarginalEdges, PositionEdge
 from graphslam.log import UNIDENTIFIED
 from graphslam.se2 import Array, wrap
 from graphslam.solvers.initialize import starting_state
-from graphslam.solvers.iteration import METHODS
+from graphslam.solvers.iteration import METHODS, Iteration
 
 from ...estimators import ESTIMATORS, isam2_options, make_graph, online_keywords
 from ...options import AnimationOptions, RunOptions
@@ -81,21 +81,22 @@ def graph_film(log: Log, options: RunOptions, animation: AnimationOptions, progr
 
 
 class _Run(NamedTuple):
-    """The iterations from one start: the state before the first one and after each, and the solution."""
+    """The iterations from one start: the state after each, the norms of the corrections, and the solution."""
 
     start: str
-    states: list[Array]
+    states: tuple[Array, ...]
+    step_norms: tuple[float, ...]
     solution: Solution
 
 
 def _run(graph: Graph, start: str, method: str = "gauss-newton", max_iterations: int = 100) -> _Run:
-    states = [starting_state(graph, start)]
-    solution = solve(
-        graph.with_initial(states[0]), initialize="given", method=method, max_iterations=max_iterations,
-        callback=lambda step: states.append(step.state),
-    )  # fmt: skip
+    state = starting_state(graph, start)
+    steps: list[Iteration] = []
+    rules: dict[str, Any] = {"method": method, "max_iterations": max_iterations, "callback": steps.append}
+    solution = solve(graph.with_initial(state), initialize="given", **rules)
     # a run that diverged ends at its last finite state
-    return _Run(start, [state for state in states if np.isfinite(state).all()], solution)
+    finite = [step for step in steps if np.isfinite(step.state).all()]
+    return _Run(start, (state, *(step.state for step in finite)), tuple(step.step_norm for step in finite), solution)
 
 
 def _chosen(graph: Graph, initialize: str) -> tuple[_Run, tuple[str, ...]]:
@@ -131,7 +132,7 @@ def _after_iteration(graph: Graph, residuals: Residuals, run: _Run, number: int,
     nodes = state[len(graph.steps) :, : graph.landmark_dimension]
     lines, distances = residuals(state)
     caption = f"iteration {number}" if number else "start" if run.start == "given" else f"start ({run.start})"
-    norm = f"    |Δ| = {run.solution.step_norms[number - 1]:.1e}" if number else ""
+    norm = f"    |Δ| = {run.step_norms[number - 1]:.1e}" if number else ""
     return Frame(
         number=number, caption=f"{caption}    J = {cost:,.6g}{norm}", poses=poses, estimated=estimated,
         landmarks=dict(zip(graph.landmark_ids.tolist(), nodes)) if len(nodes) else dict(of_path),

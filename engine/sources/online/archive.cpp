@@ -74,6 +74,8 @@ void OnlineSystem::transfer(Each& each) {
 }
 
 std::string OnlineSystem::save() {
+    // nodes that still have to follow their supernode are saved where they are
+    complete();
     Archive archive;
     transfer(archive);
     std::uint64_t sum = checksum(archive.written);
