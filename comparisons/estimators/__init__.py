@@ -26,7 +26,7 @@ from graphslam.log.measurements import MEASURED
 from graphslam.online import replay
 from graphslam.se2 import wrap
 from graphslam.solvers.iteration import Run
-from graphslam.solvers.minimize import AT_MEASURED, takes_estimated_ranges
+from graphslam.solvers.minimize import AT_MEASURED, shortened_ranges, takes_estimated_ranges
 from graphslam.solvers.solution import BEYOND_NOISE, make_solution
 
 from ..options import FrontEndOptions, GraphOptions, RunOptions
@@ -38,8 +38,6 @@ from .filters import FILTER, identified, mcl, of_several_seeds, timed
 PATIENCE = 0.5
 #: a sighting to which the kernel gives less weight than this counts as weighed down
 WEIGHED_DOWN = 0.5
-#: where the noise is this part of a range, that it is taken at the measured range shortens lengths by 2 % or more
-WIDE = 0.1
 
 
 @dataclass(frozen=True)
@@ -435,13 +433,8 @@ def _of_solution(name: str, log: Log, options: RunOptions, solution: Solution) -
             notes.append(
                 "pairs weigh sightings too much, so these standard deviations are too small; see --weight marginal"
             )
-    rate = 0.0 if graph is None or graph.sensor is None else graph.sensor.range_rate
-    measured = values["options"].get("range_noise") == "measured" and parameters is None
-    if measured and rate >= WIDE and len(log.steps):
-        notes.append(
-            f"the noise of a range, {rate:.0%} of it, is taken at the measured range, as in the lectures, which alone makes "
-            f"lengths up to {2 * rate**2:.0%} too short; --range-noise estimated does not"
-        )
+    if graph is not None and values["options"].get("range_noise") == "measured":
+        notes += [note for note in shortened_ranges(graph) if note not in notes]
     if graph is not None and (kernel := graph.verdict[0]) is not None and len(log.steps):
         weights = graph.sighting_weights(solution.state)
         values["weighed_down"] = weighed_down = int(np.count_nonzero(weights < WEIGHED_DOWN))

@@ -20,7 +20,7 @@ from ..models import RANGE_NOISES
 from . import INITIALIZE
 from .gnc import solve_gnc
 from .iteration import METHODS, Iteration
-from .minimize import at_estimated_ranges, minimize, takes_estimated_ranges
+from .minimize import at_estimated_ranges, minimize, shortened_ranges, takes_estimated_ranges
 from .solution import Solution, doubted
 
 GNC = "gnc"
@@ -73,8 +73,8 @@ def solve(
             solution predicts: it is solved again with `Graph.with_noise_at` until it no longer moves. Where the noise of the
             range grows with the range, measured ranges that are too short weigh too much, and the map becomes too small.
             Costs and iterations are those of the last pass. Graphs with parameters do this in any case. "auto" is
-            "measured" for "gnc", for the noise of the lectures, for logs of `simulate`, and for ranges or bearings alone, and
-            "estimated" else. Where the noise does not grow with the range, both are the same.
+            "estimated" where the noise was estimated from the log itself, but not for "gnc", and "measured" else; a note says
+            so where noise that is given grows with the range.
 
     Whatever the tolerances, the iteration has also converged when the steps no longer become shorter and the predicted
     decrease of J is below its rounding error (1e-15 of J, or what rounding of the coordinates makes of J: in UTM they are
@@ -107,7 +107,9 @@ def solve(
     again = takes_estimated_ranges(graph, range_noise) and (method != GNC or range_noise == "estimated")
     required = range_noise == "estimated"
     run = partial(at_estimated_ranges, solved=solved, required=required) if again else solved
-    return doubted(run(graph, initialize, tolerance), lambda wider: run(wider, "given", tolerance))
+    solution = doubted(run(graph, initialize, tolerance), lambda wider: run(wider, "given", tolerance))
+    given = range_noise == "auto" and method != GNC and graph.log is not None and not graph.log.simulated
+    return solution if again or not given else replace(solution, notes=(*solution.notes, *shortened_ranges(graph)))
 
 
 def check_options(

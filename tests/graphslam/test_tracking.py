@@ -130,8 +130,7 @@ def test_a_lifted_robot_is_found_again(with_ids):
     (note,) = [note for note in graph.notes if "lifted" in note]
     assert f"and {first.num_poses}, and put down" in note
     # the drives are apart: each has the solution that it has alone
-    # parts of simulated logs have the noise of ranges at measured ranges by default, the log of both has not
-    poses = solve(graph, range_noise="measured").poses
+    poses = solve(graph).poses
     for part, rows in ((first, slice(first.num_poses)), (second, slice(first.num_poses, None))):
         alone = solve(Graph.from_log(part if with_ids else unnamed(part), map=TRUE, kernel="none", **MODELS)).poses
         assert np.abs(poses[rows] - alone)[:, :2].max() < 1e-3
@@ -226,7 +225,7 @@ def test_a_robot_that_drives_finds_itself_and_notices_that_it_was_lifted(with_id
     solver = OnlineSolver(map=TRUE, **MODELS)
     when = driven(log, solver)
     assert when is not None and when < 20
-    batch = solve(Graph.from_log(log, map=TRUE, kernel="cauchy", **MODELS), range_noise="measured")
+    batch = solve(Graph.from_log(log, map=TRUE, kernel="cauchy", **MODELS))
     # ids that were not clear at the time may differ from those that the whole log gives
     assert np.abs(solver.poses - batch.poses)[:, :2].max() < (1e-3 if with_ids else 0.2)
     assert set(solver.landmarks) >= set(log.landmark_ids.tolist()) - {UNIDENTIFIED}
