@@ -28,6 +28,7 @@ from comparisons.show.films.scene import Scene, kept
 from fastslam import ParticleGibbs
 from graphslam import (
     AbsolutePositions,
+    Drive,
     Graph,
     GraphError,
     Log,
@@ -54,6 +55,13 @@ def log() -> Log:
 @pytest.fixture(scope="module")
 def film(log: Log) -> Film:
     return animate(log, estimator="fastslam1", **FEW, max_frames=4)
+
+
+def test_a_film_has_the_iterations_of_all_passes_to_the_estimated_ranges() -> None:
+    """The solution counts those of the last pass alone."""
+    drive, _ = Drive(seed=3, duration=40.0, misread=0.0).simulate()
+    graph = Graph.from_log(drive)
+    assert solve(graph).iterations < len(animate(drive, max_frames=100)) - 1
 
 
 def test_graph_film_is_the_solver_s_way(log: Log) -> None:
