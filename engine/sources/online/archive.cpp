@@ -74,10 +74,11 @@ void OnlineSystem::transfer(Each& each) {
 }
 
 std::string OnlineSystem::save() {
-    // nodes that still have to follow their supernode are saved where they are
-    complete();
+    // nodes that still have to follow their supernode are saved where they are; saving changes nothing here
+    OnlineSystem moved = *this;
+    moved.complete();
     Archive archive;
-    transfer(archive);
+    moved.transfer(archive);
     std::uint64_t sum = checksum(archive.written);
     archive.written.append(title, sizeof title);
     archive(sum);
@@ -97,7 +98,8 @@ bool OnlineSystem::restore(std::string_view bytes) {
     if (!archive.finished()) return false;
     memory_ = {};
     memory_.bent = usual_bent();
-    begin_at(places(), {});
+    // the estimate is the one that was saved: the new tree does not move it
+    if (begin_at(places(), {})) tree_.stay();
     return true;
 }
 
