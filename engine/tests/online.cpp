@@ -97,7 +97,7 @@ void steps_end_at_the_minimum(unsigned seed, vmslam::edges::Kernel kernel) {
     damaged[damaged.size() / 2] ^= 1;
     expect(!restored.restore(damaged), "nor damaged ones", seed);
     restored.restore(drive.system.save());
-    expect(restored.save() == drive.system.save(), "with all its numbers", seed);
+    expect(farthest(restored.values(drive.poses), drive.system.values(drive.poses)) < 1e-12, "with its estimate", seed);
     const double cost = drive.system.cost();
     other.relinearize({&drive.poses.back(), 1});
     expect(cost <= other.cost() * (1 + 1e-6), "no lower cost nearby", seed);
