@@ -195,7 +195,7 @@ def test_relations_without_a_heading() -> None:
 def test_mrclam_folders_have_several_robots(tmp_path: Path) -> None:
     head, unix = "# Time [s]\n", 1248444175.0
     times = unix + np.arange(0, 4.001, 0.02)
-    (tmp_path / "Barcodes.dat").write_text("1 5\n2 14\n6 63\n")
+    (tmp_path / "Barcodes.dat").write_text("1 5\n2 14  # a robot\n6 63\n")
     for robot, other in ((1, 14), (2, 5)):
         rows = "".join(f"{t:.3f} 1.0 0.5\n" for t in times)
         (tmp_path / f"Robot{robot}_Odometry.dat").write_text(head + rows)
