@@ -134,7 +134,7 @@ def with_common_noise(logs: Sequence[Log]) -> list[Log]:
     """
     motions, sensors = [each.motion or MotionModel() for each in logs], [each.sensor or SensorModel() for each in logs]
     taken_out = [each.uncertain or {} for each in logs]
-    if len(set(motions)) == len(set(sensors)) == 1 and all(each == taken_out[0] for each in taken_out):
+    if len(set(motions)) <= 1 and len(set(sensors)) <= 1 and all(each == taken_out[0] for each in taken_out):
         return list(logs)
 
     def squares(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import Result
 
 import comparisons
-from graphslam import Graph, Log, MotionModel, SensorModel, join_logs, load, save, simulate, solve
+from graphslam import Graph, Log, MotionModel, OptionError, SensorModel, join_logs, load, save, simulate, solve
 from graphslam.log.continuous_time import with_poses_every
 from graphslam.metrics import ate
 from graphslam.se2 import between
@@ -103,6 +103,11 @@ def test_what_follows_one_robot_is_left_out() -> None:
     outcome = comparisons.run(drives(2), estimators=["graph", "mcl", "fastslam1", "textbook", "particle-gibbs"])
     assert [each.name for each in outcome.skipped] == ["mcl", "fastslam1", "textbook", "particle-gibbs"]
     assert all("follows one robot" in each.reason and "2 logs" in each.reason for each in outcome.skipped)
+
+
+def test_no_log_is_refused_in_one_sentence() -> None:
+    with pytest.raises(OptionError, match="needs at least one log"):
+        comparisons.run([])
 
 
 def test_logs_that_share_nothing_are_refused_in_one_sentence(invoke: Invoke, files: list[Path], tmp_path: Path) -> None:
