@@ -107,7 +107,7 @@ def errors_of_scans(graph: Graph, state: Array) -> tuple[Array, str]:
 
 def counted_once(graph: Graph) -> bool:
     """Whether all edges are of known families, and sightings have errors of their own, as pairs of them have not."""
-    seen = [family for family in graph.families if isinstance(family, SightingEdges)]
+    seen = [family for family in graph.families if isinstance(family, SightingEdges) and family.count]
     once = graph.num_nodes > len(graph.steps) or all(isinstance(family, MarginalEdges) for family in seen)
     # what edges of a user's own say about the noise is not known
     return once and all(isinstance(family, (EngineEdges, PriorEdges)) for family in graph.families)

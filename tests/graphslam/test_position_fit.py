@@ -78,15 +78,19 @@ def test_positions_of_another_frame_are_called_so():
     assert "別の座標系" in translated(note, "ja")
 
 
-def with_lasting_errors(seed, correlation, *, sigma=0.3):
+def with_lasting_errors(seed, correlation, *, sigma=0.3, said=None, seen=True):
     """The solution with a position at each step, whose errors have this correlation from one to the next, and the log."""
     log = simulate(seed=seed, steps=200, clean=True, orientation=False, max_range=5.0, **ROBOT).replace(**ROBOT)
+    if not seen:
+        log = log.with_sightings(np.zeros(len(log.steps), dtype=bool))
     errors = sigma * np.random.default_rng(seed).standard_normal((log.num_poses, 2))
     for k in range(1, len(errors)):
         errors[k] = correlation * errors[k - 1] + np.sqrt(1 - correlation**2) * errors[k]
     places = log.true_poses[:, :2] + errors + [4.1e5, 5.3e6]
     truth = log.true_poses + [4.1e5, 5.3e6, 0.0]
-    positions = AbsolutePositions(steps=np.arange(log.num_poses), places=places, covariances=sigma**2 * np.eye(2))
+    positions = AbsolutePositions(
+        steps=np.arange(log.num_poses), places=places, covariances=(said or sigma) ** 2 * np.eye(2)
+    )
     return solve(Graph.from_log(log.replace(positions=positions), edges="landmark+motion", kernel="cauchy")), truth
 
 
@@ -109,6 +113,28 @@ def test_errors_of_positions_that_last():
 def test_errors_of_positions_that_do_not_last(seed):
     solution, _ = with_lasting_errors(seed, 0.0)
     assert not any(each.startswith((LASTING, LEVER, NOISE)) for each in solution.notes)
+
+
+def test_errors_of_positions_that_last_without_sightings():
+    """Only the odometry tells; with independent errors NEES / 3 would be 4 to 7."""
+    nees, counts = [], []
+    for seed in range(4):
+        solution, truth = with_lasting_errors(seed, 0.85, seen=False)
+        (note,) = solution.notes
+        assert note.startswith(LASTING)
+        counts.append(float(note.split("so that ")[1].split()[0]))
+        nees.append(np.mean(solution.nees(truth)))
+    assert np.median(counts) == pytest.approx(12.3, rel=0.5)
+    assert 0.4 < np.mean(nees) < 2.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_positions_alone_whose_covariances_are_too_large_may_last(seed):
+    """Odometry alone does not tell; a factor on the standard deviations would be wrong for errors that last."""
+    (note,) = with_lasting_errors(seed, 0.0, said=0.9, seen=False)[0].notes
+    assert float(note.split("by ")[1].split()[0]) == pytest.approx(1 / 3, rel=0.2)
+    assert "does not tell apart" in note and "区別できません" in translated(note, "ja")
+    assert with_lasting_errors(seed, 0.0, seen=False)[0].notes == ()
 
 
 def notes_on_slip(seed, *, speed=1.0, turn=1.0, steps=slice(60, 70), **models):
