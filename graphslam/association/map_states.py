@@ -53,6 +53,8 @@ MOVE, TURN = 1.0, 1.0
 EXACT_STD = 1e-3
 #: the most graphs that are solved
 MAX_SOLVES = 20
+#: the information of a log on a shift is a difference, of which less than this part of the map's is rounding
+ROUNDING = 1e-12
 #: the states
 AGREES, MOVED, VANISHED, NOT_IN_VIEW, NEW = "agrees", "moved", "vanished", "not in view", "new"
 #: means and sizes a + b of the beta distributions of detection that are compared
@@ -191,7 +193,7 @@ def map_states(
                 break
             continue
         solution = solve(graph)
-        found = _shifts(solution, used, fresh, prior)
+        found = _shifts(solution, fresh, prior)
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
         if seen and seen <= away:
@@ -246,13 +248,19 @@ def _fresh_ids(log: Log, known: LandmarkMap, away: set[int]) -> dict[int, int]:
     return {j: free + k for k, j in enumerate(sorted(away))}
 
 
-def _shifts(
-    solution: Solution, used: LandmarkMap, fresh: dict[int, int], prior: float
-) -> dict[int, tuple[Array, float, float]]:
-    """{id: (shift (d,), its chi-square, probability of moved)} of the landmarks of the map that were seen."""
+def _shifts(solution: Solution, fresh: dict[int, int], prior: float) -> dict[int, tuple[Array, float, float]]:
+    """{id: (shift (d,), its chi-square, probability of moved)} of the landmarks of the map that were seen.
+
+    The map is that of the graph, whose places may count as less certain than at first. Landmarks have no shift all of whose
+    sightings the graph leaves out, because they contradict their ids.
+    """
     graph = solution.graph
-    assert graph is not None
-    d, ids = graph.landmark_dimension, [j for j in used if j in solution.landmarks]
+    assert graph is not None and graph.log is not None and graph.map is not None
+    used, told = graph.map, set(graph.log.landmarks[graph.sighting_rows].tolist())
+    d, ids = graph.landmark_dimension, [j for j in used if fresh.get(j, j) in told]
+    fresh = {j: fresh[j] for j in ids if j in fresh}
+    if not ids:
+        return {}
     P = solution.covariance(landmarks=[*ids, *(fresh[j] for j in fresh)], joint=True)
     size, of_coordinates = d * len(ids), np.tile(np.arange(3) < d, len(ids))
     L = used.information(ids, d)[np.ix_(of_coordinates, of_coordinates)]
@@ -276,7 +284,12 @@ def _shifts(
             shift = solution.landmarks[fresh[j]][:n] - solution.landmarks[j][:n]
             V = P[rows, rows] + P[other, other] - P[rows, other] - P[other, rows]
         else:
-            V = np.linalg.inv((S[rows, rows] + S[rows, rows].T) / 2)
+            of_log, of_map = (S[rows, rows] + S[rows, rows].T) / 2, L[rows, rows]
+            if np.linalg.eigvalsh(of_log)[0] <= ROUNDING * np.trace(of_map):
+                # the log says nothing of the place, as where a kernel leaves its sightings out
+                found[j] = np.zeros(n), 0.0, prior
+                continue
+            V = np.linalg.inv(of_log)
             shift = V @ score[rows]
             shift[:2] = shift[:2] @ way.turn[:2, :2]
         shift[2:] = wrap(shift[2:])
@@ -291,7 +304,7 @@ def _shifts(
 
 def _next(solution: Solution, found: dict[int, tuple[Array, float, float]], away: set[int], *, first: bool) -> set[int]:
     """The landmarks that are to be others than those of the map in the next round."""
-    back = {j for j in away if found[j][2] <= 0.5}
+    back = {j for j in away & set(found) if found[j][2] <= 0.5}
     if back:
         return away - back
     rest = {j: square for j, (_, square, p) in found.items() if j not in away and p > 0.5}

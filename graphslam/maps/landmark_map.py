@@ -153,7 +153,7 @@ class LandmarkMap(dict[int, Array]):
         Exact coordinates have at least the standard deviation ``exact`` [m, rad], and headings no other error.
         """
         sizes = [len(place) for place in self.values()]
-        known = np.repeat([j in self.covariances for j in self], sizes)
+        known = np.repeat(np.array([j in self.covariances for j in self], dtype=bool), np.array(sizes, dtype=int))
         heading = np.array([coordinate == 2 for size in sizes for coordinate in range(size)], dtype=bool)
         added = np.maximum(np.where(heading, 0.0, deviation**2), np.where(known, 0.0, exact**2))
         if self.joint is not None:

@@ -1,10 +1,12 @@
 """Which landmarks of a map agree with a log, have moved, are gone or are new: `graphslam.association.map_states`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from graphslam import Graph, GraphError, LandmarkMap, OptionError, SensorModel, join_logs, simulate, solve
+from graphslam import Drive, Graph, GraphError, LandmarkMap, OptionError, SensorModel, join_logs, simulate, solve
 from graphslam.association.map_states import EXACT_STD, MOVE, TURN, map_states, session_states
 
 FIRST = simulate(seed=1, clean=True, landmarks=20, steps=80, arena=6.0)
@@ -114,3 +116,22 @@ def test_sessions():
     assert found.of("moved") == [3] and "landmark 3 has moved" in found.sentence
     with pytest.raises(OptionError, match="is one drive"):
         session_states(FIRST)
+
+
+@pytest.mark.slow
+def test_a_landmark_all_of_whose_sightings_are_left_out_was_not_seen():
+    """Where the noise is estimated, single sightings that contradict their id are left out; S is zero for such a landmark."""
+    log, _ = replace(Drive.random(9003), misread=0.0, duration=60.0).simulate()
+    found = map_states(log, log.true_landmarks)
+    used = found.solution.graph.log
+    left_out = set(log.landmark_ids.tolist()) - set(used.landmarks[found.solution.graph.sighting_rows].tolist())
+    assert left_out
+    states = {each.id: each for each in found.landmarks}
+    for j in left_out:
+        assert states[j].state in ("vanished", "not in view") and states[j].shift is None and states[j].seen == 0
+    assert len(found.of("agrees")) > len(found.of("moved"))
+
+
+def test_a_map_without_landmarks_is_refused():
+    with pytest.raises(GraphError, match="the map has no landmarks"):
+        map_states(second(2), MAP.among([]))
