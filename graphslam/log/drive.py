@@ -179,7 +179,7 @@ class Reader:
             if role in self.found:
                 with suppress(LogError):
                     columns[role] = self.table.numbers([self.found[role].column])[:, 0]
-        faults: list[Fault] = []
+        faults, of_psi = list[Fault](), None
         for role, values in columns.items():
             title = self.table.title(self.found[role].column)
             if MEASURES.get(role) == "time":
@@ -193,6 +193,7 @@ class Reader:
                     number = columns["bearing" if role == "range" else "range"]
                     fault = replace(fault, rows=fault.rows & ~(np.isnan(values) & np.isfinite(number)))
                 faults.append(fault)
+                of_psi = fault if role == "orientation" else of_psi
                 faults += range_faults(values) if role == "range" else spike_faults(values, title, role)
         if "x" in columns and self.kind == "sightings":
             other = "z" if self.options.axes == "optical" else "y"
@@ -202,8 +203,19 @@ class Reader:
             strict=self.options.strict, source=self.table.source,
         )  # fmt: skip
         if not kept.all():
+            notes += self._without_orientation(
+                ~kept & ~np.any([each.rows for each in faults if each is not of_psi], axis=0)
+            )
             self.table = Kept(self.table, np.flatnonzero(kept), notes)
         return self.table
+
+    def _without_orientation(self, rows: np.ndarray) -> tuple[str, ...]:
+        """A note on rows (N,) bool that are left out for nothing but their orientation, if there are any."""
+        if not (rows.any() and self.has("orientation")):
+            return ()
+        what = f"nothing but {self.table.title(self.found['orientation'].column)} leaves out {np.count_nonzero(rows):,} of "
+        advice = "remove that column if the ranges and bearings of all sightings say more"
+        return (f"{self.table.source}: {what}{len(rows):,} sightings: {advice}",)
 
     def without_empty(self, role: str) -> tuple[str, ...]:
         """Do without a column of which more cells are empty than rows may be left out; returns a note on that."""
