@@ -260,12 +260,14 @@ def backends(
         slam-compare backends M3500.g2o
         slam-compare backends *.g2o --figure cost.png --json rows.json
     """
-    from ..studies.backends import BACKENDS, compare_backends
+    from ..studies.backends import BACKENDS, SkippedBackend, compare_backends
 
     with output.bar("backends", len(files) * len(options.backends or BACKENDS)) as advance:
 
-        def progress(row: BackendRow) -> None:
+        def progress(row: BackendRow | SkippedBackend) -> None:
             advance(1, f"{Path(row.file).name} {row.backend}")
+            if isinstance(row, SkippedBackend):
+                return
             chi2 = f"chi2 {row.chi2:.6g}, {row.seconds:.3g} s, " if row.seconds == row.seconds else ""
             output.progress(f"{Path(row.file).name} {row.backend}: {chi2}{row.reason}")
 

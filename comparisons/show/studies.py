@@ -60,7 +60,7 @@ def solver_tables(comparison: SolverComparison) -> Tables:
 
 
 def backend_tables(comparison: BackendComparison) -> Tables:
-    """A row per file and solver; below, the mean ratios of the times and the runs that did not reach the best chi2."""
+    """A row per file and solver; below, mean ratios of the times, runs without the best chi2, and solvers left out."""
     table = LeanTable(
         "pose graphs: chi2 by one evaluator, time from the initial values until the stop rule holds",
         ["file", "solver"], ["chi2", "chi2\n/ dof", "best", "optimum", "steps", "time", "ours /\ntheirs"],
@@ -89,6 +89,11 @@ def backend_tables(comparison: BackendComparison) -> Tables:
     for row in comparison.rows:
         if not comparison.reached(row):
             remarks.append(f"{Path(row.file).name}: {row.backend} did not reach the best chi2: {row.reason}.")
+    left_out: dict[tuple[str, str], list[str]] = {}
+    for entry in comparison.skipped:
+        left_out.setdefault((entry.file, entry.reason), []).append(entry.backend)
+    for (file, reason), names in left_out.items():
+        remarks.append(f"{Path(file).name}: {' and '.join(names)} left out: {reason}.")
     return [table], remarks
 
 

@@ -235,14 +235,25 @@ class BackendRow:
 
 
 @dataclass(frozen=True)
+class SkippedBackend:
+    """A backend that nobody asked for by name and that is not installed, or does not take the graph of a file, and why."""
+
+    file: str
+    backend: str
+    reason: str
+
+
+@dataclass(frozen=True)
 class BackendComparison(Displayed):
     """The outcome of `compare_backends`.
 
     Attributes:
         rows: one for each file and solver.
+        skipped: the backends that are left out of a file.
     """
 
     rows: tuple[BackendRow, ...]
+    skipped: tuple[SkippedBackend, ...] = ()
     shown: ClassVar = {"geometric_means": "geometric_means"}
 
     @property
@@ -280,7 +291,7 @@ class BackendComparison(Displayed):
 def compare_backends(
     files: Sequence[str | PathLike[str]] | str | PathLike[str],
     *,
-    progress: Callable[[BackendRow], None] | None = None,
+    progress: Callable[[BackendRow | SkippedBackend], None] | None = None,
     **options: Any,
 ) -> BackendComparison:
     """Optimise pose graphs with several backends: first pose fixed, the file's initial values, the same stop rule.
@@ -302,12 +313,13 @@ def compare_backends(
     names = given.backends or BACKENDS
     paths = [files] if isinstance(files, (str, PathLike)) else files
     graphs = ((str(path), *_graph(path, given)) for path in paths)
-    rows = rows_of(
+    found = rows_of(
         partial(_measured, options=given), ((name, *of_file) for of_file in graphs for name in names),
         jobs=0 if given.time_limit is None else 1, prepare=partial(_warm_up_all, tuple(names)), limit=given.time_limit,
-        progress=None if progress is None else lambda row: None if row is None else progress(row), instead=_stopped,
+        progress=progress, instead=_stopped,
     )  # fmt: skip
-    return BackendComparison(tuple(row for row in rows if row is not None))
+    rows = tuple(each for each in found if isinstance(each, BackendRow))
+    return BackendComparison(rows, tuple(each for each in found if isinstance(each, SkippedBackend)))
 
 
 def _graph(path: str | PathLike[str], options: BackendOptions) -> tuple[Graph, str]:
@@ -326,14 +338,14 @@ def _stopped(task: Task, reason: str) -> BackendRow:
     return BackendRow(task[1], task[0], math.nan, 0, math.nan, False, reason)
 
 
-def _measured(task: Task, options: BackendOptions) -> BackendRow | None:
-    """The row of a backend; None where it is not installed, and not asked for by name."""
+def _measured(task: Task, options: BackendOptions) -> BackendRow | SkippedBackend:
+    """The row of a backend, or why it is left out where it was not asked for by name."""
     name, file, graph, initialize = task
     try:
         run = _backend(name, graph, initialize, options.max_iterations)
-    except OptionError:
+    except OptionError as error:
         if options.backends is None:
-            return None
+            return SkippedBackend(file, name, str(error))
         raise
     _warm_up(name)
     runs = [run() for _ in range(options.repeat)]

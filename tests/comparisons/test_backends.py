@@ -56,7 +56,12 @@ def test_g2o_reaches_the_same_chi2(triangle):
 @pytest.mark.parametrize("edge", ["EDGE_RANGE_SE2_XY 1 9 1.4 10", "EDGE_PRIOR_SE2_XY 1 1.1 0.1 4 0 4"])
 def test_peers_take_no_edges_that_they_would_ignore(triangle, edge):
     triangle.write_text(f"{TRIANGLE}{edge}\n")
-    assert [row.backend for row in compare_backends([triangle], repeat=1).rows] == ["graphslam"]
+    outcome = compare_backends([triangle], repeat=1)
+    assert [row.backend for row in outcome.rows] == ["graphslam"]
+    assert [each.backend for each in outcome.skipped] == list(BACKENDS[1:])
+    assert (
+        "triangle.g2o: gtsam-lm and gtsam-gn" in (text := as_text(outcome, 500)) and "do not belong to a pose" in text
+    )
     for name in BACKENDS[1:]:
         with pytest.raises(OptionError, match="do not belong to a pose graph|needs the package"):
             compare_backends([triangle], backends=[name], repeat=1)
