@@ -84,7 +84,7 @@ def drive_of_bag(path: Path, recipe: Recipe | None = None) -> Drive:
                 there = named(f"{topic.name} ({topic.type})" for topic in bag.topics) or "no topics"
                 raise FormatError(path, None, f"no topic gives {kind}: there are {there}; name one: --{kind} TOPIC")
         collectors = {kind: _collector(bag, choice, recipe.options) for kind, choice in choices.items()}
-        frames = Frames()
+        frames = Frames(source=str(path))
         by_topic: dict[str, list[Collector]] = {}
         for kind, each in collectors.items():
             by_topic.setdefault(choices[kind].topic.name, []).append(each)

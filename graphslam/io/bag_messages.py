@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError
+from ..errors import FormatError, quoted
 from ..log.join import datum_note, local_plane
 from ..log.measurements import cut_headings, not_positive, symmetric
 from ..log.table import COVARIANCES, Columns
@@ -61,6 +61,7 @@ class Frames:
 
     parents: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
     moving: set[str] = field(default_factory=set)
+    source: str = "TF"
 
     def add(self, transforms: Iterable[Any], *, static: bool) -> None:
         """Take over the transforms of a tf2_msgs/TFMessage; of frames that move, the first place stays."""
@@ -78,15 +79,22 @@ class Frames:
         """Position (3,) and rotation (3, 3) of a sensor's frame in that of a base; None where they are not connected.
 
         Frames on the way that move do not count as connected.
+
+        Raises:
+            FormatError: a frame on the way is its own parent, or the parent of one of its parents.
         """
         (root, origin, turn), (other, position, rotation) = self._from_root(base), self._from_root(sensor)
         return (turn.T @ (position - origin), turn.T @ rotation) if root == other else None
 
     def _from_root(self, frame: str) -> tuple[str, Array, Array]:
         """The farthest frame that a frame is fixed to, parent after parent; its position (3,) and rotation (3, 3) there."""
-        position, turn, passed = np.zeros(3), np.eye(3), set[str]()
-        while frame in self.parents.keys() - self.moving - passed:
-            passed.add(frame)
+        position, turn, passed = np.zeros(3), np.eye(3), list[str]()
+        while frame in self.parents.keys() - self.moving:
+            if frame in passed:
+                circle = ", ".join(map(quoted, [*passed[passed.index(frame) :], frame]))
+                advice = "each frame has one parent, so that one of these transforms is wrong: leave it out of the bag"
+                raise FormatError(self.source, None, f"the parents of frames in TF form a circle: {circle}; {advice}")
+            passed.append(frame)
             frame, at, quaternion = self.parents[frame]
             step = rotation_of(quaternion)
             position, turn = at + step @ position, step @ turn

@@ -482,6 +482,18 @@ def test_frames_compose_both_ways():
     assert frames.between("base", "laser") is None
 
 
+def test_frames_in_a_circle_are_refused():
+    """The circle hid the reason: nothing fixed led from the sensor to the robot."""
+    frames, maker = Frames(source="a.bag"), Maker()
+    for parent, child in (("mast", "base"), ("base", "mast"), ("mast", "camera")):
+        frames.add(maker("tf2_msgs/TFMessage", transforms=[transform(maker, 0, parent, child, (1, 0, 0))]).transforms,
+                   static=True)  # fmt: skip
+    with pytest.raises(
+        FormatError, match="a.bag: the parents of frames in TF form a circle: 'mast', 'base', 'mast'; each"
+    ):
+        frames.between("camera", "base")
+
+
 def test_paths_of_fields():
     maker = Maker()
     paths = leaves(maker.store.fielddefs, "apriltag_ros/msg/AprilTagDetectionArray")
