@@ -18,7 +18,7 @@ from .verb import LogFile, argument, command, places
 if TYPE_CHECKING:
     from .. import options as declared
     from ..studies.backends import BackendRow
-    from ..studies.solvers import SkippedVariant, VariantResult
+    from ..studies.solvers import VariantResult
 
 
 def simulate(
@@ -229,13 +229,19 @@ def solvers(output: Output, log: LogFile = None, *, options: declared.SolverChec
         slam-compare solvers LOG --motion-weights 1,10,100 --json differences.json
         slam-compare solvers LOG --kernel none,huber,cauchy
     """
-    from ..studies.solvers import compare_solvers
+    from ..studies.solvers import SkippedVariant, compare_solvers
 
     with output.bar("variants") as advance:
 
         def progress(variant: VariantResult | SkippedVariant) -> None:
             advance(1, variant.name)
-            output.detail(f"{variant.name}: done")
+            if isinstance(variant, SkippedVariant):
+                output.progress(f"{variant.name}: left out")
+            else:
+                # GTSAM calls factors in Python, which takes almost all of the time
+                output.progress(
+                    f"{variant.name}: graphslam {variant.seconds:.2g} s, gtsam {variant.gtsam_seconds:.2g} s"
+                )
 
         outcome = compare_solvers(log, progress=progress, **options.keywords())
     output.show(outcome)

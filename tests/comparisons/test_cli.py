@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -200,6 +201,8 @@ def test_solvers_agree(invoke: Invoke, short_file: Path) -> None:
     result = invoke("solvers", short_file, "--motion-weights", "1", "--jobs", 0, "--json", "a.json")
     assert result.exit_code == 0, result.output
     assert "agree in all" in result.stdout
+    # each variant when it is done, with the times, of which GTSAM's is the longer one
+    assert re.search(r"virtual\+motion body pairs 3-D lambda=1: graphslam \S+ s, gtsam \S+ s", result.stderr)
     assert {"variants", "skipped"} == set(json.loads(Path("a.json").read_text()))
 
 
