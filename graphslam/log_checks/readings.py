@@ -45,6 +45,9 @@ _ALIKE = 1.3
 #: a smaller unit is reported if it fits better than no motion: where the two differ by more than the first number [ranges],
 #: its median error is below the second part of that
 _DIFFERS, _MOVES = 0.1, 0.7
+#: the same for revolutions per minute, which are rare: 0.05 to 0.31 where they are the unit, and 0.56 or more where the turn
+#: rate has a noise of 2 rad/s, of which a tenth looks like motion (18 drives)
+_TURNS_LIKE = 0.45
 #: sightings that no reading fits better than this [ranges] contradict the odometry
 _CONTRADICTION = 0.4
 #: another meaning of psi is reported where the headings change by more than the first number [rad, median], by it below the
@@ -52,6 +55,8 @@ _CONTRADICTION = 0.4
 _TURNS, _STAYS, _MOSTLY = 0.1, 0.4, 0.65
 #: headings that change by more, at chance pi / 2, say nothing
 _NOTHING = 1.0
+#: a degree per second, and a revolution per minute [rad/s]
+DEGREE, RPM = float(np.pi / 180), float(np.pi / 30)
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,7 @@ def _moves_like(log: Log, slower: tuple[float, float]) -> bool:
     """Whether smaller units fit better than no motion, over ways that are short in these units."""
     if min(slower) == 1:
         return True
-    pairs = pairs_of(log, slower=1 / slower[0], degrees=slower[1] < 1)
+    pairs = pairs_of(log, slower=1 / slower[0], turning=slower[1])
     return pairs is not None and pairs.move_like(slower)
 
 
@@ -189,7 +194,8 @@ class SightingPairs:
         apart = np.linalg.norm(places[0] - places[1], axis=1) / np.maximum(*self.sightings[:, :, 0]) > _DIFFERS
         if np.sum(apart) < _FEWEST:
             return False
-        return bool(np.median(errors[0][apart]) < _MOVES * np.median(errors[1][apart]))
+        least = _TURNS_LIKE if slower[1] == RPM else _MOVES
+        return bool(np.median(errors[0][apart]) < least * np.median(errors[1][apart]))
 
     def _path(self, factors: ArrayLike, order: slice = slice(None)) -> Array:
         """The poses (S+1, 3) at the ends of all controls, of which the columns are reordered and multiplied."""
@@ -212,9 +218,11 @@ class SightingPairs:
             stated = "the bearings are in radians and were read as degrees (angles='sightings=radians')"
             yield "bearing unit", stated, poses, z * [1.0, 180 / np.pi]
         else:
-            slowly = "the turn rates are in degrees per second (angles='odometry=degrees')"
-            slower = (1.0, np.pi / 180)
-            yield "turn rate unit", slowly, self._path(slower)[starts], z, slower
+            for factor, slowly in (
+                (DEGREE, "the turn rates are in degrees per second (angles='odometry=degrees')"),
+                (RPM, f"the turn rates are in revolutions per minute: multiply their column by {RPM:.4f}"),
+            ):
+                yield "turn rate unit", slowly, self._path((1.0, factor))[starts], z, (1.0, factor)
         swapped = "the columns of speed and turn rate are swapped (columns='odometry.nu=NAME,odometry.omega=NAME')"
         yield "odometry swapped", swapped, self._path([1.0, 1.0], slice(None, None, -1))[starts], z
         for factor, message in (
@@ -261,25 +269,25 @@ def _direction(sign: int, degrees: int) -> tuple[str, str]:
 
 def comparable(log: Log) -> SightingPairs | None:
     """The pairs of a log as it stands, or else read with other units; None where nothing can be compared."""
-    # at a thousandth of the speed, or with turn rates in degrees, there may be short ways
-    for slower, degrees in ((1.0, False), (1000.0, False), (1.0, True), (1000.0, True)):
-        if (pairs := pairs_of(log, slower=slower, degrees=degrees)) is not None:
-            return replace(pairs, long=degrees or slower != 1)
+    # at a thousandth of the speed, or with turn rates in rpm or degrees, there may be short ways
+    for slower, turning in ((1.0, 1.0), (1000.0, 1.0), (1.0, RPM), (1.0, DEGREE), (1000.0, DEGREE)):
+        if (pairs := pairs_of(log, slower=slower, turning=turning)) is not None:
+            return replace(pairs, long=turning != 1 or slower != 1)
     return None
 
 
-def pairs_of(log: Log, *, slower: float = 1.0, degrees: bool = False) -> SightingPairs | None:
+def pairs_of(log: Log, *, slower: float = 1.0, turning: float = 1.0) -> SightingPairs | None:
     """Pairs of sightings of one landmark over short ways; None where there are too few, or no controls.
 
     Args:
         log: the log.
         slower: ways are measured as if the speed was smaller by this factor.
-        degrees: ways are measured as if the turn rates were in degrees.
+        turning: ways are measured as if the turn rates were smaller by this factor, such as `DEGREE`.
     """
     if log.controls is None or log.dt is None or len(log.sightings) < 2:
         return None
     middle = float(np.median(log.sightings[:, 0]))
-    driven = np.abs(log.controls) @ [1 / (slower * middle), np.pi / 180 if degrees else 1.0] * log.dt
+    driven = np.abs(log.controls) @ [1 / (slower * middle), turning] * log.dt
     # in a wrong unit a single control may seem to lead too far: the limits then grow with what is typical of one
     if (typical := float(np.median(driven[driven > 0]) if np.any(driven > 0) else 0.0)) == 0:
         return None

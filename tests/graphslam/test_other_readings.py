@@ -82,7 +82,12 @@ def test_noisy_odometry_is_no_other_unit(gyro, seed):
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(
     ("factors", "expected"),
-    [((1, 180 / np.pi), "the turn rates are in degrees per second"), ((100, 1), "in cm/s"), ((3.6, 1), "in km/h")],
+    [
+        ((1, 180 / np.pi), "the turn rates are in degrees per second"),
+        ((1, 30 / np.pi), "the turn rates are in revolutions per minute: multiply their column by 0.1047"),
+        ((100, 1), "in cm/s"),
+        ((3.6, 1), "in km/h"),
+    ],
 )
 def test_units_are_found_in_noise(factors, expected, seed):
     odometry, seen, _ = drive(seed, slip=0.01, gyro=0.05)
