@@ -71,6 +71,9 @@ SHOWN = 40.0
 #: dead reckoning has this part of the standard deviations of typical noise; sums of log densities that differ by less than
 #: this are alike
 HARDLY_ANY, CLEARLY = 1 / 100, 2.0
+#: places are seen again where more than this part of the landmarks is; else dead reckoning has the second number for
+#: `HARDLY_ANY`: at single poses of a corridor NEES / 3 is up to 5 instead of 21 (docs/decisions.md)
+RETURNS, WITHOUT_RETURN = 0.1, 1 / 30
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
 #: the most sightings of a log that are used at once where this is enough; for correlations; and, of the few that are far
@@ -116,7 +119,9 @@ def _estimate(
     other = (GIVEN_NOISE, given) if given else (BOOK_NOISE, (MotionModel(), SensorModel(**place)))
     part = _beginning(sparse, MOST_COMPARED)
     begun = second if part is sparse else Unknowns(part, part.landmarks, sensor, second)
-    dead_reckoning = fit(_with_dead_reckoning(begun), ROUNDS[1])[0]
+    # where no place is seen again, errors of the odometry that add up do not show, so that it is not called exact
+    size = HARDLY_ANY if _seen_again(named) > RETURNS else WITHOUT_RETURN
+    dead_reckoning = fit(_with_dead_reckoning(begun, size), ROUNDS[1])[0]
     compared = _compared(part, second, dead_reckoning, *other, rng)
     on_motion = numbers_on_motion(second)
     nearly_exact = _is_exact(named, sparse, used, second, exact, on_motion, rng)
@@ -206,10 +211,10 @@ def _compared(
     return left_out(sparse, {ESTIMATE: fitted, DEAD_RECKONING: dead_reckoning, name: other}, rng)
 
 
-def _with_dead_reckoning(fitted: Unknowns) -> Unknowns:
-    """The same problem with recorded odometry that has `HARDLY_ANY` noise, and its trajectory."""
+def _with_dead_reckoning(fitted: Unknowns, size: float) -> Unknowns:
+    """The same problem with its trajectory by odometry whose noise has this part of typical standard deviations."""
     exact = fitted.with_nearly_exact_odometry()
-    exact.logarithms |= {name: exact.centres[name] + 2 * float(np.log(HARDLY_ANY)) for name in exact.motion_parts}
+    exact.logarithms |= {name: exact.centres[name] + 2 * float(np.log(size)) for name in exact.motion_parts}
     exact.hold(KINDS["odometry"])
     exact.take_noise()
     poses = exact.dead_reckoning()
@@ -350,6 +355,12 @@ def _episodes(log: Log, pause: float) -> np.ndarray:
     episodes = np.empty(len(t), dtype=np.int64)
     episodes[order] = np.cumsum(new) - 1
     return episodes
+
+
+def _seen_again(log: Log) -> float:
+    """The part of the landmarks that are seen again after the longer of `PAUSES`."""
+    _, first = np.unique(_episodes(log, PAUSES[1]), return_index=True)
+    return float(np.mean(np.unique(log.landmarks[first], return_counts=True)[1] > 1)) if len(first) else 0.0
 
 
 def _of_sightings(log: Log) -> Log:

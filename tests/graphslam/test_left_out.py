@@ -58,6 +58,45 @@ def test_almost_perfect_odometry_is_not_spoiled(seed: int, correlated: float) ->
     assert ate(log.true_poses, solve(Graph.from_log(found.log)).poses) < 0.015
 
 
+def corridor(seed: int, noise: float) -> Log:
+    """One way of 400 m between two walls with landmarks; the odometry has no biases, and noise along and across the way."""
+    rng, dt, speed = np.random.default_rng(seed), 0.05, 1.0
+    t = np.arange(8001) * dt
+    turn = 0.02 * np.sin(t / 7)
+    controls, start = np.column_stack([np.full(len(t), speed), turn]), np.zeros(3)
+    poses = MotionModel().dead_reckoning(start, controls[:-1], np.full(len(t) - 1, dt))
+    model = MotionModel(nn=noise, no=noise / 10, on=noise / 2, oo=noise, epsilon=1e-9)
+    read = controls + rng.standard_normal(controls.shape) * np.sqrt(
+        np.diagonal(model.M(controls, dt), axis1=1, axis2=2)
+    )
+    along = np.linspace(0, 400, 160) + rng.normal(0, 0.5, 160)
+    marks = np.column_stack([along, np.interp(along, *poses[:, :2].T) + 2.0 * (-1) ** np.arange(160)])
+    scans = np.arange(5, 8000, 5)
+    way = marks - poses[scans, None, :2]
+    ranges, bearings = np.hypot(*np.moveaxis(way, 2, 0)), np.arctan2(way[..., 1], way[..., 0]) - poses[scans, 2, None]
+    at, ids = np.nonzero((ranges < 8) & (np.abs(np.sin(bearings / 2)) < 0.43))
+    seen = {"t": t[scans[at]], "id": ids, "range": ranges[at, ids] + 0.03 * rng.standard_normal(len(at)),
+            "bearing": bearings[at, ids] + 0.01 * rng.standard_normal(len(at))}  # fmt: skip
+    odometry = {"t": t, "nu": read[:, 0], "omega": read[:, 1]}
+    return Log.from_tables(odometry, seen, truth={"t": t, **dict(zip(("x", "y", "theta"), poses.T))})
+
+
+@pytest.mark.slow
+def test_odometry_is_not_called_exact_where_no_place_is_seen_again() -> None:
+    """Errors that add up do not show there: with a hundredth of typical noise NEES / 3 is 5 and 20 at single poses."""
+    most = []
+    for seed in (1, 2):
+        log = corridor(seed, 1e-3)
+        found = estimate_robot(log)
+        assert found.nearly_exact and found.basis == DEAD_RECKONING
+        assert abs(found.left_out.gain(ESTIMATE, DEAD_RECKONING)) < robot.CLEARLY
+        solution = solve(Graph.from_log(found.log))
+        assert log.true_poses is not None
+        most.append(float(np.nanmax(solution.nees(log.true_poses))))
+    # chi-square with three degrees of freedom is above this at 99.95 %
+    assert max(most) < 17.7 / 3
+
+
 def test_the_estimate_predicts_best_what_was_left_out() -> None:
     compared = warehouse()[2].left_out
     assert compared.best == warehouse()[2].basis == ESTIMATE
