@@ -468,8 +468,7 @@ def test_without_rosbags_a_hint_is_given(tmp_path, monkeypatch):
 
 
 def test_frames_compose_both_ways():
-    frames = Frames()
-    maker = Maker()
+    frames, maker = Frames(), Maker()
     turn = (0.0, 0.0, math.sin(0.4), math.cos(0.4))
     for parent, child, place in (("base", "mast", (1, 2, 3)), ("mast", "camera", (0.5, 0, 0))):
         frames.add(maker("tf2_msgs/TFMessage", transforms=[transform(maker, 0, parent, child, place, turn)]).transforms,
@@ -483,15 +482,13 @@ def test_frames_compose_both_ways():
 
 
 def test_frames_in_a_circle_are_refused():
-    """The circle hid the reason: nothing fixed led from the sensor to the robot."""
-    frames, maker = Frames(source="a.bag"), Maker()
-    for parent, child in (("mast", "base"), ("base", "mast"), ("mast", "camera")):
-        frames.add(maker("tf2_msgs/TFMessage", transforms=[transform(maker, 0, parent, child, (1, 0, 0))]).transforms,
-                   static=True)  # fmt: skip
+    frames, maker, place = Frames(source="a.bag"), Maker(), (1, 0, 0)
+    circle = [transform(maker, 0, *pair, place) for pair in (("mast", "base"), ("base", "mast"), ("mast", "eye"))]
+    frames.add(maker("tf2_msgs/TFMessage", transforms=circle).transforms, static=True)
     with pytest.raises(
         FormatError, match="a.bag: the parents of frames in TF form a circle: 'mast', 'base', 'mast'; each"
     ):
-        frames.between("camera", "base")
+        frames.between("eye", "base")
 
 
 def test_paths_of_fields():
