@@ -24,9 +24,7 @@ using numbers::wrap_angle;
 
 inline Rotation rotation(double angle) {
     const auto [sine, cosine] = numbers::sincos(angle);
-    Rotation axes;
-    axes.c = cosine, axes.s = sine;
-    return axes;
+    return {cosine, sine};
 }
 
 /// A pose with the cosine and sine of its heading.
