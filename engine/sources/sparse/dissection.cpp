@@ -16,7 +16,7 @@ constexpr std::size_t most_bins = 65'536;
 /// Separates regions of a graph. A node v has two states, in and out (2 v and 2 v + 1), between which at most one path
 /// passes, so that the most paths are as many as the fewest nodes that cut them all (Menger 1927). The flow is kept as the
 /// node before and the node after each node on its path; a further path may take others back. Paths are sought depth first,
-/// many in one sweep (Pothen and Fan, Computing the block triangular form of a sparse matrix, 1990), towards the other end:
+/// many in one sweep (Pothen and Fan, Computing the block triangular form of a sparse matrix, 1990):
 /// Dinic's shortest paths took 50 to 90 sweeps for the first separator of 120,000 nodes.
 class Separator {
    public:
