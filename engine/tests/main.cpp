@@ -151,13 +151,7 @@ void test_points(unsigned seed) {
             for (Node j = 0; j < nodes; ++j)
                 if (const auto one = inverse.block(i, j), two = all.block(i, j); one && two)
                     expect(differ(*one, *two) < 1e-12, "blocks of the inverse", seed);
-        const std::size_t columns = random() % 20;
-        std::vector<double> right(matrix.size * columns), left(right.size()), same(right.size());
-        for (std::size_t i = 0; i < right.size(); ++i)
-            if (!matrix.missing(i / columns)) right[i] = draw(random, 0.0);
-        expect(solve_columns(factor, right, columns, left) && solve_columns(whole, right, columns, same) &&
-                   differ(left, same) < 1e-12,
-               "several right-hand sides", seed);
+        test_columns(factor, random, seed);
     }
     auto values = matrix.values;
     std::size_t at = random() % matrix.size;

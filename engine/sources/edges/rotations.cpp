@@ -18,7 +18,7 @@ RotationsOfLanes rotations(const std::array<double, numbers::lanes>& angles) {
         return out;
     }
     const auto [sine, cosine] = numbers::sincos(x);
-    for (std::size_t k = 0; k < out.size(); ++k) out[k].c = cosine[k], out[k].s = sine[k];
+    for (std::size_t k = 0; k < out.size(); ++k) out[k] = {cosine[k], sine[k]};
     return out;
 }
 

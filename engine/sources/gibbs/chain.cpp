@@ -15,8 +15,7 @@ double log_ratio(const Trajectory& x, const Map& m, std::span<const Sighting> si
     double total = 0.0;
     each_with_pose(x, sightings, [&](const Frame& pose, const Sighting& s) {
         const Vector place = relative(pose, m[s.mark]);
-        Vector r = deviation(s.seen.mean, place);
-        if (!oriented) r.t = 0.0;
+        const Vector r = deviation(s.seen.mean, place, oriented);
         total -= 0.5 * (exact_squares(s.z, s.q, place, oriented) - squared(inverse(s.seen.S).matrix, r));
     });
     return total;

@@ -10,7 +10,7 @@ double fuse(Gaussian& mark, const Gaussian& observed, bool oriented) {
     const auto& [y, C] = observed;
     const Symmetric& S = mark.S;
     const Inverse W = inverse(S + C);
-    const Vector r = innovation(y, mark.mean, oriented), g = W.matrix * r;
+    const Vector r = deviation(mark.mean, y, oriented), g = W.matrix * r;
     // mean + S (S + C)^-1 r
     const Vector d = S * g;
     // S (S + C)^-1 C, in which nothing cancels; row by row of the first product
@@ -32,10 +32,8 @@ void Information::add_sighting(const Frame& pose, const Gaussian& mark, const Ga
     const auto& [y, C] = sighting;
     const Vector q = relative(pose, mark.mean);
     Symmetric W = inverse(edges::turned(pose.axes.inverse(), mark.S) + C).matrix;
-    // q - y
-    Vector r{q.x - y.x, q.y - y.y, wrap_angle(q.t - y.t)};
-    if (!oriented) W = {W.xx, W.xy, W.yy, 0.0, 0.0, 0.0}, r.t = 0.0;
-    add_at(q, W, W * r);
+    if (!oriented) W = {W.xx, W.xy, W.yy, 0.0, 0.0, 0.0};
+    add_at(q, W, W * deviation(y, q, oriented));
 }
 
 Symmetric passed(const Symmetric& W, const Symmetric& M) {

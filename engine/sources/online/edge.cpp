@@ -219,9 +219,7 @@ Blocks diagonal_blocks(const Edge& edge) {
     const auto& [W, bent, u, n, c, s, gamma, h] = edge.linear;
     const Vector a = W * Vector{u.x, u.y, 1.0};
     const Symmetric first{W.xx, W.xy, W.yy, a.x - h.x, a.y - h.y, u.x * a.x + u.y * a.y + a.t + gamma};
-    Rotation alpha;
-    alpha.c = c, alpha.s = s;
-    return {first, edge.one_ended() ? Symmetric{} : turned_back(alpha, W)};
+    return {first, edge.one_ended() ? Symmetric{} : turned_back({c, s}, W)};
 }
 
 // B_i' W B_j

@@ -16,12 +16,7 @@ using Part = Real3::Part;
 namespace {
 
 /// The rotation from b to a.
-Rotation between(const Rotation& a, const Rotation& b) {
-    Rotation r;
-    r.c = a.c * b.c + a.s * b.s;
-    r.s = b.c * a.s - b.s * a.c;
-    return r;
-}
+Rotation between(const Rotation& a, const Rotation& b) { return {a.c * b.c + a.s * b.s, b.c * a.s - b.s * a.c}; }
 Lever turned(const Rotation& r, double x, double y) { return {r.c * x - r.s * y, r.s * x + r.c * y}; }
 Lever turned_back(const Rotation& r, double x, double y) { return {r.c * x + r.s * y, r.c * y - r.s * x}; }
 

@@ -12,12 +12,11 @@ namespace {
 /// The share of the nodes that a cut puts on each side before the separator, which may take some of them, is sought.
 constexpr double least_share = 0.4;
 constexpr std::size_t most_bins = 65'536;
-constexpr Node far = Node{1} << 30;
 
 /// Separates regions of a graph. A node v has two states, in and out (2 v and 2 v + 1), between which at most one path
 /// passes, so that the most paths are as many as the fewest nodes that cut them all (Menger 1927). The flow is kept as the
 /// node before and the node after each node on its path; a further path may take others back. Paths are sought depth first,
-/// many in one sweep (Pothen and Fan, Computing the block triangular form of a sparse matrix, 1990), towards the other end:
+/// many in one sweep (Pothen and Fan, Computing the block triangular form of a sparse matrix, 1990):
 /// Dinic's shortest paths took 50 to 90 sweeps for the first separator of 120,000 nodes.
 class Separator {
    public:
@@ -27,11 +26,9 @@ class Separator {
           part_(graph.size()),
           before_(graph.size()),
           after_(graph.size()),
-          hops_(graph.size()),
           seen_(2 * graph.size(), 0),
           queue_(2 * graph.size() + 1),
           arc_(2 * graph.size() + 1),
-          turn_(2 * graph.size() + 1),
           ranks_(graph.size()),
           profile_(2 * graph.size() + 2),
           bins_(most_bins) {
@@ -48,7 +45,6 @@ class Separator {
     /// nodes more evenly.
     Node separate(std::span<const Node> nodes) {
         for (const Node v : nodes) before_[v] = after_[v] = none;
-        measure_hops(nodes);
         const std::vector<Node> sources = ends(nodes, 0);
         Node size = 0;
         while (const Node found = sweep(sources, 0, before_, after_)) size += found;
@@ -115,23 +111,6 @@ class Separator {
    private:
     static constexpr Node none = -1, end = -2;  // of `before_` and `after_`: on no path; a path begins or ends here
 
-    /// The numbers of edges from each node to side 2; nodes of side 0 are reached, but not passed through.
-    void measure_hops(std::span<const Node> nodes) {
-        std::size_t last = 0;
-        for (const Node v : nodes) {
-            hops_[v] = side[v] == 2 ? 0 : far;
-            if (side[v] == 2) queue_[last++] = v;
-        }
-        for (std::size_t next = 0; next < last; ++next) {
-            const Node v = queue_[next];
-            for (const Node w : graph_.of(v)) {
-                if (side[w] < 0 || side[w] == 2 || hops_[w] != far) continue;
-                hops_[w] = hops_[v] + 1;
-                if (side[w] == 1) queue_[last++] = w;
-            }
-        }
-    }
-
     /// The nodes of a side with a neighbour elsewhere in the region.
     std::vector<Node> ends(std::span<const Node> nodes, int source) const {
         std::vector<Node> result;
@@ -148,15 +127,10 @@ class Separator {
     Node next_state(std::size_t depth, int source, std::span<const Node> before, std::span<const Node> after) {
         const Node state = queue_[depth], v = state >> 1;
         if (state & 1) {
-            // straight ahead through free nodes, then sideways, then back or through other paths
-            for (; turn_[depth] < 3; ++turn_[depth], arc_[depth] = graph_.start[v])
-                while (arc_[depth] < graph_.start[v + 1]) {
-                    const Node w = graph_.list[arc_[depth]++];
-                    if (side[w] < 0 || side[w] == source || seen_[2 * w] == stamp_ || w == after[v]) continue;
-                    const bool free = before[w] == none;
-                    const int kind = free && hops_[w] < hops_[v] ? 0 : free && hops_[w] == hops_[v] ? 1 : 2;
-                    if (kind == turn_[depth]) return 2 * w;
-                }
+            while (arc_[depth] < graph_.start[v + 1]) {
+                const Node w = graph_.list[arc_[depth]++];
+                if (side[w] >= 0 && side[w] != source && seen_[2 * w] != stamp_ && w != after[v]) return 2 * w;
+            }
             return before[v] >= 0 && seen_[2 * v] != stamp_ ? 2 * v : -1;
         }
         if (before[v] == none) {
@@ -176,7 +150,6 @@ class Separator {
             if (before[first] != none) continue;
             queue_[0] = 2 * first + 1;
             arc_[0] = graph_.start[first];
-            turn_[0] = 0;
             seen_[2 * first] = seen_[2 * first + 1] = stamp_;
             for (Index depth = 0; depth >= 0;) {
                 const Node state = next_state(depth, source, before, after);
@@ -193,7 +166,6 @@ class Separator {
                 ++depth;
                 queue_[depth] = state;
                 arc_[depth] = graph_.start[state >> 1];
-                turn_[depth] = 0;
             }
         }
         return found;
@@ -276,12 +248,10 @@ class Separator {
     const Neighbours& graph_;
     std::vector<signed char> part_;  ///< the sides to come
     std::vector<Node> before_, after_;  ///< of each node on its path
-    std::vector<Node> hops_;  ///< the number of edges to side 2
     std::vector<Node> seen_;  ///< stamp of the last sweep that visited each state
     Node stamp_ = 0;
     std::vector<Node> queue_;  ///< of nodes in breadth-first order; in `sweep` the stack of the states of a path
-    std::vector<Index> arc_;   ///< of each state on the path: where to go on in its list,
-    std::vector<char> turn_;   ///< and which kind of step is tried
+    std::vector<Index> arc_;  ///< of each state on the path: where to go on in its list
     std::array<std::vector<Node>, 4> axes_;
     std::vector<Node> ranks_, profile_;
     std::vector<Index> bins_;

@@ -32,12 +32,9 @@ struct Rotation {
     double c, s;
     Rotation() : c(1.0), s(0.0) {}
     explicit Rotation(double angle) : c(std::cos(angle)), s(std::sin(angle)) {}
+    Rotation(double cosine, double sine) : c(cosine), s(sine) {}
 
-    Rotation inverse() const {
-        Rotation back;
-        back.c = c, back.s = -s;
-        return back;
-    }
+    Rotation inverse() const { return {c, -s}; }
 };
 
 /// The same angle in [-pi, pi).

@@ -24,9 +24,7 @@ using numbers::wrap_angle;
 
 inline Rotation rotation(double angle) {
     const auto [sine, cosine] = numbers::sincos(angle);
-    Rotation axes;
-    axes.c = cosine, axes.s = sine;
-    return axes;
+    return {cosine, sine};
 }
 
 /// A pose with the cosine and sine of its heading.
@@ -50,9 +48,9 @@ inline Vector relative(const Frame& pose, const Vector& other) {
     return {c * dx + s * dy, c * dy - s * dx, wrap_angle(other.t - pose.at.t)};
 }
 
-/// The deviation d - motion, the heading wrapped.
-inline Vector deviation(const Vector& motion, const Vector& d) {
-    return {d.x - motion.x, d.y - motion.y, wrap_angle(d.t - motion.t)};
+/// The deviation d - motion, the heading wrapped, and zero where nothing depends on it.
+inline Vector deviation(const Vector& motion, const Vector& d, bool oriented = true) {
+    return {d.x - motion.x, d.y - motion.y, oriented ? wrap_angle(d.t - motion.t) : 0.0};
 }
 
 /// r' W r
@@ -89,11 +87,6 @@ inline Gaussian composed(const Frame& pose, const Gaussian& mark) {
     return {composed(pose, mark.mean), edges::turned(pose.axes, mark.S)};
 }
 
-/// y - mean, the heading wrapped, and zero where nothing depends on it.
-inline Vector innovation(const Vector& y, const Vector& mean, bool oriented) {
-    return {y.x - mean.x, y.y - mean.y, oriented ? wrap_angle(y.t - mean.t) : 0.0};
-}
-
 /// log N(r; 0, V) without the constant of 2 pi, for the inverse of V and W r.
 inline double log_density(const Vector& r, const Inverse& W, const Vector& g) {
     return -0.5 * (edges::dot(r, g) + logarithm(W.determinant));
@@ -105,7 +98,7 @@ class LogDensities {
     /// Add log N(mean_b; mean_a, S_a + S_b).
     void add(const Gaussian& a, const Gaussian& b, bool oriented) {
         const Inverse W = inverse(a.S + b.S);
-        const Vector r = innovation(b.mean, a.mean, oriented);
+        const Vector r = deviation(a.mean, b.mean, oriented);
         squares_ += squared(W.matrix, r);
         determinants_ *= W.determinant;
         if (determinants_ > 1e-200 && determinants_ < 1e200) return;

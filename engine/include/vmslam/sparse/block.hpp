@@ -9,7 +9,7 @@
 #include <cmath>
 #include <complex>
 
-#include "vmslam/sparse/product.hpp"
+#include "vmslam/sparse/simd.hpp"
 #include "vmslam/sparse/symbolic.hpp"
 
 namespace vmslam::sparse {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <new>
 #include <vector>
 
@@ -9,6 +10,7 @@
 
 namespace vmslam::sparse {
 
+using Step = std::int64_t;
 inline constexpr int lanes = VMSLAM_REGISTER;
 
 /// `N` numbers in a register, and the same numbers anywhere in memory.
