@@ -90,14 +90,16 @@ class OwnedProof : public Proof {
 void bind(nb::module_& m) {
     nb::class_<edges::ConstantEdges>(m, "ConstantEdges")
         .def(nb::init<>())
-        // the edges of a family at a state; its landmarks (K, 3)
-        .def("take",
-             [](edges::ConstantEdges& to, const edges::Family& family, const In<double>& state) {
-                 const std::size_t before = to.landmarks.size();
-                 require(family.constant(state.data(), static_cast<Index>(state.shape(0)), to),
-                         "the information of these edges is not constant");
-                 return rows_of(std::vector(to.landmarks.begin() + static_cast<std::ptrdiff_t>(before), to.landmarks.end()));
-             })
+        // the edges of a family at a state; its landmarks (K, 3), or None
+        .def(
+            "take",
+            [](edges::ConstantEdges& to, const edges::Family& family, const In<double>& state) -> std::optional<Out<double>> {
+                const std::size_t before = to.landmarks.size();
+                require(family.constant(state.data(), static_cast<Index>(state.shape(0)), to),
+                        "the information of these edges is not constant");
+                if (to.landmarks.size() == before) return std::nullopt;
+                return rows_of(std::vector(to.landmarks.begin() + static_cast<std::ptrdiff_t>(before), to.landmarks.end()));
+            })
         .def("add", &add, nb::arg("first"), nb::arg("second"), nb::arg("start"), nb::arg("end"), nb::arg("turn").none(),
              nb::arg("information"), nb::arg("tolerance"))
         .def_prop_ro("arrays", &arrays)

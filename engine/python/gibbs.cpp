@@ -135,7 +135,7 @@ void bind(nb::module_& m) {
         .def(nb::init<std::uint64_t, In<double>, In<double>>())
         .def("set_guess", &SharedChain::set_guess)
         .def("run", &SharedChain::run)
-        .def_prop_ro("poses", &SharedChain::poses, nb::rv_policy::move)
+        .def_prop_ro("poses", &SharedChain::poses, nb::rv_policy::reference)
         .def_prop_ro("accepted", &SharedChain::accepted);
 }
 

@@ -228,7 +228,8 @@ void bind_objectives(nb::module_& m) {
     // relation that the pattern does not have, or -1
     m.def("rotation_first", [](const BoundGraph& graph, In<double> state, In<Index> held, Index poses) {
         Start start = rotation_first(graph, copy_of(state), span(held), poses);
-        return std::tuple(state_array(start.state.data(), start.state.size()), array(std::move(start.unturned)), start.untied,
+        const std::size_t size = start.state.size();
+        return std::tuple(array(std::move(start.state), {size / 3, 3}), std::move(start.unturned), start.untied,
                           start.unlisted);
     });
     // initial values (n, 3), or None where a family cannot be divided
@@ -284,7 +285,7 @@ void bind_runs(nb::module_& m) {
             nb::arg("state"), nb::arg("tolerance"), nb::arg("most_steps"), nb::arg("cost_tolerance"), nb::arg("descend"),
             nb::arg("kept"), nb::arg("callback").none())
         .def_prop_ro(
-            "state", [](const Run& run) { return state_array(run.state.data(), run.state.size()); }, nb::rv_policy::move)
+            "state", [](const Run& run) { return state_array(run.state.data(), run.state.size()); }, nb::rv_policy::reference)
         .def_ro("costs", &Run::costs)
         .def_ro("norms", &Run::norms)
         .def_ro("converged", &Run::converged)
@@ -327,9 +328,10 @@ void bind_graduation(nb::module_& m) {
         .def("judge", &Graduation::judge, release())
         .def_prop_ro("truncated", &Graduation::truncated, release())
         .def_prop_ro(
-            "state", [](const Graduation& at) { return state_array(at.state.data(), at.state.size()); }, nb::rv_policy::move)
+            "state", [](const Graduation& at) { return state_array(at.state.data(), at.state.size()); },
+            nb::rv_policy::reference)
         .def_prop_ro(
-            "trust", [](const Graduation& at) { return array(at.trust); }, nb::rv_policy::move)
+            "trust", [](const Graduation& at) { return array(at.trust); }, nb::rv_policy::reference)
         .def_ro("rounds", &Graduation::rounds)
         .def_ro("settled", &Graduation::settled)
         .def_ro("stuck", &Graduation::stuck);

@@ -22,8 +22,16 @@ using release = nb::call_guard<nb::gil_scoped_release>;
 Pattern pattern_of(const In<Index>& start, const In<Index>& rows) { return {span(start), span(rows)}; }
 
 void bind_patterns(nb::module_& m) {
-    m.def("pattern", [](Index nodes, In<Index> sizes, In<Index> members) {
-        OwnedPattern pattern = pattern_of_groups(nodes, span(sizes), span(members));
+    // of groups of nodes: (starts (G+1,), members) for each family
+    m.def("pattern", [](Index nodes, nb::list families) {
+        std::vector<Index> sizes, members;
+        for (const nb::handle family : families) {
+            const auto [starts, own] = nb::cast<std::pair<In<Index>, In<Index>>>(family);
+            const auto at = span(starts);
+            for (std::size_t g = 1; g < at.size(); ++g) sizes.push_back(at[g] - at[g - 1]);
+            members.insert(members.end(), own.data(), own.data() + own.size());
+        }
+        OwnedPattern pattern = pattern_of_groups(nodes, sizes, members);
         return std::pair(array(std::move(pattern.start)), array(std::move(pattern.rows)));
     });
     m.def("pattern_fault", [](In<Index> start, In<Index> rows) { return pattern_of(start, rows).fault(); });
@@ -32,9 +40,9 @@ void bind_patterns(nb::module_& m) {
     });
     // the block between two nodes each, and the first pair that the pattern does not have, or -1
     m.def("pair_blocks", [](In<Index> start, In<Index> rows, In<Index> first, In<Index> second) {
+        const Pattern pattern = pattern_of(start, rows);
         std::vector<Index> blocks(first.size());
-        for (std::size_t e = 0; e < blocks.size(); ++e)
-            blocks[e] = block_or_none(pattern_of(start, rows), first.data()[e], second.data()[e]);
+        for (std::size_t e = 0; e < blocks.size(); ++e) blocks[e] = block_or_none(pattern, first.data()[e], second.data()[e]);
         const auto missing = std::find(blocks.begin(), blocks.end(), -1);
         const Index at = missing == blocks.end() ? -1 : missing - blocks.begin();
         return std::pair(array(std::move(blocks)), at);
@@ -62,7 +70,7 @@ void bind_orders(nb::module_& m) {
 void bind_symbolic(nb::module_& m) {
     nb::class_<Symbolic>(m, "Symbolic")
         .def_prop_ro(
-            "order", [](const Symbolic& s) { return array(s.order); }, nb::rv_policy::move)
+            "order", [](const Symbolic& s) { return array(s.order); }, nb::rv_policy::reference)
         .def_prop_ro("numbers", [](const Symbolic& s) { return s.panel_start.back(); })
         .def_ro("parts", &Symbolic::parts)
         .def_ro("blocks", &Symbolic::blocks);

@@ -45,10 +45,8 @@ class Structure:
         cls, num_nodes: int, cliques: Iterable[tuple[np.ndarray, np.ndarray]], points: Iterable[int] = ()
     ) -> Structure:
         """That of nodes tied in groups, each given as (starts (G+1,), nodes), nodes not decreasing."""
-        parts = list(cliques)
-        nodes = np.concatenate([np.zeros(0, dtype=np.int64)] + [nodes for _, nodes in parts])
-        sizes = np.concatenate([np.zeros(0, dtype=np.int64)] + [starts[1:] - starts[:-1] for starts, _ in parts])
-        start, rows = engine.pattern(num_nodes, np.asarray(sizes, np.int64), np.asarray(nodes, np.int64))
+        parts = [(np.asarray(starts, np.int64), np.asarray(nodes, np.int64)) for starts, nodes in cliques]
+        start, rows = engine.pattern(num_nodes, parts)
         return cls(start, rows, np.asarray(points, np.int64))
 
     @cached_property

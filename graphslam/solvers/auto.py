@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isfinite
 
 import numpy as np
 
@@ -197,13 +198,15 @@ def best_end(graph: Graph, run_from: Callable[..., Run], method: str, *, halves:
                 break
         good = _counted(ends, given)
         unturned.append((initialize, tried, len(ends)))
+        finished = _finished(good, further)
         # the second start of a kernel costs less than other turns, and often ends the search
-        if initialize != PLAIN and not _finished(good, further):
+        if initialize != PLAIN and not finished:
             for started, before, after in unturned:
                 ends += _with_turns(graph, run_from, ends[:after], before, started, effort)
             unturned, searched = [], True
             good = _counted(ends, given)
-        if _finished(good, further):
+            finished = _finished(good, further)
+        if finished:
             break
         if ends:
             effort.allow(ends[0].steps)
@@ -349,7 +352,7 @@ def _starts_of_kernel(graph: Graph, ends: list[End]) -> Iterator[tuple[str, Arra
         first = _end(plain, _runs(plain), start, "gauss-newton", "auto", [])
     except GraphError:
         return
-    if not np.isfinite(first.cost):
+    if not isfinite(first.cost):
         return
     yield PLAIN, first.run.state
     with suppress(GraphError):
@@ -455,4 +458,4 @@ def _sighted(graph: Graph) -> bool:
 
 
 def _finite(cost: float) -> float:
-    return cost if np.isfinite(cost) else np.inf
+    return cost if isfinite(cost) else np.inf

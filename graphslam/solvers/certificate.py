@@ -216,11 +216,11 @@ def _problem(
             else:
                 edges = family.constant(nodes)
                 _add(taken, edges, len(nodes) + len(edges.landmarks))
-                landmarks = edges.landmarks
+                landmarks = edges.landmarks if len(edges.landmarks) else None
         except GraphError as error:
             reasons.append(str(error))
             continue
-        if len(landmarks):
+        if landmarks is not None:
             nodes = np.concatenate([nodes, landmarks])
     if reasons:
         raise GraphError("; ".join(dict.fromkeys(reasons)))

@@ -84,10 +84,9 @@ def rotation_first(graph: Graph) -> Array:
         raise GraphError(
             f"headings() or positions() of a family relates {related} to a node that shares no group of cliques()"
         )
-    if len(unturned):
-        raise GraphError(
-            f"initialize='rotation-first' needs edges that measure relative headings; {graph.names(unturned)} have none"
-        )
+    if unturned:
+        nodes = graph.names(np.array(unturned))
+        raise GraphError(f"initialize='rotation-first' needs edges that measure relative headings; {nodes} have none")
     if untied >= 0:
         raise GraphError(
             f"initialize='rotation-first' needs edges that tie all nodes; nothing holds {graph.names(np.array([untied]))}"

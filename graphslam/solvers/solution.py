@@ -396,7 +396,8 @@ def make_solution(
     landmarks: dict[int, Array] = {}
     if len(graph.landmark_ids):
         nodes = state[len(graph.steps) :, : graph.landmark_dimension].copy()
-        nodes[:, 2:] = wrap(nodes[:, 2:])
+        if graph.landmark_dimension == 3:
+            nodes[:, 2] = wrap(nodes[:, 2])
         landmarks = dict(zip(graph.landmark_ids.tolist(), nodes))
     elif graph.log is not None and np.all(np.isfinite(poses)):
         landmarks = graph.map_from(poses)

@@ -137,9 +137,49 @@ def test_a_right_hand_side_of_another_size_is_refused(shape):
             factor.solve(b, x)
 
 
-@pytest.mark.parametrize("xi", [np.ones((3, 3), dtype=np.float32), np.ones((3, 6))[:, ::2]])
+#: of other numbers, with gaps, read-only
+NOT_WRITTEN = np.ones((3, 3), dtype=np.float32), np.ones((3, 6))[:, ::2], np.frombuffer(bytes(72)).reshape(3, 3)
+
+
+@pytest.mark.parametrize("xi", NOT_WRITTEN)
 def test_an_array_that_would_be_written_into_as_a_copy_is_refused(xi):
     given = _edges()
     given[11] = xi
     with pytest.raises(TypeError):
         engine.add_linearized(*given)
+
+
+#: the same numbers in other arrays: of another type, with gaps, read-only
+OTHER_ARRAYS = [
+    lambda a: a.astype(np.int32),
+    lambda a: a.astype(np.uint64),
+    lambda a: np.repeat(a, 2)[::2],
+    lambda a: np.frombuffer(a.tobytes(), a.dtype),
+]
+
+
+@pytest.mark.parametrize("other", OTHER_ARRAYS)
+def test_arrays_of_whole_numbers_may_be_of_any_kind(other):
+    # the upper triangle of a path of four nodes: those of the middle two are all blocks but the first and the last
+    start, rows, nodes = np.array([0, 1, 3, 5, 7]), np.array([0, 0, 1, 1, 2, 2, 3]), np.array([1, 2])
+    assert engine.blocks_of_nodes(*map(other, (start, rows, nodes))).tolist() == [1, 2, 3, 4, 5]
+
+
+def test_whole_numbers_are_not_made_of_floating_point_ones():
+    with pytest.raises(TypeError):
+        engine.blocks_of_nodes(np.array([0, 1]), np.array([0]), np.array([0.0]))
+
+
+@pytest.mark.parametrize("other", [*OTHER_ARRAYS, lambda a: a.astype(float), lambda a: a.astype(np.float32)])
+def test_arrays_of_floating_point_numbers_may_be_of_any_kind(other):
+    state, diagonal = np.array([[1, 2, 3]]), np.array([[4, 5, 6]])
+    expected = sum(d * (1e-15 * (1 + x)) ** 2 for x, d in zip((1, 2, 3), (4, 5, 6)))
+    assert engine.rounding(other(state), other(diagonal)) == pytest.approx(expected, rel=1e-14)
+
+
+def test_a_call_keeps_no_reference_to_its_arrays():
+    start, rows = np.array([0, 1]), np.array([0])
+    before = sys.getrefcount(start), sys.getrefcount(rows)
+    for _ in range(3):
+        assert engine.pattern_fault(start, rows) == -1
+    assert (sys.getrefcount(start), sys.getrefcount(rows)) == before

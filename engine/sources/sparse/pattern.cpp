@@ -10,28 +10,22 @@ OwnedPattern pattern_of_groups(Index nodes, std::span<const Index> sizes, std::s
     begin.reserve(members.size());
     for (const Index size : sizes) begin.insert(begin.end(), size, static_cast<Index>(begin.size()));
     const Sorted by_node(nodes, static_cast<Index>(members.size()), [&](Index k) { return members[k]; });
-    // the neighbours before each node, in any order, ...
-    std::vector<Index> low, high, mark(nodes, -1);
+    OwnedPattern pattern{{0}, {}};
+    pattern.start.reserve(nodes + 1);
+    pattern.rows.reserve(nodes + members.size());
+    std::vector<Index> mark(nodes, -1);
     for (Index j = 0; j < nodes; ++j) {
         mark[j] = j;
+        // the neighbours before each node, and the node itself
         for (Index q = by_node.start[j]; q < by_node.start[j + 1]; ++q)
             for (Index p = begin[by_node.places[q]]; p < by_node.places[q]; ++p)
                 if (const Index i = members[p]; mark[i] != j) {
                     mark[i] = j;
-                    low.push_back(i);
-                    high.push_back(j);
+                    pattern.rows.push_back(i);
                 }
-    }
-    // ... and a stable sort by the neighbour, then by the node, brings them into columns with increasing rows
-    const auto count = static_cast<Index>(low.size());
-    const Sorted by_low(nodes, count, [&](Index k) { return low[k]; });
-    const Sorted by_high(nodes, count, [&](Index k) { return high[by_low.places[k]]; });
-    OwnedPattern pattern{std::vector<Index>(nodes + 1), std::vector<Index>(count + nodes)};
-    for (Index j = 0; j <= nodes; ++j) pattern.start[j] = by_high.start[j] + j;
-    for (Index j = 0; j < nodes; ++j) {
-        for (Index k = by_high.start[j]; k < by_high.start[j + 1]; ++k)
-            pattern.rows[k + j] = low[by_low.places[by_high.places[k]]];
-        pattern.rows[pattern.start[j + 1] - 1] = j;
+        std::sort(pattern.rows.begin() + pattern.start.back(), pattern.rows.end());
+        pattern.rows.push_back(j);
+        pattern.start.push_back(static_cast<Index>(pattern.rows.size()));
     }
     return pattern;
 }
