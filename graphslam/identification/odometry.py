@@ -15,7 +15,7 @@ and in epsilon, and that of a sighting (`SensorModel.Q`) in the squares of the s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -136,8 +136,8 @@ def sensor_parts(sightings: Array) -> dict[str, Array]:
 ESTIMATED = ("nn", "on", "oo", "slip", "sigma_omega")
 #: parameters that differ by less than this are near: what a derivative leaves out of a motion is some 1e-5 of it
 NEAR = {"wheel_scale": 0.006, "turn_scale": 0.006, "turn_rate_bias": 0.002, "curvature_bias": 0.002}
-#: how many evaluations are kept: an estimate compares its biases with a robot that has none
-EVALUATIONS = 2
+#: how many evaluations are kept: an estimate solves several problems of one drive, with other biases, in turn
+EVALUATIONS = 4
 
 
 class Odometry:
@@ -158,8 +158,6 @@ class Odometry:
         )
         #: the last evaluations by `_single`: values of the parameters, motions and slopes
         self._evaluated: list[tuple[Array, Array, Array]] = []
-        #: the last result of `poses` and of `speeds`, with what it was computed from
-        self._latest: dict[str, tuple[tuple[object, ...], Array]] = {}
 
     def covers(self, log: Log) -> bool:
         """Whether all poses of a log are poses of this one."""
@@ -194,20 +192,11 @@ class Odometry:
 
     def poses(self, parameters: Parameters) -> Array:
         """The poses (T+1, 3) of the corrected controls."""
-        start = self.log.initial_poses[0]
-        return self._kept("poses", (parameters.values.tobytes(),), lambda: chained(start, self._single(parameters)[0]))
+        return chained(self.log.initial_poses[0], self._single(parameters)[0])
 
     def speeds(self, parameters: Parameters) -> Array:
         """The control (T+1, 2) at each pose, `controls_at_steps`."""
-        everything = replace(parameters, recorded=self.log)
-        of = parameters.values.tobytes(), parameters.motion
-        return self._kept("speeds", of, lambda: controls_at_steps(everything))
-
-    def _kept(self, name: str, of: tuple[object, ...], make: Callable[[], Array]) -> Array:
-        """The result that was made last by this name, where it was made of the same."""
-        if name not in self._latest or self._latest[name][0] != of:
-            self._latest[name] = of, make()
-        return self._latest[name][1]
+        return controls_at_steps(replace(parameters, recorded=self.log))
 
     def _single(self, parameters: Parameters) -> tuple[Array, Array]:
         """`motions` between successive poses."""

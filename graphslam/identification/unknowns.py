@@ -50,7 +50,7 @@ from ..se2 import (
 )
 from .corrections import corrected_sensor, moves
 from .declared import Parameters, ideal_values
-from .odometry import LEAST_EPSILON, NOISE, STILL, Edges, Odometry, near, sensor_parts, with_variances
+from .odometry import LEAST_EPSILON, NOISE, STILL, Edges, Odometry, sensor_parts, with_variances
 
 #: the parameters of an unknown robot, with the standard deviations of their priors. The scale of ranges is not among them:
 #: only its quotient with the scale of the wheels is identifiable.
@@ -130,7 +130,6 @@ class Unknowns:
         self._least = gaps + LEAST_EPSILON * np.eye(3)
         parts = {name: C * (1 - self._unmeasured) for name, C in sensor_parts(self.sightings).items()}
         self.sensor_parts = {name: C for name, C in parts.items() if C.any()}
-        self._evaluated: tuple[Array, Array, Array] | None = None
         self.centres = self._centres()
         if start is None:
             names = tuple(PRIORS)
@@ -272,13 +271,8 @@ class Unknowns:
         return Edges(self.before, self.after, residuals, by_first, by_second, -slopes, self.motion_parts)
 
     def measured(self) -> tuple[Array, Array]:
-        """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters; see `near`."""
-        now = self.parameters
-        if self._evaluated is not None and near(now, self._evaluated[0]):
-            at, measured, slopes = self._evaluated
-            return measured + slopes @ (now.values - at), slopes
-        self._evaluated = (now.values, *self.odometry.motions(now, self._steps))
-        return self._evaluated[1:]
+        """The motions (T, 3) of the corrected controls, and their derivative (T, 3, K) by the parameters."""
+        return self.odometry.motions(self.parameters, self._steps)
 
     def sighted(
         self, steps: np.ndarray | None = None, seen: np.ndarray | None = None, sightings: Array | None = None
