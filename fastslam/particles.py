@@ -114,10 +114,7 @@ class Samples:
 
 
 def _mean(samples: Array) -> Array:
-    mean = samples.mean(axis=0)
-    if samples.shape[-1] == 3:
-        mean[:, 2] = wrap(np.arctan2(np.sin(samples[..., 2]).mean(axis=0), np.cos(samples[..., 2]).mean(axis=0)))
-    return mean
+    return weighted_mean(samples, np.full(len(samples), 1 / len(samples)))
 
 
 def _covariances(samples: Array, mean: Array) -> Array:
@@ -303,10 +300,11 @@ class FilterResult:
 
 
 def weighted_mean(points: Array, weights: Array) -> Array:
-    """Return the mean of (k, 2) or (k, 3) points under weights (k,) that sum to 1; a third coordinate is an angle."""
-    mean = weights @ points
-    if points.shape[1] == 3:
-        mean[2] = wrap(np.arctan2(weights @ np.sin(points[:, 2]), weights @ np.cos(points[:, 2])))
+    """Return the mean of points (k, ..., 2 or 3) under weights (k,) that sum to 1; a third coordinate is an angle."""
+    mean = np.tensordot(weights, points, 1)
+    if points.shape[-1] == 3:
+        sines, cosines = (np.tensordot(weights, f(points[..., 2]), 1) for f in (np.sin, np.cos))
+        mean[..., 2] = wrap(np.arctan2(sines, cosines))
     return mean
 
 

@@ -119,11 +119,6 @@ class LatestSightings:
     counts: dict[int, int] = field(default_factory=dict)
     tried: dict[int, int] = field(default_factory=dict)
 
-    def __deepcopy__(self, memo: object) -> LatestSightings:
-        """Rows do not change, so that both share them."""
-        rows = {id: row.copy() for id, row in self.rows.items()}
-        return LatestSightings(self.kernel, set(self.held), rows, dict(self.counts), dict(self.tried))
-
     def add(self, landmarks: Sequence[int], sightings: Sequence[Row]) -> None:
         """Note the sightings of landmarks."""
         for id, row in zip(landmarks, sightings):
