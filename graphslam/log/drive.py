@@ -150,12 +150,14 @@ class Reader:
         return self._unit(role) is not None
 
     def _unit(self, role: str) -> str | None:
-        """The unit of a column: the stated one, else that of its name where it is one of this measure.
+        """The unit of a column: that of its type, else the stated one, else that of its name where it is one of this measure.
 
         Raises:
             LogError: the name has a unit that is not converted, and none is stated.
         """
         measure, named = MEASURES[role], self.found[role].unit
+        if measure == "time" and (typed := self.table.units.get(self.found[role].column)) is not None:
+            return typed
         if (stated := self.options.unit(measure, self.kind)) is not None:
             return stated
         if named in OTHER_UNITS:
@@ -286,6 +288,13 @@ class Reader:
             return np.column_stack([position, np.where(known, checked_heading(self.table, quaternions), np.nan)])
         return position
 
+    def answered(self, **checks: str) -> tuple[Doubt, ...]:
+        """The checks {role: name} of units that the options state: such a doubt has no sentence."""
+        stated = (
+            check for role, check in checks.items() if self.has(role) and self.options.unit(MEASURES[role], self.kind)
+        )
+        return tuple((check, "") for check in stated)
+
     def refuse(
         self, role: str, values: Array, limit: float, message: str, measure: str = "", *, also: str = ""
     ) -> None:
@@ -343,7 +352,9 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     elif "omega" in motion:
         message = "the turn rate is {:g} rad/s: is it in degrees per second?"
         reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
-    return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts + sideways)
+    speed, turn = "speed unit", "turn rate unit"
+    doubts += sideways + reader.answered(nu=speed, left=speed, x=speed, omega=turn, theta=turn, t="time unit")
+    return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 
 def _sideways_speed(reader: Reader, speed: Array) -> tuple[Doubt, ...]:
@@ -426,6 +437,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
     doubts = doubted + repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
+    doubts += reader.answered(range="range unit", x="range unit")
     classes, remarks = reader.classes()
     classes = None if classes is None else classes[order]
     alone = (f"{table.source}: the sensor measures the {single} alone",) if single else ()

@@ -9,6 +9,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,14 @@ class Table(ABC):
         names: of the columns; empty where the table has none.
         width: the number of columns.
         notes: what the reader changed, one sentence each.
+        units: of columns whose type has one, {number of the column: "ns"}, as dates of pandas and NumPy have.
     """
 
     source: str
     names: tuple[str, ...]
     width: int
     notes: tuple[str, ...] = ()
+    units: Mapping[int, str] = MappingProxyType({})
 
     @abstractmethod
     def __len__(self) -> int:
@@ -85,6 +88,7 @@ class Columns(Table):
             self.names = ()
             self._columns = list(np.asarray(columns).T)
         self.width = len(self._columns)
+        self.units = {k: "ns" for k, column in enumerate(self._columns) if _has_nanoseconds(column)}
 
     def __len__(self) -> int:
         return len(self._columns[0]) if self._columns else 0
@@ -93,6 +97,8 @@ class Columns(Table):
         numbers = np.empty((len(self), len(columns)))
         for k, column in enumerate(columns):
             values = self._columns[column]
+            if column in self.units:
+                values = np.where(np.isnat(values), np.nan, self.texts(column))
             try:
                 numbers[:, k] = values
             except (TypeError, ValueError, OverflowError):
@@ -111,10 +117,24 @@ class Columns(Table):
         values = self._columns[column]
         return values if values.dtype.kind in "iu" else values.astype(str)
 
+    def texts(self, column: int) -> np.ndarray:
+        if column not in self.units:
+            return super().texts(column)
+        values = self._columns[column]
+        return values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64)
+
     def error(self, row: int | None, message: str) -> LogError:
         if row is None:
             return FormatError(self.source, None, message)
         return FormatError(f"{self.source}, {self._rows} {row + 1}", None, message)
+
+
+def _has_nanoseconds(column: np.ndarray) -> bool:
+    """Whether a column has dates or durations of NumPy that whole nanoseconds in 64 bits can hold."""
+    if column.dtype.kind not in "mM":
+        return False
+    seconds = column[~np.isnat(column)].astype(f"{column.dtype.kind}8[s]").astype(np.int64)
+    return bool(np.all(np.abs(seconds) < 2**63 // 10**9))
 
 
 class Kept(Table):
@@ -128,7 +148,7 @@ class Kept(Table):
 
     def __init__(self, table: Table, rows: np.ndarray, notes: tuple[str, ...]) -> None:
         self.source, self.names, self.width = table.source, table.names, table.width
-        self.notes = (*table.notes, *notes)
+        self.notes, self.units = (*table.notes, *notes), table.units
         self._table, self._rows = table, rows
 
     def __len__(self) -> int:

@@ -32,7 +32,7 @@ def check_log(log: Log) -> tuple[Finding, ...]:
         log: with or without controls and truth.
     """
     found: dict[str, Finding] = {}
-    doubts: Iterable[Finding] = (Finding(check, message) for check, message in log.doubts)
+    doubts: Iterable[Finding] = (Finding(check, message) for check, message in log.doubts if message)
     readings, truth = tuple(readings_of(log)), tuple(against_truth(log))
     checks: list[Iterable[Finding]] = [doubts, sizes(log), readings, truth]
     if not readings:

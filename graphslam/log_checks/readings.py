@@ -353,7 +353,12 @@ def _change(headings: Array) -> Array:
 
 
 def sizes(log: Log) -> Iterator[Finding]:
-    """Ranges, speeds, turn rates and times that no robot has, and a log of a single pose."""
+    """Ranges, speeds, turn rates and times that no robot has, and a log of a single pose; without checks that are answered."""
+    answered = {check for check, message in log.doubts if not message}
+    yield from (each for each in _sizes(log) if each.check not in answered)
+
+
+def _sizes(log: Log) -> Iterator[Finding]:
     yield from single_pose(log)
     if len(log.sightings) and (far := float(np.median(log.sightings[:, 0]))) > FARTHEST:
         yield Finding("range unit", f"half of the ranges are above {decimals(far, 0)} m; they may be in millimetres")

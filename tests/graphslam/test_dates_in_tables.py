@@ -110,3 +110,28 @@ def test_a_clock_may_not_lead_beyond_64_bits(tmp_path):
         OptionError, match="clocks: odometry should be at most 4.6e.09 seconds .146 years. forward or back"
     ):
         Log.from_tables(tmp_path / "odometry.csv", tmp_path / "sightings.csv", clocks={"odometry": 1e10})
+
+
+@pytest.mark.parametrize("kind", ["datetime64[ns]", "datetime64[us]", "datetime64[ms]", "timedelta64[ms]"])
+def test_dates_of_numpy_and_pandas_have_the_unit_of_their_type(kind):
+    """Also near 1970, where the size of the numbers would be taken for that of another unit."""
+    t = np.arange(50) * 250
+    odometry = {"t": t / 1000, "v": np.full(50, 0.5), "w": np.full(50, 0.1)}
+    sightings = {"t": t[5:45] / 1000, "id": np.arange(40) % 3, "range": np.full(40, 2.0), "bearing": np.full(40, 0.1)}
+    expected = Log.from_tables(odometry, sightings)
+    dated = [
+        table | {"t": (1000 * table["t"]).astype(f"{kind[:-4]}[ms]").astype(kind)} for table in (odometry, sightings)
+    ]
+    found = Log.from_tables(*dated)
+    np.testing.assert_array_equal(found.steps, expected.steps)
+    np.testing.assert_array_equal(found.dt, expected.dt)
+    dated[1]["t"][7] = "NaT"
+    left = Log.from_tables(*dated)
+    assert len(left.steps) == 39 and "1 of 40 sightings has no time: left out (row 8)" in left.notes[0]
+
+
+def test_dates_that_nanoseconds_cannot_hold_are_named():
+    t = np.array(["2500-01-01T10:00:00", "2500-01-01T10:00:01"], "datetime64[s]")
+    odometry = {"t": t, "v": [0.5, 0.5], "w": [0.1, 0.1]}
+    with pytest.raises(LogError, match="from 1678 to 2262"):
+        Log.from_tables(odometry, {"t": t, "id": [1, 1], "range": [2.0, 2.0], "bearing": [0.1, 0.1]})

@@ -420,6 +420,9 @@ def test_what_is_stated_is_not_refused(drive):
     rows = [(t, j, r, b + 8 * np.pi) for t, j, r, b in SEEN]
     log = load(drive(sightings=text("t,id,range,bearing", rows), recipe='angles = "radians"'))
     np.testing.assert_allclose(log.sightings[:, 1], [row[3] for row in SEEN], atol=1e-12)
+    far = text("t,id,range,bearing", [(t, j, 1e3 * r, b) for t, j, r, b in SEEN])
+    units = {each.check for each in check_log(load(drive(sightings=far, recipe='lengths = "m"')))}
+    assert "range unit" not in units
 
 
 def test_poses_that_move_sideways_are_a_doubt(drive):
