@@ -352,8 +352,11 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     elif "omega" in motion:
         message = "the turn rate is {:g} rad/s: is it in degrees per second?"
         reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
-    speed, turn = "speed unit", "turn rate unit"
-    doubts += sideways + reader.answered(nu=speed, left=speed, x=speed, omega=turn, theta=turn, t="time unit")
+    speeds, turns = (
+        dict.fromkeys(("nu", "left", "x"), "speed unit"),
+        dict.fromkeys(("omega", "theta"), "turn rate unit"),
+    )
+    doubts += sideways + reader.answered(t="time unit", **speeds, **turns)
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
 

@@ -353,7 +353,7 @@ def _change(headings: Array) -> Array:
 
 
 def sizes(log: Log) -> Iterator[Finding]:
-    """Ranges, speeds, turn rates and times that no robot has, and a log of a single pose; without checks that are answered."""
+    """Ranges, speeds, turn rates and times that no robot has, and a log of a single pose; no checks that are answered."""
     answered = {check for check, message in log.doubts if not message}
     yield from (each for each in _sizes(log) if each.check not in answered)
 

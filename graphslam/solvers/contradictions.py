@@ -1,4 +1,4 @@
-"""Whether a solution contradicts what it takes for right: the map, the absolute positions, and the odometry.
+"""Whether a solution contradicts what it takes for right: the map, absolute positions, relations, and the odometry.
 
 The map and the positions are checked by score tests. Let s be the numbers by which they may be wrong, zero where they are
 right, and J the derivative of the residuals e by s. With W the information of e, B the Jacobian by the nodes, Omega the
@@ -18,9 +18,11 @@ change the size of a world by a little.
 **Positions.** An antenna beside the robot's pose, whose lever nobody has stated, moves all positions by R(theta) s, and
 odometry and sightings follow them as far as they can: J = R(theta), and the sum of B' W e over all measurements is zero at
 the solution. Where s is large, the graph is solved again with it, and the step repeated. Where the heading does not change,
-S is small. A residual has the covariance W^-1 - B P B' at the solution, P that of the pose. The median of its squared
-Mahalanobis norm, over that of chi-square, tells how much larger the errors of the positions are than their covariances say,
-also where some positions are wrong.
+S is small.
+
+**Covariances.** A residual of a position or a relation has the covariance W^-1 - B P B' at the solution, P that of its nodes.
+The median of its squared Mahalanobis norm, over that of chi-square, tells how much larger the errors are than their
+covariances say, also where some positions or relations are wrong.
 
 **Odometry.** Stretches on which wheels slip or a gyroscope misreads are found by `identification.slips`, and the graph is
 solved again with more noise of the controls there.
@@ -37,7 +39,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..edges import LandmarkPriors, ObservationEdges, PolarObservationEdges, PositionEdges, PriorEdges
+from ..edges import (
+    LandmarkPriors,
+    ObservationEdges,
+    PolarObservationEdges,
+    PositionEdges,
+    PriorEdges,
+    RelationEdges,
+)
 from ..errors import GraphError
 from ..errors.checks import listed
 from ..graph import Graph
@@ -72,13 +81,14 @@ TELLING = 3.0
 #: the log determines a landmark where it has more than this part of the information that its sightings alone would give, and
 #: the lever where it has more than this part of that of exact poses
 DETERMINED = 1e-6
-#: the fewest positions that say something, and the part of a position's information that others must have to check it
-FEWEST_POSITIONS, CHECKED = 10, 0.1
+#: the fewest positions or relations that say something, and the part of the information of one that the rest must have to
+#: check it
+FEWEST_CHECKED, CHECKED = 10, 0.1
 #: above this factor, positions are in another frame rather than noisier than they say
 OTHER_FRAME = 100.0
 #: what a solution does with a map that is doubtful, where it is not solved again
 TAKEN_FOR_RIGHT = "Poses and their covariances take the map for right"
-#: covariances of positions are doubtful whose roots are wrong by more than this factor
+#: covariances of positions and relations are doubtful whose roots are wrong by more than this factor
 MISJUDGED = 2.0
 #: the most rounds in which the solution follows the lever, the damped steps in each, and the squared step in standard errors
 #: that is small
@@ -236,7 +246,7 @@ def doubt_of_positions(graph: Graph, state: Array, *, lasting: bool = False) -> 
         lasting: whether the covariances are those of lasting errors, so that they say nothing of single ones.
     """
     families = [family for family in graph.families if isinstance(family, PositionEdges)]
-    if graph.parameters is not None or sum(family.count for family in families) < FEWEST_POSITIONS:
+    if graph.parameters is not None or sum(family.count for family in families) < FEWEST_CHECKED:
         return ""
     try:
         lever, S = _lever_step(graph, families, state)
@@ -244,7 +254,7 @@ def doubt_of_positions(graph: Graph, state: Array, *, lasting: bool = False) -> 
             lever, S, rest = _lever_followed(graph, state, lever)
         else:
             rest = 1.0
-        ratio = _position_misfit(families, state, Uncertainty(graph, state))
+        ratio = _misfit_of(graph, state, PositionEdges)
     except (FactorizationError, GraphError, np.linalg.LinAlgError):
         return ""
     if np.sqrt(lever @ S @ lever) > SIGNIFICANT * rest:
@@ -288,24 +298,49 @@ def _lever_followed(graph: Graph, state: Array, lever: Array) -> tuple[Array, Ar
         if step @ S @ step < SETTLED:
             break
         total = total + step
-    return total, S, max(1.0, _position_misfit(families, state, Uncertainty(other, state)))
+    return total, S, max(1.0, _misfit_of(other, state, PositionEdges))
 
 
-def _position_misfit(families: list[PositionEdges], state: Array, uncertainty: Uncertainty) -> float:
-    """The errors of positions that the rest of the graph checks over what their covariances say; 0 where it checks few."""
-    found = []
-    for family in families:
+def _misfit_of(graph: Graph, state: Array, kind: type[PositionEdges] | type[RelationEdges]) -> float:
+    """The errors of edges that the rest of the graph checks over what their covariances say; 0 where it checks few."""
+    # where the edges are noisier than they say, the weights of a kernel would be those of other covariances
+    plain = graph.with_changed(kind, lambda family: replace(family, kernel=None))
+    found, uncertainty = [], Uncertainty(plain, state)
+    for family in plain.families:
+        if not isinstance(family, kind) or not family.count:
+            continue
         linear = family.linearize(state, state)
-        (B,), (nodes,) = linear.jacobians, linear.nodes
+        if len(linear.nodes) == 2:
+            followed = uncertainty.of_edges(linear)
+        else:
+            (B,), (nodes,) = linear.jacobians, linear.nodes
+            followed = B @ uncertainty.diagonal[nodes] @ np.swapaxes(B, 1, 2)
         L = np.linalg.cholesky(family.information)
-        white = np.swapaxes(L, 1, 2) @ B
-        left = np.eye(family.dimension) - white @ uncertainty.diagonal[nodes] @ np.swapaxes(white, 1, 2)
+        left = np.eye(L.shape[1]) - np.swapaxes(L, 1, 2) @ followed @ L
         checked = (np.linalg.eigvalsh(left)[:, 0] > CHECKED) & (family.trusted > 0.5)
         e = np.einsum("eji,ej->ei", L, linear.residuals)[checked]
         q = np.einsum("ei,ei->e", e, np.linalg.solve(left[checked], e[:, :, None])[:, :, 0])
-        found.append(q / MEDIANS[family.dimension])
+        found.append(q / MEDIANS[L.shape[1]])
     ratios = np.concatenate(found)
-    return float(np.sqrt(np.median(ratios))) if len(ratios) >= FEWEST_POSITIONS else 0.0
+    return float(np.sqrt(np.median(ratios))) if len(ratios) >= FEWEST_CHECKED else 0.0
+
+
+def doubt_of_relations(graph: Graph, state: Array) -> str:
+    """A sentence where the covariances of the relations of a log are probably wrong; empty otherwise."""
+    count = sum(family.count for family in graph.families if isinstance(family, RelationEdges))
+    if graph.log is None or graph.parameters is not None or count < FEWEST_CHECKED:
+        return ""
+    try:
+        ratio = _misfit_of(graph, state, RelationEdges)
+    except (FactorizationError, GraphError, np.linalg.LinAlgError):
+        return ""
+    if ratio == 0 or 1 / MISJUDGED <= ratio <= MISJUDGED:
+        return ""
+    return (
+        f"the errors of the relations are {ratio:.2g} times what their covariances say (median), so that covariances of "
+        "poses are wrong, too: multiply the standard deviations of the relations by this factor, unless they are between "
+        "other poses, or the noise models of odometry and sightings are wrong"
+    )
 
 
 def _lever_step(graph: Graph, families: list[PositionEdges], state: Array) -> tuple[Array, Array]:

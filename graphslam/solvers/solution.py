@@ -30,7 +30,7 @@ from ..maps.tracker import beyond, inflation, presence
 from ..metrics import pose_nees
 from ..se2 import Array, difference, wrap
 from .certificate import Certificate, prove
-from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_positions, without_slips_of
+from .contradictions import TAKEN_FOR_RIGHT, doubt_of_map, doubt_of_positions, doubt_of_relations, without_slips_of
 from .iteration import Run
 from .joint import motion_edges
 from .map_errors import in_wider_map, said_of_wider
@@ -438,7 +438,8 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
     graph = solution.graph or graph
     of_positions = doubt_of_positions(graph, solution.state, lasting=bool(lasting))
     common, of_scans = errors_of_scans(graph, solution.state)
-    notes += filter(None, (of_positions, lasting, *of_odometry, of_scans))
+    of_relations = doubt_of_relations(graph, solution.state)
+    notes += filter(None, (of_positions, of_relations, lasting, *of_odometry, of_scans))
     # families that do not say how many numbers they measure leave the expected cost open
     counted = all(f.numbers[0] or isinstance(f, AnchorEdges) or not f.count for f in graph.families)
     expected = max(graph.expected_cost, 1.0)

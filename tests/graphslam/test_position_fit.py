@@ -1,4 +1,4 @@
-"""Notes on positions whose lever or covariances are wrong, on wheels that slip, and on noise models that are too narrow."""
+"""Notes on positions and relations whose lever or covariances are wrong, on wheels that slip, and on noise models that are too narrow."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -13,6 +13,7 @@ from graphslam import (
     Drive,
     Graph,
     MotionModel,
+    PoseRelations,
     SensorModel,
     estimate_robot,
     join_logs,
@@ -21,7 +22,7 @@ from graphslam import (
 )
 from graphslam.edges import SightingEdges
 from graphslam.metrics import ate
-from graphslam.se2 import difference, mounted, turned_by
+from graphslam.se2 import between, difference, mounted, turned_by
 from graphslam.solvers.uncertainty import Uncertainty
 
 LEVER, NOISE = "the positions fit better", "the errors of the positions"
@@ -64,6 +65,31 @@ def test_covariances_that_are_wrong_by_five(sigma, said):
     (note,) = notes_on_positions(1, sigma=sigma, said=said, wrong=0.1)
     assert note.startswith(NOISE)
     assert float(note.split()[6]) == pytest.approx(sigma / said, rel=0.4)
+
+
+@pytest.mark.parametrize(("factor", "seeds"), [(1.0, range(5)), (0.25, (5, 6)), (4.0, (7, 8))])
+@pytest.mark.parametrize("kernel", ["none", "cauchy"])
+def test_covariances_of_relations_that_are_wrong(factor, seeds, kernel):
+    """A second odometry whose errors are a factor times what it says; a tenth of its relations is wrong."""
+    # those that say too much are checked by a rest that is more exact
+    deviations = np.array([0.02, 0.02, 0.01]) * (10 if factor < 1 else 1)
+    for seed in seeds:
+        log, rng = (
+            simulate(seed=seed, steps=120, clean=True, orientation=False, max_range=5.0, **ROBOT),
+            np.random.default_rng(seed),
+        )
+        true, wrong = log.true_poses, rng.random(120) < 0.1 * (kernel != "none")
+        motions = (
+            between(true[:-1], true[1:]) + factor * deviations * rng.standard_normal((120, 3)) + 0.5 * wrong[:, None]
+        )
+        relations = PoseRelations(
+            first=np.arange(120), second=np.arange(1, 121), motions=motions, covariances=np.diag(deviations**2)
+        )
+        graph = Graph.from_log(log.replace(relations=relations, **ROBOT), edges="landmark+motion", kernel=kernel)
+        found = [note for note in solve(graph).notes if note.startswith("the errors of the relations are")]
+        assert len(found) == (factor != 1.0)
+        assert all(float(note.split()[6]) == pytest.approx(factor, rel=0.4) for note in found)
+        assert not any(translated(note, "ja").startswith("the errors") for note in found)
 
 
 def test_positions_of_another_frame_are_called_so():
