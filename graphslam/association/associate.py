@@ -18,8 +18,7 @@ import numpy as np
 
 from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import array_of, check_choice, check_known, check_type, singular
-from ..identification.corrections import honest_variances, without_biases
-from ..identification.declared import PLACE, ParameterEstimate, parsed
+from ..identification.declared import ParameterEstimate, parsed
 from ..identification.known import AUTO, BOOK, enough_ids, known_robot, not_used, unknown_noise, with_book
 from ..identification.result import RobotEstimate
 from ..linear.precision import check_magnitudes
@@ -427,9 +426,8 @@ def known_noise(
         if noise == AUTO:
             raise
         return with_book(log, error), None
-    known = _corrected(log, found)
-    notes = (*known.notes, *found.sentences, *not_used(log), *notes)
-    return known.replace(uncertain=found.log.uncertain, notes=notes), found
+    known = found.corrected(log)
+    return known.replace(notes=(*known.notes, *found.sentences, *not_used(log), *notes)), found
 
 
 def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotEstimate, tuple[str, ...]]:
@@ -450,17 +448,10 @@ def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotE
     named, note = _with_found_ids(log, log, motion, sensor)
     found = estimate_robot(named, sensor=sensor)
     try:
-        named, again = _with_found_ids(log, _corrected(log, found), found.motion, found.sensor)
+        named, again = _with_found_ids(log, found.corrected(log), found.motion, found.sensor)
         return estimate_robot(named, sensor=sensor), (again,)
     except (LogError, GraphError) as error:
         return found, (note, f"ids were found only once, because with the noise that was found {error}")
-
-
-def _corrected(log: Log, found: RobotEstimate) -> Log:
-    """The log without the biases that were found, with the noise that was found as its own; repaired motions as recorded."""
-    biases = {name: value for name, value in zip(found.parameters.names, found.parameters.values) if name not in PLACE}
-    corrected = without_biases(log, motion=found.motion, sensor=found.sensor, **biases)
-    return corrected.replace(motion=found.motion, sensor=found.sensor, control_variances=honest_variances(corrected))
 
 
 def _with_found_ids(log: Log, corrected: Log, motion: MotionModel, sensor: SensorModel) -> tuple[Log, str]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from itertools import chain
 from numbers import Integral
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,9 +30,12 @@ from ..edges.robust import Kernel
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import listed
 from ..identification.declared import Parameters
+from ..identification.known import AUTO, BOOK, enough_ids, noise_of, unknown_noise
+from ..identification.result import RobotEstimate
 from ..linear.precision import check_magnitudes, inverses
 from ..log import UNIDENTIFIED, Log
 from ..maps.landmark_map import LandmarkMap
+from ..maps.tracking import follow
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
 from .defaults import anchors, position_edges
@@ -39,6 +44,39 @@ from .trilateration import edges_of_single_numbers, placed_single_numbers
 
 if TYPE_CHECKING:
     from .graph import Graph
+
+#: the parts of the book's noise of motion and sensor by which the log of an unknown robot is looked for in a map
+PARTS = ((0.1, 0.3), (0.3, 0.3), (1.0, 1.0))
+
+
+def noise_in_map(
+    log: Log, landmarks: LandmarkMap | None, motion: MotionModel | None, sensor: SensorModel | None, noise: str | None
+) -> tuple[Log, MotionModel, SensorModel, RobotEstimate | None]:
+    """`noise_of` a log that is solved in a map, if any.
+
+    Where sightings have no ids, noise that is not known is estimated with those that the map gives, by the part of the
+    book's noise with which it gives most. The log keeps its ids: the map gives the others again by the noise that was found.
+    """
+    free = (motion is None, sensor is None)
+    unknown = any(free) and noise != BOOK and (noise == AUTO or unknown_noise(log))
+    if landmarks is None or not unknown or enough_ids(log):
+        return noise_of(log, motion, sensor, noise)
+    known, ids, most = log.noise_models(motion, sensor), log.landmarks, 0
+    for parts in PARTS:
+        moves, sees = (_scaled(model, part if each else 1.0) for model, part, each in zip(known, parts, free))
+        with suppress(GraphError):
+            found = follow(log, landmarks, motion=moves, sensor=sees).landmarks
+            if (count := int(np.isin(found, list(landmarks)).sum())) > most:
+                ids, most = found, count
+    named, motion, sensor, robot = noise_of(log.replace(landmarks=ids), motion, sensor, noise)
+    log = log if robot is None else robot.corrected(log)
+    return log.replace(notes=named.notes), motion, sensor, robot
+
+
+def _scaled(model: Any, part: float) -> Any:
+    """A noise model whose deviations are a part of its own."""
+    names = ("nn", "no", "on", "oo", "range_rate", "bearing_std", "orientation_std")
+    return replace(model, **{name: part * getattr(model, name) for name in names if hasattr(model, name)})
 
 
 def graph_of_log(

@@ -26,7 +26,6 @@ from ..engine import engine
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import array_of, make_read_only, singular
 from ..identification.declared import OF_SIGHTINGS, Parameters, declared
-from ..identification.known import noise_of
 from ..linear.information import BlockSystem, Structure, SystemOfThread
 from ..log import Log, check_is_log
 from ..log_checks import mistakes_of, single_pose
@@ -34,7 +33,7 @@ from ..maps.landmark_map import LandmarkMap, as_map
 from ..maps.tracking import in_frame_of
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
-from .build import graph_of_log, node_names, with_closures, with_dimensions
+from .build import graph_of_log, node_names, noise_in_map, with_closures, with_dimensions
 from .defaults import edges_for_map, in_frame_of_positions, notes_on_options, suitable_edges, suitable_kernel
 from .mapping import estimate_map
 
@@ -176,8 +175,8 @@ class Graph:
         check_is_log(log)
         options = EdgeOptions(edges=edges, frame=frame, weight=weight, motion_weight=motion_weight, residual=residual)
         recorded = with_dimensions(log, dimensions)
-        log, motion, sensor, robot = noise_of(recorded, motion, sensor, noise)
         known_map = None if map is None else as_map(map)
+        log, motion, sensor, robot = noise_in_map(recorded, known_map, motion, sensor, noise)
         # what was estimated, or why that could not be
         notes = [note for note in log.notes if note not in recorded.notes]
         if robot is not None:

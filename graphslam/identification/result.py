@@ -24,8 +24,8 @@ from ..errors import GraphError
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
-from .corrections import corrected_log, honest_variances
-from .declared import ParameterEstimate
+from .corrections import corrected_log, honest_variances, without_biases
+from .declared import PLACE, ParameterEstimate
 from .odometry import NOISE
 from .sighting_errors import LAGS, Ids, Predictions
 from .slips import Slip
@@ -197,6 +197,15 @@ class RobotEstimate:
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
+
+    def corrected(self, log: Log) -> Log:
+        """A log of the robot without the biases that were found, with these noise models; repaired motions as recorded."""
+        biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
+        log = without_biases(log, motion=self.motion, sensor=self.sensor, **biases)
+        variances = honest_variances(log)
+        return log.replace(
+            motion=self.motion, sensor=self.sensor, uncertain=self.log.uncertain, control_variances=variances
+        )
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -17,8 +17,8 @@ import numpy as np
 from ..errors import FormatError, LogError, named, quoted
 from ..errors.checks import suggestion
 from ..log import Log
-from ..log.drive import Timed, map_of, odometry_of, sightings_of, truth_of
-from ..log.join import READERS, Drive, check_overlap
+from ..log.drive import Timed, odometry_of, sightings_of, truth_of
+from ..log.join import READERS, Drive, check_overlap, map_of
 from ..log.rows import AXES, ReadOptions, TableOptions
 from ..log.table import Columns
 from ..log.text_table import table_of

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..errors import LogError, named, quoted
+from ..errors import LogError, named
 from ..errors.checks import FARTHEST, FASTEST, FOUR_TURNS, LONGEST, QUICKEST, WHOLE_TURN, checked_offset, first
 from ..se2 import Array, wrap
 from .cells import (
@@ -480,36 +480,3 @@ def truth_of(table: Table, options: TableOptions) -> Timed:
     rows = rows[kept][order]
     few, doubts = repeated_times("truth", table, ns, rows, kept[order])
     return Timed(table, ns, rows, reader.described(), notes=(*notes, *more, *few), doubts=doubts)
-
-
-def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None = None) -> dict[int, Array]:
-    """The landmarks of a map, {id: (x, y) or (x, y, heading)}; ``names`` are those of the sightings, None without any.
-
-    An empty cell of the heading says that it is not known.
-
-    Raises:
-        LogError: a column is missing, a number is none, or two rows have one id.
-    """
-    reader = Reader("map", table, options)
-    reader.need("id")
-    column = reader.found["id"].column
-    found = ids_of(table, column, names)
-    ids = found.numbers
-    if (k := first(ids == UNIDENTIFIED)) is not None:
-        message = f"the id {table.title(column)} is empty or -1, which means no id; each landmark of the map needs one"
-        raise table.error(k, message)
-    if names is None and found.names:
-        words = f"the ids are words, such as {quoted(next(iter(found.names)))}; a log numbers its own words"
-        advice = (
-            "so those of a map by itself would be other landmarks: give the landmarks of both the same whole numbers"
-        )
-        raise table.error(None, f"{words}, {advice}")
-    places = reader.numbers("x", "y")
-    headings = reader.numbers("theta", finite=False)[:, 0] if reader.has("theta") else np.full(len(ids), np.nan)
-    _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)
-    if (k := first(counts > 1)) is not None:
-        again = int(np.flatnonzero(ids == ids[firsts[k]])[1])
-        name = next((name for name, number in (names or {}).items() if number == ids[again]), ids[again])
-        raise table.error(again, f"landmark {name} is in the map twice; each landmark has one place")
-    rows = zip(ids.tolist(), places, headings.tolist())
-    return {j: place if np.isnan(heading) else np.append(place, heading) for j, place, heading in rows}

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import LogError, OptionError
+from ..errors import LogError, OptionError, quoted
 from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, checked_offset, first
 from ..models import ANYWHERE, SensorModel, additional_variances
 from ..se2 import Array
-from .cells import COVERED, Doubt, seconds, time_faults
-from .drive import TURNED, Reader, Timed, map_of, odometry_of, sightings_of, truth_of
+from .cells import COVERED, Doubt, ids_of, seconds, time_faults
+from .drive import TURNED, Reader, Timed, odometry_of, sightings_of, truth_of
 from .log import Log
 from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, cut_headings, not_positive
-from .rows import MOST_LEFT_OUT, UNITS_OF, ReadOptions, TableOptions
+from .rows import MOST_LEFT_OUT, UNIDENTIFIED, UNITS_OF, ReadOptions, TableOptions
 from .streams import MOST_DISORDER, Stream, synchronize
 from .table import COVARIANCES, Kept, Table, ordered
 from .text_table import table_of
@@ -451,3 +451,36 @@ def _sessions(log: Log) -> tuple[Session, ...]:
 def _of_each(log: Log, remarks: Iterable[str]) -> Iterator[str]:
     """Remarks about a log, with its name; those about logs that were joined have it already."""
     yield from remarks if log.sessions else (f"{log.name}: {remark}" for remark in remarks)
+
+
+def map_of(table: Table, options: TableOptions, names: Mapping[str, int] | None = None) -> dict[int, Array]:
+    """The landmarks of a map, {id: (x, y) or (x, y, heading)}; ``names`` are those of the sightings, None without any.
+
+    An empty cell of the heading says that it is not known.
+
+    Raises:
+        LogError: a column is missing, a number is none, or two rows have one id.
+    """
+    reader = Reader("map", table, options)
+    reader.need("id")
+    column = reader.found["id"].column
+    found = ids_of(table, column, names)
+    ids = found.numbers
+    if (k := first(ids == UNIDENTIFIED)) is not None:
+        message = f"the id {table.title(column)} is empty or -1, which means no id; each landmark of the map needs one"
+        raise table.error(k, message)
+    if names is None and found.names:
+        words = f"the ids are words, such as {quoted(next(iter(found.names)))}; a log numbers its own words"
+        advice = (
+            "so those of a map by itself would be other landmarks: give the landmarks of both the same whole numbers"
+        )
+        raise table.error(None, f"{words}, {advice}")
+    places = reader.numbers("x", "y")
+    headings = reader.numbers("theta", finite=False)[:, 0] if reader.has("theta") else np.full(len(ids), np.nan)
+    _, firsts, counts = np.unique(ids, return_index=True, return_counts=True)
+    if (k := first(counts > 1)) is not None:
+        again = int(np.flatnonzero(ids == ids[firsts[k]])[1])
+        name = next((name for name, number in (names or {}).items() if number == ids[again]), ids[again])
+        raise table.error(again, f"landmark {name} is in the map twice; each landmark has one place")
+    rows = zip(ids.tolist(), places, headings.tolist())
+    return {j: place if np.isnan(heading) else np.append(place, heading) for j, place, heading in rows}

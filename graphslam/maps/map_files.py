@@ -31,7 +31,7 @@ import numpy as np
 
 from ..errors import FormatError, OptionError, quoted, reason_of
 from ..files import check_file, read_archive, read_text, write_whole
-from ..log.drive import map_of
+from ..log.join import map_of
 from ..log.measurements import symmetric
 from ..log.rows import TableOptions
 from ..log.table import Table, plain

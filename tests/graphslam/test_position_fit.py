@@ -1,4 +1,4 @@
-"""Notes on positions and relations whose lever or covariances are wrong, on wheels that slip, and on noise models that are too narrow."""
+"""Notes on positions, relations, slips and noise models that the log contradicts."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -312,3 +312,18 @@ def test_searches_that_find_nothing_become_rarer(monkeypatch: pytest.MonkeyPatch
     tracking.follow(log, wrong, motion=truth.motion, sensor=truth.sensor)
     # 18 if each doubt were looked into as the first one
     assert 4 <= len(steps) <= 12 and steps[-1] > 500
+
+
+@pytest.mark.slow
+def test_the_noise_of_an_unknown_robot_is_estimated_with_the_ids_that_the_map_gives():
+    """The book's noise, which is far too wide, finds no place, or loses half of the sightings."""
+    log, _ = Drive(seed=3, duration=120.0, landmarks=25, parameters={}).simulate()
+    true = LandmarkMap({j: place[:2] for j, place in log.true_landmarks.items()})
+    named, nameless = solve(Graph.from_log(log, map=true)), Graph.from_log(unnamed(log), map=true)
+    solution = solve(nameless)
+    assert not any("the noise models are the book's" in note for note in solution.notes)
+    assert nameless.sensor.bearing_std == pytest.approx(named.graph.sensor.bearing_std, rel=0.3)
+    assert np.count_nonzero(nameless.log.landmarks != UNIDENTIFIED) > 0.9 * len(log.steps)
+    assert 0.5 < solution.expected_ate / named.expected_ate < 2.0
+    with pytest.raises(GraphError, match="do not say surely where in the map it begins"):
+        Graph.from_log(unnamed(log), map=true, noise="book")
