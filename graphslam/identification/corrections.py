@@ -25,6 +25,9 @@ from .declared import CORRECTIONS, PARAMETERS, Parameters, of_sensor_alone
 
 #: the control at a pose is the mean over at most this time before and after it [s]
 LONGEST = 0.5
+#: the same for the derivatives by scales, and how many times noise counts there: blurred turns cost only precision, but noise
+#: biases a scale, and noise that is estimated too small must not look like changes of the speeds
+LONGEST_OF_SCALES, NOISE_OF_SCALES = 64.0, 4.0
 #: where recorded controls last longer [s], speeds change within them by more than the noise of the odometry
 LASTING = 0.3
 _WITHOUT_NOISE = MotionModel(nn=0.0, no=0.0, on=0.0, oo=0.0)
@@ -68,7 +71,8 @@ def motion_slopes(
         smooth: take `smoothed_controls` for what the scales scale. The noise of a recorded control is in the residual of its
             motion, too. With the control as the derivative, the square of this noise makes the scale too large (on two
             minutes of 50 Hz odometry 1.03 for 1.00); the mean over some time is an instrumental variable, which has hardly
-            any part of it.
+            any part of it. Poses correct odometry only over some seconds, so that residuals are correlated that long, and
+            half a second is not enough where speeds are nearly constant (on a circle 1.16 for 1.00).
     """
     log = parameters.recorded
     assert log.dt is not None
@@ -135,16 +139,16 @@ def moves(parameters: Parameters, predicted: Array, controls: Array) -> Array:
 
 
 def smoothed_controls(parameters: Parameters) -> Array:
-    """The corrected controls (S, 2), each averaged for some time before and after its middle; `_smoothing` chooses."""
+    """The corrected controls (S, 2), each averaged for some time before and after its middle; `averaging_times` chooses."""
     ends = parameters.recorded.control_times
-    return _averaged(parameters, corrected_controls(parameters), (ends[:-1] + ends[1:]) / 2)
+    return _averaged(parameters, corrected_controls(parameters), (ends[:-1] + ends[1:]) / 2, of_scales=True)
 
 
 def controls_at_steps(parameters: Parameters) -> Array:
     """The control (T+1, 2) at the time of each pose: the mean of the corrected ones for some time before and after it.
 
     A single control is noisy where odometry is frequent, and a delay that multiplies noise is estimated too small, as in
-    every regression on noisy values; a long mean blurs turns. `_smoothing` chooses.
+    every regression on noisy values; a long mean blurs turns. `averaging_times` chooses.
     """
     log = parameters.recorded
     return _averaged(parameters, corrected_controls(parameters), log.control_times[log.control_starts])
@@ -194,18 +198,19 @@ def honest_variances(log: Log) -> Array | None:
     return np.maximum(within, additional_variances(log.control_variances, len(within)))
 
 
-def _averaged(parameters: Parameters, controls: Array, times: Array) -> Array:
-    """Controls (S, 2) of the log, averaged around times (n,) as `_smoothing` says, (n, 2)."""
+def _averaged(parameters: Parameters, controls: Array, times: Array, *, of_scales: bool = False) -> Array:
+    """Controls (S, 2) of the log, averaged around times (n,) as `averaging_times` says, (n, 2)."""
     log, ends = parameters.recorded, parameters.recorded.control_times
-    columns = zip(controls.T * log.dt, _smoothing(parameters))
+    columns = zip(controls.T * log.dt, averaging_times(parameters, of_scales=of_scales))
     return np.column_stack([_means(_summed(each), ends, times, window) for each, window in columns])
 
 
-def _smoothing(parameters: Parameters) -> list[float]:
+def averaging_times(parameters: Parameters, *, of_scales: bool) -> list[float]:
     """For how long before and after a pose each of the two numbers of a control is averaged [s].
 
-    The one of the times w = D, 2 D, 4 D, ... up to `LONGEST` with the least estimated risk, where D is the usual duration of
-    a recorded control: with m_w the mean over w to each side and q the variance of the noise integrated over D to each side,
+    The one of the times w = D, 2 D, 4 D, ... up to `LONGEST`, or up to `LONGEST_OF_SCALES`, with the least estimated risk,
+    where D is the usual duration of a recorded control: with m_w the mean over w to each side and q the variance of the noise
+    integrated over D to each side,
 
         E |m_w - u|² = E |m_w - m_D|² + 2 q / (4 w D) - q / (4 D²).
 
@@ -218,12 +223,14 @@ def _smoothing(parameters: Parameters) -> list[float]:
     usual = times[0]
     # the variance of the noise is linear in the squares of the standard deviations
     q = 2 * usual * sum(getattr(parameters.motion, name) ** 2 * noise for name, noise in noises.items())
-    risks = changes + np.outer(1 / (2 * times * usual) - 1 / (4 * usual**2), q)
-    return times[np.argmin(risks, axis=0)].tolist()
+    longest, noises_count = (LONGEST_OF_SCALES, NOISE_OF_SCALES) if of_scales else (LONGEST, 1.0)
+    risks = changes + np.outer(1 / (2 * times * usual) - 1 / (4 * usual**2), noises_count * q)
+    allowed = max(1, np.count_nonzero(times <= longest))
+    return times[np.argmin(risks[:allowed], axis=0)].tolist()
 
 
 def _averages(log: Log) -> _Averages:
-    """What `_smoothing` takes from a log, whatever the noise is.
+    """What `averaging_times` takes from a log, whatever the noise is.
 
     Returns:
         The times w (n,); E |m_w - m_D|² (n, 2) of the two numbers of a control; and by the name of each standard deviation of
@@ -231,7 +238,7 @@ def _averages(log: Log) -> _Averages:
     """
     assert log.controls is not None and log.dt is not None
     times = [float(np.median(log.dt if log.recorded_dt is None else log.recorded_dt))]
-    while 2 * times[-1] <= LONGEST:
+    while 2 * times[-1] <= LONGEST_OF_SCALES:
         times.append(2 * times[-1])
     ends = log.control_times
 

@@ -25,7 +25,14 @@ from ..linear.precision import inverses
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, chained, perpendicular, turn_matrix
-from .corrections import changes_within, controls_at_steps, corrected_controls, honest_variances, motion_slopes
+from .corrections import (
+    averaging_times,
+    changes_within,
+    controls_at_steps,
+    corrected_controls,
+    honest_variances,
+    motion_slopes,
+)
 from .declared import Parameters
 
 Model = TypeVar("Model", MotionModel, SensorModel)
@@ -156,8 +163,8 @@ class Odometry:
         self._recorded, self._of_controls = replace(STILL, epsilon=NOTHING).accumulate(
             log.controls, log.dt, log.control_starts, honest_variances(log)
         )
-        #: the last evaluations by `_single`: values of the parameters, motions and slopes
-        self._evaluated: list[tuple[Array, Array, Array]] = []
+        #: the last evaluations by `_single`: values of the parameters, averaging times, motions and slopes
+        self._evaluated: list[tuple[Array, list[float], Array, Array]] = []
 
     def covers(self, log: Log) -> bool:
         """Whether all poses of a log are poses of this one."""
@@ -200,12 +207,13 @@ class Odometry:
 
     def _single(self, parameters: Parameters) -> tuple[Array, Array]:
         """`motions` between successive poses."""
-        for at, motions, slopes in self._evaluated:
-            if near(parameters, at):
-                return motions + slopes @ (parameters.values - at), slopes
         everything = replace(parameters, recorded=self.log)
+        times = averaging_times(everything, of_scales=True)
+        for at, averaged, motions, slopes in self._evaluated:
+            if averaged == times and near(parameters, at):
+                return motions + slopes @ (parameters.values - at), slopes
         motions, slopes = motion_slopes(everything, corrected_controls(everything), smooth=True)
-        self._evaluated = [(parameters.values, motions, slopes), *self._evaluated[: EVALUATIONS - 1]]
+        self._evaluated = [(parameters.values, times, motions, slopes), *self._evaluated[: EVALUATIONS - 1]]
         return motions, slopes
 
 

@@ -133,15 +133,18 @@ def hold_needless(fitted: Unknowns, rounds: int) -> dict[str, float]:
     """
     held: dict[str, float] = {}
     p, variances = fitted.parameters, np.diagonal(fitted.linearized().covariance)
-    for names in KINDS.values():
-        evidence = fitted.evidence_against(names)
-        if evidence > CONVINCING:
-            doubt = 1.0 / (1.0 + np.exp(min(evidence, 700.0)))
-            k = [p.names.index(name) for name in names]
-            squares = variances[k] + (p.values[k] - p.means[k]) ** 2
-            of_log = np.maximum(1 / variances[k] - p.deviations[k] ** -2, 0.0)
-            calibrated = 1 / (of_log + (CALIBRATED * np.array([PRIORS[name] for name in names])) ** -2)
-            held |= dict(zip(names, np.sqrt(doubt * squares + (1 - doubt) * calibrated).tolist()))
+    evidences = {names: fitted.evidence_against(names) for names in KINDS.values()}
+    needless = {names: evidence for names, evidence in evidences.items() if evidence > CONVINCING}
+    if len(needless) > 1 and fitted.evidence_against(sum(needless, ())) <= CONVINCING:
+        # either kind may have none, but not both: a circle of the wrong radius is one of wheels or of the place of the sensor
+        return held
+    for names, evidence in needless.items():
+        doubt = 1.0 / (1.0 + np.exp(min(evidence, 700.0)))
+        k = [p.names.index(name) for name in names]
+        squares = variances[k] + (p.values[k] - p.means[k]) ** 2
+        of_log = np.maximum(1 / variances[k] - p.deviations[k] ** -2, 0.0)
+        calibrated = 1 / (of_log + (CALIBRATED * np.array([PRIORS[name] for name in names])) ** -2)
+        held |= dict(zip(names, np.sqrt(doubt * squares + (1 - doubt) * calibrated).tolist()))
     if held:
         fitted.hold(held)
         fit(fitted, rounds)

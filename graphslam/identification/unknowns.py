@@ -155,8 +155,9 @@ class Unknowns:
         self.system = BlockSystem.from_cliques(len(self.state), cliques, points)
 
     def take_noise(self) -> None:
-        """Use the present variances where the controls around each pose are averaged for the delay of the sensor."""
+        """Use the present variances where controls are averaged, for the delay of the sensor and for scales."""
         self.parameters = replace(self.parameters, motion=self.models[0])
+        self._evaluated = None
         self._speeds = self.odometry.speeds(self.parameters)[self._steps]
 
     def _centres(self) -> dict[str, float]:

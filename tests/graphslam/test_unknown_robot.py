@@ -29,7 +29,7 @@ from graphslam import (
     solve_online,
 )
 from graphslam.calibration import Calibration
-from graphslam.identification import robot, sighting_errors
+from graphslam.identification import corrections, robot, sighting_errors
 from graphslam.identification.corrections import (
     corrected_controls,
     motion_slopes,
@@ -347,7 +347,7 @@ def test_a_long_log_is_searched_by_parts(monkeypatch: pytest.MonkeyPatch) -> Non
     assert parts.ids.share == pytest.approx(whole.ids.share, rel=0.2)
 
 
-def test_joined_motions_are_those_of_all_their_controls() -> None:
+def test_joined_motions_are_those_of_all_their_controls(monkeypatch: pytest.MonkeyPatch) -> None:
     log = Drive(seed=8, duration=30.0, landmarks=12).simulate()[0]
     kept = np.array([0, 3, 4, 11, log.num_poses - 1])
     joined = log.at_steps(kept)
@@ -355,6 +355,8 @@ def test_joined_motions_are_those_of_all_their_controls() -> None:
     moved = whole.parameters.at(whole.parameters.values + 0.01 * np.arange(len(PRIORS)))
     odometry = Odometry(log)
     there = replace(moved, recorded=joined)
+    # the whole log tells for how long controls are averaged
+    monkeypatch.setattr(corrections, "averaging_times", lambda *_, **__: [0.5, 0.2])
     expected = motion_slopes(there, corrected_controls(there), smooth=True)
     for found, right in zip(odometry.motions(moved, kept), expected):
         np.testing.assert_allclose(found, right, rtol=1e-9, atol=1e-12)

@@ -1,0 +1,58 @@
+"""A robot on a small circle at a constant speed: its log does not tell the scale of the wheels from the place of the sensor.
+
+The sightings tell the circle of the sensor, whose radius is R, and the odometry the scale times that of the robot. So only
+scale * (R + sensor_left) is determined, and a small error of the derivatives decides on both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from graphslam import Graph, Log, MotionModel, estimate_robot, solve
+from graphslam.metrics import ate
+from graphslam.se2 import Array, wrap
+
+RADIUS, SPEED, RATE, DURATION = 0.5, 0.5, 20, 600
+
+
+def circling(seed: int, wheel_scale: float = 1.0) -> tuple[Log, Array]:
+    """Ten minutes of noisy 20 Hz odometry and two scans of 25 landmarks a second, and the true poses (T+1, 3) of its log."""
+    rng, rows = np.random.default_rng(seed), DURATION * RATE
+    control = np.array([SPEED, SPEED / RADIUS])
+
+    def true_poses(times: Array) -> Array:
+        return MotionModel().f(np.zeros(3), control, times)
+
+    t = np.arange(rows) / RATE
+    recorded = control * [wheel_scale, 1.0] + 0.03 * rng.standard_normal((rows, 2))
+    scans = np.arange(0.2, DURATION - 0.5, 0.5)
+    poses, places = true_poses(scans), rng.uniform(-6, 6, (25, 2))
+    way = places - poses[:, None, :2]
+    ranges, bearings = np.hypot(*way.T).T, wrap(np.arctan2(way[:, :, 1], way[:, :, 0]) - poses[:, 2, None])
+    k, j = np.nonzero(ranges < 6)
+    seen = ranges[k, j] * (1 + 0.02 * rng.standard_normal(len(k))), bearings[k, j] + 0.01 * rng.standard_normal(len(k))
+    log = Log.from_tables(
+        {"t": t, "nu": recorded[:, 0], "omega": recorded[:, 1]},
+        {"t": scans[k], "id": j, "range": seen[0], "bearing": seen[1]},
+    )
+    assert log.times is not None
+    return log, true_poses(log.times)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 2])
+def test_noise_of_recorded_speeds_is_no_scale_of_the_wheels(seed: int) -> None:
+    """With controls averaged over half a second as the derivative, the scale is 1.1 and the error four times the expected."""
+    log, truth = circling(seed)
+    solution = solve(Graph.from_log(log))
+    assert ate(truth, solution.poses) < 2 * solution.expected_ate
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_wheels_and_sensor_are_not_both_held_where_one_of_them_is_wrong(seed: int) -> None:
+    found = estimate_robot(circling(seed, wheel_scale=1.04)[0]).parameters
+    # those that are held have no place among the estimated ones
+    p = {"wheel_scale": 1.0, "sensor_left": 0.0} | dict(zip(found.names, found.values.tolist()))
+    assert p["wheel_scale"] * (RADIUS + p["sensor_left"]) / RADIUS == pytest.approx(1.04, abs=0.005)
