@@ -256,8 +256,8 @@ def _shifts(solution: Solution, fresh: dict[int, int], prior: float) -> dict[int
     """
     graph = solution.graph
     assert graph is not None and graph.log is not None and graph.map is not None
-    used, told = graph.map, set(graph.log.landmarks[graph.sighting_rows].tolist())
-    d, ids = graph.landmark_dimension, [j for j in used if fresh.get(j, j) in told]
+    used, seen = graph.map, set(graph.log.landmarks[graph.sighting_rows].tolist())
+    d, ids = graph.landmark_dimension, [j for j in used if fresh.get(j, j) in seen]
     fresh = {j: fresh[j] for j in ids if j in fresh}
     if not ids:
         return {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import chain
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
@@ -75,8 +75,8 @@ def noise_in_map(
 
 def _scaled(model: Any, part: float) -> Any:
     """A noise model whose deviations are a part of its own."""
-    names = ("nn", "no", "on", "oo", "range_rate", "bearing_std", "orientation_std")
-    return replace(model, **{name: part * getattr(model, name) for name in names if hasattr(model, name)})
+    names = {each.name for each in fields(model)} - {*SensorModel.GEOMETRY, "epsilon"}
+    return replace(model, **{name: part * getattr(model, name) for name in names})
 
 
 def graph_of_log(
