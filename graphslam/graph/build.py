@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import fields, replace
 from itertools import chain
 from numbers import Integral
@@ -61,16 +60,26 @@ def noise_in_map(
     unknown = any(free) and noise != BOOK and (noise == AUTO or unknown_noise(log))
     if landmarks is None or not unknown or enough_ids(log):
         return noise_of(log, motion, sensor, noise)
-    known, ids, most = log.noise_models(motion, sensor), log.landmarks, 0
+    known, ids, most, nowhere = log.noise_models(motion, sensor), log.landmarks, 0, None
     for parts in PARTS:
         moves, sees = (_scaled(model, part if each else 1.0) for model, part, each in zip(known, parts, free))
-        with suppress(GraphError):
+        try:
             found = follow(log, landmarks, motion=moves, sensor=sees).landmarks
-            if (count := int(np.isin(found, list(landmarks)).sum())) > most:
-                ids, most = found, count
+        except GraphError as error:
+            nowhere = error
+            continue
+        if (count := int(np.isin(found, list(landmarks)).sum())) > most:
+            ids, most = found, count
+        if most == len(ids):
+            break
+    if most == 0 and noise == AUTO and nowhere is not None:
+        raise nowhere
     named, motion, sensor, robot = noise_of(log.replace(landmarks=ids), motion, sensor, noise)
-    log = log if robot is None else robot.corrected(log)
-    return log.replace(notes=named.notes), motion, sensor, robot
+    if robot is not None:
+        log = robot.corrected(log)
+    # ids that do not fit are no longer those of the log
+    notes = tuple(note for note in named.notes if robot is None or note != robot.ids.sentence)
+    return log.replace(notes=notes), motion, sensor, robot
 
 
 def _scaled(model: Any, part: float) -> Any:

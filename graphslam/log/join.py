@@ -430,7 +430,8 @@ def end_to_end(first: Log, second: Log) -> Log:
         true_landmarks={**(b.true_landmarks or {}), **(a.true_landmarks or {})} or None,
         **{name: joined_rows(getattr(a, name), moved.get(name)) for name in MEASURED},
         notes=(*_of_each(a, a.notes), *_of_each(b, b.notes)),
-        doubts=(*a.doubts, *b.doubts),
+        # a unit counts as stated that is stated for both
+        doubts=tuple(each for each in (*a.doubts, *b.doubts) if each[1] or (each in a.doubts and each in b.doubts)),
         sessions=(*_sessions(a), *(replace(each, start=poses + each.start) for each in _sessions(b))),
         name=f"{a.sessions[0].name} and {len(a.sessions)} more" if a.sessions else f"{a.name} and {b.name}",
     )  # fmt: skip

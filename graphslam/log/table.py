@@ -131,7 +131,7 @@ class Columns(Table):
 
 def _has_nanoseconds(column: np.ndarray) -> bool:
     """Whether a column has dates or durations of NumPy that whole nanoseconds in 64 bits can hold."""
-    if column.dtype.kind not in "mM":
+    if column.dtype.kind not in "mM" or np.datetime_data(column.dtype)[0] not in ("D", "h", "m", "s", "ms", "us", "ns"):
         return False
     seconds = column[~np.isnat(column)].astype(f"{column.dtype.kind}8[s]").astype(np.int64)
     return bool(np.all(np.abs(seconds) < 2**63 // 10**9))

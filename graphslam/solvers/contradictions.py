@@ -94,7 +94,9 @@ MISJUDGED = 2.0
 #: that is small
 ROUNDS, STEPS, SETTLED = 10, 20, 0.01
 #: the medians of chi-square by degrees of freedom
-MEDIANS = {2: 2 * np.log(2), 3: 2.365974}
+MEDIANS = np.array([0.0, 0.454936, 2 * np.log(2), 2.365974])
+#: a coordinate is not measured whose standard deviation is so many times its errors
+UNMEASURED = 100.0
 #: slips are looked for where constant errors over long cells have a z above this
 SUSPECTED = 4.0
 #: where J is more than so many times its expected value, a slip explains at least this part of what is too much; where other
@@ -320,7 +322,10 @@ def _misfit_of(graph: Graph, state: Array, kind: type[PositionEdges] | type[Rela
         checked = (np.linalg.eigvalsh(left)[:, 0] > CHECKED) & (family.trusted > 0.5)
         e = np.einsum("eji,ej->ei", L, linear.residuals)[checked]
         q = np.einsum("ei,ei->e", e, np.linalg.solve(left[checked], e[:, :, None])[:, :, 0])
-        found.append(q / MEDIANS[L.shape[1]])
+        # axes that are not measured have a huge variance, and add nothing
+        variances = np.diagonal(np.linalg.inv(family.information[checked]), axis1=1, axis2=2)
+        axes = np.sum(variances < UNMEASURED**2 * np.median(linear.residuals**2, axis=0), axis=1)
+        found.append(q[axes > 0] / MEDIANS[axes[axes > 0]])
     ratios = np.concatenate(found)
     return float(np.sqrt(np.median(ratios))) if len(ratios) >= FEWEST_CHECKED else 0.0
 

@@ -50,6 +50,9 @@ WRONG = 0.25
 #: the same without sightings, where at most 2.8 was found on 168 drives; and the part of their variance that the errors of
 #: single positions then have at most: 0.78 and more where instead the odometry has three times the noise that is stated
 SURELY_UNSEEN, APART = 4.5, 0.7
+#: without sightings, the part of the squared errors of single positions that the estimate does not follow has at least this
+#: size, so that odometry checks them: with less, white errors looked like lasting ones on up to 16 of 20 drives
+CHECKED = 0.5
 #: below this part, odometry alone does not tell lasting errors from covariances that are too large (white errors: 0.34)
 LITTLE = 0.25
 #: the rounds in which the scale of single errors is found, and its smallest value
@@ -113,15 +116,18 @@ def with_lasting_errors(solution: Solution, again: Callable[[Graph], Solution] |
 def lasting_errors(graph: Graph, state: Array) -> tuple[float, float, float]:
     """m, by which the information of positions is too large, and the number n of positions over which errors last.
 
-    Both are 1 where the log does not surely show lasting errors; then the last number is the part of their variance that
-    errors of positions have without sightings, else 1.
+    Both are 1 where the log does not surely show lasting errors, or odometry alone does not check positions. Where it checks
+    them, the last number is the part of their variance that errors of positions have without sightings; else it is 1.
 
     Raises:
         FactorizationError, GraphError: the edges do not determine the nodes.
     """
-    m = 1.0
+    m, seen = 1.0, any(isinstance(f, SightingEdges) and f.count for f in graph.families)
+    count = sum(f.count * f.dimension for f in graph.families if isinstance(f, PositionEdges))
     for _ in range(SCALED):
         lengths, q, S = _equations(_wider(graph, state, m), state)
+        if m == 1.0 and not seen and S[len(lengths), len(lengths)] < CHECKED * count:
+            return 1.0, 1.0, 1.0
         m *= max(_positive(q, S, list(range(len(lengths), len(q))))[0], SMALLEST)
     of_single = m
     lengths, q, S = _equations(_wider(graph, state, m), state)
@@ -130,7 +136,6 @@ def lasting_errors(graph: Graph, state: Array) -> tuple[float, float, float]:
     found = [variances(q[rows], S[np.ix_(rows, rows)]) for rows in alone]
     kind = int(np.argmax([z[0] for _, z, _ in found]))
     _, z, share = found[kind]
-    seen = any(isinstance(f, SightingEdges) and f.count for f in graph.families)
     if z[0] < (SURELY if seen else SURELY_UNSEEN) or share[0] < SHARE or not (seen or of_single < APART):
         return 1.0, 1.0, 1.0 if seen else of_single
     for _ in range(ROUNDS):

@@ -67,12 +67,22 @@ def test_covariances_that_are_wrong_by_five(sigma, said):
     assert float(note.split()[6]) == pytest.approx(sigma / said, rel=0.4)
 
 
-@pytest.mark.parametrize(("factor", "seeds"), [(1.0, range(5)), (0.25, (5, 6)), (4.0, (7, 8))])
+@pytest.mark.parametrize(("factor", "seeds", "unknown"), [
+    (1.0, range(5), ()), (0.25, (5, 6), ()), (4.0, (7, 8), ()),
+    (1.0, range(5), (2,)), (0.25, (5, 6), (2,)), (4.0, (7, 8), (2,)),
+    # headings alone that are noisier than the odometry are not checked by it
+    (1.0, range(5), (0, 1)), (0.25, (5, 6), (0, 1)),
+])  # fmt: skip
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])
-def test_covariances_of_relations_that_are_wrong(factor, seeds, kernel):
-    """A second odometry whose errors are a factor times what it says; a tenth of its relations is wrong."""
+def test_covariances_of_relations_that_are_wrong(factor, seeds, kernel, unknown):
+    """A second odometry whose errors are a factor times what it says; a tenth of its relations is wrong.
+
+    Coordinates that it does not measure have a variance of 1e6.
+    """
     # those that say too much are checked by a rest that is more exact
     deviations = np.array([0.02, 0.02, 0.01]) * (10 if factor < 1 else 1)
+    stated = deviations**2
+    stated[list(unknown)] = 1e6
     for seed in seeds:
         log, rng = (
             simulate(seed=seed, steps=120, clean=True, orientation=False, max_range=5.0, **ROBOT),
@@ -83,7 +93,7 @@ def test_covariances_of_relations_that_are_wrong(factor, seeds, kernel):
             between(true[:-1], true[1:]) + factor * deviations * rng.standard_normal((120, 3)) + 0.5 * wrong[:, None]
         )
         relations = PoseRelations(
-            first=np.arange(120), second=np.arange(1, 121), motions=motions, covariances=np.diag(deviations**2)
+            first=np.arange(120), second=np.arange(1, 121), motions=motions, covariances=np.diag(stated)
         )
         graph = Graph.from_log(log.replace(relations=relations, **ROBOT), edges="landmark+motion", kernel=kernel)
         found = [note for note in solve(graph).notes if note.startswith("the errors of the relations are")]
@@ -161,6 +171,20 @@ def test_positions_alone_whose_covariances_are_too_large_may_last(seed):
     assert float(note.split("by ")[1].split()[0]) == pytest.approx(1 / 3, rel=0.2)
     assert "does not tell apart" in note and "区別できません" in translated(note, "ja")
     assert with_lasting_errors(seed, 0.0, seen=False)[0].notes == ()
+
+
+@pytest.mark.parametrize(("every", "sigma", "models"), [(1, 0.01, {}), (9, 0.3, ROBOT)])
+def test_positions_that_the_odometry_does_not_check_have_no_note(every, sigma, models):
+    """Exact or rare positions: poses follow their errors, which say nothing."""
+    models = {"motion": MotionModel(), "sensor": SensorModel()} | models
+    for seed in range(3):
+        log = simulate(seed=seed, steps=200, clean=True, orientation=False, **models)
+        steps, rng = np.arange(0, log.num_poses, every), np.random.default_rng(seed)
+        places = log.true_poses[steps, :2] + sigma * rng.standard_normal((len(steps), 2))
+        positions = AbsolutePositions(steps=steps, places=places, covariances=sigma**2 * np.eye(2))
+        alone = log.with_sightings(np.zeros(len(log.steps), dtype=bool)).replace(positions=positions, **models)
+        notes = solve(Graph.from_log(alone, edges="landmark+motion")).notes
+        assert not any("errors of absolute positions" in note for note in notes)
 
 
 def notes_on_slip(seed, *, speed=1.0, turn=1.0, steps=slice(60, 70), **models):

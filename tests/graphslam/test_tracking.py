@@ -327,3 +327,6 @@ def test_the_noise_of_an_unknown_robot_is_estimated_with_the_ids_that_the_map_gi
     assert 0.5 < solution.expected_ate / named.expected_ate < 2.0
     with pytest.raises(GraphError, match="do not say surely where in the map it begins"):
         Graph.from_log(unnamed(log), map=true, noise="book")
+    other = LandmarkMap({j: place * [1, -1] for j, place in true.items()})
+    with pytest.raises(GraphError, match="where in the map it begins"):
+        Graph.from_log(unnamed(log), map=other, noise="auto")
