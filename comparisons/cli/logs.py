@@ -235,9 +235,8 @@ def solvers(output: Output, log: LogFile = None, *, options: declared.SolverChec
 
         def progress(variant: VariantResult | SkippedVariant) -> None:
             advance(1, variant.name)
-            if isinstance(variant, SkippedVariant):
-                output.progress(f"{variant.name}: left out")
-            else:
+            # those that are left out stand below the table
+            if not isinstance(variant, SkippedVariant):
                 # GTSAM calls factors in Python, which takes almost all of the time
                 output.progress(
                     f"{variant.name}: graphslam {variant.seconds:.2g} s, gtsam {variant.gtsam_seconds:.2g} s"
