@@ -15,6 +15,7 @@ from graphslam import GraphError, Log, MotionModel, SensorModel, SlamError, Solu
 from graphslam.association import AssociationScore, score
 from graphslam.association.map_states import LandmarkState
 from graphslam.calibration import Calibration
+from graphslam.files import path_of
 from graphslam.log import UNIDENTIFIED
 from graphslam.log_checks import Finding, check_log
 from graphslam.metrics import Metrics, evaluate, position_errors
@@ -310,7 +311,7 @@ class Comparison(Displayed):
         """
         figures = OutputOptions.of(figures=figures).figures
         timed = directory is None
-        directory = new_directory() if directory is None else Path(directory)
+        directory = new_directory() if directory is None else path_of(directory)
         files = SavedFiles({"json": directory / "comparison.json"})
         pictures = {f"figure_{kind}" if i else "figure": f"comparison.{kind}" for i, kind in enumerate(figures)}
         with fill_results(directory, new=timed) as folder:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from graphslam import Graph, SlamError, load
-from graphslam.files import check_path, first_bytes
+from graphslam.files import check_path, first_bytes, path_of
 from graphslam.graph.pose_graph import is_pose_graph
 from graphslam.io import mrclam
 from graphslam.io.formats import FORMATS
@@ -120,7 +120,7 @@ def survey(folder: str | PathLike[str] | None = None, *, progress: Callable[[Pat
     Raises:
         FormatError: the folder's path is impossible.
     """
-    folder = data_folder() if folder is None else Path(folder)
+    folder = data_folder() if folder is None else path_of(folder)
     check_path(folder)
     entries: dict[str, list[Found]] = {known.name: [] for known in DATA_SETS}
     for path, name in _below(folder):

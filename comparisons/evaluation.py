@@ -21,7 +21,7 @@ import numpy as np
 
 from graphslam import FormatError, LandmarkMap, LogError, OptionError, load, metrics
 from graphslam.errors import named
-from graphslam.files import check_file, read_archive
+from graphslam.files import check_file, path_of, read_archive
 from graphslam.io.bag_messages import POSES, Poses
 from graphslam.io.bag_topics import SUFFIXES, is_bag, open_bag
 from graphslam.log.drive import truth_of
@@ -163,13 +163,13 @@ def evaluate(truth: str | PathLike[str], *estimates: str | PathLike[str], **opti
         raise OptionError(
             f"there are {len(given.maps)} maps for {len(estimates)} estimates; name one for each, - for none"
         )
-    right, true_map = _truth(Path(truth), _table_options(given, "truth"))
+    right, true_map = _truth(path_of(truth), _table_options(given, "truth"))
     tables = _table_options(given, ESTIMATES)
     if given.true_map is not None:
         true_map = LandmarkMap.load(given.true_map)
     if given.maps and true_map is None:
         raise OptionError("maps are compared with the true map: name it with --true-map FILE")
-    paths = [Path(path) for path in estimates]
+    paths = [path_of(path) for path in estimates]
     found = []
     for path, name, of_map in zip(paths, _names(paths), given.maps or [NO_MAP] * len(paths)):
         try:

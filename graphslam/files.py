@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from .errors import FormatError, OptionError, quoted, shortened
-from .errors.checks import suggestion
+from .errors.checks import from_home, suggestion
 
 T = TypeVar("T")
 
@@ -53,13 +53,13 @@ def first_bytes(path: Path) -> bytes:
 
 
 def path_of(path: object) -> Path:
-    """A path given as text or as a path.
+    """A path given as text or as a path; "~" at its start is the home folder, as in a shell.
 
     Raises:
         OptionError: it is something else.
     """
     try:
-        return Path(path)  # type: ignore[arg-type]
+        return from_home(Path(path))  # type: ignore[arg-type]
     except TypeError:
         raise OptionError(f"the path of a file is text or a Path, not {quoted(path)}") from None
 

@@ -16,7 +16,7 @@ from typing import Any
 from urllib.parse import unquote_to_bytes
 
 from graphslam import OptionError
-from graphslam.files import check_file
+from graphslam.files import check_file, path_of
 from graphslam.simulation.worlds import sample_log_path
 
 from ..options import AUTO, BOOK, MODELS, LimitOptions, RunOptions
@@ -88,7 +88,7 @@ def _path_text(path: Path) -> str:
 
 def _path_of(text: str | Path) -> Path:
     uri = str(text)
-    return Path(os.fsdecode(unquote_to_bytes(uri[7:])) if uri.startswith("file:///") else text)
+    return path_of(os.fsdecode(unquote_to_bytes(uri[7:])) if uri.startswith("file:///") else text)
 
 
 def check_unchanged(logs: Sequence[Path | None], sha256: str) -> None:

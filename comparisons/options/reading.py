@@ -22,7 +22,7 @@ from graphslam.association import known_noise
 from graphslam.association.map_states import map_states, session_states
 from graphslam.calibration import Calibration
 from graphslam.errors import quoted
-from graphslam.files import check_file
+from graphslam.files import check_file, path_of
 from graphslam.identification.corrections import without_biases
 from graphslam.identification.declared import CORRECTIONS, of_sensor_alone
 from graphslam.identification.known import enough_ids, unknown_noise
@@ -85,7 +85,7 @@ def prepare(
     source: Path | tuple[Path | None, ...] | None
     logs: Sequence[Log]
     if isinstance(log, (list, tuple)):
-        paths = [Path(each).absolute() for each in log if isinstance(each, (str, PathLike))]
+        paths = [path_of(each).absolute() for each in log if isinstance(each, (str, PathLike))]
         if twice := [path for k, path in enumerate(paths) if path in paths[:k]]:
             raise OptionError(f"{twice[0].name} is named twice; its sightings would count twice, so name each log once")
         read = [read_log(each, options) for each in log]
@@ -93,7 +93,7 @@ def prepare(
         data, values, estimated = _joined(logs, options, _of_one_place)
     elif together and (robots := _robots(log, options)):
         assert isinstance(log, (str, PathLike))
-        source = Path(log).absolute()
+        source = path_of(log).absolute()
         unread: dict[str, Any] = dict.fromkeys(_of_load(options)) | {"strict": False}
         logs = [read_log(each, replace(options, **unread))[0] for each in robots.values()]
         data, values, estimated = _joined(logs, options, partial(_of_robots, robots))
@@ -277,7 +277,7 @@ def read_log(log: LogOrPath | Sequence[LogOrPath], options: ReadingOptions) -> t
     elif log is not None and not isinstance(log, (str, PathLike)):
         raise OptionError(f"a log is a Log, or the path of its file or folder, not {type(log).__name__}: {quoted(log)}")
     else:
-        path = graphslam.sample_log_path() if log is None else Path(log)
+        path = graphslam.sample_log_path() if log is None else path_of(log)
         # the warnings of a reader are also notes of the log, which are shown
         with warnings.catch_warnings(action="ignore", category=UserWarning):
             data = graphslam.load(path, **_of_load(options))

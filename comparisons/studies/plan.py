@@ -18,6 +18,7 @@ from typing import Any
 
 from graphslam import FormatError, Log, OptionError, simulate
 from graphslam.errors import printable, quoted, reason_of, shortened
+from graphslam.files import path_of
 
 from ..estimators import ESTIMATORS, default_estimators
 from ..options import AUTO, BOOK, MODELS, LogOptions, RunOptions, SimulationOptions
@@ -112,7 +113,7 @@ def read_study(path: str | PathLike[str]) -> Study:
     Raises:
         FormatError: it is not valid TOML, has an unknown key, or a value that is impossible; with the line.
     """
-    path = Path(path)
+    path = path_of(path)
     file, known = TomlFile(path), _keys()
     file.check_keys(file.table, (*known, "seeds", "simulate", "options"))
     keys = {name: each.default for name, each in known.items()}

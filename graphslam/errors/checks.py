@@ -10,6 +10,7 @@ import difflib
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from numbers import Integral, Real
@@ -262,6 +263,13 @@ def check_move(control: Any, dt: Any, motion: Any, covariance: Any) -> None:
         raise OptionError("dt belongs to a control, and a measured motion needs none: leave dt out")
 
 
+def from_home(path: Path) -> Path:
+    """A path whose "~" at the start is replaced by the home folder; that of a user who does not exist stays."""
+    with suppress(RuntimeError):
+        return path.expanduser()
+    return path
+
+
 def first(wrong: ArrayLike) -> int | None:
     """The first index at which a condition (N,) holds, or None where it never does."""
     wrong = np.asarray(wrong, dtype=bool)
@@ -407,7 +415,7 @@ class Option:
             except OverflowError:
                 raise OptionError(f"{self.name} must be a number below 1e308, not {quoted(value)}") from None
         elif self.each is Path and isinstance(value, str):
-            value = Path(value)
+            value = from_home(Path(value))
         elif self.each in (int, float) and getattr(value, "size", 0) == 1 and value.dtype != "timedelta64":
             value = value.item()  # a NumPy number
         checked: Any = value

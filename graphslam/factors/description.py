@@ -21,7 +21,7 @@ import numpy as np
 
 from ..edges.robust import KERNELS
 from ..errors import FactorError, FormatError, OptionError, quoted, reason_of
-from ..files import write_text
+from ..files import path_of, write_text
 from ..models import MotionModel, SensorModel
 
 #: the factor types by name; each enters itself when its class is defined
@@ -182,7 +182,7 @@ def load_factors(path: str | Path, functions: Functions | None = None) -> gtsam.
     Raises:
         FormatError: the file cannot be read, has another content, or needs a function that is not given.
     """
-    path, graph, natives = Path(path), gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
+    path, graph, natives = path_of(path), gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
     try:
         data = json.loads(path.read_text())
         if data["format"] != "graphslam factors" or data["version"] not in (1, 2):

@@ -236,8 +236,8 @@ def _assemble(lines: _Lines, edge2: str) -> PoseGraphFile:
 
 
 def _doubts(lines: _Lines, information: Array, root: bool) -> tuple[str, ...]:
-    """Notes where edges turn by more than a whole turn, which is a number of degrees, and where the information (E, 3, 3) of
-    relative poses is so small that the file must have covariances.
+    """Notes where edges turn by more than a whole turn, which is a number of degrees, where the information (E, 3, 3) of
+    relative poses is so small that the file must have covariances, and where an edge has the very numbers of another one.
 
     A heading that is not measured at all is uniform, with a deviation of pi / sqrt(3). Edges that claim more say nothing,
     and a covariance read as information claims it nearly always. Edges without information on the heading do not count.
@@ -259,6 +259,15 @@ def _doubts(lines: _Lines, information: Array, root: bool) -> tuple[str, ...]:
         )
     for note in notes:
         warnings.warn(f"{lines.path}: {note}", UserWarning, stacklevel=5)
+    rows, seen = [*lines.edges["pose"], *lines.edges["point"]], dict[tuple[object, ...], int]()
+    lines_of = ((edge.line, seen.setdefault((*edge.ids, *edge.numbers), edge.line)) for edge in rows)
+    if again := [(line, before) for line, before in lines_of if before != line]:
+        # a note alone, because both may have been measured
+        line, before = again[0]
+        notes.append(
+            f"edges that repeat another one, with the same nodes and numbers: {len(again)}, the first one in line {line} "
+            f"(as line {before}); both count: remove the copies unless both were measured"
+        )
     return tuple(notes)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FormatError, LogError, named, quoted
-from ..files import check_file, read_text
+from ..files import check_file, path_of, read_text
 from ..se2 import Array
 from .table import Columns, Table
 
@@ -287,7 +287,7 @@ def table_of(source: Any, name: str) -> Table:
     if isinstance(source, Table):
         return source
     if isinstance(source, (str, PathLike)):
-        path = Path(source)
+        path = path_of(source)
         return _parquet(path) if path.suffix.lower() in PARQUET else TextTable(path)
     if isinstance(source, Mapping):
         for column, values in source.items():

@@ -1,10 +1,13 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from graphslam import FormatError, Log, MotionModel, OptionError, SensorModel, load, save
+import comparisons
+from graphslam import FormatError, LandmarkMap, Log, MotionModel, OptionError, SensorModel, load, sample_log_path, save
 
 BOOK = "x 0 0 -3 0\nz 0 1 2.0 0.1 3.0\nx 1 0.5 -2.9 0.2\nz 1 1 1.5 -0.4 3.1\nz 1 4 3.0 0.2 -1.0\n"
 WITH_CONTROLS = (
@@ -147,6 +150,18 @@ def test_places_that_cannot_be_read_or_written(tmp_path):
         save(log, tmp_path / "log.xyz")
     with pytest.raises(OptionError, match="format must be one of"):
         load(tmp_path / "absent.txt", format="rosbag")
+
+
+def test_the_home_folder_is_known_as_in_a_shell(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    log = load(sample_log_path())
+    save(log, "~/log.npz")
+    assert (tmp_path / "log.npz").exists() and load("~/log.npz").equals(log)
+    LandmarkMap({1: (1.0, 2.0)}).save("~/map.csv")
+    assert LandmarkMap.load(Path("~/map.csv")).keys() == {1}
+    assert comparisons.run("~/log.npz", estimators=["dead-reckoning"]).source == tmp_path / "log.npz"
+    with pytest.raises(FormatError, match="^~nobody-has-this-name/log.npz: there is no such file"):
+        load("~nobody-has-this-name/log.npz")
 
 
 def test_archives_that_are_not_logs(tmp_path):

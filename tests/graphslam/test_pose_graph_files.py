@@ -417,6 +417,16 @@ def test_angles_in_degrees_and_wrong_closures_are_said(tmp_path):
     assert re.match(r"J is [\d,]+ times what the information of the edges predicts: edges are wrong", note)
 
 
+def test_an_edge_that_stands_twice_is_said(tmp_path):
+    closure = "\nEDGE_SE2 2 8 0 0 0 400 0 0 400 0 10000"
+    path = written(tmp_path, chain(12, np.pi / 6) + closure + closure)
+    (note,) = Graph.from_g2o(path, format="g2o").notes
+    assert re.match(r"edges that repeat another one, .*: 1, the first one in line 14 \(as line 13\); both count", note)
+    # another measurement between the same poses is none
+    other = written(tmp_path, chain(12, np.pi / 6) + closure + closure.replace("2 8 0", "2 8 0.1"))
+    assert not Graph.from_g2o(other, format="g2o").notes
+
+
 @pytest.mark.parametrize("reads", [read, Graph.from_g2o])
 def test_graphs_in_space_are_refused_as_such(tmp_path, reads):
     path = written(tmp_path, "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n")

@@ -27,6 +27,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
 from graphslam import Log, MotionModel
+from graphslam.files import path_of
 from graphslam.se2 import Array, transform
 
 from .. import canvas
@@ -183,9 +184,10 @@ class Film:
             OptionError: the suffix is none of these, or ffmpeg is not installed or fails.
             FormatError: the place cannot be written.
         """
-        check_can_film(Path(path))
-        write_film(self, Path(path), progress or (lambda: None))
-        return Path(path)
+        path = path_of(path)
+        check_can_film(path)
+        write_film(self, path, progress or (lambda: None))
+        return path
 
     def _repr_html_(self) -> str:
         """The player, in an iframe so that several films in one notebook do not interfere."""

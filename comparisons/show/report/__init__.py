@@ -22,7 +22,7 @@ import numpy as np
 from rich.table import Table
 
 from graphslam import Log, OptionError, SlamError
-from graphslam.files import write_text
+from graphslam.files import path_of, write_text
 from graphslam.log import UNIDENTIFIED
 
 from ...comparison import Comparison, run
@@ -74,7 +74,7 @@ def write_report(
         FormatError, OptionError: see `check_page`.
         SlamError: see `comparisons.run`.
     """
-    check_page(Path(path))
+    check_page(path_of(path))
     language = language_of(language)
     if not isinstance(comparison, Comparison):
         comparison = run(comparison, **options)
