@@ -144,6 +144,11 @@ def _of_dates(table: Table, column: int, day_column: int | None) -> np.ndarray |
     return ns
 
 
+def is_dated(table: Table, column: int) -> bool:
+    """Whether times say themselves which unit they have: dates, or durations."""
+    return column in table.units or any(form.fullmatch(str(table.words(column)[0])) for form in (_DATE, _DAY_TIME))
+
+
 def _beyond(table: Table, row: int, column: int) -> LogError:
     """The error of a time that does not fit."""
     given = f"the time {table.title(column)} is {shortened(str(table.words(column)[row]))}"

@@ -25,6 +25,7 @@ from .cells import (
     counts_turns,
     id_fault,
     ids_of,
+    is_dated,
     nanoseconds,
     repeated_sightings,
     repeated_times,
@@ -105,6 +106,10 @@ class Reader:
         self.found = find(kind, table, ROLES[kind], options.columns_of(kind), ORDERS[kind], dispensable)
         if len(table) == 0:
             raise table.error(None, f"there is no row of {kind} in it")
+        for role, chosen in self.found.items():
+            if chosen.column in table.units and MEASURES.get(role, "time") != "time":
+                message = f"{table.title(chosen.column)} holds dates or durations, but {role} is a number: convert it"
+                raise table.error(None, f"{message}, or state another column: columns='{kind}.{role}=NAME'")
 
     def has(self, *roles: str) -> bool:
         return all(role in self.found for role in roles)
@@ -241,6 +246,9 @@ class Reader:
         if self.has("nanosec"):
             self.need("nanosec")
             ns = added(self.table, column, ns, nanoseconds(self.table, self.found["nanosec"].column, "ns"))
+        if (unit := self.options.unit("time", self.kind)) is not None and is_dated(self.table, column):
+            note = f"{self.table.title(column)} holds dates or durations: the stated unit {unit} is not used"
+            self.table.notes = tuple(dict.fromkeys((*self.table.notes, f"{self.table.source}: {note}")))
         return added(self.table, column, ns, self.options.clock(self.kind))
 
     def numbers(self, *roles: str, finite: bool = True) -> Array:

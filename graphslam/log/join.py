@@ -21,7 +21,7 @@ from ..se2 import Array
 from .cells import COVERED, Doubt, ids_of, seconds, time_faults
 from .drive import TURNED, Reader, Timed, odometry_of, sightings_of, truth_of
 from .log import Log
-from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, cut_headings, not_positive
+from .measurements import MEASURED, NOT_POSITIVE, Measured, Session, checked_landmarks, cut_headings, not_positive
 from .rows import MOST_LEFT_OUT, UNIDENTIFIED, UNITS_OF, ReadOptions, TableOptions
 from .streams import MOST_DISORDER, Stream, synchronize
 from .table import COVARIANCES, Kept, Table, ordered
@@ -227,7 +227,10 @@ def read_drive(
     for kind, table in others.items():
         if table is not None:
             read[kind] = READERS[kind](_in_order(kind, table, options, moved), options)
-    landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
+    if isinstance(map, Mapping) and all(isinstance(j, int | np.integer) for j in map):
+        landmarks: dict[int, Array] | None = checked_landmarks(map)
+    else:
+        landmarks = None if map is None else map_of(table_of(map, "map"), options, seen.names)
     return Drive(
         moved, seen, landmarks=landmarks, sensor_offset=options.sensor_offset, truth_offset=options.truth_offset, **read
     )
@@ -302,7 +305,7 @@ def from_tables(
         odometry: t, nu, omega; or t, x, y, theta, whose differences become controls.
         sightings: t, id, range, bearing[, orientation]; or, by name only, t, id, x, y[, z] in the axes of the sensor.
         truth: t, x, y, theta; or the columns of TUM, t, x, y, z, qx, qy, qz, qw; or t, x, y.
-        map: id, x, y[, theta].
+        map: id, x, y[, theta]; or {id: (x, y) or (x, y, heading)}.
         relations: t1, t2, dx, dy, dtheta and their noise, sigma_x, sigma_y, sigma_theta or cov_xx, cov_xy, ...
         positions: t, x, y[, theta] and their noise, sigma or sigma_x, sigma_y[, sigma_theta] or cov_xx, cov_xy, ...,
             and lever_x, lever_y, the point of the robot that is measured. docs/other_sensors.md has both tables.

@@ -9,6 +9,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import timedelta
 from types import MappingProxyType
 from typing import Any
 
@@ -83,7 +84,7 @@ class Columns(Table):
         self.source, self._rows = source, rows
         if isinstance(columns, Mapping):
             self.names = tuple(map(str, columns))
-            self._columns = [np.asarray(column) for column in columns.values()]
+            self._columns = [_column(column) for column in columns.values()]
         else:
             self.names = ()
             self._columns = list(np.asarray(columns).T)
@@ -100,6 +101,8 @@ class Columns(Table):
             if column in self.units:
                 values = np.where(np.isnat(values), np.nan, self.texts(column))
             try:
+                if len(values) != len(self):
+                    raise ValueError  # NumPy would repeat a single number
                 numbers[:, k] = values
             except (TypeError, ValueError, OverflowError):
                 for row, value in enumerate(values):
@@ -127,6 +130,13 @@ class Columns(Table):
         if row is None:
             return FormatError(self.source, None, message)
         return FormatError(f"{self.source}, {self._rows} {row + 1}", None, message)
+
+
+def _column(values: Any) -> np.ndarray:
+    """A column as an array; durations of Python, which NumPy keeps as objects, as its own."""
+    array = np.asarray(values)
+    durations = array.dtype.kind == "O" and array.size and all(isinstance(value, timedelta) for value in array.flat)
+    return array.astype("timedelta64[us]") if durations else array
 
 
 def _has_nanoseconds(column: np.ndarray) -> bool:

@@ -295,6 +295,10 @@ def table_of(source: Any, name: str) -> Table:
                 raise LogError(f"{name}: column {quoted(column)} should be an array (N,), not {quoted(values)}")
         return Columns(name, source)
     if hasattr(source, "columns") and hasattr(source, "__getitem__"):
+        index = getattr(getattr(source, "index", None), "name", None)
+        if index is not None and index not in source.columns:
+            # pandas keeps a column apart that was made the index, often the times
+            source = source.reset_index()
         return Columns(name, {str(column): np.asarray(source[column]) for column in source.columns})
     try:
         array = np.asarray(source)

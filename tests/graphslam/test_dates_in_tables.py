@@ -1,5 +1,6 @@
 """Times that are dates, and text files that were joined or are in another encoding."""
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -135,3 +136,44 @@ def test_dates_that_nanoseconds_cannot_hold_are_named():
     odometry = {"t": t, "v": [0.5, 0.5], "w": [0.1, 0.1]}
     with pytest.raises(LogError, match="from 1678 to 2262"):
         Log.from_tables(odometry, {"t": t, "id": [1, 1], "range": [2.0, 2.0], "bearing": [0.1, 0.1]})
+
+
+def tables(**changes):
+    t = 0.25 * np.arange(50)
+    odometry = {"t": t, "v": np.full(50, 0.5), "w": np.full(50, 0.1)}
+    sightings = {"t": t[5:45], "id": np.arange(40) % 3, "range": np.full(40, 2.0), "bearing": np.full(40, 0.1)}
+    return odometry, sightings | changes
+
+
+@pytest.mark.parametrize(
+    "make", [lambda t: timedelta(seconds=t), lambda t: datetime(2026, 1, 1) + timedelta(seconds=t)]
+)
+def test_dates_and_durations_of_python_have_no_unit_to_state(make):
+    plain = tables()
+    dated = [{**table, "t": [make(float(t)) for t in table["t"]]} for table in plain]
+    found = Log.from_tables(*dated)
+    np.testing.assert_array_equal(found.dt, Log.from_tables(*plain).dt)
+    stated = Log.from_tables(*dated, time={"sightings": "ms"})
+    np.testing.assert_array_equal(stated.dt, found.dt)
+    (note,) = set(stated.notes) - set(found.notes)
+    assert note == "sightings: 't' holds dates or durations: the stated unit ms is not used"
+
+
+@pytest.mark.parametrize("values", [np.full(40, 2, "timedelta64[s]"), [timedelta(seconds=2)] * 40])
+def test_durations_are_no_ranges(values):
+    message = "sightings: 'range' holds dates or durations, but range is a number: convert it, or state another column"
+    with pytest.raises(LogError, match=message):
+        Log.from_tables(*tables(range=values))
+
+
+def test_a_single_number_is_not_repeated_for_all_rows():
+    with pytest.raises(LogError, match="'range' should hold one number in each row; it has 1, and the first column 40"):
+        Log.from_tables(*tables(range=[2.0]))
+
+
+def test_times_that_pandas_has_as_index_and_a_map_by_ids():
+    pandas = pytest.importorskip("pandas")
+    frames = [pandas.DataFrame(table) for table in tables()]
+    found = Log.from_tables(*(frame.set_index("t") for frame in frames), map={0: (1, 2), 1: (3, 4, 0.5)})
+    assert found.replace(true_landmarks=None).equals(Log.from_tables(*frames))
+    assert found.true_landmarks is not None and found.true_landmarks[1].tolist() == [3, 4, 0.5]
