@@ -231,6 +231,10 @@ class EdgeFamily(ABC):
             GraphError: `cliques` does not return what it should.
         """
         given = self.cliques()
+        if not isinstance(given, tuple) or len(given) != 2:
+            raise GraphError(
+                f"{type(self).__name__}: cliques() must return two arrays, starts and nodes, not {quoted(given)}"
+            )
         starts, nodes = (node_numbers(self, "what cliques() returns", part) for part in given)
         if not len(starts) or starts[0] != 0 or starts[-1] != len(nodes) or (np.diff(starts) < 0).any():
             raise GraphError(
@@ -250,6 +254,8 @@ class EdgeFamily(ABC):
         where the family has a ``kernel``.
         """
         edges, kernel = self.linearize(state, reference), getattr(self, "kernel", None)
+        if not isinstance(edges, Linearization):
+            raise GraphError(f"{type(self).__name__}: linearize() must return a Linearization, not {quoted(edges)}")
         squares = edges.mahalanobis
         if system is not None:
             W = edges.information if kernel is None else edges.information * kernel.weight(squares)[:, None, None]

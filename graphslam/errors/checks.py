@@ -116,12 +116,22 @@ def check_sighted(name: str, angles: Iterable[float]) -> None:
             )
 
 
-def check_heading(name: str, heading: float) -> None:
+def check_heading(name: str, headings: ArrayLike) -> None:
     """Raise `OptionError` where a heading is beyond 8 pi, as those of degrees are."""
-    if abs(heading) > FOUR_TURNS:
+    heading = float(np.abs(headings).max(initial=0.0))
+    if heading > FOUR_TURNS:
         raise OptionError(
             f"the heading of {name} is {heading:g} rad, beyond 8 pi: is it in degrees? Give radians, np.deg2rad(...); if it "
             "is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"
+        )
+
+
+def check_turn_rate(omega: float, otherwise: str) -> None:
+    """Raise `OptionError` where a control turns by more than a whole turn per second, as degrees per second do."""
+    if abs(omega) > QUICKEST:
+        raise OptionError(
+            f"the turn rate of control is {omega:g} rad/s, more than a whole turn per second: is it in degrees per second? "
+            f"Give radians, np.deg2rad(...); if the robot turns so fast, {otherwise}"
         )
 
 
@@ -261,6 +271,10 @@ def check_move(control: Any, dt: Any, motion: Any, covariance: Any) -> None:
         raise OptionError("a covariance belongs to a measured motion; that of a control comes from the motion model")
     if motion is not None and dt is not None:
         raise OptionError("dt belongs to a control, and a measured motion needs none: leave dt out")
+    if (u := array_or_none(control)) is not None and u.shape == (2,):
+        check_turn_rate(
+            float(u[1]), "give motion and covariance instead, such as MotionModel.f and MotionModel.covariance"
+        )
 
 
 def from_home(path: Path) -> Path:
@@ -304,10 +318,10 @@ def check_known(who: str, given: Collection[str], known: Collection[str], more: 
 
 
 def make_read_only(owner: object, *names: str) -> None:
-    """Replace arrays that are attributes of a frozen dataclass by views that cannot be written to."""
+    """Replace arrays, and lists of numbers, that are attributes of a frozen dataclass by views that cannot be written to."""
     for name in names:
-        if isinstance(array := getattr(owner, name), np.ndarray):
-            view = array.view()
+        if isinstance(array := getattr(owner, name), np.ndarray | list | tuple):
+            view = np.asarray(array).view()
             view.flags.writeable = False
             object.__setattr__(owner, name, view)
 

@@ -85,7 +85,7 @@ def frozen_at(at: Any, needed: bool, rows: int | None = None, *, frame: str = "w
         message = f"the information depends on {poses}: pass {given}, or take frame='body' where that is constant"
         raise OptionError(message)
     frozen = finite_numbers("at", at, (3,) if rows is None else (rows, 3))
-    check_heading("at", float(np.abs(frozen[..., 2]).max()) if frozen.size else 0.0)
+    check_heading("at", frozen[..., 2])
     return frozen
 
 

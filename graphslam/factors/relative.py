@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError
-from ..errors.checks import QUICKEST, check_heading, check_positive, checked_pose, finite_numbers
+from ..errors.checks import check_heading, check_positive, check_turn_rate, checked_pose, finite_numbers
 from ..linear.precision import check_size, model_of, small_inverse
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, sinc_slope_near_zero, turned_by
@@ -148,12 +148,10 @@ class MotionFactor(RelativePoseFactor):
         sizes = {"dt": float(dt), "the distance of control": nu * dt, "the turn of control": omega * dt}
         for name, number in sizes.items():
             check_size(name, number)
-        if abs(omega) > QUICKEST:
-            raise OptionError(
-                f"the turn rate of control is {omega:g} rad/s, more than a whole turn per second: is it in degrees per "
-                "second? Give radians, np.deg2rad(...); if the robot turns so fast, use RelativePoseFactor with the "
-                "relative pose and information of MotionModel.f and MotionModel.covariance"
-            )
+        relative = (
+            "use RelativePoseFactor with the relative pose and information of MotionModel.f and MotionModel.covariance"
+        )
+        check_turn_rate(omega, relative)
         options = {"frame": frame, "at": at, "scale": scale, "kernel": kernel}
         arguments = {"control": u, "dt": dt, "motion": motion} | options
         # f and its covariance turn with the pose that they start from
@@ -238,7 +236,7 @@ class RelativeEdgesFactor(Factor):
         if len(i) == 0 or i.shape != j.shape or np.min([i, j]) < 0 or np.max(i) >= poses or np.max(j) >= len(keys):
             raise OptionError("first and second must be places of keys, one of a pose and one of any node per edge")
         z = finite_numbers("measured", measured, (len(i), 3))
-        check_heading("measured", float(np.abs(z[j < poses, 2]).max(initial=0.0)))
+        check_heading("measured", z[j < poses, 2])
         omega = np.array(information, dtype=float)
         rows = np.where(j < poses, 3, 2)
         if omega.shape != (len(i), 3, 3):

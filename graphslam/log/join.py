@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import LogError, OptionError, quoted
 from ..errors.checks import FOUR_TURNS, WHOLE_TURN, check_known, check_type, checked_offset, first
 from ..models import ANYWHERE, SensorModel, additional_variances
-from ..se2 import Array
+from ..se2 import Array, wrap
 from .cells import COVERED, Doubt, ids_of, seconds, time_faults
 from .drive import TURNED, Reader, Timed, odometry_of, sightings_of, truth_of
 from .log import Log
@@ -77,6 +77,7 @@ def relations_of(table: Table, options: TableOptions) -> Timed:
     # an empty cell: the heading is not known there
     motions = np.column_stack([reader.numbers("dx", "dy"), reader.numbers("dtheta", finite=False)])
     reader.refuse("dtheta", motions[:, 2], WHOLE_TURN, "the turn is {:g} rad, beyond 2 pi: is it in degrees?")
+    motions[:, 2] = wrap(motions[:, 2])
     rows = np.column_stack([motions, _noise(reader, np.isfinite(motions[:, 2])).reshape(-1, 9)])
     order = np.argsort(ns, kind="stable")
     return Timed(table, ns[order], rows[order], reader.described(), ends=ends[order])
@@ -106,6 +107,7 @@ def positions_of(table: Table, options: TableOptions) -> Timed:
         # an empty cell: the heading is not known there
         places[:, 2:] = reader.numbers("theta", finite=False)
         reader.refuse("theta", places[:, 2], FOUR_TURNS, TURNED)
+        places[:, 2] = wrap(places[:, 2])
     covariances = _noise(reader, np.isfinite(places[:, 2]))
     levers = np.zeros((len(ns), 2))
     for column, role in enumerate(("lever_x", "lever_y")):

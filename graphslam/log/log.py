@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import LogError, OptionError, printable, quoted
-from ..errors.checks import array_of, check_positive, check_type, checked_deviations, checked_offset, first, singular
+from ..errors.checks import (
+    WHOLE_TURN,
+    array_of,
+    check_positive,
+    check_type,
+    checked_deviations,
+    checked_offset,
+    first,
+    singular,
+)
 from ..models import MotionModel, SensorModel, additional_variances
 from ..se2 import Array, mounted, wrap
 from .measurements import (
@@ -52,7 +61,7 @@ class Log:
             without the last; or None.
         recorded_dt: (S,) the duration [s] of the recorded control of which each control is a piece, where sightings cut
             controls; its pieces share the variance that the motion model gives it (`MotionModel.M`). Default: ``dt``.
-        steps: the step of each sighting, (M,), not decreasing.
+        steps: the step of each sighting, (M,), not decreasing; default: there are no sightings.
         landmarks: the id of the landmark of each sighting, (M,) integers; `UNIDENTIFIED` where the sensor gives none. -1
             is taken for that, with a note.
         sightings: (l, phi) or (l, phi, psi) [m, rad, rad], (M, 2) or (M, 3); angles are wrapped to [-pi, pi).
@@ -92,9 +101,9 @@ class Log:
 
     dt: Array | None = None
     controls: Array | None = None
-    steps: np.ndarray
-    landmarks: np.ndarray
-    sightings: Array
+    steps: np.ndarray = ()  # type: ignore[assignment]  # arrays after __post_init__, as all others
+    landmarks: np.ndarray = ()  # type: ignore[assignment]
+    sightings: Array = ()  # type: ignore[assignment]
     classes: np.ndarray | None = None
     relations: PoseRelations | None = None
     positions: AbsolutePositions | None = None
@@ -172,7 +181,8 @@ class Log:
                 if getattr(self, name) is not None:
                     raise LogError(f"{name} without controls: there is nothing that they belong to")
             return {"control_starts": None}
-        controls = finite_floats("controls", self.controls, (None, 2))
+        empty = np.zeros((0, 2))  # [] has no columns
+        controls = empty if length_of(self.controls) == 0 else finite_floats("controls", self.controls, (None, 2))
         dt = array_of("dt", self.dt)
         dt = finite_floats("dt", np.full(len(controls), dt) if dt.ndim == 0 else dt, (len(controls),))
         if (k := first(dt <= 0)) is not None:
@@ -206,6 +216,12 @@ class Log:
         sightings = finite_floats("sightings", sightings, sightings.shape)
         if (k := first(sightings[:, 0] <= 0)) is not None:
             raise LogError(f"sighting {k} has range {sightings[k, 0]:g} m; a range must be above zero")
+        usual = np.median(np.abs(sightings[:, 1:]), axis=0).max() if len(sightings) else 0.0
+        if usual > WHOLE_TURN:
+            raise LogError(
+                f"half of the bearings or orientations are beyond 2 pi (median {usual:.3g} rad): are they in degrees? Give "
+                "radians, np.deg2rad(...); if they are in radians, wrap them to [-pi, pi) with graphslam.se2.wrap"
+            )
         sightings[:, 1:] = wrap(sightings[:, 1:])
         steps, landmarks = (whole_numbers(name, getattr(self, name), len(sightings)) for name in ("steps", "landmarks"))
         if (k := first((steps < 0) | (steps >= poses))) is not None:
@@ -461,4 +477,8 @@ def check_is_log(log: object) -> None:
     if not isinstance(log, Log):
         inside = isinstance(getattr(log, "log", None), Log)
         remedy = "take its attribute log" if inside else "graphslam.load(path) reads one"
+        if isinstance(log, (list, tuple)):
+            remedy = "give one log; functions of several take each as an argument of its own"
+        elif hasattr(log, "save_g2o"):
+            remedy = "Graph.save_g2o writes a graph, and Graph.from_g2o reads one"
         raise OptionError(f"log must be a Log, not {quoted(log)}; {remedy}")

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import LogError, OptionError, quoted, shortened
-from ..errors.checks import array_of, array_or_none, check_sighted, first, real_array
+from ..errors.checks import array_of, array_or_none, check_heading, check_sighted, first, real_array
 from ..se2 import Array, wrap
 from .rows import NO_ID, UNIDENTIFIED
 
@@ -104,7 +104,7 @@ def finite_floats(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
     """A copy of an array of finite numbers of a shape, in which None stands for any length."""
     array = _floats(name, value)
     if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
-        wanted = ", ".join("any" if want is None else str(want) for want in shape)
+        wanted = ", ".join("any" if want is None else str(want) for want in shape) + "," * (len(shape) == 1)
         raise LogError(f"{name} must have shape ({wanted}), not {array.shape}")
     if not np.all(np.isfinite(array)):
         where = np.argwhere(~np.isfinite(array))[0].tolist()
@@ -218,6 +218,7 @@ class PoseRelations(_Records):
 
     Raises:
         LogError: an array has another shape, a relation ties a pose to itself, or a covariance is not positive definite.
+        OptionError: a heading is beyond 8 pi, as in degrees.
     """
 
     ENDS = ("first", "second")
@@ -235,6 +236,7 @@ class PoseRelations(_Records):
             motions[unknown, 2] = 0.0
             cut_headings(covariances, unknown, NO_HEADING)
         motions = finite_floats("the motions of relations", motions, (None, 3))
+        check_heading("relations", motions[:, 2])
         motions[:, 2] = wrap(motions[:, 2])
         count, ends = len(motions), dict[str, np.ndarray]()
         for end in self.ENDS:
@@ -259,6 +261,7 @@ class AbsolutePositions(_Records):
 
     Raises:
         LogError: an array has another shape, or a covariance is not positive definite.
+        OptionError: a heading is beyond 8 pi, as in degrees.
     """
 
     ENDS = ("steps",)
@@ -274,7 +277,7 @@ class AbsolutePositions(_Records):
         headings = given[:, 2] if oriented else np.full(len(given) if given.ndim else 0, np.nan)
         unknown, count = np.isnan(headings), len(headings)
         xy = finite_floats("the places of positions", given[:, :2] if oriented else given, (None, 2))
-        finite_floats("the headings of positions", headings[~unknown], (None,))
+        check_heading("positions", finite_floats("the headings of positions", headings[~unknown], (None,)))
         places = np.column_stack([xy, wrap(headings)])
         steps = whole_numbers("the steps of positions", self.steps, count, noun="position")
         C, covariances = _floats("the covariances of positions", self.covariances), np.tile(np.eye(3), (count, 1, 1))
@@ -440,6 +443,8 @@ def checked_sightings(ids: Any, sightings: Any, refused: Collection[int], advice
     numbers = np.zeros((0, 0)) if (given := _array_or_none(ids)) is None else np.atleast_1d(given)
     if z is not None and z.size == numbers.size == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+    if numbers.dtype.kind == "f" and not np.any(numbers % 1) and np.all(np.abs(numbers) < 2**53):
+        numbers = numbers.astype(np.int64)  # a column of an array of numbers
     if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
         raise OptionError(f"ids must be whole numbers, not {quoted(ids)}")
     if numbers.size and numbers.max() > np.iinfo(np.int64).max:

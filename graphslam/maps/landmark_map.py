@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
 from os import PathLike
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import FormatError, OptionError, quoted
-from ..errors.checks import array_of, check_choice, singular
+from ..errors.checks import array_of, check_choice, check_heading, singular
 from ..files import path_of
+from ..log.measurements import same
 from ..log.rows import NO_ID, UNIDENTIFIED
 from ..se2 import Array, wrap
 from .map_files import read_map, write_map
@@ -65,7 +67,11 @@ class LandmarkMap(dict[int, Array]):
         self.classes: dict[int, str | int] = {j: _class(kind) for j, kind in (classes or {}).items() if j in self}
         self.joint: Array | None = None
         self.correlated = correlated
-        given = covariances or {}
+        given = {} if covariances is None else covariances
+        if not isinstance(given, Mapping):
+            raise OptionError(
+                f"covariances of a map are {{id: (2, 2) or (3, 3)}}, one for each landmark, not {quoted(given)}"
+            )
         if given and joint is not None:
             raise OptionError("give covariances of single landmarks or a joint covariance, not both")
         chosen = list(given) if joint is None else sorted(self if joint_ids is None else set(joint_ids))
@@ -119,6 +125,17 @@ class LandmarkMap(dict[int, Array]):
             FormatError: the file cannot be written.
         """
         write_map(path_of(path), self)
+
+    def copy(self) -> LandmarkMap:
+        """A map of its own, with what is known of the errors."""
+        return deepcopy(self)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the other one has exactly the same places and says the same of their errors."""
+        return type(other) is type(self) and same(dict(self), dict(other)) and same(vars(self), vars(other))
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
 
     def __repr__(self) -> str:
         """One line: sizes, and what is known of the errors."""
@@ -258,6 +275,7 @@ def _class(kind: object) -> str | int:
 
 
 def _id(value: object) -> int:
+    value = int(value) if isinstance(value, float) and value.is_integer() else value
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not -(2**63) <= value < 2**63:
         raise OptionError(f"the ids of a map are whole numbers of at most 64 bits, not {quoted(value)}")
     if value in (NO_ID, UNIDENTIFIED):
@@ -269,6 +287,7 @@ def _place(id: int, value: ArrayLike) -> Array:
     place = array_of(f"landmark {id} of the map", value)
     if place.shape not in ((2,), (3,)) or not np.isfinite(place).all():
         raise OptionError(f"landmark {id} of the map must be finite, (x, y) or (x, y, heading), not {quoted(value)}")
+    check_heading(f"landmark {id} of the map", place[2:])
     return np.append(place[:2], wrap(place[2:]))
 
 

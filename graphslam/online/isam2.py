@@ -118,6 +118,9 @@ class Isam2Backend(Backend):
             vars(self).update(before)
             raise
 
+    def __reduce_ex__(self, protocol: object) -> Any:
+        raise TypeError("GTSAM's ISAM2 can neither be copied nor pickled; the backend 'own' can")
+
     def relate(self, *relations: Relation) -> None:
         with self._all_or_nothing():
             for relation in relations:

@@ -29,7 +29,7 @@ from ..errors.checks import check_known
 from ..graph import Graph
 from ..graph.defaults import suitable_for_isam2
 from ..graph.trilateration import places_of_rows
-from ..log import Log
+from ..log import Log, check_is_log
 from ..maps.tracker import Tracker, unlocated
 from ..models import SensorModel
 from ..se2 import Array
@@ -131,6 +131,8 @@ def _place_the_rest(solver: OnlineSolver) -> None:
 
 def _replayed(log: Log | Graph, backend: str, options: dict[str, Any]) -> tuple[Graph, Iterator[OnlineSolver]]:
     """The graph of a log, and its steps."""
+    if not isinstance(log, Graph):
+        check_is_log(log)
     own = {name: options[name] for name in backend_options(backend) if name in options}
     of_graph = {name: value for name, value in options.items() if name not in own}
     known = [name for name in signature(Graph.from_log).parameters if name != "log"]

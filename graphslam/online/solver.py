@@ -206,8 +206,7 @@ class OnlineSolver:
         """
         ends, several, last = *_pairs(first, second), self.step
         motions = finite_numbers("motion", motion, (len(ends), 3) if several else (3,)).reshape(-1, 3)
-        for turn in motions[:, 2].tolist():
-            check_heading("motion", turn)
+        check_heading("motion", motions[:, 2])
         given = array_or_none(covariance)
         if several and given is not None and given.ndim == 3:
             information = [information_of(P) for P in finite_numbers("covariance", given, (len(ends), 3, 3))]
@@ -215,7 +214,9 @@ class OnlineSolver:
             information = [information_of(covariance)] * len(ends)
         for a, b in ends:
             check_count(first=a, second=b)
-            if a == b or min(a, b) > last or max(a, b) > last + 1:
+            if a == b:
+                raise GraphError(f"a relation from pose {a} to itself: it needs two different poses")
+            if min(a, b) > last or max(a, b) > last + 1:
                 raise GraphError(f"a relation between poses {a} and {b}: the poses so far are 0 to {last}")
             self._check_pose(min(a, b), "a relation from")
         self._backend.relate(*((int(a), int(b), z, omega) for (a, b), z, omega in zip(ends, motions, information)))

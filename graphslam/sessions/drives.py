@@ -37,13 +37,13 @@ from ..association import AssociationOptions, associate_from, known_noise
 from ..association.assignment import evidence
 from ..association.map_solution import Problem
 from ..association.refining import refine
-from ..errors import GraphError, LogError, OptionError, named
+from ..errors import GraphError, LogError, OptionError, named, quoted
 from ..graph import Graph
 from ..identification.known import known_robot
 from ..log import UNIDENTIFIED, Log
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
 from ..log.join import end_to_end, joined_rows
-from ..log.measurements import PoseRelations
+from ..log.measurements import PoseRelations, length_of
 from ..log.rows import robot_class
 from ..maps.constellation import Constellations, Merged, match
 from ..maps.landmark_map import LandmarkMap
@@ -71,7 +71,15 @@ class Sessions:
     starts: tuple[int, ...]
 
     def split(self, rows: Array) -> list[Array]:
-        """Rows (T+1, ...) that belong to the poses, one array for each drive."""
+        """Rows (T+1, ...) that belong to the poses, one array for each drive.
+
+        Raises:
+            OptionError: there is another number of rows.
+        """
+        if length_of(rows) != self.starts[-1]:
+            raise OptionError(
+                f"split takes an array of {self.starts[-1]} rows, such as solution.poses, not {quoted(rows)}"
+            )
         return np.split(np.asarray(rows), self.starts[1:-1])
 
 
