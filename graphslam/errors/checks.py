@@ -126,11 +126,11 @@ def check_heading(name: str, headings: ArrayLike) -> None:
         )
 
 
-def check_turn_rate(omega: float, otherwise: str) -> None:
-    """Raise `OptionError` where a control turns by more than a whole turn per second, as degrees per second do."""
-    if abs(omega) > QUICKEST:
+def check_turn_rate(omega: float, otherwise: str, most: float = QUICKEST) -> None:
+    """Raise `OptionError` where a control turns by more than this [rad/s], as degrees per second do."""
+    if most < abs(omega) < math.inf:
         raise OptionError(
-            f"the turn rate of control is {omega:g} rad/s, more than a whole turn per second: is it in degrees per second? "
+            f"the turn rate of control is {omega:g} rad/s, beyond {most / math.pi:g} pi: is it in degrees per second? "
             f"Give radians, np.deg2rad(...); if the robot turns so fast, {otherwise}"
         )
 
@@ -272,9 +272,9 @@ def check_move(control: Any, dt: Any, motion: Any, covariance: Any) -> None:
     if motion is not None and dt is not None:
         raise OptionError("dt belongs to a control, and a measured motion needs none: leave dt out")
     if (u := array_or_none(control)) is not None and u.shape == (2,):
-        check_turn_rate(
-            float(u[1]), "give motion and covariance instead, such as MotionModel.f and MotionModel.covariance"
-        )
+        # a gyroscope may have single wrong rates, which must not end a drive
+        otherwise = "give motion and covariance instead, such as MotionModel.f and MotionModel.covariance"
+        check_turn_rate(float(u[1]), otherwise, most=FOUR_TURNS)
 
 
 def from_home(path: Path) -> Path:

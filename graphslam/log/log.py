@@ -479,6 +479,6 @@ def check_is_log(log: object) -> None:
         remedy = "take its attribute log" if inside else "graphslam.load(path) reads one"
         if isinstance(log, (list, tuple)):
             remedy = "give one log; functions of several take each as an argument of its own"
-        elif hasattr(log, "save_g2o"):
+        elif hasattr(log, "save_g2o") and not inside:
             remedy = "Graph.save_g2o writes a graph, and Graph.from_g2o reads one"
         raise OptionError(f"log must be a Log, not {quoted(log)}; {remedy}")

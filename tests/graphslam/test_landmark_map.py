@@ -171,6 +171,8 @@ def test_degrees_of_longitude_and_latitude_are_refused(tmp_path):
         (({1: (0, 0)}, {2: np.eye(2)}), "landmark 2, which is not in the map"),
         (({1: (0, 0)}, {1: np.eye(3)}), r"shape \(2, 2\)"),
         (({1: (0, 0)}, {1: [[1, 2], [0, 1]]}), "symmetric"),
+        (({1: (0, 0)}, np.eye(2)), "covariances of a map are {id: "),
+        (({1: (0, 0)}, 0.01), "covariances of a map are {id: "),
     ],
 )
 def test_an_impossible_map_is_refused(arguments, message):
@@ -181,6 +183,22 @@ def test_an_impossible_map_is_refused(arguments, message):
 def test_a_singular_covariance_is_no_prior():
     with pytest.raises(OptionError, match="singular"):
         LandmarkMap({1: (0, 0)}, {1: np.zeros((2, 2))}).own_information(1, 2)
+
+
+def test_maps_are_equal_that_say_the_same(tmp_path):
+    known = solve(Graph.from_log(simulate(seed=1, steps=40, clean=True))).map
+    known.save(tmp_path / "map.npz")
+    copied = known.copy()
+    assert known == LandmarkMap.load(tmp_path / "map.npz") == copied
+    assert not known != copied  # noqa: SIM202  # dictionaries have an operator of its own
+    assert copied.joint is not None  # a plain dictionary would be a map of exact landmarks
+    assert known != known.used_as("own") != known.used_as("fixed") and known != dict(known)
+    copied[0][0] += 0.1
+    assert known != copied
+
+
+def test_ids_of_floating_point_numbers_are_ids():
+    assert list(LandmarkMap({np.float64(3.0): (0, 0)})) == [3]
 
 
 def test_a_log_is_no_map(tmp_path):

@@ -1,7 +1,23 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from graphslam import Graph, GraphError, Log, LogError, MotionModel, SensorModel, load, save
+from graphslam import (
+    AbsolutePositions,
+    Graph,
+    GraphError,
+    LandmarkMap,
+    Log,
+    LogError,
+    MotionModel,
+    OptionError,
+    PoseRelations,
+    SensorModel,
+    load,
+    save,
+    solve,
+)
 from graphslam.log import UNIDENTIFIED
 from graphslam.log.measurements import PartialSightings
 
@@ -70,11 +86,50 @@ def test_two_sightings_of_one_landmark_in_one_step_are_allowed_here():
         ({"sightings": [[2.0], [1.5], [4.0]]}, "sightings must have shape"),
         ({"true_landmarks": {3: [1.0]}}, r"true_landmarks\[3\] must be"),
         ({"start_time": np.nan}, "start_time"),
+        (
+            {"sightings": [[2.0, 20, 0], [1.5, -31, 0], [4.0, 5, 0]]},
+            r"beyond 2 pi \(median 20 rad\): are they in degrees",
+        ),
+        (
+            {"sightings": [[2.0, 0.2, 120], [1.5, -0.3, 9], [4.0, 0, 0]]},
+            r"beyond 2 pi \(median 9 rad\): are they in degrees",
+        ),
     ],
 )
 def test_impossible_logs_are_refused(changes, message):
     with pytest.raises(LogError, match=message):
         make(**changes)
+
+
+def test_a_log_needs_no_sightings():
+    relations = PoseRelations(first=[0, 1], second=[1, 2], motions=[[1, 0, 0.1]] * 2, covariances=0.01 * np.eye(3))
+    log = Log(initial_poses=np.zeros((3, 3)), relations=relations)
+    assert log.equals(Log(initial_poses=np.zeros((3, 3)), relations=relations, steps=[], landmarks=[], sightings=[]))
+    np.testing.assert_allclose(solve(Graph.from_log(log)).poses[1], [1, 0, 0.1], atol=1e-9)
+    one = Log(dt=[], controls=[], steps=[0], landmarks=[3], sightings=[[1.0, 0.1]])
+    assert one.num_poses == 1
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: PoseRelations(first=[0], second=[1], motions=[[1, 0, 90]], covariances=np.eye(3)),
+        lambda: AbsolutePositions(steps=[0, 1], places=[[1, 0, np.nan], [1, 0, -90]], covariances=np.eye(3)),
+        lambda: LandmarkMap({1: (1, 0, 90)}),
+    ],
+)
+def test_headings_in_degrees_are_refused(make):
+    with pytest.raises(OptionError, match="is 90 rad, beyond 8 pi: is it in degrees"):
+        make()
+
+
+def test_what_is_no_log_is_told_what_it_is(tmp_path):
+    graph = Graph.from_log(make())
+    for value, remedy in ((graph, "take its attribute log"), ([make()], "give one log"), (1, "graphslam.load")):
+        with pytest.raises(OptionError, match=remedy):
+            save(value, tmp_path / "log.npz")
+    with pytest.raises(OptionError, match="Graph.save_g2o writes a graph"):
+        save(replace(graph, log=None), tmp_path / "log.npz")
 
 
 def fine(**changes):

@@ -69,6 +69,8 @@ BAD_CALLS = [
     ("observe", {"ids": [3], "sightings": [[np.nan, -7.0]]}, OptionError, "beyond 2 pi: is it in degrees"),
     ("relate", {"first": 0, "second": 1, "motion": (1, 0, 90.0), "covariance": np.eye(3)}, OptionError, "beyond 8 pi"),
     ("move", {"motion": (1, 0, 90.0), "covariance": np.eye(3)}, OptionError, "beyond 8 pi"),
+    ("move", {"control": (1.0, 45.0), "dt": 1.0}, OptionError, "the turn rate of control is 45 rad/s, beyond 8 pi: is it in degrees"),
+    ("relate", {"first": 1, "second": 1, "motion": (1, 0, 0), "covariance": np.eye(3)}, GraphError, "pose 1 to itself"),
 ]
 
 
@@ -92,6 +94,30 @@ def test_a_bad_call_changes_nothing(call, arguments, error, message):
     solver.move((1.0, 0.0), time=2.0)
     solver.observe([2], [[1.0, -0.8]], time=2.0)
     assert solver.step == 2
+
+
+@pytest.mark.parametrize("backend", ["own", "isam2"])
+def test_ids_of_a_row_of_numbers_are_ids(backend):
+    rows, found = np.array([[7.0, 2.0, 0.3], [-2.0, 1.5, -0.4]]), []
+    for ids in (rows[:, 0], [7, -2]):
+        solver = OnlineSolver(backend=backend)
+        solver.observe(ids, rows[:, 1:])
+        found.append(solver.landmarks)
+    assert list(found[0]) == list(found[1])
+    for id in (7, -2):
+        np.testing.assert_array_equal(found[0][id], found[1][id])
+
+
+def test_what_isam2_cannot_do_is_said():
+    for attempt in (copy, deepcopy, pickle.dumps):
+        with pytest.raises(TypeError, match="ISAM2 can neither be copied nor pickled; the backend 'own' can"):
+            attempt(OnlineSolver(backend="isam2"))
+
+
+@pytest.mark.parametrize("backend", ["own", "isam2"])
+def test_only_logs_and_graphs_are_replayed(backend):
+    with pytest.raises(OptionError, match="log must be a Log, not 'drive.npz'; graphslam.load"):
+        next(iter(replay("drive.npz", backend=backend)))
 
 
 def test_dt_is_the_time_since_the_newest_pose():

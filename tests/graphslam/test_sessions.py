@@ -62,6 +62,8 @@ def test_a_drive_that_was_cut_is_joined_again(count: int) -> None:
     parts = joined.split(found.poses)
     assert [len(part) for part in parts] == [len(part.initial_poses) for part in cut(log, count)]
     assert np.array_equal(np.concatenate(parts), found.poses)
+    with pytest.raises(OptionError, match="split takes an array of 91 rows, such as solution.poses, not <Solution"):
+        joined.split(found)
 
 
 def test_where_the_motion_between_is_known_the_solution_is_the_uncut_one() -> None:

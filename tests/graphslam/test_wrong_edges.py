@@ -198,6 +198,30 @@ def test_wrong_groups_of_a_family_in_numpy() -> None:
             replace(graph, families=(*graph.families, FixEdges(np.arange(4), np.zeros((4, 2)), spread)))
 
 
+def test_a_family_in_numpy_that_returns_other_things() -> None:
+    graph, fixes = ring(6), (np.arange(4), np.zeros((4, 2)))
+
+    class Listed(FixEdges):
+        def cliques(self) -> Any:
+            return [[node] for node in self.nodes]
+
+    class Pair(FixEdges):
+        def linearize(self, state: np.ndarray, _: np.ndarray) -> Any:
+            return state[self.nodes, :2] - self.measured, np.eye(2)
+
+    with pytest.raises(GraphError, match=r"Listed: cliques\(\) must return two arrays, starts and nodes, not \["):
+        replace(graph, families=(*graph.families, Listed(*fixes)))
+    with pytest.raises(GraphError, match=r"Pair: linearize\(\) must return a Linearization, not \(array"):
+        solve(replace(graph, families=(*graph.families, Pair(*fixes))))
+
+
+def test_a_graph_of_lists_is_one_of_arrays() -> None:
+    graph = ring(6)
+    names = ("steps", "trajectory", "pose_ids", "landmark_ids", "fixed")
+    listed = replace(graph, families=list(graph.families), **{name: getattr(graph, name).tolist() for name in names})
+    np.testing.assert_array_equal(solve(listed).poses, solve(graph).poses)
+
+
 def test_a_linearisation_of_another_shape() -> None:
     edges = FixEdges(np.arange(4), np.zeros((4, 2))).linearize(np.zeros((6, 3)), np.zeros((6, 3)))
     with pytest.raises(GraphError, match=r"needs information \(4, 2, 2\), and for each end .* not the shapes \(2, 2\)"):
