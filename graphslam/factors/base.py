@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import atexit
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import cos, floor, isfinite, pi, sin
 from operator import index
 from threading import Lock
@@ -29,8 +29,8 @@ from .arguments import positive_definite
 from .description import FACTOR_TYPES, FactorDescription, describe, key_name
 
 #: the value at a key: a `gtsam.Pose2`, given to residuals as (x, y, theta), or a `gtsam.Point2`, given as (x, y)
-POSE, POINT = "pose", "point"
-KINDS = {POSE: (3, "gtsam.Pose2"), POINT: (2, "gtsam.Point2")}
+POSE, POINT, NUMBER = "pose", "point", "number"
+KINDS = {POSE: (3, "gtsam.Pose2"), POINT: (2, "gtsam.Point2"), NUMBER: (1, "float")}
 
 KernelLike = Kernel | str | None
 Coordinates = Sequence[float] | Array
@@ -60,8 +60,8 @@ class Factor(gtsam.CustomFactor):
 
     Args:
         keys: one for each argument of the residual.
-        kinds: "pose" or "point" for each key.
-        residual: called with one (x, y, theta) or (x, y) per key; returns e and one Jacobian (rows, 3 or 2) per key.
+        kinds: "pose", "point" or "number" for each key.
+        residual: called with (x, y, theta), (x, y) or (number,) per key; returns e and a Jacobian (rows, 3, 2 or 1) per key.
         arguments: all other arguments of the factor type, by name. ``kernel`` must be among them, a robust kernel around the
             noise model or None (see `graphslam.edges.robust`); ``scale`` may be, a factor on the information.
         covariance, information: (rows, rows), one of the two.
@@ -141,7 +141,7 @@ def _guarded(
     error: Callable[..., ArrayLike] | None,
 ) -> Callable[..., Array]:
     """The callback of a `gtsam.CustomFactor` around a residual; the arguments are those of `Factor`."""
-    ends = [(key, kind == POSE) for key, kind in zip(keys, kinds)]
+    ends = list(zip(keys, kinds))
     expected, shapes = (rows,), [(rows, KINDS[kind][0]) for kind in kinds]
 
     def callback(_this: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> Array:
@@ -164,8 +164,8 @@ def _guarded(
             if jacobians is not None:
                 if not hasattr(by_value, "__len__") or len(by_value) != len(keys):
                     raise FactorError(f"it needs {len(keys)} Jacobians, one per key, not {quoted(by_value)}")
-                for k, (value, (_, is_pose), shape) in enumerate(zip(at, ends, shapes)):
-                    jacobian = _matrix(k, by_value[k], value[2] if is_pose and not in_own_axes else None)
+                for k, (value, kind, shape) in enumerate(zip(at, kinds, shapes)):
+                    jacobian = _matrix(k, by_value[k], value[2] if kind == POSE and not in_own_axes else None)
                     if jacobian.shape != shape:
                         raise FactorError(f"Jacobian {k} must have shape {shape}, not {jacobian.shape}")
                     # for few numbers this is faster than NumPy's sum
@@ -184,19 +184,19 @@ def _guarded(
     return callback
 
 
-def values_at(values: gtsam.Values, ends: Sequence[tuple[int, bool]]) -> list[Coordinates]:
-    """The values at keys, each with whether it is a pose: (x, y, theta), or (x, y).
+def values_at(values: gtsam.Values, ends: Iterable[tuple[int, str]]) -> list[Coordinates]:
+    """The values at keys, each with its kind: (x, y, theta), (x, y), or (number,).
 
     Raises:
         RuntimeError, TypeError: there is no such value at a key.
     """
     at: list[Coordinates] = []
-    for key, is_pose in ends:
-        if is_pose:
+    for key, kind in ends:
+        if kind == POSE:
             pose = values.atPose2(key)
             at.append((pose.x(), pose.y(), pose.theta()))
         else:
-            at.append(values.atPoint2(key))
+            at.append(values.atPoint2(key) if kind == POINT else (values.atDouble(key),))
     return at
 
 
@@ -294,7 +294,7 @@ def _unreadable(values: gtsam.Values, keys: Sequence[int], kinds: Sequence[str])
         if not values.exists(key):
             return f"the values have nothing at its key {name}; insert a {wanted} there"
         try:
-            values.atPose2(key) if kind == POSE else values.atPoint2(key)
+            values_at(values, [(key, kind)])
         except (RuntimeError, TypeError):
             return f"the value at its key {name} is no {wanted}"
     return "its values cannot be read"
@@ -309,16 +309,17 @@ STEP = 1e-6
 
 
 class ResidualFactor(Factor):
-    """Any residual between poses and points, with cost e' Omega e, evaluated as safely as the other factor types.
+    """Any residual of poses, points and numbers, with cost e' Omega e, evaluated as safely as the other factor types.
 
     Args:
         keys: one for each argument of the residual.
-        residual: called with one array per key, (x, y, theta) of a `gtsam.Pose2` or (x, y) of a `gtsam.Point2`. Returns
-            e (d,), or (e, [de/d(x, y, theta) (d, 3) or de/d(x, y) (d, 2) for each key]); derivatives are by plain world
-            coordinates, and turned into GTSAM's here. Without them central differences are taken, for which e must not
-            jump (wrap angles so that the jump is far from the values you expect).
+        residual: called with one array per key, (x, y, theta) of a `gtsam.Pose2`, (x, y) of a `gtsam.Point2`, or (value,)
+            of a float, such as a scale. Returns e (d,), or (e, [de/d(x, y, theta) (d, 3), de/d(x, y) (d, 2) or de/dvalue
+            (d, 1) for each key]); derivatives are by plain world coordinates, and turned into GTSAM's here. Without them
+            central differences are taken, for which e must not jump (wrap angles so that the jump is far from the values
+            you expect).
         information: Omega (d, d).
-        kinds: "pose" or "point" for each key; default: poses.
+        kinds: "pose", "point" or "number" for each key; default: poses.
         kernel: a robust kernel around the noise model; see `graphslam.edges.robust`.
 
     Raises:
@@ -341,7 +342,7 @@ class ResidualFactor(Factor):
     ) -> None:
         keys = listed_keys("ResidualFactor", keys)
         if not (kinds is None or isinstance(kinds, (list, tuple))):
-            raise OptionError(f"kinds must be a list of {' and '.join(KINDS)}, not {quoted(kinds)}")
+            raise OptionError(f"kinds must be a list of {', '.join(KINDS)}, not {quoted(kinds)}")
         kinds = [POSE] * len(keys) if kinds is None else list(kinds)
         for kind in kinds:
             check_choice("kinds", kind, tuple(KINDS))

@@ -216,10 +216,10 @@ class Graph:
         return replace(self, families=with_closures(self.families, kernel_of(kernel)))
 
     def with_initial(self, initial: Array) -> Graph:
-        """The same graph with other initial values (n, 3)."""
+        """The same graph with other initial values (n, 3), of the poses and then of the landmarks."""
         values = array_of("initial", initial)
         if values.shape != self.initial.shape:
-            raise OptionError(f"initial must have shape {self.initial.shape}, not {values.shape}")
+            raise OptionError(f"initial must have shape {self.initial.shape}, poses first, not {values.shape}")
         if not np.isfinite(values).all():
             raise OptionError("initial must be finite numbers")
         return replace(self, initial=values.copy())

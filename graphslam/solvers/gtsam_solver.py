@@ -169,7 +169,7 @@ def _factor_with_parameters(
     for B, x, move in zip(jacobians_at, at, X):
         if move is not None:
             J += np.asarray(B) @ (turn_matrix(-x[2]) @ move if own else move)
-    slope, nodes = np.asfortranarray(J), list(zip(base.keys(), poses))
+    slope, nodes = np.asfortranarray(J), list(zip(base.keys(), base.kinds))
 
     def callback(_: gtsam.CustomFactor, estimate: gtsam.Values, jacobians: Any) -> Array:
         where = values_at(estimate, nodes)

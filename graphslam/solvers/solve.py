@@ -51,17 +51,17 @@ def solve(
             the correction is predicted to lower J by a negligible part only.
         max_iterations: the most steps of a run, for "gnc" the most rounds; with "auto", the lowest run that has not
             converged is continued once.
-        initialize: "given", the graph's own initial values; "dead-reckoning" along the motion edges; "rotation-first",
-            headings by linear least squares and then positions; "grow", solve the first poses, add ten more, solve again,
-            and so on; or "auto". "auto" starts landmark nodes from virtual-motion edges, and other graphs rotation-first
-            where the edges allow it. Where that does not converge, or ends above the cost of the given values, at an
-            implausible J or after many steps, it tries other turns of the robot and further starts until ends agree, or
-            an end is proven to be the global minimum. If no end is proven then, it also starts from the lowest one with a
-            random half of the sightings left out, several times, and then with all of them. In graphs of at most 1,000
-            nodes it also tries a few more starts if no end is proven. It returns the converged solution with the
-            lowest cost, which is never above that of the given values. Unless it is proven, a lower one may exist: of 400
-            logs with up to three times the book's noise, three ended 0.2 to 0.8 % too high (benchmarks/hard_logs.py --seed
-            70 to 73).
+        initialize: "given", the graph's own initial values, or yours (`Graph.with_initial`); "dead-reckoning" along the
+            motion edges; "rotation-first", headings by linear least squares and then positions; "grow", solve the first
+            poses, add ten more, solve again, and so on; or "auto". "auto" starts landmark nodes from virtual-motion edges,
+            and other graphs rotation-first where the edges allow it. Where that does not converge, or ends above the cost
+            of the given values, at an implausible J or after many steps, it tries other turns of the robot and further
+            starts until ends agree, or an end is proven to be the global minimum. If no end is proven then, it also starts
+            from the lowest one with a random half of the sightings left out, several times, and then with all of them. In
+            graphs of at most 1,000 nodes it also tries a few more starts if no end is proven. It returns the converged
+            solution with the lowest cost, which is never above that of the given values. Unless it is proven, a lower one
+            may exist: of 400 logs with up to three times the book's noise, three ended 0.2 to 0.8 % too high
+            (benchmarks/hard_logs.py --seed 70 to 73).
         callback: called after each step with an `Iteration`; with "auto" only after the search, once for each step of the
             run that is returned. It counts the steps of all passes to the estimated ranges. Not for "gnc".
         cost_tolerance: the iteration has also converged when a step changes J, or is predicted to change it, by less
@@ -118,6 +118,10 @@ def check_options(
 ) -> None:  # fmt: skip
     """Raise `OptionError` if an option of `solve` has an impossible value."""
     check_choice("method", method, (*METHODS, GNC))
+    if not isinstance(initialize, str):
+        raise OptionError(
+            "initialize names a start; for your own values: solve(graph.with_initial(values), initialize='given')"
+        )
     check_choice("initialize", initialize, INITIALIZE)
     check_choice("range_noise", range_noise, RANGE_NOISES)
     check_positive(tolerance=tolerance)

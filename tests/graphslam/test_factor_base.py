@@ -154,6 +154,30 @@ def test_a_residual_between_a_pose_and_a_point():
     np.testing.assert_allclose(jacobian, [[-c, s, 0, 1, 0], [-s, -c, 0, 0, 1]], atol=1e-8)
 
 
+def test_a_number_is_calibrated_with_the_poses():
+    """Distances that a sensor reports 5 % too long, between poses that priors hold: the scale is their quotient."""
+    graph, start, scale = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.symbol("s", 0)
+    for k in range(3):
+        graph.add(AnchorFactor(k, (2.0 * k, 0, 0)))
+        start.insert(k, gtsam.Pose2(2.0 * k, 0, 0))
+    start.insert(scale, 1.0)
+
+    def too_long(a, b, s, exact=True):
+        d = (b - a)[:2]
+        r = np.hypot(*d)
+        e = np.array([s[0] * r - 2.1])
+        return (e, [-s[0] * np.array([[*d / r, 0]]), s[0] * np.array([[*d / r, 0]]), [[r]]]) if exact else e
+
+    kinds = ["pose", "pose", "number"]
+    for residual in (too_long, lambda a, b, s: too_long(a, b, s, exact=False)):
+        graph.add(ResidualFactor([0, 1, scale], residual, np.eye(1), kinds=kinds))
+        graph.add(ResidualFactor([1, 2, scale], residual, np.eye(1), kinds=kinds))
+        result = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
+        assert result.atDouble(scale) == pytest.approx(1.05, abs=1e-6)
+    with pytest.raises(FactorError, match="the value at its key 1 is no float"):
+        ResidualFactor([0, 1], lambda *at: at[1], np.eye(1), kinds=["pose", "number"]).error(start)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -69,7 +69,12 @@ BAD_CALLS = [
     ("observe", {"ids": [3], "sightings": [[np.nan, -7.0]]}, OptionError, "beyond 2 pi: is it in degrees"),
     ("relate", {"first": 0, "second": 1, "motion": (1, 0, 90.0), "covariance": np.eye(3)}, OptionError, "beyond 8 pi"),
     ("move", {"motion": (1, 0, 90.0), "covariance": np.eye(3)}, OptionError, "beyond 8 pi"),
-    ("move", {"control": (1.0, 45.0), "dt": 1.0}, OptionError, "the turn rate of control is 45 rad/s, beyond 8 pi: is it in degrees"),
+    (
+        "move",
+        {"control": (1.0, 45.0), "dt": 1.0},
+        OptionError,
+        "the turn rate of control is 45 rad/s, beyond 8 pi: is it in degrees",
+    ),
     ("relate", {"first": 1, "second": 1, "motion": (1, 0, 0), "covariance": np.eye(3)}, GraphError, "pose 1 to itself"),
 ]
 

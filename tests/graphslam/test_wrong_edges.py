@@ -222,6 +222,16 @@ def test_a_graph_of_lists_is_one_of_arrays() -> None:
     np.testing.assert_array_equal(solve(listed).poses, solve(graph).poses)
 
 
+def test_initial_values_of_ones_own() -> None:
+    graph = ring(6)
+    values = graph.initial + 0.01
+    with pytest.raises(OptionError, match=r"with_initial\(values\), initialize='given'"):
+        solve(graph, initialize=values)
+    assert solve(graph.with_initial(values), initialize="given").converged
+    with pytest.raises(OptionError, match=r"initial must have shape \(6, 3\), poses first, not \(5, 3\)"):
+        graph.with_initial(values[:5])
+
+
 def test_a_linearisation_of_another_shape() -> None:
     edges = FixEdges(np.arange(4), np.zeros((4, 2))).linearize(np.zeros((6, 3)), np.zeros((6, 3)))
     with pytest.raises(GraphError, match=r"needs information \(4, 2, 2\), and for each end .* not the shapes \(2, 2\)"):
