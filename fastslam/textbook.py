@@ -338,17 +338,19 @@ def fastslam1(
     log: Log,
     *,
     particles: int = 100,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     ess_threshold: float = 1.0,
 ) -> Iterator[list[Particle]]:
     """Run FastSLAM 1.0 over a log and yield the particles after every step, the first at the known first pose.
 
+    ``rng`` gives the random numbers, or is the seed of one that does.
+
     Raises:
         LogError: the log has no controls, several controls in a step, a sensor at an offset, or a motion model with slip.
     """
-    motion, sensor = log.noise_models(motion, sensor)
+    motion, sensor, rng = *log.noise_models(motion, sensor), np.random.default_rng(rng)
     current = start(particles, log.initial_poses[0])
     for u, dt, ids, sightings in measurements(log, motion, sensor):
         if u is not None:
@@ -362,7 +364,7 @@ def fastslam2(
     log: Log,
     *,
     particles: int = 100,
-    rng: np.random.Generator,
+    rng: np.random.Generator | int,
     motion: MotionModel | None = None,
     sensor: SensorModel | None = None,
     ess_threshold: float = 1.0,
@@ -375,7 +377,7 @@ def fastslam2(
         OptionError: there is no such proposal_weight.
     """
     check_choice("proposal_weight", proposal_weight, PROPOSAL_WEIGHTS)
-    motion, sensor = log.noise_models(motion, sensor)
+    motion, sensor, rng = *log.noise_models(motion, sensor), np.random.default_rng(rng)
     current = start(particles, log.initial_poses[0])
     for u, dt, ids, sightings in measurements(log, motion, sensor):
         if u is None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..edges.robust import Kernel
 from ..errors import GraphError, OptionError
-from ..errors.checks import check_choice, check_count, check_not_negative, check_number, check_positive
+from ..errors.checks import check_choice, check_count, check_not_negative, check_number, check_positive, check_type
 from ..factors import AnchorFactor, LandmarkFactor, ObservationFactor, PositionFactor, RelativePoseFactor
 from ..graph.trilateration import NumberRow, WaitingNumbers, edges_of_rows
 from ..models import RESIDUALS, WEIGHTS, SensorModel
@@ -79,6 +79,7 @@ class Isam2Backend(Backend):
         check_choice("residual", residual, RESIDUALS)
         if kernel is not None and edges.startswith("virtual"):
             raise OptionError("isam2 takes a kernel with edges='landmark+motion' only")
+        check_type(gtsam.ISAM2Params, params=params)
         params = _parameters(threshold, skip, factorization) if params is None else params
         # a factor that was removed leaves a slot for the next one
         params.findUnusedFactorSlots = True

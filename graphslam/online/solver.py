@@ -172,7 +172,8 @@ class OnlineSolver:
         """Add sightings of landmarks.
 
         Args:
-            ids: the landmarks (K,); in a map None, or `graphslam.log.UNIDENTIFIED` for some, where the map has to say it.
+            ids: the landmarks (K,); in a map None, or -1 or `graphslam.log.UNIDENTIFIED` for some, where the map has to say
+                it.
             sightings: (K, 2 or 3), what the sensor measures. Without psi one of range and bearing may be NaN: it was not
                 measured. A landmark that has only such sightings waits (`waiting`) until they leave one place for it; with a
                 lag, those from poses that have become final do not count.
@@ -400,8 +401,9 @@ class OnlineSolver:
 
     def _checked(self, ids: ArrayLike | None, sightings: ArrayLike) -> tuple[list[int], Array]:
         in_map, columns = isinstance(self._backend, Localizer), self._backend.columns
-        advice = "the solver takes identified landmarks only: leave out what nobody has identified"
-        landmarks, z = checked_sightings(ids, sightings, (NO_ID,) if in_map else (UNIDENTIFIED, NO_ID), advice)
+        advice = "the solver takes identified landmarks only, except in a map: leave out what nobody has identified"
+        landmarks, z = checked_sightings(ids, sightings, () if in_map else (UNIDENTIFIED, NO_ID), advice)
+        landmarks[landmarks == NO_ID] = UNIDENTIFIED
         if len(z) == 0:
             return [], np.zeros((0, columns or 2))
         if np.any(np.isnan(z).any(axis=1) & (landmarks == UNIDENTIFIED)):

@@ -113,6 +113,7 @@ def test_sightings_without_ids_are_refused(ids):
         ({"factorization": "lu"}, OptionError, "factorization must be one of"),
         ({"threshold": -1.0}, OptionError, "threshold must not be negative"),
         ({"skip": 0}, OptionError, "skip must be a positive number"),
+        ({"params": 1}, OptionError, "params must be an ISAM2Params, not 1"),
     ],
 )
 def test_options_that_isam2_does_not_have(options, error, message, book_log):

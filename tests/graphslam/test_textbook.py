@@ -56,6 +56,10 @@ def test_impossible_requests(book_log, shared_data):
         textbook.solve(book_log, edges="landmark")
     with pytest.raises(OptionError, match="dimensions"):
         textbook.solve(book_log.without_orientation(), dimensions=3)
+    with pytest.raises(OptionError, match="threshold must be a positive number, not -1"):
+        textbook.solve(book_log, threshold=-1)
+    with pytest.raises(OptionError, match="log must be a Log, not 'drive.npz'; graphslam.load"):
+        textbook.solve("drive.npz")
 
 
 @pytest.mark.slow

@@ -241,6 +241,20 @@ def test_late_sightings_find_a_robot_and_notice_that_it_was_lifted(with_ids):
     assert solver.integrity_risk(1.0) < 0.01
 
 
+def test_in_a_map_an_id_of_minus_one_is_none():
+    log, poses = elsewhere(10, (-4.0, 3.0, 0.0)), []
+    for missing in (UNIDENTIFIED, -1):
+        solver = OnlineSolver(map=TRUE, **MODELS)
+        for step in range(10):
+            if step > 0:
+                solver.move(log.controls[step - 1], log.dt[step - 1])
+            now = log.steps == step
+            solver.observe(np.where(log.landmarks[now] % 2 == 0, missing, log.landmarks[now]), log.sightings[now])
+        assert missing not in solver.landmarks
+        poses.append(solver.poses)
+    np.testing.assert_array_equal(*poses)
+
+
 def test_a_start_that_is_given_is_used():
     log = elsewhere(10, (-4.0, 3.0, 0.0))
     solver = OnlineSolver(log.true_poses[0], map=TRUE, start_covariance=0.01 * np.eye(3), **MODELS)
