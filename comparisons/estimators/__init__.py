@@ -207,7 +207,8 @@ def online_steps(log: Log, options: RunOptions) -> Iterator[graphslam.OnlineSolv
 def bounds_of(options: RunOptions) -> tuple[float, float]:
     """The bounds of `graphslam.Solution.integrity_risk` [m, rad]."""
     metres, degrees = options.bound
-    return metres, float(np.radians(degrees))
+    # no heading is off by more than half a turn
+    return metres, float(np.radians(degrees)) if degrees < 180 else np.inf
 
 
 def _no_map(name: str, options: RunOptions) -> None:

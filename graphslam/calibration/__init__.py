@@ -178,7 +178,7 @@ class Calibration:
 
 
 def calibrate(
-    log: Log,
+    log: Log | Sequence[Log],
     *others: Log,
     source: str = "auto",
     motion: MotionModel | None = None,
@@ -199,7 +199,7 @@ def calibrate(
     In logs whose sightings have no ids, ids and noise are found in turn, see `robot_of`.
 
     Args:
-        log, others: the logs; of one kind of robot, since they share all numbers.
+        log, others: the logs, or a list of them; of one kind of robot, since they share all numbers.
         source: "truth", "residuals", or "auto": the truth where poses, headings and landmarks are known. Where the map is
             not, "auto" takes the numbers of the motion from the true poses, and those of the sensor from residuals. Where
             fewer than `FEWEST_MOTIONS` motions have true poses at both ends, all are from residuals.
@@ -213,17 +213,17 @@ def calibrate(
         GraphError: the sightings do not determine the noise.
         OptionError: an option has an impossible value.
     """
-    for each in (log, *others):
+    logs: tuple[Any, ...] = (*log, *others) if isinstance(log, list | tuple) and log else (log, *others)
+    for each in logs:
         check_is_log(each)
     if degrees is not None:
         check_not_negative(degrees=degrees)
         degrees = float(array_of("degrees", degrees))
     check_choice("source", source, SOURCES)
-    logs = (log, *others)
-    motion, sensor = log.noise_models(motion, sensor)
+    motion, sensor = logs[0].noise_models(motion, sensor)
     moved = sum(map(true_motions, logs))
     if auto := source == "auto":
-        without_motions = log.controls is not None and moved < FEWEST_MOTIONS
+        without_motions = logs[0].controls is not None and moved < FEWEST_MOTIONS
         source = "truth" if all(map(knows_enough, logs)) and not without_motions else "residuals"
     _check(logs, source)
     if source == "truth":

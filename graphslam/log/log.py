@@ -478,7 +478,7 @@ def check_is_log(log: object) -> None:
         inside = isinstance(getattr(log, "log", None), Log)
         remedy = "take its attribute log" if inside else "graphslam.load(path) reads one"
         if isinstance(log, (list, tuple)):
-            remedy = "give one log; functions of several take each as an argument of its own"
+            remedy = "give one log; Graph.from_logs and join_logs make one of several"
         elif hasattr(log, "save_g2o") and not inside:
             remedy = "Graph.save_g2o writes a graph, and Graph.from_g2o reads one"
         raise OptionError(f"log must be a Log, not {quoted(log)}; {remedy}")

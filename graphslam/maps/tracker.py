@@ -45,6 +45,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import OptionError, quoted
+from ..errors.checks import check_real
 from ..log import UNIDENTIFIED
 from ..models import SensorModel
 from ..se2 import Array, lever_matrix, perpendicular, rotation, wrap
@@ -317,13 +318,17 @@ def beyond(covariances: Array, metres: float, radians: float = np.inf) -> Array:
     the integral over the circle one of differences of error functions.
 
     Raises:
-        OptionError: a bound is not positive.
+        OptionError: a bound is not positive, or that of the heading is beyond pi, as one in degrees.
     """
     from scipy.special import ndtr
 
+    check_real(metres=metres, radians=radians)
     for name, bound in (("metres", metres), ("radians", radians)):
         if not bound > 0:
             raise OptionError(f"{name} must be a bound above 0, not {quoted(bound)}")
+    if np.pi < radians < np.inf:
+        message = f"radians is {radians:g}, beyond pi, which bounds no heading: is it in degrees?"
+        raise OptionError(f"{message} Give np.deg2rad(...), or leave it out")
     P = np.asarray(covariances, dtype=float)
     variance = np.maximum(P[..., 2, 2], 1e-18)
     slope = P[..., :2, 2] / variance[..., None]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError, quoted
-from ..errors.checks import array_of, check_choice, check_count, check_options, option
+from ..errors.checks import array_of, check_choice, check_count, check_heading, check_options, option
 from ..log import Log
 from ..log.measurements import PartialSightings
 from ..models import MotionModel, SensorModel
@@ -64,6 +64,7 @@ class World:
         start, route, landmarks = array_of("start", self.start), self.way_points, self.landmarks
         if start.shape != (3,):
             raise OptionError(f"start must be (x, y, theta), not an array of shape {start.shape}")
+        check_heading("start", start[2])
         object.__setattr__(self, "start", tuple(start.tolist()))
         if route is not None:
             object.__setattr__(self, "way_points", _places("way_points must have shape (W, 2)", route, (2,)))

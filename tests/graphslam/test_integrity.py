@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from comparisons.estimators import bounds_of
+from comparisons.options import RunOptions
 from graphslam import (
     Graph,
     LandmarkMap,
@@ -89,6 +91,16 @@ def test_correlated_errors_are_counted_right():
 def test_bounds_must_be_positive():
     with pytest.raises(OptionError, match="radians must be a bound above 0"):
         beyond(np.eye(3), 0.5, 0.0)
+    with pytest.raises(OptionError, match="metres must be a number, not 'a'"):
+        beyond(np.eye(3), "a")
+
+
+def test_a_bound_of_the_heading_in_degrees_is_refused():
+    """It bounded nothing, so that the stated risk was too small."""
+    with pytest.raises(OptionError, match="radians is 10, beyond pi, which bounds no heading: is it in degrees"):
+        beyond(np.eye(3), 0.5, 10)
+    assert bounds_of(RunOptions.of(map="map.npz", bound=(0.5, 360.0))) == (0.5, np.inf)
+    assert bounds_of(RunOptions.of(map="map.npz", bound=(0.5, 10.0))) == (0.5, np.radians(10.0))
 
 
 def test_larger_residuals_make_larger_covariances():

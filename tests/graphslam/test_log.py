@@ -125,7 +125,11 @@ def test_headings_in_degrees_are_refused(make):
 
 def test_what_is_no_log_is_told_what_it_is(tmp_path):
     graph = Graph.from_log(make())
-    for value, remedy in ((graph, "take its attribute log"), ([make()], "give one log"), (1, "graphslam.load")):
+    for value, remedy in (
+        (graph, "take its attribute log"),
+        ([make()], "give one log; Graph.from_logs and"),
+        (1, "graphslam.load"),
+    ):
         with pytest.raises(OptionError, match=remedy):
             save(value, tmp_path / "log.npz")
     with pytest.raises(OptionError, match="Graph.save_g2o writes a graph"):
