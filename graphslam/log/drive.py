@@ -447,6 +447,7 @@ def sightings_of(table: Table, options: TableOptions) -> Timed:
         rows[:, :2] = polar(from_centre - checked_offset("sensor_offset", options.sensor_offset))
     ns, order, more = ordered(reader.table, ns)
     ids, rows = found.numbers[order], rows[order]
+    rows[:, 1:] = wrap(rows[:, 1:])
     doubts = doubted + repeated_sightings(table, ns, ids, rows, np.arange(len(ns))[order])
     doubts += reader.answered(range="range unit", x="range unit")
     classes, remarks = reader.classes()

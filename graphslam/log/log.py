@@ -216,7 +216,8 @@ class Log:
         sightings = finite_floats("sightings", sightings, sightings.shape)
         if (k := first(sightings[:, 0] <= 0)) is not None:
             raise LogError(f"sighting {k} has range {sightings[k, 0]:g} m; a range must be above zero")
-        usual = np.median(np.abs(sightings[:, 1:]), axis=0).max() if len(sightings) else 0.0
+        # single angles may have turns in them, but most of them only in degrees
+        usual = np.median(np.abs(sightings[:, 1:]), axis=0).max() if len(sightings) > 2 else 0.0
         if usual > WHOLE_TURN:
             raise LogError(
                 f"half of the bearings or orientations are beyond 2 pi (median {usual:.3g} rad): are they in degrees? Give "
