@@ -320,7 +320,7 @@ def test_several_relations_in_one_call(backend: str) -> None:
     before, motion = together.poses, np.zeros((2, 3))
     for ends, error, words in (
         (([3, 30], [5, 31]), GraphError, "between poses 30 and 31: the poses so far are 0 to 29"),
-        (([3, 4], [5, 4]), GraphError, "between poses 4 and 4"),
+        (([3, 4], [5, 4]), GraphError, "from pose 4 to itself"),
         (([3, 4], [5]), OptionError, "as many pose numbers each"),
         (([3, 4.5], [5, 6]), OptionError, "first must be a whole number, not 4.5"),
     ):
