@@ -118,8 +118,7 @@ def check_sighted(name: str, angles: Iterable[float]) -> None:
 
 def check_heading(name: str, headings: ArrayLike) -> None:
     """Raise `OptionError` where a heading is beyond 8 pi, as those of degrees are."""
-    heading = float(np.abs(headings).max(initial=0.0))
-    if heading > FOUR_TURNS:
+    if (heading := float(np.abs(headings).max(initial=0.0))) > FOUR_TURNS:
         raise OptionError(
             f"the heading of {name} is {heading:g} rad, beyond 8 pi: is it in degrees? Give radians, np.deg2rad(...); if it "
             "is in radians, wrap it to [-pi, pi) with graphslam.se2.wrap"
@@ -271,10 +270,11 @@ def check_move(control: Any, dt: Any, motion: Any, covariance: Any) -> None:
         raise OptionError("a covariance belongs to a measured motion; that of a control comes from the motion model")
     if motion is not None and dt is not None:
         raise OptionError("dt belongs to a control, and a measured motion needs none: leave dt out")
-    if (u := array_or_none(control)) is not None and u.shape == (2,):
-        # a gyroscope may have single wrong rates, which must not end a drive
-        otherwise = "give motion and covariance instead, such as MotionModel.f and MotionModel.covariance"
-        check_turn_rate(float(u[1]), otherwise, most=FOUR_TURNS)
+
+
+def check_control(control: np.ndarray) -> None:
+    """Raise `OptionError` where a control (nu, omega) has a turn rate in degrees; single wrong ones must not end a drive."""
+    check_turn_rate(float(control[1]), "give motion and covariance, as MotionModel.f and covariance do", FOUR_TURNS)
 
 
 def from_home(path: Path) -> Path:

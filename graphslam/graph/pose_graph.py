@@ -259,9 +259,10 @@ def _doubts(lines: _Lines, information: Array, root: bool) -> tuple[str, ...]:
         )
     for note in notes:
         warnings.warn(f"{lines.path}: {note}", UserWarning, stacklevel=5)
-    rows, seen = [*lines.edges["pose"], *lines.edges["point"]], dict[tuple[object, ...], int]()
-    lines_of = ((edge.line, seen.setdefault((*edge.ids, *edge.numbers), edge.line)) for edge in rows)
-    if again := [(line, before) for line, before in lines_of if before != line]:
+    rows, seen = [*lines.edges["pose"], *lines.edges["point"]], dict[tuple[float, ...], _Edge]()
+    # a hash of three numbers is faster than that of all
+    pairs = ((edge, seen.setdefault((edge.ids[0], edge.ids[1], edge.numbers[0]), edge)) for edge in rows)
+    if again := [(e.line, before.line) for e, before in pairs if before is not e and before.numbers == e.numbers]:
         # a note alone, because both may have been measured
         line, before = again[0]
         notes.append(

@@ -18,6 +18,7 @@ from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import (
     array_or_none,
     check_choice,
+    check_control,
     check_count,
     check_heading,
     check_known,
@@ -153,8 +154,9 @@ class OnlineSolver:
             dt = time - self._arrived
         if control is not None:
             check_positive(dt=dt)  # type: ignore[arg-type]
+            check_control(u := finite_numbers("control", control, (2,)))
             # a motion beyond floating point has no inverse covariance, and is refused for that
-            measured, P = self.motion.moved(finite_numbers("control", control, (2,)), float(dt))  # type: ignore[arg-type]
+            measured, P = self.motion.moved(u, float(dt))  # type: ignore[arg-type]
             information = inverses(P[None], "motion", "raise epsilon")[0]
         else:
             measured, information = checked_pose("motion", motion), information_of(covariance)
