@@ -136,6 +136,7 @@ def test_yaml_of_apriltag_bundles_and_of_tagslam_is_read(tmp_path):
         ("m.csv", "id,x,y,var_x,cov_xy,var_y\n1,0,0,-1,0,1\n", "m.csv: "),
         ("m.yaml", "tags:\n- {id: 1, x: 2, y: 3}\n- {id: 2, x: two, y: 3}\n", "m.yaml:3: tag 2 needs a number as x"),
         ("m.yaml", "tags:\n- {id: 1, x: 2, y: 3}\n- {id: 1, x: 2, y: 3}\n", "m.yaml:3: landmark 1 is in the map twice"),
+        ("m.csv", "id,x,y,heading\n1,0,0,90\n", "m.csv: the heading of landmark 1 of the map is 90 rad, beyond 8 pi"),
         ("m.yaml", "tags: [\n", "m.yaml:2: not YAML"),
         ("m.yaml", "tags: []\n", "there is no landmark in it"),
         ("m.json", "{\n,", "m.json:2: not JSON"),
