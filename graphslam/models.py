@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from .engine import engine
 from .errors import OptionError, quoted
 from .errors.checks import check_options, check_positive, check_real, checked_offset, option
-from .se2 import Array, mounted, sinc, sinc_derivative, wrap
+from .se2 import Array, mounted, sinc, sinc_derivative, stacked, wrap
 
 #: the variances of speed, turn rate and sideways speed of a control of one second that stands for an unknown motion, such as
 #: that between two drives: a kilometre, and several turns, in any direction
@@ -401,7 +401,7 @@ class SensorModel(NoiseModel):
         sighting = [np.hypot(d[..., 0], d[..., 1]), wrap(direction - pose[..., 2])]
         if landmark.shape[-1] == 3:
             sighting.append(wrap(direction - landmark[..., 2]))
-        return np.stack(np.broadcast_arrays(*sighting), axis=-1)
+        return stacked(*np.broadcast_arrays(*sighting))
 
     def h_inverse(self, pose: ArrayLike, sighting: ArrayLike) -> Array:
         """The landmark that a sighting implies, h^-1(x, z) = (x + l cos, y + l sin, theta + phi - psi).
@@ -414,7 +414,7 @@ class SensorModel(NoiseModel):
         landmark = [pose[..., 0] + length * np.cos(direction), pose[..., 1] + length * np.sin(direction)]
         if sighting.shape[-1] == 3:
             landmark.append(wrap(direction - sighting[..., 2]))
-        return np.stack(landmark, axis=-1)
+        return stacked(*landmark)
 
     def H(self, pose: ArrayLike, landmark: ArrayLike) -> Array:
         """The derivative dh/dm of the sighting by the landmark; (..., 2, 2) or (..., 3, 3)."""

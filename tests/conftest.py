@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import os
+
+# before NumPy is imported: where two processes share two cores, threads of BLAS wait for each other, and tests with dense
+# matrices of 400 rows take 2 to 6 times the processor time
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import random
 import subprocess
 from collections.abc import Callable

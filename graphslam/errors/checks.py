@@ -61,7 +61,7 @@ def check_choice(name: str, value: str, allowed: Collection[str]) -> None:
 
 def _is_real(value: object) -> bool:
     """Whether a value is a real number; NumPy's time spans count themselves among the whole numbers."""
-    return isinstance(value, Real) and not isinstance(value, np.timedelta64)
+    return type(value) is float or (isinstance(value, Real) and not isinstance(value, np.timedelta64))
 
 
 def _check(values: Mapping[str, Any], holds: Callable[[Any], bool], wanted: str) -> None:

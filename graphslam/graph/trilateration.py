@@ -252,8 +252,10 @@ def _normal(parts: list[PartialEdges], sensors: list[Array], m: Array) -> tuple[
             w = w * part.kernel.weight(squares)
             squares = part.kernel.loss(squares)
         cost += squares.sum(axis=1)
-        H += np.einsum("se,sei,sej->sij", w, by_landmark, by_landmark)
-        g += np.einsum("se,se,sei->si", w, e, by_landmark)
+        # two products take a third of the time of one of three arrays
+        weighed = w[..., None] * by_landmark
+        H += np.swapaxes(weighed, 1, 2) @ by_landmark
+        g += np.einsum("se,sei->si", e, weighed)
     return cost, H, g
 
 

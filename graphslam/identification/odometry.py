@@ -165,6 +165,8 @@ class Odometry:
         )
         #: the last evaluations by `_single`: values of the parameters, averaging times, motions and slopes
         self._evaluated: list[tuple[Array, list[float], Array, Array]] = []
+        #: the last noise of the motion, and its averaging times
+        self._times_of: tuple[MotionModel | None, list[float]] = None, []
 
     def covers(self, log: Log) -> bool:
         """Whether all poses of a log are poses of this one."""
@@ -208,7 +210,9 @@ class Odometry:
     def _single(self, parameters: Parameters) -> tuple[Array, Array]:
         """`motions` between successive poses."""
         everything = replace(parameters, recorded=self.log)
-        times = averaging_times(everything, of_scales=True)
+        if parameters.motion is not self._times_of[0]:
+            self._times_of = parameters.motion, averaging_times(everything, of_scales=True)
+        times = self._times_of[1]
         for at, averaged, motions, slopes in self._evaluated:
             if averaged == times and near(parameters, at):
                 return motions + slopes @ (parameters.values - at), slopes

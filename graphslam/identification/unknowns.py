@@ -252,12 +252,14 @@ class Unknowns:
             return places
         d = self.sightings.shape[1]
         each = corrected_sensor(self.parameters).h_inverse(poses[self.seen_from], self.sightings)
-        order = np.argsort(group, kind="stable")
-        starts = np.searchsorted(group[order], np.arange(len(self.ids)))
-        for j, rows in enumerate(np.split(order, starts[1:])):
-            places[j, :2] = np.median(each[rows, :2], axis=0)
-            if d == 3:
-                places[j, 2] = each[rows[len(rows) // 2], 2]
+        count = np.bincount(group)
+        starts = np.cumsum(count) - count
+        below, above = starts + (count - 1) // 2, starts + count // 2
+        for k in range(2):
+            ordered = each[np.lexsort((each[:, k], group)), k]
+            places[:, k] = (ordered[below] + ordered[above]) / 2
+        if d == 3:
+            places[:, 2] = each[np.argsort(group, kind="stable")[above], 2]
         return places
 
     def motions(self) -> Edges:

@@ -119,20 +119,21 @@ def first_fix(
     landmarks, log = as_map(landmarks), _stretch(log, motion, sensor)
     if not log.identified:
         return _sure(log, landmarks, possible_fixes(log, landmarks))
-    fix, points, matches, found = _searched(log, landmarks, _rows(log, landmarks))
+    fix, points, matches, found = _searched(log, landmarks, _rows(log, landmarks), Drift(log))
     if fix is None:
         raise _no_fix(log, landmarks, points, matches, found)
-    return fix
+    end = smoothed(log, landmarks, fix.agree, found[0])
+    return replace(fix, pose=end.pose, covariance=end.covariance)
 
 
 def _searched(
-    log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, first: int = 1
+    log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, drift: Drift, first: int = 1
 ) -> tuple[Fix | None, Points, list[Match], list[Weighed]]:
     """The fix by the first sightings ``rows`` that suffice, or None; and what was last tried, one by one and together.
 
-    More than ``first`` of them are used, or all.
+    More than ``first`` of them are used, or all. The pose of the fix is not smoothed.
     """
-    count, drift = first, Drift(log)
+    count = first
     while True:
         count = min(max(count + 1, int(count * GROWTH)), len(rows))
         step = int(log.steps[rows[count - 1]])
@@ -160,8 +161,7 @@ def _searched(
                 enough &= _agreed(best, points.ids, len(landmarks), odds > SURE)
                 if best.covariance[2, 2] < OPEN**2 and enough:
                     agree, others = used[best.agree], used[~best.agree]
-                    end = smoothed(log, landmarks, agree, best)
-                    return Fix(end.pose, end.covariance, step, agree, others, odds), points, matches, found
+                    return Fix(best.pose, best.covariance, step, agree, others, odds), points, matches, found
         if whole:
             return None, points, matches, found
 
@@ -422,10 +422,10 @@ def _cause(log: Stretch, landmarks: LandmarkMap, found: list[Weighed]) -> str:
 
     All sightings are used, because the first few may agree with the landmarks of a map in a wrong unit by chance.
     """
-    rows = _rows(log, landmarks)
+    rows, drift = _rows(log, landmarks), Drift(log)
     likely, most = "", max((float(np.mean(each.agree)) for each in found[:1]), default=0.0)
     for name, changed in _corrected(landmarks):
-        fix = _searched(log, changed, rows, first=len(rows))[0]
+        fix = _searched(log, changed, rows, drift, first=len(rows))[0]
         if fix is None or fix.odds <= SURE or len(np.unique(log.landmarks[fix.agree])) <= 2:
             continue
         # in a joined log, whose drives may begin anywhere, a wrong unit may fit some of them

@@ -151,11 +151,12 @@ def _merged(
         WG = W @ G
         Y = np.linalg.inv(G.T @ WG + np.diag((~known[first]).ravel().astype(float)))
         means = Y @ (WG.T @ y.ravel())
-        M = (W - WG @ Y @ WG.T).reshape(len(rows), 3, len(rows), 3)
         r = (W @ (y.ravel() - G @ means)).reshape(-1, 3)
         each = np.arange(len(rows))
+        WG = WG.reshape(len(rows), 3, -1)
+        M = W.reshape(len(rows), 3, len(rows), 3)[each, :, each] - WG @ Y @ np.swapaxes(WG, 1, 2)
         alone = np.bincount(number)[number] == 1
-        squares = np.einsum("ki,kij,kj->k", r, np.linalg.pinv(M[each, :, each]), r)
+        squares = np.einsum("ki,kij,kj->k", r, np.linalg.pinv(M), r)
         worst = np.zeros(len(ids))
         np.maximum.at(worst, number, np.where(alone, 0.0, squares))
         out = (squares > APART) & (squares > 0.999 * worst[number]) & ~alone

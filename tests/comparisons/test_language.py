@@ -13,13 +13,14 @@ import tomllib
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 from matplotlib.text import Text
 from rich.cells import cell_len
 from typer import rich_utils
@@ -195,9 +196,15 @@ def test_no_template_is_there_twice() -> None:
     assert [key for key in set(keys) if keys.count(key) > 1] == []
 
 
+@cache
+def app_in(language: str) -> typer.Typer:
+    """The command line, made once."""
+    return make_app(language=language)
+
+
 def shown_help(*words: str) -> str:
     """What --help shows of a verb, without the frames of its panels and line breaks."""
-    result = CliRunner().invoke(make_app(language="ja"), [*words, "--help"], env={"COLUMNS": "2000"}, obj="ja")
+    result = CliRunner().invoke(app_in("ja"), [*words, "--help"], env={"COLUMNS": "2000"}, obj="ja")
     assert result.exit_code == 0, result.output
     return str(result.stdout)
 
@@ -206,7 +213,7 @@ def shown_help(*words: str) -> str:
 @pytest.mark.parametrize("language", ["en", "ja"])
 def test_names_of_options_of_run_are_whole_at_80_columns(language: str) -> None:
     wide, narrow = (
-        CliRunner().invoke(make_app(language=language), ["run", "--help"], env={"COLUMNS": width}, obj=language).stdout
+        CliRunner().invoke(app_in(language), ["run", "--help"], env={"COLUMNS": width}, obj=language).stdout
         for width in ("2000", "80")
     )
     names = re.findall(r"^│ +(--[a-z-]+)", wide, re.MULTILINE)
@@ -229,7 +236,7 @@ def test_help_is_japanese(verb: str) -> None:
 
 def test_what_the_parser_says_is_japanese() -> None:
     def said(*words: str) -> str:
-        result = CliRunner().invoke(make_app(language="ja"), words, obj="ja")
+        result = CliRunner().invoke(app_in("ja"), words, obj="ja")
         assert result.exit_code == 2
         return " ".join(result.stderr.split())
 

@@ -41,7 +41,7 @@ def circling(seed: int, wheel_scale: float = 1.0) -> tuple[Log, Array]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [0, pytest.param(2, marks=pytest.mark.nightly)])
 def test_noise_of_recorded_speeds_is_no_scale_of_the_wheels(seed: int) -> None:
     """With controls averaged over half a second as the derivative, the scale is 1.1 and the error four times the expected."""
     log, truth = circling(seed)
@@ -50,7 +50,7 @@ def test_noise_of_recorded_speeds_is_no_scale_of_the_wheels(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [1, pytest.param(0, marks=pytest.mark.nightly)])
 def test_wheels_and_sensor_are_not_both_held_where_one_of_them_is_wrong(seed: int) -> None:
     found = estimate_robot(circling(seed, wheel_scale=1.04)[0]).parameters
     # those that are held have no place among the estimated ones

@@ -10,7 +10,7 @@ from graphslam import Graph, GraphError, LandmarkMap, Log, MotionModel, SensorMo
 from graphslam.maps.localization import _agreed, _cause
 from graphslam.maps.map_evidence import Weighed
 from graphslam.maps.registration import Points, register
-from graphslam.maps.stretch import Stretch
+from graphslam.maps.stretch import Stretch, drifted, moved
 from graphslam.se2 import between, compose, wrap
 
 ANGLES, PLACES = st.floats(-np.pi, np.pi), st.floats(-50, 50)
@@ -237,6 +237,19 @@ def test_one_landmark_with_a_heading_does_not_make_a_map_in_another_unit_fit():
             known = {j: m[:d] * np.array([factor, factor, 1])[:d] for j, m in log.true_landmarks.items()}
             with pytest.raises(GraphError, match=unit):
                 first_fix(log, known)
+
+
+def test_a_drift_is_that_of_its_motions_one_after_the_other():
+    rng = np.random.default_rng(0)
+    x, P = np.array([300.0, -200.0, 3.0]), 0.1 * np.eye(3)
+    motions, roots = rng.normal([0.1, 0, 0], [0.1, 0.01, 0.3], (400, 3)), 0.01 * rng.normal(size=(400, 3, 3))
+    noise = roots @ np.swapaxes(roots, 1, 2)
+    poses, covariances = drifted(x, motions, noise, P)
+    for k, one in enumerate(motions):
+        x, P = moved(x, P, one, noise[k])
+        assert np.abs(wrap(poses[k + 1] - x)).max() < 1e-11
+        # as correlations
+        assert (np.abs(covariances[k + 1] - P) / np.sqrt(np.outer(np.diag(P), np.diag(P)))).max() < 1e-11
 
 
 @pytest.mark.slow

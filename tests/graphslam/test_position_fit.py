@@ -73,6 +73,7 @@ def test_covariances_that_are_wrong_by_five(sigma, said):
     # headings alone that are noisier than the odometry are not checked by it
     (1.0, range(5), (0, 1)), (0.25, (5, 6), (0, 1)),
 ])  # fmt: skip
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["none", "cauchy"])
 def test_covariances_of_relations_that_are_wrong(factor, seeds, kernel, unknown):
     """A second odometry whose errors are a factor times what it says; a tenth of its relations is wrong.

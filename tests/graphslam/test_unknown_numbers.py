@@ -40,6 +40,7 @@ def drive(ranged: bool | None, seed: int = 1, **parameters: float) -> Log:
     return log.with_sightings(np.zeros(len(rows), dtype=bool)).replace(partial_sightings=numbers)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ranged", [True, False, None])
 def test_noise_is_estimated_by_default(ranged):
     log = drive(ranged)
@@ -53,6 +54,7 @@ def test_noise_is_estimated_by_default(ranged):
     assert not any("book" in note or "partial sightings" in note for note in (*graph.notes, *graph.log.notes))
 
 
+@pytest.mark.slow
 def test_biases_are_taken_out_where_the_numbers_show_them():
     log = drive(True, wheel_scale=1.04)
     found = estimate_robot(log)
@@ -64,6 +66,7 @@ def test_biases_are_taken_out_where_the_numbers_show_them():
     assert 1 / 3 < mean_nees(solution.poses, log.true_poses, solution.covariance()) < 4
 
 
+@pytest.mark.slow
 def test_bearings_leave_lengths_to_the_odometry():
     # in the same way as the command
     log, found = known_noise(drive(False, wheel_scale=1.04))
@@ -137,6 +140,7 @@ def test_the_estimate_begins_with_the_sensor_that_was_given(monkeypatch):
     assert estimate_robot(log) == ((0.0, 0.0), (0.0, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "told"), [(1, False), (15, False), (200, True)])
 def test_few_ranges_among_bearings_leave_lengths_to_the_odometry(count, told, monkeypatch):
     bearings, ranges = drive(False), drive(True).partial_sightings
@@ -154,6 +158,7 @@ def test_few_ranges_among_bearings_leave_lengths_to_the_odometry(count, told, mo
     assert ("wheel_scale" not in found.untested) == told
 
 
+@pytest.mark.slow
 def test_the_order_of_the_numbers_does_not_matter():
     log = drive(None)
     backwards = log.replace(partial_sightings=log.partial_sightings.among(np.arange(len(log.partial_sightings))[::-1]))
