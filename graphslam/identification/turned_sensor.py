@@ -129,9 +129,9 @@ def _steps(solved: Unknowns, moments: Array) -> tuple[Array, Array, Array]:
     pulled = np.zeros((*linear.xi.shape, len(moments)))
     following = linear.solve(pulled, edges.pull(weighted, pulled))
     u, exact = np.einsum("eik,ei->k", weighted, residuals), np.einsum("eik,eik->k", D, weighted)
-    P = exact - np.einsum("eik,eik->k", weighted, edges.moved(*following))
-    known = P > DETERMINED * exact
-    P = np.where(known, P, 1.0)
+    information = exact - np.einsum("eik,eik->k", weighted, edges.moved(*following))
+    known = information > DETERMINED * exact
+    P = np.where(known, information, 1.0)
     return (
         np.where(known, np.abs(u) / np.sqrt(P), 0.0),
         np.where(known, -u / P, 0.0),
