@@ -255,7 +255,8 @@ class RobotEstimate:
             for name, of in NOISE.items()
             if self.errors.get(name, 1) < 1 and values[name] > (most := of.unusual * larger.get(name, 1.0))
         ]
-        lines += [each.sentence(self.log) for each in (*self.slips, *self.turns)]
+        lines += [slip.sentence(self.log) for slip in self.slips]
+        lines += [turn.sentence(self.log) for turn in self.turns]
         if self.basis == DEAD_RECKONING:
             lines.append(
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "

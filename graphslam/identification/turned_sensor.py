@@ -67,15 +67,12 @@ def turned_back(log: Log, turns: Iterable[Turn]) -> Log:
     """The log with the bearings that the sensor would have had without these turns."""
     if log.times is None or not (turns := tuple(turns)):
         return log
-
-    def off(steps: np.ndarray) -> Array:
-        times = log.times[steps] - log.times[0]
-        return np.sum([turn.angle * (times > turn.time) for turn in turns], axis=0)
-
+    times = log.times - log.times[0]
+    off = np.sum([turn.angle * (times > turn.time) for turn in turns], axis=0)
     sightings, partial = log.sightings.copy(), log.partial_sightings
-    sightings[:, 1] = wrap(sightings[:, 1] - off(log.steps))
+    sightings[:, 1] = wrap(sightings[:, 1] - off[log.steps])
     if partial is not None:
-        partial = replace(partial, bearings=wrap(partial.bearings - off(partial.steps)))
+        partial = replace(partial, bearings=wrap(partial.bearings - off[partial.steps]))
     return log.replace(sightings=sightings, partial_sightings=partial)
 
 
