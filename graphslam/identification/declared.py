@@ -57,6 +57,11 @@ PARAMETERS = {
 
 #: those of the sensor
 OF_SIGHTINGS = tuple(name for name, parameter in PARAMETERS.items() if not parameter.of_motion)
+#: the biases of odometry and sensor
+KINDS = {
+    "odometry": ("wheel_scale", "turn_scale", "turn_rate_bias", "curvature_bias"),
+    "sensor": ("range_bias", "bearing_bias", "sensor_ahead", "sensor_left", "sensor_delay"),
+}
 #: the place of the sensor, which is part of the sensor model
 PLACE = ("sensor_ahead", "sensor_left")
 #: all others, which `without_biases` takes out of a log, with their ideal values

@@ -30,9 +30,8 @@ import numpy as np
 from ..errors import GraphError
 from ..log import Log
 from ..se2 import Array
-from .declared import PLACE
+from .declared import KINDS, PLACE
 from .odometry import Edges
-from .result import KINDS
 from .unknowns import DEGREES_MOTIONS, DEGREES_SIGHTINGS, LONGEST, PRIORS, SPREAD, Unknowns
 
 #: the average information on a variance over that of its estimate, where errors are Gaussian. With q = e' C^-1 e of Student's

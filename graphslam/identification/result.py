@@ -25,10 +25,11 @@ from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
 from .corrections import corrected_log, honest_variances, without_biases
-from .declared import PLACE, ParameterEstimate
+from .declared import KINDS, PLACE, ParameterEstimate
 from .odometry import NOISE
 from .sighting_errors import LAGS, Ids, Predictions
 from .slips import Slip
+from .turned_sensor import Turn, turned_back
 from .unknowns import DEGREES_SIGHTINGS, HELD, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
@@ -124,11 +125,6 @@ def student_t(residuals: Array, scales: Array, degrees: float = DEGREES_SIGHTING
     return constant - 0.5 * np.linalg.slogdet(scales)[1] - (degrees + d) / 2 * np.log1p(squares / degrees)
 
 
-#: the biases of odometry and sensor
-KINDS = {
-    "odometry": ("wheel_scale", "turn_scale", "turn_rate_bias", "curvature_bias"),
-    "sensor": ("range_bias", "bearing_bias", "sensor_ahead", "sensor_left", "sensor_delay"),
-}
 #: what predicts sightings that are left out, as `LeftOut` names it
 ESTIMATE, DEAD_RECKONING, BOOK_NOISE, GIVEN_NOISE = (
     "the estimate from this log", "dead reckoning", "the book's noise", "the noise that was given"
@@ -177,6 +173,7 @@ class RobotEstimate:
         of_scans: the error that all sightings of a scan have in common along the way [m], which the noise of the sensor
             contains and that of the odometry does not; 0 where the log shows none.
         slips: stretches on which the odometry is wrong; the log has more noise of the controls there.
+        turns: moments at which the sensor was turned; the log has the bearings without them.
     """
 
     log: Log
@@ -194,6 +191,7 @@ class RobotEstimate:
     untested: tuple[str, ...] = ()
     of_scans: float = 0.0
     slips: tuple[Slip, ...] = ()
+    turns: tuple[Turn, ...] = ()
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -201,7 +199,7 @@ class RobotEstimate:
     def corrected(self, log: Log) -> Log:
         """A log of the robot without the biases that were found, with these noise models; repaired motions as recorded."""
         biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
-        log = without_biases(log, motion=self.motion, sensor=self.sensor, **biases)
+        log = without_biases(turned_back(log, self.turns), motion=self.motion, sensor=self.sensor, **biases)
         variances = honest_variances(log)
         return log.replace(
             motion=self.motion, sensor=self.sensor, uncertain=self.log.uncertain, control_variances=variances
@@ -258,6 +256,7 @@ class RobotEstimate:
             if self.errors.get(name, 1) < 1 and values[name] > (most := of.unusual * larger.get(name, 1.0))
         ]
         lines += [slip.sentence(self.log) for slip in self.slips]
+        lines += [turn.sentence(self.log) for turn in self.turns]
         if self.basis == DEAD_RECKONING:
             lines.append(
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "

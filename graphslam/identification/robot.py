@@ -29,7 +29,7 @@ from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import check_count, check_type, singular
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from .declared import ParameterEstimate
+from .declared import KINDS, ParameterEstimate
 from .odometry import Odometry, sighting_times
 from .restricted_likelihood import fit, gain_over, hold_needless, is_elsewhere, numbers_on_motion, with_sensor_anywhere
 from .result import (
@@ -37,7 +37,6 @@ from .result import (
     DEAD_RECKONING,
     ESTIMATE,
     GIVEN_NOISE,
-    KINDS,
     MANY_MISREAD,
     LeftOut,
     RobotEstimate,
@@ -46,6 +45,8 @@ from .result import (
 )
 from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, common_errors, correlations, inflation, smoothed
 from .slips import Slip, slip_of_drive, without_slips
+from .turned_sensor import MOST as MOST_TURNS
+from .turned_sensor import Turn, turn_of, turned_back
 from .unknowns import OF_GAUSSIAN_MOTIONS, Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -103,15 +104,22 @@ def check_robot_options(log: Any, sensor: Any, given: Any, seed: Any) -> None:
 
 
 def _estimate(
-    log: Log, sensor: SensorModel, given: tuple[MotionModel, SensorModel] | None, rng: np.random.Generator
+    recorded: Log,
+    sensor: SensorModel,
+    given: tuple[MotionModel, SensorModel] | None,
+    rng: np.random.Generator,
+    turns: tuple[Turn, ...] = (),
 ) -> RobotEstimate:
-    """The estimate from a log that has enough sightings."""
+    """The estimate from a log that has enough sightings, and in which the sensor was turned as often as is known."""
+    log = turned_back(recorded, turns)
     drive, first, ids, slips = _with_ids(log, sensor, rng)
     log = log.replace(control_variances=drive.control_variances)
     named = ids.correct(drive)
     ids = ids.within(log.landmarks)
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
+    if len(turns) < MOST_TURNS and (turn := turn_of(second, lambda few: _everywhere(few, named))) is not None:
+        return _estimate(recorded, sensor, given, rng, (*turns, turn))
     exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held_first, held_with_exact = hold_needless(second, ROUNDS[2]), hold_needless(exact, ROUNDS[2])
     held = held_first
@@ -135,7 +143,7 @@ def _estimate(
     if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING
     elif compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
-        return _known(log, ids, *other, compared, slips)
+        return replace(_known(log, ids, *other, compared, slips), turns=turns)
     if basis == DEAD_RECKONING:
         # this problem holds what the first one held, too
         second, held = dead_reckoning, held_first | held
@@ -157,7 +165,7 @@ def _estimate(
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion, of_scans=of_scans,
-        slips=slips,
+        slips=slips, turns=turns,
     )  # fmt: skip
 
 

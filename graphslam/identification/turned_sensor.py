@@ -1,0 +1,136 @@
+"""Moments at which the sensor of a drive was turned on its robot, as a camera that something bumps into.
+
+From then on all bearings are off by one angle s. One bias of the whole drive does not explain it: the headings turn with the
+sensor instead, and the robot seems to drive askew. So each moment is tested for a step of the bearings. With e, W and J the
+residuals, the information and the Jacobians of nodes and biases at the solution, Omega the information matrix of all, and D
+the derivative of the residuals by s, 1 in the bearings of later sightings,
+
+    u = D' W e,   P = D' W D - D' W J Omega^-1 J' W D,   s = -u / P,   z = |u| / sqrt(P).
+
+Noise that was fitted to a drive with such a step is too large, and z too small. So z only suggests a step, which counts where
+the restricted likelihood with the bearings corrected, each with the noise that fits best, is larger by enough.
+
+Source: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..log import Log
+from ..se2 import Array, wrap
+from .restricted_likelihood import fit, gain_over
+from .unknowns import Unknowns
+
+#: how many moments are tried
+MOMENTS = 60
+#: a z above the first number suggests a step, and a step that explains as much as so many standard errors is one:
+#: docs/decisions.md
+SUGGESTED, SURELY = 3.5, 5.0
+#: a step is determined where it has more than this part of the information that exact poses would give
+DETERMINED = 1e-6
+#: rounds of solving and improving the variances
+ROUNDS = 8
+#: the most turns of one drive
+MOST = 3
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A moment at which the sensor was turned.
+
+    Attributes:
+        time: [s] since the first pose.
+        angle: by how much bearings are larger afterwards [rad].
+        error: its standard error.
+    """
+
+    time: float
+    angle: float
+    error: float
+
+    def sentence(self, log: Log) -> str:
+        """For the notes of an estimate; ``log`` is that of the drive."""
+        assert log.times is not None
+        step = int(np.searchsorted(log.times - log.times[0], self.time))
+        return (
+            f"from step {step} ({self.time:.0f} s after the start) on, bearings are larger by {self.angle:.3g} rad (standard "
+            f"error {self.error:.1g}) than before: the sensor was turned on the robot, or the robot drives askew since then. "
+            "They are corrected for a turned sensor; if it was not turned, the headings are off by as much"
+        )
+
+
+def turned_back(log: Log, turns: Iterable[Turn]) -> Log:
+    """The log with the bearings that the sensor would have had without these turns."""
+    if log.times is None or not (turns := tuple(turns)):
+        return log
+    times = log.times - log.times[0]
+    off = np.sum([turn.angle * (times > turn.time) for turn in turns], axis=0)
+    sightings, partial = log.sightings.copy(), log.partial_sightings
+    sightings[:, 1] = wrap(sightings[:, 1] - off[log.steps])
+    if partial is not None:
+        partial = replace(partial, bearings=wrap(partial.bearings - off[partial.steps]))
+    return log.replace(sightings=sightings, partial_sightings=partial)
+
+
+def turn_of(fitted: Unknowns, whole: Callable[[Unknowns], Unknowns]) -> Turn | None:
+    """The moment at which the sensor was turned, if any.
+
+    Args:
+        fitted: the solution with few sightings, whose errors are nearly independent.
+        whole: the same problem with all sightings, which show the moment best.
+    """
+    end = _times(fitted).max()
+    limits = np.linspace(0.0, end, MOMENTS + 1)[1:-1]
+    z, angles, _ = _steps(fitted, limits)
+    k = int(np.argmax(z))
+    if z[k] < SUGGESTED:
+        return None
+    turn = Turn(float(limits[k]), float(angles[k]), 0.0)
+
+    def again(log: Log) -> Unknowns:
+        return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), ROUNDS)[0]
+
+    turned, same = again(turned_back(fitted.log, [turn])), again(fitted.log)
+    if gain_over(turned, same) < SURELY**2 / 2:
+        return None
+    z, rest, errors = _steps(turned, limits[[k]])
+    every = whole(turned)
+    times = np.unique(_times(every))
+    near = np.flatnonzero(np.abs(times - turn.time) <= end / MOMENTS)
+    time = turn.time
+    if len(near) and (near := near[near + 1 < len(times)]).size:
+        between = (times[near] + times[near + 1]) / 2
+        time = float(between[np.argmax(_steps(every, between)[0])])
+    return Turn(time, turn.angle + float(rest[0]), float(errors[0]))
+
+
+def _times(solved: Unknowns) -> Array:
+    """The time (M,) of each sighting since the first pose [s]."""
+    assert solved.log.times is not None
+    return solved.log.times[solved.seen_from] - solved.log.times[0]
+
+
+def _steps(solved: Unknowns, moments: Array) -> tuple[Array, Array, Array]:
+    """z, s and its standard error of a step of the bearings at each of some moments (K,); zero where it is not determined."""
+    linear = solved.linearized()
+    edges, (nodes, values) = linear.edges[1], linear.step()
+    # after the next step: what a search has not reached yet looks like a step
+    residuals = edges.residuals + edges.moved(nodes[:, :, None], values[:, None])[:, :, 0]
+    D = np.zeros((*residuals.shape, len(moments)))
+    D[:, 1] = _times(solved)[:, None] > moments
+    weighted = edges.information @ D
+    pulled = np.zeros((*linear.xi.shape, len(moments)))
+    following = linear.solve(pulled, edges.pull(weighted, pulled))
+    u, exact = np.einsum("eik,ei->k", weighted, residuals), np.einsum("eik,eik->k", D, weighted)
+    information = exact - np.einsum("eik,eik->k", weighted, edges.moved(*following))
+    known = information > DETERMINED * exact
+    P = np.where(known, information, 1.0)
+    return (
+        np.where(known, np.abs(u) / np.sqrt(P), 0.0),
+        np.where(known, -u / P, 0.0),
+        np.where(known, P**-0.5, 0.0),
+    )

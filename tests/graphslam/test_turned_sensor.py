@@ -1,0 +1,87 @@
+"""A sensor that is turned on its robot during a drive is found and reported, and its bearings are corrected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from comparisons.show.language import translated
+from graphslam import Drive, Graph, estimate_robot, solve
+from graphslam.identification import turned_sensor
+from graphslam.identification.turned_sensor import Turn, turned_back
+from graphslam.metrics import ate
+from graphslam.se2 import wrap
+
+#: when the sensor is turned, and by how much
+TIME, ANGLE = 100.0, 0.06
+
+
+def turned(seed, turns=((TIME, ANGLE),)):
+    """A drive of 200 s of a robot that nobody knows, whose sensor is turned now and then, and the log as it was before."""
+    log, _ = replace(Drive.random(seed), duration=200.0).simulate()
+    sightings, times = log.sightings.copy(), log.times[log.steps] - log.times[0]
+    for time, angle in turns:
+        sightings[times > time, 1] = wrap(sightings[times > time, 1] + angle)
+    return log.replace(sightings=sightings), log
+
+
+@pytest.mark.parametrize("seed", [1002, 1012])
+def test_a_turned_sensor_is_found_and_corrected(seed, monkeypatch):
+    log, right = turned(seed)
+    robot = estimate_robot(log)
+    (turn,) = robot.turns
+    assert abs(turn.angle - ANGLE) < 4 * turn.error and turn.error < ANGLE / 5
+    assert abs(turn.time - TIME) < 5
+    (doubt,) = (each for each in robot.doubts if "the sensor was turned" in each)
+    assert "センサの向きが変わった" in translated(doubt, "ja")
+    solution = solve(Graph.from_log(robot.log))
+    assert np.nanmean(solution.nees(log.true_poses)) < 3
+    unturned = estimate_robot(right)
+    assert unturned.turns == ()
+    best = solve(Graph.from_log(unturned.log))
+    assert ate(log.true_poses, solution.poses) < 1.5 * ate(log.true_poses, best.poses)
+    # as it was
+    monkeypatch.setattr("graphslam.identification.robot.turn_of", lambda *_: None)
+    wrong = solve(Graph.from_log(estimate_robot(log).log))
+    assert np.nanmean(wrong.nees(log.true_poses)) > 2 * np.nanmean(solution.nees(log.true_poses))
+
+
+def test_bearings_are_turned_back_from_each_moment_on():
+    log, right = turned(1002, ((50.0, 0.1), (120.0, -0.2)))
+    corrected = turned_back(log, [Turn(50.0, 0.1, 0.0), Turn(120.0, -0.2, 0.0)])
+    np.testing.assert_allclose(corrected.sightings, right.sightings, atol=1e-12)
+    assert turned_back(log, ()) is log
+
+
+def test_z_is_that_of_a_further_unknown(monkeypatch):
+    """z, angle and standard error, here from whole matrices of nodes and biases."""
+    tested = []
+    monkeypatch.setattr("graphslam.identification.robot.turn_of", lambda few, _: tested.append(few))
+    estimate_robot(turned(1002)[0])
+    (few,) = tested
+    linear = few.linearized()
+    n, K = linear.xi.size, len(linear.prior)
+    H, gradient = np.zeros((n + K + 1, n + K + 1)), np.zeros(n + K + 1)
+    H[n : n + K, n : n + K] = np.diag(linear.prior)
+    gradient[n : n + K] = linear.prior * (few.parameters.values - few.parameters.means)
+    later = few.log.times[few.seen_from] - few.log.times[0] > TIME
+    for edges, step in zip(linear.edges, (np.zeros(len(linear.edges[0].first)), later)):
+        for k in range(len(edges.first)):
+            J = np.zeros((edges.residuals.shape[1], n + K + 1))
+            J[:, 3 * edges.first[k] : 3 * edges.first[k] + 3] = edges.by_first[k]
+            J[:, 3 * edges.second[k] : 3 * edges.second[k] + 3] += edges.by_second[k]
+            J[:, n : n + K] = edges.by_parameters[k]
+            J[1, -1] = step[k]
+            H += J.T @ edges.information[k] @ J
+            gradient += J.T @ edges.information[k] @ edges.residuals[k]
+    free = np.ones(n + K + 1, dtype=bool)
+    free[:3] = False
+    if linear.flat:
+        free[3 * few.poses + 2 : n : 3] = False
+    step, covariance = -np.linalg.solve(H[np.ix_(free, free)], gradient[free]), np.linalg.inv(H[np.ix_(free, free)])
+    z, angle, error = turned_sensor._steps(few, np.array([TIME]))
+    assert angle[0] == pytest.approx(step[-1], rel=1e-4)
+    assert error[0] == pytest.approx(covariance[-1, -1] ** 0.5, rel=1e-4)
+    assert z[0] == pytest.approx(abs(step[-1]) / covariance[-1, -1] ** 0.5, rel=1e-4)
