@@ -119,13 +119,13 @@ def first_fix(
     landmarks, log = as_map(landmarks), _stretch(log, motion, sensor)
     if not log.identified:
         return _sure(log, landmarks, possible_fixes(log, landmarks))
-    fix, points, matches, found = _searched(log, landmarks, _rows(log, landmarks))
+    fix, points, matches, found = searched(log, landmarks, rows_of_map(log, landmarks))
     if fix is None:
         raise _no_fix(log, landmarks, points, matches, found)
     return fix
 
 
-def _searched(
+def searched(
     log: Stretch, landmarks: LandmarkMap, rows: np.ndarray, first: int = 1
 ) -> tuple[Fix | None, Points, list[Match], list[Weighed]]:
     """The fix by the first sightings ``rows`` that suffice, or None; and what was last tried, one by one and together.
@@ -363,7 +363,7 @@ def _check_not_empty(log: Stretch, landmarks: LandmarkMap) -> None:
         raise GraphError(f"{missing}, so that the robot cannot be found in the map")
 
 
-def _rows(log: Stretch, landmarks: LandmarkMap) -> np.ndarray:
+def rows_of_map(log: Stretch, landmarks: LandmarkMap) -> np.ndarray:
     """The rows of the sightings of landmarks of the map."""
     _check_not_empty(log, landmarks)
     rows = np.flatnonzero(np.isin(log.landmarks, list(landmarks)))
@@ -422,10 +422,10 @@ def _cause(log: Stretch, landmarks: LandmarkMap, found: list[Weighed]) -> str:
 
     All sightings are used, because the first few may agree with the landmarks of a map in a wrong unit by chance.
     """
-    rows = _rows(log, landmarks)
+    rows = rows_of_map(log, landmarks)
     likely, most = "", max((float(np.mean(each.agree)) for each in found[:1]), default=0.0)
     for name, changed in _corrected(landmarks):
-        fix = _searched(log, changed, rows, first=len(rows))[0]
+        fix = searched(log, changed, rows, first=len(rows))[0]
         if fix is None or fix.odds <= SURE or len(np.unique(log.landmarks[fix.agree])) <= 2:
             continue
         # in a joined log, whose drives may begin anywhere, a wrong unit may fit some of them

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..log import UNIDENTIFIED, Log
 from ..models import MotionModel, SensorModel
-from ..se2 import Array, between, compose, lever_matrix, perpendicular, rotation, turn_matrix, wrap
+from ..se2 import Array, between, chained, compose, lever_matrix, perpendicular, rotation, turn_matrix, wrap
 from .landmark_map import LandmarkMap
 from .map_evidence import Weighed, weighed
 from .registration import Match, Points, evenly, linear, padded, those_that_differ
@@ -146,13 +146,17 @@ class Drift:
 
 
 def drifted(start: Array, motions: Array, noise: Array, covariance: Array | None = None) -> tuple[Array, Array]:
-    """The poses (T+1, 3) after motions (T, 3), and their covariances (T+1, 3, 3), in world axes; see `moved`."""
-    poses, covariances = [start], [np.zeros((3, 3)) if covariance is None else covariance]
-    for m, Q in zip(motions, noise):
-        x, P = moved(poses[-1], covariances[-1], m, Q)
-        poses.append(x)
-        covariances.append(P)
-    return np.array(poses), np.array(covariances)
+    """The poses (T+1, 3) after motions (T, 3), and their covariances (T+1, 3, 3), in world axes; see `moved`.
+
+    The errors of a motion are those of the first pose that would move its end as far: their covariances are summed there.
+    """
+    poses = chained(start, motions)
+    poses[:, 2] = wrap(poses[:, 2])
+    away = perpendicular(poses[:, :2] - poses[0, :2])
+    back, there = lever_matrix(-away[1:]) @ turn_matrix(poses[:-1, 2]), lever_matrix(away)
+    first = np.zeros((3, 3)) if covariance is None else covariance
+    errors = np.concatenate([first[None], back @ noise @ np.swapaxes(back, 1, 2)])
+    return poses, there @ np.cumsum(errors, axis=0) @ np.swapaxes(there, 1, 2)
 
 
 def moved(x: Array, P: Array, motion: Array, noise: Array) -> tuple[Array, Array]:

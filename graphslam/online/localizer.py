@@ -229,7 +229,8 @@ class Localizer:
         new = [(pose, j, z) for j, z in zip(of_whole.tolist(), whole)]
         if tracker is not None:
             tracker.pose = backend.pose
-            (*_, x), (*_, P) = drifted(np.zeros(3), np.array(self._motions[pose:]), np.array(self._noise[pose:]))
+            since = np.array(self._motions[pose:]).reshape(-1, 3), np.array(self._noise[pose:]).reshape(-1, 3, 3)
+            (*_, x), (*_, P) = drifted(np.zeros(3), *since)
             seen = tracker.see(pose, rows, of_whole, whole, backwards(x, P))
             landmarks[~alone], earlier = seen.landmarks, seen.earlier
         if (known := landmarks != UNIDENTIFIED).any():
