@@ -404,8 +404,7 @@ class OwnBackend(Backend):
         rows = expected = 0.0
         for (numbers, doubted), count in self._measured.items():
             rows += numbers * count
-            lossy = self._kernel is not None and doubted
-            expected += count * (self._kernel.mean_loss(numbers) if lossy else numbers)
+            expected += count * (self._kernel.mean_loss(numbers) if self._kernel and doubted else numbers)
         unknowns = 3 * (self.num_poses - 1 + self._in_map) + (self.columns or 0) * (len(self._landmarks) - self._of_map)
         return expected * max(1 - unknowns / max(rows, 1.0), 1e-3)
 

@@ -376,8 +376,8 @@ def misfit_of_noise(cost: float, expected: float) -> str:
     if cost <= max(MISFIT_OF_LOGS, 1 + BEYOND_CHANCE * np.sqrt(2 / expected)) * expected:
         return ""
     return (
-        f"J is {cost / expected:,.1f} {BEYOND_NOISE}: they assume less noise than there is, or measurements or ids are wrong, "
-        "so that covariances are too small; compare with the noise that the log itself shows (estimate_robot)"
+        f"J is {cost / expected:,.1f} {BEYOND_NOISE}: they assume less noise than there is, or measurements or ids are "
+        "wrong, so that covariances are too small; compare with the noise that the log itself shows (estimate_robot)"
     )
 
 

@@ -361,7 +361,10 @@ def test_options_that_a_backend_does_not_have(backend: str, option: str) -> None
 def test_noise_that_the_models_lack_is_said_while_driving_as_after_the_drive(told):
     log = simulate(seed=4, clean=True)
     motion, sensor = MotionModel(nn=0.19 * told, on=0.13 * told, oo=0.2 * told), SensorModel()
-    models = {"motion": motion, "sensor": replace(sensor, **{name: told * getattr(sensor, name) for name in sensor.NOISE})}
+    models = {
+        "motion": motion,
+        "sensor": replace(sensor, **{name: told * getattr(sensor, name) for name in sensor.NOISE}),
+    }
     (*_, solver) = replay(log, **models)
     batch = solve(Graph.from_log(log, edges="landmark+motion", kernel="none", **models))
     after = [note for note in batch.notes if note.startswith("J is")]
