@@ -61,24 +61,24 @@ def control_slopes(parameters: Parameters, controls: Array) -> Iterator[tuple[in
 
 
 def motion_slopes(
-    parameters: Parameters, controls: Array, displacement: Array | None = None, *, smooth: bool = False
+    parameters: Parameters, controls: Array, displacement: Array | None = None, *, scaled: Array | None = None
 ) -> tuple[Array, Array]:
     """The motions (T, 3) of corrected controls, and their derivative (T, 3, K) by the parameters.
 
     Args:
         controls: (S, 2) corrected.
         displacement: (T, 2) what the wheel scale scales, in place of the motions' own displacements.
-        smooth: take `smoothed_controls` for what the scales scale. The noise of a recorded control is in the residual of its
+        scaled: (S, 2) what the scales scale; default: the controls. The noise of a recorded control is in the residual of its
             motion, too. With the control as the derivative, the square of this noise makes the scale too large (on two
-            minutes of 50 Hz odometry 1.03 for 1.00); the mean over some time is an instrumental variable, which has hardly
-            any part of it. Poses correct odometry only over some seconds, so that residuals are correlated that long, and
-            half a second is not enough where speeds are nearly constant (on a circle 1.16 for 1.00).
+            minutes of 50 Hz odometry 1.03 for 1.00); `smoothed_controls` are an instrumental variable, which has hardly any
+            part of it. Poses correct odometry only over some seconds, so that residuals are correlated that long, and half a
+            second is not enough where speeds are nearly constant (on a circle 1.16 for 1.00).
     """
     log = parameters.recorded
     assert log.dt is not None
     motions, by_control = engine.accumulated_slopes(controls, log.dt, log.control_starts)
     by_parameter = np.zeros((len(motions), 3, len(parameters)))
-    for k, speed, turn in control_slopes(parameters, smoothed_controls(parameters) if smooth else controls):
+    for k, speed, turn in control_slopes(parameters, controls if scaled is None else scaled):
         each = by_control[:, :, 1] * turn[:, None]
         if speed is not None and displacement is None:
             each += by_control[:, :, 0] * speed[:, None]
@@ -154,13 +154,32 @@ def controls_at_steps(parameters: Parameters) -> Array:
     return _averaged(parameters, corrected_controls(parameters), log.control_times[log.control_starts])
 
 
-def control_noise_at_steps(parameters: Parameters, rng: np.random.Generator) -> Array:
-    """Noise (T+1, 2) of `controls_at_steps`, drawn from the motion model."""
+def control_noise(parameters: Parameters, rng: np.random.Generator) -> Array:
+    """Noise (S, 2) of the controls, drawn from the motion model."""
     log = parameters.recorded
     assert log.controls is not None and log.dt is not None
     variances = np.diagonal(parameters.motion.M(log.controls, log.dt, log.recorded_dt), axis1=1, axis2=2)
-    noise = np.sqrt(variances) * rng.standard_normal(variances.shape)
-    return _averaged(parameters, noise, log.control_times[log.control_starts])
+    return np.asarray(np.sqrt(variances) * rng.standard_normal(variances.shape))
+
+
+def control_noise_at_steps(parameters: Parameters, rng: np.random.Generator) -> Array:
+    """Noise (T+1, 2) of `controls_at_steps`, drawn from the motion model."""
+    log = parameters.recorded
+    return _averaged(parameters, control_noise(parameters, rng), log.control_times[log.control_starts])
+
+
+def noise_of_slopes(parameters: Parameters, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Noise of the corrected motions (T, 3), drawn from the motion model, and that of their derivatives (T, 3, K)."""
+    p, log, controls = parameters.by_name(), parameters.recorded, corrected_controls(parameters)
+    nu, omega = control_noise(parameters, rng).T
+    nu = nu / p["wheel_scale"]
+    noise = np.column_stack([nu, (omega - p["curvature_bias"] * nu) / p["turn_scale"]])
+    _, slopes = motion_slopes(parameters, controls, scaled=noise)
+    if "turn_rate_bias" in parameters.names:
+        # the only derivative that does not depend on the control
+        slopes[:, :, parameters.names.index("turn_rate_bias")] = 0.0
+    _, by_control = engine.accumulated_slopes(controls, log.dt, log.control_starts)
+    return np.add.reduceat((by_control @ noise[:, :, None])[:, :, 0], log.control_starts[:-1]), slopes
 
 
 def changes_within(log: Log) -> Array:

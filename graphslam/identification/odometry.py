@@ -32,6 +32,7 @@ from .corrections import (
     corrected_controls,
     honest_variances,
     motion_slopes,
+    smoothed_controls,
 )
 from .declared import Parameters
 
@@ -216,7 +217,9 @@ class Odometry:
         for at, averaged, motions, slopes in self._evaluated:
             if averaged == times and near(parameters, at):
                 return motions + slopes @ (parameters.values - at), slopes
-        motions, slopes = motion_slopes(everything, corrected_controls(everything), smooth=True)
+        motions, slopes = motion_slopes(
+            everything, corrected_controls(everything), scaled=smoothed_controls(everything)
+        )
         self._evaluated = [(parameters.values, times, motions, slopes), *self._evaluated[: EVALUATIONS - 1]]
         return motions, slopes
 

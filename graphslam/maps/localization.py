@@ -119,11 +119,28 @@ def first_fix(
     landmarks, log = as_map(landmarks), _stretch(log, motion, sensor)
     if not log.identified:
         return _sure(log, landmarks, possible_fixes(log, landmarks))
-    fix, points, matches, found = _searched(log, landmarks, _rows(log, landmarks), Drift(log))
+    fix, points, matches, found = _with_ids(log, landmarks)
     if fix is None:
         raise _no_fix(log, landmarks, points, matches, found)
-    end = smoothed(log, landmarks, fix.agree, found[0])
-    return replace(fix, pose=end.pose, covariance=end.covariance)
+    return fix
+
+
+def fix_with_ids(log: Stretch, landmarks: LandmarkMap) -> Fix | None:
+    """The fix of a stretch whose landmarks have ids, or None; without the search for the reason, which takes longer.
+
+    Raises:
+        GraphError: no landmark of the map is seen.
+    """
+    return _with_ids(log, landmarks)[0]
+
+
+def _with_ids(log: Stretch, landmarks: LandmarkMap) -> tuple[Fix | None, Points, list[Match], list[Weighed]]:
+    """`_searched` with all sightings of landmarks of the map, and the pose of the fix smoothed."""
+    fix, points, matches, found = _searched(log, landmarks, _rows(log, landmarks), Drift(log))
+    if fix is not None:
+        end = smoothed(log, landmarks, fix.agree, found[0])
+        fix = replace(fix, pose=end.pose, covariance=end.covariance)
+    return fix, points, matches, found
 
 
 def _searched(

@@ -136,34 +136,37 @@ def _merged(
     points: Points, rows: np.ndarray, which: np.ndarray, noise: Callable[[np.ndarray], Array]
 ) -> tuple[np.ndarray, Array, Array]:
     """The rows (k,) that agree with the others of their landmark, the places (n, 3) of landmarks, and Y (n, n, 3, 3)."""
-    C = noise(rows)
+    known = points.known[rows]
+    W = np.linalg.inv(padded(noise(rows), known)).reshape(len(rows), 3, len(rows), 3)
     while len(rows):
         ids, first, number = np.unique(which[rows], return_index=True, return_inverse=True)
         known = points.known[rows]
-        V = padded(C, known)
         y = np.where(known, points.measured[rows], 0.0)
         # headings without a jump of a turn
         y[:, 2] = y[first[number], 2] + wrap(y[:, 2] - y[first[number], 2])
-        of_each = np.zeros((len(rows), 3, len(ids), 3))
-        of_each[np.arange(len(rows)), :, number] = np.eye(3) * known[:, :, None]
-        G = of_each.reshape(3 * len(rows), -1)
-        W = np.linalg.inv(V)
-        WG = W @ G
-        Y = np.linalg.inv(G.T @ WG + np.diag((~known[first]).ravel().astype(float)))
-        means = Y @ (WG.T @ y.ravel())
-        r = (W @ (y.ravel() - G @ means)).reshape(-1, 3)
-        each = np.arange(len(rows))
-        WG = WG.reshape(len(rows), 3, -1)
-        M = W.reshape(len(rows), 3, len(rows), 3)[each, :, each] - WG @ Y @ np.swapaxes(WG, 1, 2)
+        # W G and G' W G are sums over the sightings of each landmark
+        order = np.argsort(number, kind="stable")
+        starts = np.searchsorted(number[order], np.arange(len(ids)))
+        WG = np.add.reduceat(W[:, :, order] * known[order], starts, axis=2)
+        GWG = np.add.reduceat(WG[order] * known[order][:, :, None, None], starts, axis=0)
+        size = 3 * len(ids)
+        Y = np.linalg.inv(GWG.reshape(size, size) + np.diag((~known[first]).ravel().astype(float)))
+        means = (Y @ np.einsum("kinj,ki->nj", WG, y).ravel()).reshape(-1, 3)
+        each, by_row = np.arange(len(rows)), WG.reshape(len(rows), 3, size)
+        M = W[each, :, each] - by_row @ Y @ np.swapaxes(by_row, 1, 2)
+        r = np.einsum("kilj,lj->ki", W, y - means[number] * known)
         alone = np.bincount(number)[number] == 1
         squares = np.einsum("ki,kij,kj->k", r, np.linalg.pinv(M), r)
         worst = np.zeros(len(ids))
         np.maximum.at(worst, number, np.where(alone, 0.0, squares))
         out = (squares > APART) & (squares > 0.999 * worst[number]) & ~alone
         if not out.any():
-            places, joint = np.where(known[first], means.reshape(-1, 3), np.nan), Y.reshape(len(ids), 3, len(ids), 3)
-            return rows, places, joint.transpose(0, 2, 1, 3)
-        rows, C = rows[~out], C[~out][:, ~out]
+            places = np.where(known[first], means, np.nan)
+            return rows, places, Y.reshape(len(ids), 3, len(ids), 3).transpose(0, 2, 1, 3)
+        # the inverse of what remains of V
+        left, gone = W[~out][:, :, ~out], W[out][:, :, ~out].reshape(3 * out.sum(), -1)
+        less = gone.T @ np.linalg.solve(W[out][:, :, out].reshape(3 * out.sum(), -1), gone)
+        rows, W = rows[~out], left - less.reshape(left.shape)
     return rows, np.zeros((0, 3)), np.zeros((0, 0, 3, 3))
 
 

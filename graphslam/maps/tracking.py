@@ -27,7 +27,7 @@ from ..log import UNIDENTIFIED, Log
 from ..models import ANYWHERE, MotionModel, SensorModel, additional_variances
 from ..se2 import Array, begun_at, difference
 from .landmark_map import CORRELATIONS_LOST, LandmarkMap
-from .localization import SURE, Fix, carried_back, first_fix, possible_fixes
+from .localization import SURE, Fix, carried_back, first_fix, fix_with_ids, possible_fixes
 from .parts import Part, displaced_part
 from .stretch import Stretch, drifted
 from .tracker import NOTHING, Tracker
@@ -267,10 +267,10 @@ def sure_fix(drive: Stretch, landmarks: LandmarkMap) -> Fix | None:
     """A sure fix of a stretch; None where there is none."""
     fix: Fix | None
     try:
+        # without the search for what is wrong with the map
         if drive.identified:
-            fix = first_fix(drive, landmarks)
+            fix = fix_with_ids(drive, landmarks)
         else:
-            # without the search for what is wrong with the map
             fix = next(iter(possible_fixes(drive, landmarks)), None)
     except GraphError:
         return None

@@ -5,6 +5,7 @@ J may have several minima: other ends are tried with the whole graph, and the lo
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from functools import partial
@@ -82,7 +83,9 @@ class OwnBackend(Backend):
         if lag is not None:
             check_count(lag=lag)
             check_positive(lag=lag)
-        self._sensor, self.lag = sensor, lag
+        self._sensor, self._kernel, self.lag = sensor, kernel, lag
+        #: {(numbers that it has, whether the kernel acts on it): how many such measurements there are}
+        self._measured = Counter[tuple[int, bool]]()
         self.system = engine.OnlineSystem(tolerance, PASSES)
         #: the nodes of the poses that are not final, and the values of those that are
         self._poses: list[int] = [self.system.add_node()]
@@ -101,7 +104,7 @@ class OwnBackend(Backend):
                 own, gain = kernel.of_dimension(rows), kernel.information_per_weight(rows)
                 self.system.use_kernel(*code_and_width(own), gain, rows)
         held = ANCHOR_INFORMATION if start_covariance is None else information_of(start_covariance)
-        self._start, self._in_map = (start, held), False
+        self._start, self._in_map, self._of_map = (start, held), False, 0
         self.system.add_prior([0], start, np.ascontiguousarray(held), False, np.empty(0))
         self.system.solve(self._poses, self._poses)
         if map is not None:
@@ -115,7 +118,7 @@ class OwnBackend(Backend):
         if self._latest is not None:
             self._latest.held = {j for j in ids if j not in known.covariances}
         self._landmarks = {j: self.system.add_node() for j in ids}
-        nodes = list(self._landmarks.values())
+        nodes, self._of_map = list(self._landmarks.values()), len(ids)
         # one prior of all of them would tie together those that are not
         together = [k for k, j in enumerate(ids) if known.joint is not None and j in known.covariances]
         for group in ([together] if together else []) + [[k] for k in range(len(ids)) if k not in together]:
@@ -167,12 +170,14 @@ class OwnBackend(Backend):
         """
         system, poses, columns, waiting = self.system, len(self._poses), self.columns, self._others.waiting
         known, fresh, added = system.num_nodes, list[int](), engine.NewEdges()
+        counted = Counter({(measured.shape[1], True): len(landmarks)})
         leading: Relation | None = None
         for relation, in_doubt in zip(relations, repeat(True) if doubted is None else doubted):
             first, second, z, omega = relation
             if created := max(first, second) == self.num_poses:
                 self._poses.append(system.add_node())
                 leading = relation
+            counted[3, bool(in_doubt) and not created] += 1
             kind = Kind.motion if created and first < second else Kind.relation
             ends = np.array([[self._node(first), self._node(second)]], np.int32)
             added.add(kind, ends, z[None], omega[None], doubted=bool(in_doubt) and not created)
@@ -219,6 +224,8 @@ class OwnBackend(Backend):
             if not system.converged:
                 text += "; the solver had not converged before: is a measurement wrong? It counts little with kernel='cauchy'"
             raise GraphError(text)
+        counted[1, True] += len(rows) + sum(map(len, placed.values()))
+        self._measured += counted
         for landmark, numbers_of_it in placed.items():
             self._others.placed(landmark, numbers_of_it)
         self._others.seen(landmarks, rows)
@@ -239,6 +246,7 @@ class OwnBackend(Backend):
         added.add(Kind.position, ends, measured[None], information[None], lever[None], doubted)
         if not system.add(system.num_nodes, added, self._poses[-1:]):
             raise GraphError("with this position the graph is not determined, so that nothing was added")
+        self._measured[len(measured), doubted] += 1
         self._others.positions.append((pose, measured, information, lever))
         if self.lag is None:
             nodes = [*self._poses, *self._landmarks.values()]
@@ -387,6 +395,18 @@ class OwnBackend(Backend):
         start, information = self._start
         off = difference(self.system.values(self._poses[:1])[0], start)
         return float(self.system.cost_with_priors() - off @ information @ off)
+
+    @property
+    def expected_cost(self) -> float | None:  # type: ignore[override]
+        # see `Graph.expected_cost`; the landmarks of the map have as many numbers as priors
+        if self.lag is not None:
+            return None
+        rows = expected = 0.0
+        for (numbers, doubted), count in self._measured.items():
+            rows += numbers * count
+            expected += count * (self._kernel.mean_loss(numbers) if self._kernel and doubted else numbers)
+        unknowns = 3 * (self.num_poses - 1 + self._in_map) + (self.columns or 0) * (len(self._landmarks) - self._of_map)
+        return expected * max(1 - unknowns / max(rows, 1.0), 1e-3)
 
     @property
     def pose(self) -> Array:

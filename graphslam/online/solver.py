@@ -35,6 +35,7 @@ from ..maps.landmark_map import as_map
 from ..maps.tracker import beyond, inflation
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, transform, wrap
+from ..solvers.solution import misfit_of_noise
 from ..solvers.uncertainty import ids_of, split
 from .backend import Backend, information_of
 from .localizer import Localizer
@@ -280,8 +281,13 @@ class OnlineSolver:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks, one sentence each: whether the drive so far contradicts the map, and by how much it counts as off."""
-        return tuple(self._backend.notes)
+        """Remarks, one sentence each: what of the drive so far contradicts the map, or the noise models.
+
+        The latter only with the backend "own", and without a lag.
+        """
+        expected = self._backend.expected_cost
+        misfit = "" if expected is None else misfit_of_noise(self.cost, expected)
+        return (*self._backend.notes, *filter(None, [misfit]))
 
     @property
     def num_final(self) -> int:

@@ -370,6 +370,17 @@ BEYOND_CHANCE = 4.0
 BEYOND_NOISE = "times what the noise models predict"
 
 
+def misfit_of_noise(cost: float, expected: float) -> str:
+    """A sentence where J is clearly above its expected value in a log, or while driving; empty otherwise."""
+    expected = max(expected, 1.0)
+    if cost <= max(MISFIT_OF_LOGS, 1 + BEYOND_CHANCE * np.sqrt(2 / expected)) * expected:
+        return ""
+    return (
+        f"J is {cost / expected:,.1f} {BEYOND_NOISE}: they assume less noise than there is, or measurements or ids are "
+        "wrong, so that covariances are too small; compare with the noise that the log itself shows (estimate_robot)"
+    )
+
+
 def make_solution(
     graph: Graph,
     run: Run,
@@ -449,11 +460,8 @@ def doubted(solution: Solution, again: Callable[[Graph], Solution] | None = None
             f"J is {ratio:,.0f} times what the information of the edges predicts: edges are wrong, which method gnc "
             "leaves out of Graph.with_closures, or their information is too large, or of other units"
         )
-    if graph.log is not None and ratio > max(MISFIT_OF_LOGS, 1 + BEYOND_CHANCE * np.sqrt(2 / expected)):
-        notes.append(
-            f"J is {ratio:,.1f} {BEYOND_NOISE}: they assume less noise than there is, or measurements or ids are wrong, so "
-            "that covariances are too small; compare with the noise that the log itself shows (estimate_robot)"
-        )
+    if graph.log is not None and (found := misfit_of_noise(ratio * expected, expected)):
+        notes.append(found)
     if not notes:
         return solution
     known, noted = vars(solution), replace(solution, notes=(*solution.notes, *notes), scan_errors=common)

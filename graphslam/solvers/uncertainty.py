@@ -18,11 +18,11 @@ from ..edges import SightingEdges
 from ..edges.base import Linearization
 from ..errors import OptionError, quoted
 from ..graph import Graph
-from ..identification.corrections import control_noise_at_steps
+from ..identification.corrections import control_noise_at_steps, noise_of_slopes
 from ..identification.declared import Parameters
 from ..linear.cholesky import Factor, FactorizationError
 from ..se2 import Array, perpendicular, turn_matrix
-from .joint import JointFactor, JointGraph, motion_edges, times, undetermined
+from .joint import Border, JointFactor, JointGraph, motion_edges, times, undetermined
 
 #: draws of errors of scans
 SAMPLES = 128
@@ -122,6 +122,24 @@ class Uncertainty:
             noise += border.own[k, k] - parameters.weights[k] - float(np.sum(mixed * self._factor.solve(mixed)))
         return noise / samples / max(1 / self.of_parameters[k, k] - parameters.weights[k], 1e-300)
 
+    def bias_by_controls(self, samples: int, rng: np.random.Generator) -> Array:
+        """The errors (K,) of the parameters that the squares of the noise of the controls cause.
+
+        A motion z with the noise n has the derivative by a scale J + N, N that of n. With P the information of the motions
+        beside the nodes, the last Gauss-Newton step contains C E[N' P (-n)], C the covariance of the parameters.
+        """
+        graph, parameters = self._graph, self._graph.estimated
+        edges, found = motion_edges(graph), np.zeros(len(parameters))
+        if edges is None:
+            return found
+        for _ in range(samples):
+            noise, slopes = noise_of_slopes(parameters, rng)
+            border = Border.of_motions(edges, self._state, self._state, np.dstack([slopes, -noise]))
+            border.mixed[graph.fixed] = 0.0
+            followed = self._factor.solve(np.ascontiguousarray(border.mixed[:, :, -1]))
+            found += border.own[:-1, -1] - np.einsum("nik,ni->k", border.mixed[:, :, :-1], followed)
+        return np.asarray(self.of_parameters @ found / samples)
+
     @cached_property
     def diagonal(self) -> Array:
         """The covariance of every node, (n, 3, 3), by selected inversion."""
@@ -217,6 +235,8 @@ class Uncertainty:
 BY_TURNS = ("sensor_ahead", "sensor_left", "sensor_delay")
 #: the parameters that change the size of the world; only their quotient is identifiable
 SCALES = ("wheel_scale", "range_scale")
+#: scales of what is recorded with noise
+OF_CONTROLS = ("wheel_scale", "turn_scale")
 #: a scale that is so many standard deviations from 1 is wrong, or the other one is
 SIGNIFICANT = 3.0
 #: a delay is too close to zero where noise is at least this part of the information on it, and explains at least so many
@@ -236,6 +256,7 @@ def doubts(graph: Graph, state: Array, uncertainty: Uncertainty) -> str:
         doubt_of_scale(parameters, deviations),
         doubt_of_turns(graph, state, uncertainty),
         doubt_of_delay(parameters, deviations, uncertainty),
+        doubt_of_squares(parameters, deviations, uncertainty),
     )
     return ". ".join(each for each in found if each)
 
@@ -302,6 +323,24 @@ def doubt_of_delay(parameters: Parameters, deviations: Array, uncertainty: Uncer
     return (
         f"{noise:.0%} of the information on sensor_delay is noise of the recorded controls, so that it is too close to zero "
         f"by this part: if the motion model is right, it is about {rest}"
+    )
+
+
+def doubt_of_squares(parameters: Parameters, deviations: Array, uncertainty: Uncertainty) -> str:
+    """A sentence where squares of the noise of the recorded controls make scales clearly too large; empty otherwise."""
+    scales = [k for k, name in enumerate(parameters.names) if name in OF_CONTROLS]
+    if not scales:
+        return ""
+    bias = uncertainty.bias_by_controls(CONTROLS, np.random.default_rng(0))
+    if not (wrong := [k for k in scales if abs(bias[k]) > SHORT * deviations[k]]):
+        return ""
+    rest = ", ".join(
+        f"{parameters.names[k]} is about {parameters.values[k] - bias[k]:.3f} +- {deviations[k]:.1g}" for k in wrong
+    )
+    return (
+        f"noise of the recorded controls makes {', '.join(parameters.names[k] for k in wrong)} too large, because their "
+        f"squares count as well where speeds hardly change: if the motion model is right, {rest}. noise='auto' averages the "
+        "controls and has no such error"
     )
 
 

@@ -6,14 +6,17 @@ scale * (R + sensor_left) is determined, and a small error of the derivatives de
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
-from graphslam import Graph, Log, MotionModel, estimate_robot, solve
+from graphslam import Graph, Log, MotionModel, SensorModel, estimate_robot, solve
 from graphslam.metrics import ate
 from graphslam.se2 import Array, wrap
 
 RADIUS, SPEED, RATE, DURATION = 0.5, 0.5, 20, 600
+MOTION, SENSOR = MotionModel.constant(0.03, 0.03, epsilon=1e-8), SensorModel(range_rate=0.02, bearing_std=0.01)
 
 
 def circling(seed: int, wheel_scale: float = 1.0) -> tuple[Log, Array]:
@@ -56,3 +59,20 @@ def test_wheels_and_sensor_are_not_both_held_where_one_of_them_is_wrong(seed: in
     # those that are held have no place among the estimated ones
     p = {"wheel_scale": 1.0, "sensor_left": 0.0} | dict(zip(found.names, found.values.tolist()))
     assert p["wheel_scale"] * (RADIUS + p["sensor_left"]) / RADIUS == pytest.approx(1.04, abs=0.005)
+
+
+def test_the_doubt_says_how_much_the_squares_of_the_noise_change_a_scale() -> None:
+    values, deviations = [], []
+    for seed in (1, 3, 5):
+        log = circling(seed)[0].replace(motion=MOTION, sensor=SENSOR)
+        both = {"wheel_scale": 0.05, "sensor_left": 0.03}
+        found = solve(Graph.from_log(log, edges="landmark+motion", estimate=both)).parameters
+        assert found is not None and found["wheel_scale"] > 1.2
+        said = re.search(r"wheel_scale is about ([\d.]+) \+- ([\d.]+)\.", found.doubt)
+        assert said is not None
+        values.append(float(said[1]))
+        deviations.append(float(said[2]))
+    assert np.mean(values) == pytest.approx(1.0, abs=3 * np.mean(deviations) / 3**0.5)
+    # alone it is determined by all of the way
+    alone = solve(Graph.from_log(log, edges="landmark+motion", estimate=["wheel_scale"])).parameters
+    assert alone is not None and not alone.doubt

@@ -101,6 +101,11 @@ def driven(log, known, at=None, **options):
     return robot, np.mean(squares)
 
 
+def against_map(robot):
+    """What a robot that drives says against its map."""
+    return [note for note in robot.notes if note.startswith("the drive contradicts the map")]
+
+
 @pytest.mark.parametrize("size", [0.1, 0.3])
 def test_a_robot_that_drives_counts_the_errors_of_its_map(size):
     log, known = drive(41)
@@ -153,10 +158,10 @@ def test_a_map_stays_as_it_is_where_the_drive_cannot_be_gone_through_again(monke
 
     monkeypatch.setattr(LandmarkMap, "widened", refuse)
     robot, _ = driven(log, wrong, start=log.true_poses[0])
-    assert robot.step == log.num_poses - 1 and robot.located and not robot.notes
+    assert robot.step == log.num_poses - 1 and robot.located and not against_map(robot)
     # a long drive is not gone through again
     monkeypatch.setattr("graphslam.online.localizer.MOST_AGAIN", 0)
-    (note,) = driven(log, wrong, start=log.true_poses[0])[0].notes
+    (note,) = against_map(driven(log, wrong, start=log.true_poses[0])[0])
     assert "Poses and their risks take the map for right" in note and "ids are misread" in note
 
 
@@ -168,7 +173,17 @@ def test_a_robot_that_drives_takes_a_right_map_for_right(misread):
         rng = np.random.default_rng(seed)
         ids = np.where(rng.random(len(log.landmarks)) < misread, rng.permutation(log.landmarks), log.landmarks)
         robot, _ = driven(log.replace(landmarks=ids), known)
-        assert robot.located and not robot.notes
+        assert robot.located and not against_map(robot)
+
+
+def test_a_robot_that_drives_says_that_there_is_more_noise_than_its_models_have(monkeypatch):
+    log, known = drive(41)
+    less = {**ROBOT, "sensor": SensorModel(range_rate=0, range_std=0.006, bearing_std=0.004)}
+    # why no place fits is a question of somebody who asks once, not of each step
+    monkeypatch.setattr("graphslam.maps.localization._cause", lambda *_: pytest.fail("searched for the cause"))
+    for models, misfit in ((ROBOT, False), (less, True)):
+        robot, _ = driven(log, known, **models)
+        assert any("times what the noise models predict" in note for note in robot.notes) == misfit
 
 
 def test_a_map_is_widened_with_its_correlations_and_headings():

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -354,3 +355,19 @@ def test_second_derivatives_of_all_edges_are_no_information() -> None:
 def test_options_that_a_backend_does_not_have(backend: str, option: str) -> None:
     with pytest.raises(OptionError, match=f"backend {backend} of solve_online and replay has no option '?{option}"):
         solve_online(simulate(steps=5), backend=backend, **{option: 5})
+
+
+@pytest.mark.parametrize("told", [1.0, 0.2])
+def test_noise_that_the_models_lack_is_said_while_driving_as_after_the_drive(told):
+    log = simulate(seed=4, clean=True)
+    motion, sensor = MotionModel(nn=0.19 * told, on=0.13 * told, oo=0.2 * told), SensorModel()
+    models = {
+        "motion": motion,
+        "sensor": replace(sensor, **{name: told * getattr(sensor, name) for name in sensor.NOISE}),
+    }
+    (*_, solver) = replay(log, **models)
+    batch = solve(Graph.from_log(log, edges="landmark+motion", kernel="none", **models))
+    after = [note for note in batch.notes if note.startswith("J is")]
+    assert len(after) == (told < 1)
+    assert [note for note in solver.notes if note.startswith("J is")] == after
+    assert solver._backend.expected_cost == pytest.approx(batch.graph.expected_cost)
