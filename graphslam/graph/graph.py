@@ -369,7 +369,7 @@ class Graph:
         """The independent numbers that the edges measure, minus the unknowns: not above zero where nothing is checked."""
         rows = sum(family.numbers[0] for family in self.families) + self._priors
         of_nodes = 3 * len(self.steps) + self.landmark_dimension * len(self.landmark_ids)
-        of_nodes -= self.landmark_dimension * int(np.sum(self.fixed >= len(self.steps)))
+        of_nodes -= self.landmark_dimension * int(np.count_nonzero(self.fixed >= len(self.steps)))
         return rows - of_nodes + self._gauge - len(self.parameters or ())
 
     @property

@@ -163,7 +163,7 @@ def _held(graph: Graph, state: Array) -> np.ndarray:
     """
     held = [graph.fixed]
     for family in graph.families:
-        if isinstance(family, AnchorEdges | PriorEdges):
+        if isinstance(family, (AnchorEdges, PriorEdges)):
             state[family.nodes] = family.values
             held.append(family.nodes)
     if graph.map is not None:
@@ -465,7 +465,7 @@ def _in_map(graph: Graph, poses: Array) -> Array:
 
 def starts_of_auto(graph: Graph) -> tuple[str, ...]:
     """The starts of `AUTO` for the families of a graph: some are for sightings of landmark nodes."""
-    if any(isinstance(family, ObservationEdges | PartialEdges) for family in graph.families):
+    if any(isinstance(family, (ObservationEdges, PartialEdges)) for family in graph.families):
         return AUTO
     return AUTO[AUTO.index("rotation-first") :]
 

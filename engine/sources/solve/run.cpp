@@ -22,9 +22,13 @@ const char* describe(End end) {
 }
 
 double inner(std::span<const double> a, std::span<const double> b) {
-    double total = 0.0;
-    for (std::size_t k = 0; k < a.size(); ++k) total += a[k] * b[k];
-    return total;
+    // four sums, because each addition waits for the one before it
+    std::array<double, 4> totals{};
+    std::size_t k = 0;
+    for (; k + 4 <= a.size(); k += 4)
+        for (std::size_t i = 0; i < 4; ++i) totals[i] += a[k + i] * b[k + i];
+    for (; k < a.size(); ++k) totals[0] += a[k] * b[k];
+    return (totals[0] + totals[1]) + (totals[2] + totals[3]);
 }
 
 double rounding(std::span<const double> state, std::span<const double> diagonal) {

@@ -21,8 +21,7 @@ struct Related {
     Related(const GraphObjective& graph, Relations of) {
         const System& system = graph.system();
         for (const GraphObjective::Member& m : graph.families()) {
-            const std::vector<Relation> found = of(*m.family);
-            relations.insert(relations.end(), found.begin(), found.end());
+            std::vector<Relation> found = of(*m.family);
             if (m.pairs.size() == found.size())
                 pairs.insert(pairs.end(), m.pairs.begin(), m.pairs.end());
             else
@@ -30,6 +29,10 @@ struct Related {
                     pairs.push_back(sparse::block_or_none(system, r.first, r.second));
                     if (pairs.back() < 0 && unlisted < 0) unlisted = r.first;
                 }
+            if (relations.empty())
+                relations = std::move(found);
+            else
+                relations.insert(relations.end(), found.begin(), found.end());
         }
     }
 };

@@ -42,6 +42,9 @@ Factor<Block>::Factor(std::shared_ptr<const Symbolic> symbolic)
 }
 
 template <class Block>
+Factor<Block>::~Factor() = default;
+
+template <class Block>
 Index Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, double damping, std::span<Numbers> scratch) {
     const Symbolic& t = *symbolic_;
     const Panel<Block> panel{panels_.data() + t.panel_start[s], t.front(s), scratch};
@@ -49,6 +52,8 @@ Index Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
     const Step h = panel.front.height;
     std::memset(panel.x, 0, Block::columns * panel.front.w * h * sizeof(double));
     for (Index q = t.entry_start[s]; q < t.entry_start[s + 1]; ++q) {
+        // the blocks of the matrix are not in the order of elimination
+        __builtin_prefetch(values.data() + Block::size * t.entries[std::min(q + 8, t.entry_start.back() - 1)].block());
         const Entry& entry = t.entries[q];
         double* const at = panel.x + Block::planes * begin[entry.column] * h + panel.front.pad + begin[entry.row];
         const Value* const block = values.data() + Block::size * entry.block();

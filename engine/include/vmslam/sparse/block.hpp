@@ -136,6 +136,7 @@ struct Real {
 #pragma GCC unroll 3
             for (int c = 0; c < N; ++c) total[c] += v * load<lanes>(x + c * h + i);
         }
+#pragma GCC unroll 3
         for (int c = 0; c < N; ++c) b.v[c] -= sum<lanes>(total[c]);
         return b;
     }

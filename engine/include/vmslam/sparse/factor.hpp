@@ -27,6 +27,8 @@ class Factor {
 
     explicit Factor(std::shared_ptr<const Symbolic> symbolic);
     explicit Factor(Symbolic symbolic) : Factor(std::make_shared<const Symbolic>(std::move(symbolic))) {}
+    // not inline: the bindings are compiled with -O1, with which the numbers would be visited one by one to destroy nothing
+    ~Factor();
 
     const Symbolic& symbolic() const { return *symbolic_; }
     const std::shared_ptr<const Symbolic>& shared_symbolic() const { return symbolic_; }
