@@ -293,9 +293,10 @@ void bind_runs(nb::module_& m) {
         .def_ro("cost_at_end", &Run::cost_at_end)
         .def_ro("damping", &Run::damping)
         .def_ro("damped_from", &Run::damped_from)
+        .def_ro("curved_from", &Run::curved_from)
         .def_ro("factorizations", &Run::factorizations);
     m.def("gauss_newton", &gauss_newton, release());
-    m.def("levenberg_marquardt", &levenberg_marquardt, release());
+    m.def("levenberg_marquardt", &levenberg_marquardt, nb::arg(), nb::arg(), nb::arg(), nb::arg() = false, release());
     nb::class_<AndersonAcceleration>(m, "AndersonAcceleration")
         .def(nb::init<>())
         .def("next", [](AndersonAcceleration& anderson, In<double> x, In<double> f) {

@@ -1,4 +1,5 @@
-// Inverses of covariances, and edges that also depend on parameters: against dense matrices.
+// Inverses of covariances, and edges that also depend on parameters, against dense matrices; second derivatives of edges against
+// differences.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -9,6 +10,9 @@
 #include "expect.hpp"
 #include "vmslam/edges/inverses.hpp"
 #include "vmslam/edges/linearized.hpp"
+#include "vmslam/edges/polar.hpp"
+#include "vmslam/edges/single_numbers.hpp"
+#include "vmslam/solve/graph.hpp"
 #include "vmslam/sparse/pattern.hpp"
 
 namespace {
@@ -125,6 +129,71 @@ void test_sums(std::mt19937& random, unsigned seed) {
     }
 }
 
+/// A graph of three nodes with edges of one family.
+solve::Graph graph_of_family(std::mt19937& random) {
+    solve::Graph graph(3);
+    const auto normal = [&] { return std::normal_distribution<>()(random); };
+    const edges::Kernel kernel{static_cast<edges::Robust>(random() % 4), 1.0 + 0.5 * normal() * normal()};
+    const std::vector<Index> first{0, 2, 1}, second{1, 0, 2};
+    const unsigned kind = random() % 6;
+    std::vector<edges::RelativeEdge> relative;
+    std::vector<edges::Position> positions;
+    std::vector<edges::NumberEdge> numbers;
+    edges::Sightings seen{{}, {}, {}, {0.02, 0.1, 0.3, 0.2, 0.3, -0.2}, kernel, random() % 2 == 0};
+    for (std::size_t k = 0; k < 3; ++k) {
+        const edges::Vector z{normal(), normal(), normal()};
+        const edges::Lever lever{normal(), normal()};
+        const bool oriented = kind == 0;
+        edges::Symmetric omega = edges::outer(1.0, {normal(), normal(), oriented ? normal() : 0.0});
+        omega = omega + edges::Symmetric{1.0, 0.0, 1.0, 0.0, 0.0, oriented ? 1.0 : 0.0};
+        relative.push_back({first[k], second[k], z, omega});
+        positions.push_back({first[k], z, omega, lever});
+        numbers.push_back({first[k], second[k], std::abs(z.x), 2.0 + z.y * z.y, lever});
+        seen.z.push_back({1.0 + z.x * z.x, z.y, z.t});
+        seen.noisy.push_back({1.0 + z.y * z.y, 0.0, 0.0});
+        seen.trust.push_back(0.3 + 0.1 * static_cast<double>(k));
+    }
+    if (kind < 2) graph.add_relative(relative, kernel, kind == 0);
+    if (kind == 2) graph.add_pairs(std::make_unique<edges::PositionEdges>(positions, kernel));
+    if (kind == 3 || kind == 4) {
+        const auto number = kind == 3 ? edges::Number::range : edges::Number::bearing;
+        graph.add_pairs(std::make_unique<edges::NumberEdges>(number, numbers, kernel), first, second);
+    }
+    if (kind == 5) graph.add_pairs(std::make_unique<edges::PolarEdges>(first, second, seen), first, second);
+    return graph;
+}
+
+/// Omega with second derivatives is the derivative of -xi.
+void test_second_derivatives(std::mt19937& random, unsigned seed) {
+    const solve::Graph graph = graph_of_family(random);
+    solve::Graph::Assembled assembled(graph);
+    solve::GraphObjective& objective = *assembled.objective;
+    expect(objective.curves(), "the family has second derivatives", seed);
+    Numbers state = drawn(random, 9);
+    objective.curve(true);
+    objective.linearize(state, state);
+    const edges::System& system = objective.system();
+    const Numbers values(system.values, system.values + 9 * system.rows.size());
+    double largest = 1.0;
+    for (const double value : values) largest = std::max(largest, std::abs(value));
+    for (std::size_t j = 0; j < 9; ++j) {
+        constexpr double h = 1e-6;
+        const double at = state[j];
+        Numbers difference(9);
+        for (const double sign : {-1.0, 1.0}) {
+            state[j] = at + sign * h;
+            objective.linearize(state, state);
+            for (std::size_t i = 0; i < 9; ++i) difference[i] -= sign * objective.xi()[i] / (2 * h);
+        }
+        state[j] = at;
+        for (Index p = system.start[j / 3]; p < system.start[j / 3 + 1]; ++p)
+            for (std::size_t r = 0; r < 3; ++r) {
+                const double found = values[9 * p + 3 * r + j % 3], expected = difference[3 * system.rows[p] + r];
+                expect(std::abs(found - expected) < 1e-5 * largest, "second derivatives", seed);
+            }
+    }
+}
+
 }  // namespace
 
 void test_linearized() {
@@ -133,6 +202,7 @@ void test_linearized() {
         random.seed(seed);
         test_inverses(random, seed);
         test_sums(random, seed);
+        test_second_derivatives(random, seed);
     }
     test_limits();
 }

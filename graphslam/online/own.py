@@ -33,7 +33,7 @@ SWEEPS = 3
 #: kinds of edges
 Kind = engine.OnlineEdge
 #: the most passes of one update, after which the batch solver takes over
-PASSES = 15
+PASSES = 12
 #: the part of J below which updates leave it
 TOLERANCE = 3e-8
 #: the fewest steps from one pose that stays a node, with a lag, to the next

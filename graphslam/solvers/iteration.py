@@ -99,6 +99,8 @@ def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: fl
     run.reason = _reason(run, inside)
     if inside.end == engine.End.diverged and not run.step_norms:
         run.reason += _not_finite(graph, run.state)
+    if inside.curved_from >= 0:
+        run.reason += f", with second derivatives from step {inside.curved_from + 1} on because steps became short slowly"
     if inside.damped_from >= 0:
         run.reason += f", with damped steps from step {inside.damped_from + 1} on because plain ones oscillated"
 
@@ -192,11 +194,14 @@ KEPT = 0.01
 def gauss_newton(graph: Graph, run: Run) -> None:
     """Iterate x <- x + Omega^-1 xi with Omega = sum B' Omega_e B and xi = - sum B' Omega_e e, until ``run`` stops.
 
-    Plain steps converge slowly where information, or a kernel's weights, are re-evaluated at every step; there the
-    iterates are mixed (Anderson acceleration). They also converge slowly, or oscillate, where residuals are large, because
-    Omega leaves out the second derivatives of the residuals; the iterates are therefore mixed after eight plain steps in any
-    case. Where neither the lowest J nor the shortest step improves for ten steps, damped steps lead on from the best state
-    (`levenberg_marquardt`). They converge slowly, too, so that after twenty of them undamped ones follow.
+    Plain steps converge slowly, or oscillate, where residuals are large or have a kernel, because Omega leaves out second
+    derivatives. Where a step after the fourth promises less than 1 % of J, but more than 1 % of what the one before it
+    promised, Omega has them from there on (Newton's method, damped where J does not fall).
+
+    Edges whose information depends on the state, those of landmarks that are no nodes, and those written in Python have no
+    second derivatives. There the iterates are mixed (Anderson acceleration), after eight plain steps if there is no kernel
+    and information is constant. Where neither the lowest J nor the shortest step improves for ten steps, damped steps lead
+    on from the best state (`levenberg_marquardt`). They converge slowly, too, so that after twenty of them undamped ones follow.
 
     Raises:
         GraphError: the edges do not determine the nodes.

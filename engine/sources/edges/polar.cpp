@@ -1,6 +1,7 @@
 #include "vmslam/edges/polar.hpp"
 
 #include "vmslam/edges/rotations.hpp"
+#include "vmslam/edges/single_numbers.hpp"
 
 namespace vmslam::edges {
 
@@ -29,18 +30,22 @@ double PolarEdges::accumulate(const State& state, System* system, std::span<cons
                                                  w_orientation * orientation * orientation);
         total += seen_.kernel.loss(squares);
         if (!system) continue;
-        const double f = seen_.trust[k] * seen_.kernel.weight(squares);
+        const double weight = seen_.kernel.weight(squares), f = seen_.trust[k] * weight;
         w_range *= f, w_bearing *= f, w_orientation *= f;
         const double c = sx / r, s = sy / r, p = -s / r, q = c / r, across = w_bearing + w_orientation;
-        const Symmetric W{w_range * c * c + across * p * p,
-                          w_range * c * s + across * p * q,
-                          w_range * s * s + across * q * q,
-                          -w_orientation * p,
-                          -w_orientation * q,
-                          w_orientation};
+        Symmetric W{w_range * c * c + across * p * p,
+                    w_range * c * s + across * p * q,
+                    w_range * s * s + across * q * q,
+                    -w_orientation * p,
+                    -w_orientation * q,
+                    w_orientation};
         const double turning = w_bearing * bearing + w_orientation * orientation;
         const Vector g{w_range * range * c + turning * p, w_range * range * s + turning * q, -w_orientation * orientation};
+        if (system->curved)
+            W = W + outer(2 * seen_.kernel.weight_slope(squares) / (weight * weight), g) +
+                w_range * range * bent(Number::range, {c, s}, r) + turning * bent(Number::bearing, {p, q}, r);
         add_pair(*system, i, j, pairs[k], W, g, {-dy, dx}, {0.0, 0.0});
+        if (system->curved) add_turning(*system, i, j, pairs[k], g, dx, dy);
     }
     return total;
 }

@@ -25,10 +25,12 @@ double RelativeEdges::add(const State& state, System* system, std::span<const In
         Symmetric W = turned(world ? references[k] : axes, omega);
         Vector g = W * e;
         const double squares = dot(g, e);
+        const bool curved = !world && system && system->curved;
         if (kernel_) {
             total += kernel_.loss(squares);
             W = kernel_.weight(squares) * W;
-            g = W * e;
+            if (curved) W = W + outer(2 * kernel_.weight_slope(squares), g);
+            g = kernel_.weight(squares) * g;
         } else {
             total += squares;
         }
@@ -37,6 +39,7 @@ double RelativeEdges::add(const State& state, System* system, std::span<const In
             add_pair(*system, i, j, pairs[k], W, g, u, {0.0, 0.0});
         else
             add_point(*system, i, j, pairs[k], W, g, u);
+        if (curved) add_turning(*system, i, j, pairs[k], g, dx, dy);
     }
     return total;
 }
@@ -85,8 +88,11 @@ double PositionEdges::accumulate(const State& state, System* system, std::span<c
         const double squares = dot(g, e), w = kernel_.weight(squares);
         total += kernel_.loss(squares);
         if (!system) continue;
-        g = {w * g.x, w * g.y, w * g.t};
-        add_block(system->diagonal(i), w * omega, v);
+        Symmetric W = w * omega;
+        if (system->curved) W = W + outer(2 * kernel_.weight_slope(squares), g);
+        g = w * g;
+        add_block(system->diagonal(i), W, v);
+        if (system->curved) system->diagonal(i)[8] -= g.x * arm.x + g.y * arm.y;
         add_gradient(system->xi + 3 * i, -1.0, g, v);
     }
     return total;

@@ -18,7 +18,12 @@ double NumberEdges::accumulate(const State& state, System* system, std::span<con
         total += kernel_.loss(squares);
         if (!system) continue;
         const Lever world{axes.c * n.x - axes.s * n.y, axes.s * n.x + axes.c * n.y};
-        add_point(*system, i, j, pairs[k], along(w, world), {w * e * world.x, w * e * world.y, 0.0}, {-dy, dx});
+        const Vector g{w * e * world.x, w * e * world.y, 0.0};
+        Symmetric W = along(w, world);
+        if (system->curved)
+            W = W + along(2 * omega * squares * kernel_.weight_slope(squares), world) + w * e * bent(kind_, world, distance);
+        add_point(*system, i, j, pairs[k], W, g, {-dy, dx});
+        if (system->curved) add_turning(*system, i, j, pairs[k], g, dx, dy);
     }
     return total;
 }

@@ -9,6 +9,10 @@ using State = std::vector<double>;
 
 /// Gauss-Newton that has not converged after so many plain steps converges slowly, or oscillates: the iterates are mixed.
 constexpr int plain_steps = 8;
+/// Newton's method follows after so many plain steps where one promises less than the part `near` of J, so that the minimum
+/// is not far, and more than the part `slow` of what the step before it promised.
+constexpr int before_newton = 4;
+constexpr double near = 0.01, slow = 0.01;
 /// Plain and mixed steps without progress after which the steps are damped.
 constexpr int patience = 10, patience_mixed = 30;
 /// So many damped steps follow, and then undamped ones again.
@@ -57,7 +61,8 @@ class Step {
 /// Steps until the run stops, or makes no progress: then the best state, otherwise none. The iterates are mixed after `plain`
 /// steps. Without plain steps, a run that takes all its iterations also ends at the best state.
 std::optional<State> undamped(Objective& objective, Run& run, int plain) {
-    const int mixed_from = objective.state_dependent || objective.reweighted ? 0 : plain;
+    const bool newton = plain && objective.curves();
+    const int mixed_from = newton ? run.rules.most_steps : objective.state_dependent || objective.reweighted ? 0 : plain;
     run.anderson.reset();
     Step step(objective, run);
     State best = run.state;
@@ -74,6 +79,8 @@ std::optional<State> undamped(Objective& objective, Run& run, int plain) {
             run.end = End::not_determined;
             return std::nullopt;
         }
+        if (newton && k >= before_newton && step.predicted < near * cost && step.predicted > slow * run.predicted)
+            return best;
         run.step(cost, step.delta);
         if (run.finished(step.predicted, objective)) {
             if (cost <= lowest * (1 + promise) || objective.state_dependent) return std::nullopt;
@@ -94,6 +101,13 @@ std::optional<State> undamped(Objective& objective, Run& run, int plain) {
 void gauss_newton(Objective& objective, Run& run) {
     run.end = End::most_steps;
     std::optional<State> best = undamped(objective, run, plain_steps);
+    if (best && objective.curves()) {
+        run.state = *best;
+        run.curved_from = run.steps();
+        levenberg_marquardt(objective, run, run.rules.most_steps, true);
+        objective.curve(false);
+        return;
+    }
     const int damped_from = run.steps();
     while (best) {
         run.state = *best;

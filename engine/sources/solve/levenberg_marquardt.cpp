@@ -6,8 +6,12 @@
 namespace vmslam::solve {
 namespace {
 
-/// Whether the iteration ends here: an undamped step promises little, too, or Omega is singular (not converged).
+/// The damping with which steps with second derivatives begin where those without any fail.
+constexpr double least_damping = 1e-6;
+
+/// Whether the iteration ends here: an undamped Gauss-Newton step promises little, too, or Omega is singular (not converged).
 bool confirmed_end(Objective& objective, Run& run) {
+    objective.curve(false);
     objective.linearize(run.state, run.state);
     std::vector<double> delta(run.state.size());
     ++run.factorizations;
@@ -45,16 +49,18 @@ struct Trial {
 
 }  // namespace
 
-bool levenberg_marquardt(Objective& objective, Run& run, int most) {
+bool levenberg_marquardt(Objective& objective, Run& run, int most, bool curved) {
     run.anderson.reset();
     if (objective.state_dependent && !run.rules.descend) run.anderson.emplace();
     run.end = End::most_steps;
-    double damping = 1e-4, growth = 2.0;
+    // with second derivatives, damping makes steps slow, and is only for where Omega is indefinite
+    double damping = curved ? 0.0 : 1e-4, growth = 2.0;
     const int last = std::min(run.rules.most_steps, run.steps() + most);
     Trial trial;
     while (run.steps() < last) {
         // state-dependent information is evaluated once per step and kept while the step is tried
         const std::vector<double> reference = run.state;
+        objective.curve(curved);
         const double cost = objective.linearize(run.state, reference);
         if (run.diverged(cost) || (damping < 1e-6 && run.settled(cost))) return false;
         const std::vector<double> diagonal = objective.diagonal();
@@ -69,10 +75,10 @@ bool levenberg_marquardt(Objective& objective, Run& run, int most) {
             ever_solved = ever_solved || solved;
             const double tried = damping;
             // more damping also makes definite what rounding made indefinite
-            damping *= growth;
+            damping = std::max(growth * damping, curved ? least_damping : 0.0);
             growth *= 2;
             if (damping > 1e16) {
-                run.end = ever_solved ? End::no_lower_cost : End::not_determined;
+                run.end = ever_solved || curved ? End::no_lower_cost : End::not_determined;
                 run.cost_at_end = cost;
                 run.damping = tried;
                 return false;

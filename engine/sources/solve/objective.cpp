@@ -1,6 +1,7 @@
 #include "vmslam/solve/objective.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace vmslam::solve {
 
@@ -46,8 +47,12 @@ bool GraphObjective::solve(std::span<double> delta) { return factor_.solve(xi(),
 
 std::vector<double> GraphObjective::diagonal() {
     std::vector<double> out(3 * nodes());
-    for (std::size_t i = 0; i < out.size(); ++i) out[i] = system_.diagonal(static_cast<Index>(i / 3))[4 * (i % 3)];
+    for (std::size_t i = 0; i < out.size(); ++i) out[i] = std::abs(system_.diagonal(static_cast<Index>(i / 3))[4 * (i % 3)]);
     return out;
+}
+
+bool GraphObjective::curves() const {
+    return !state_dependent && std::ranges::all_of(families_, [](const Member& m) { return m.family->curves(); });
 }
 
 }  // namespace vmslam::solve

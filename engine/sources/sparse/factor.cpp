@@ -67,7 +67,7 @@ Index Factor<Block>::factorize_supernode(Node s, std::span<const Value> values, 
     const Step used = begin[t.width(s) - 1] + t.size(t.first[s + 1] - 1);
     for (Step i = 0; i < Block::rows * panel.front.w; ++i) {
         double& d = panel.x[i * (Block::planes * h + 1) + panel.front.pad];
-        d = i < used ? d * (1.0 + damping) : 1.0;
+        d = i < used ? d + damping * std::abs(d) : 1.0;
         limits[i] = d > 0.0 ? Block::tolerance * d : 0.0;
     }
     for (Node q = t.child_start[s]; q < t.child_start[s + 1]; ++q) {

@@ -55,6 +55,8 @@ inline Vector operator*(const Symmetric& W, const Vector& e) {
     return {W.xx * e.x + W.xy * e.y + W.xt * e.t, W.xy * e.x + W.yy * e.y + W.yt * e.t, W.xt * e.x + W.yt * e.y + W.tt * e.t};
 }
 
+inline Vector operator*(double f, const Vector& v) { return {f * v.x, f * v.y, f * v.t}; }
+
 inline Vector operator+(const Vector& a, const Vector& b) { return {a.x + b.x, a.y + b.y, a.t + b.t}; }
 
 /// a' b
@@ -72,6 +74,11 @@ inline Symmetric turned(const Rotation& r, const Symmetric& W) {
             c * W.xt - s * W.yt,
             s * W.xt + c * W.yt,
             W.tt};
+}
+
+/// f v v'
+inline Symmetric outer(double f, const Vector& v) {
+    return {f * v.x * v.x, f * v.x * v.y, f * v.y * v.y, f * v.x * v.t, f * v.y * v.t, f * v.t * v.t};
 }
 
 inline double determinant(const Symmetric& W) {
@@ -178,6 +185,19 @@ inline void add_point(System& to, Index i, Index j, Index pair, const Symmetric&
     add_corner(block, -1.0, W);
     block[i < j ? 6 : 2] -= a.x;
     block[i < j ? 7 : 5] -= a.y;
+}
+
+/// Add the second derivatives of a residual that is a function of R(theta_i)' d, d = (dx, dy) from the place of node i to that of
+/// node j: with g = W e in world axes, J/2 has the further terms
+///
+///     theta_i h' (p_j - p_i) - g' d theta_i^2 / 2,   h = (-g_y, g_x).
+inline void add_turning(System& to, Index i, Index j, Index pair, const Vector& g, double dx, double dy) {
+    double *const own = to.diagonal(i), *const block = to.block(pair);
+    own[2] += g.y, own[6] += g.y;
+    own[5] -= g.x, own[7] -= g.x;
+    own[8] -= g.x * dx + g.y * dy;
+    block[i < j ? 6 : 2] -= g.y;
+    block[i < j ? 7 : 5] += g.x;
 }
 
 }  // namespace vmslam::edges

@@ -41,6 +41,9 @@ class Family {
     /// edge, for the families that list their edges.
     virtual double accumulate(const State& state, System* system, std::span<const Index> pairs) const = 0;
 
+    /// Whether they add their second derivatives where a system asks for them; no by default.
+    virtual bool curves() const { return false; }
+
     /// The relative headings that the edges measure; none by default.
     virtual std::vector<HeadingRelation> headings() const { return {}; }
     /// The relative positions that they measure, with the headings of a state; none by default.

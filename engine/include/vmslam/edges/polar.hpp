@@ -12,6 +12,7 @@ class PolarEdges : public Family {
         : first_(std::move(first)), second_(std::move(second)), seen_(std::move(sightings)) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    bool curves() const override { return true; }
     std::size_t measurements() const override { return first_.size(); }
     std::unique_ptr<const Family> trusting(std::span<const double> trust) const override {
         auto out = std::make_unique<PolarEdges>(*this);

@@ -28,6 +28,7 @@ class RelativeEdges : public EdgeList<RelativeEdges, RelativeEdge> {
         : EdgeList(std::move(edges), kernel), poses_(poses), world_(world) {}
 
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    bool curves() const override { return !world_; }
     std::vector<HeadingRelation> headings() const override;
     std::vector<PositionRelation> positions(const double* state) const override;
     bool constant(const double* state, Index nodes, ConstantEdges& out) const override {
@@ -57,6 +58,7 @@ class PositionEdges : public EdgeList<PositionEdges, Position> {
    public:
     explicit PositionEdges(std::vector<Position> positions, Kernel kernel = {}) : EdgeList(std::move(positions), kernel) {}
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    bool curves() const override { return true; }
 
    private:
     bool list(std::vector<ConstantEdge>& to) const override;

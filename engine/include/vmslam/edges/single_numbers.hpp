@@ -34,8 +34,13 @@ inline NumberSeen number_seen(Number kind, double z, double x, double y) {
 }
 
 /// omega n n'
-inline Symmetric along(double omega, const Lever& n) {
-    return {omega * n.x * n.x, omega * n.x * n.y, omega * n.y * n.y, 0.0, 0.0, 0.0};
+inline Symmetric along(double omega, const Lever& n) { return outer(omega, {n.x, n.y, 0.0}); }
+
+/// The second derivatives by (x, y), from the derivative n and the distance: (I - n n') / d of a range, and n m' + m n' of a
+/// bearing, m = -(x, y) / d².
+inline Symmetric bent(Number kind, const Lever& n, double d) {
+    if (kind == Number::range) return {n.y * n.y / d, -n.x * n.y / d, n.x * n.x / d, 0.0, 0.0, 0.0};
+    return {-2 * n.x * n.y, n.x * n.x - n.y * n.y, 2 * n.x * n.y, 0.0, 0.0, 0.0};
 }
 
 /// The number `z` of node j seen from pose i.
@@ -50,6 +55,7 @@ class NumberEdges : public EdgeList<NumberEdges, NumberEdge> {
     NumberEdges(Number kind, std::vector<NumberEdge> edges, Kernel kernel)
         : EdgeList(std::move(edges), kernel), kind_(kind) {}
     double accumulate(const State& state, System* system, std::span<const Index> pairs) const override;
+    bool curves() const override { return true; }
     std::vector<double> squares(const double* state, std::span<const double> trust) const override;
 
    private:

@@ -14,6 +14,7 @@ using sparse::Index;
 struct System : sparse::Pattern {
     double* values;  ///< nine numbers for each block, by rows
     double* xi;      ///< three numbers for each node
+    bool curved = false;  ///< whether edges add the second derivatives of their residuals and kernels, too
 
     double* block(Index k) const { return values + 9 * k; }
     double* diagonal(Index node) const { return block(start[node + 1] - 1); }

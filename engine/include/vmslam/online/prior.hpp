@@ -85,6 +85,8 @@ class PriorFamily : public edges::Family {
    public:
     PriorFamily(const Prior& prior, const Graph& graph, std::span<const Id> number);
     double accumulate(const edges::State& state, edges::System* system, std::span<const edges::Index> pairs) const override;
+    /// Absolute priors have none, and those of the others are left out.
+    bool curves() const override { return true; }
 
    private:
     const Prior& prior_;

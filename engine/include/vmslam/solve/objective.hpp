@@ -22,13 +22,16 @@ class Objective {
     /// Omega and xi at a state; returns J.
     virtual double linearize(std::span<const double> state, std::span<const double> reference) = 0;
     virtual double cost(std::span<const double> state, std::span<const double> reference) = 0;
-    /// L L' = Omega + damping diag(Omega) of the last `linearize`; false where there is no such factor.
+    /// L L' = Omega + damping abs(diag(Omega)) of the last `linearize`; false where there is no such factor.
     virtual bool factorize(double damping) = 0;
     /// Omega^-1 xi with the last factor and the last xi; false where xi is not finite.
     virtual bool solve(std::span<double> delta) = 0;
     virtual std::span<const double> xi() = 0;
-    /// The scalar diagonal of Omega.
+    /// The scalar diagonal of Omega, without signs.
     virtual std::vector<double> diagonal() = 0;
+    /// Whether Omega can have the second derivatives of residuals and kernels, too, and whether `linearize` adds them.
+    virtual bool curves() const { return false; }
+    virtual void curve(bool /* on */) {}
 
     bool state_dependent = false;  ///< whether some information depends on the state
     bool reweighted = false;       ///< whether some edges have a robust kernel
@@ -82,6 +85,8 @@ class GraphObjective : public Objective {
     bool solve(std::span<double> delta) override;
     std::span<const double> xi() override { return {system_.xi, 3 * nodes()}; }
     std::vector<double> diagonal() override;
+    bool curves() const override;
+    void curve(bool on) override { system_.curved = on; }
 
     const std::vector<Member>& families() const { return families_; }
     /// The same graph with other edges between the same nodes. Both use one system and one factor.

@@ -53,6 +53,7 @@ class Run {
     End end = End::most_steps;
     double cost_at_end = 0.0, damping = 0.0;  ///< of `diverged` and `no_lower_cost`; of `not_determined`
     int damped_from = -1;  ///< the first step of damped ones that followed plain ones, or -1
+    int curved_from = -1;  ///< the first step with second derivatives, or -1
     int factorizations = 0;
     std::function<void(const Run&)> observer;  ///< called after each step
 
@@ -82,11 +83,12 @@ double inner(std::span<const double> a, std::span<const double> b);
 
 /// Iterate x <- x + Omega^-1 xi with Omega = sum B' Omega_e B and xi = - sum B' Omega_e e.
 ///
-/// Plain steps converge slowly where information, or a kernel's weights, are re-evaluated at every step; there the iterates
-/// are mixed. They also converge slowly, or oscillate, where residuals are large, because Omega leaves out the second
-/// derivatives of the residuals; the iterates are therefore mixed after some plain steps in any case. Where neither the
-/// lowest J nor the shortest step improves for a while, damped steps lead on from the best state. They converge slowly, too,
-/// so that after some of them undamped ones follow.
+/// Plain steps converge slowly, or oscillate, where residuals are large or have a kernel, because Omega leaves out second
+/// derivatives. After some of them Omega has these (Newton's method), if all edges of the graph can add them.
+///
+/// Where they cannot, or information depends on the state, the iterates are mixed instead. Where neither the lowest J nor the
+/// shortest step improves for a while, damped steps lead on from the best state. They converge slowly, too, so that after
+/// some of them undamped ones follow.
 ///
 /// Source: Nocedal and Wright, Numerical Optimization, section 10.3.
 void gauss_newton(Objective& objective, Run& run);
@@ -98,7 +100,10 @@ void gauss_newton(Objective& objective, Run& run);
 /// by the predicted one. The end counts as converged only where an undamped step confirms it: beside very large entries of
 /// Omega (a pose on a landmark) even the smallest damping hides the other directions.
 ///
+/// `curved`: Newton's method. Omega has the second derivatives of residuals and kernels, and lambda is 0 where that is positive
+/// definite and J falls.
+///
 /// Source: Madsen, Nielsen and Tingleff, Methods for non-linear least squares problems (2004), section 3.2.
-bool levenberg_marquardt(Objective& objective, Run& run, int most);
+bool levenberg_marquardt(Objective& objective, Run& run, int most, bool curved = false);
 
 }  // namespace vmslam::solve

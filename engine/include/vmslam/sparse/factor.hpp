@@ -12,7 +12,7 @@
 
 namespace vmslam::sparse {
 
-/// L with L L^H = A + damping diag(A). Factorising again reuses all memory. Not to be shared by threads.
+/// L with L L^H = A + damping abs(diag(A)). Factorising again reuses all memory. Not to be shared by threads.
 ///
 /// Multifrontal (Duff and Reid 1983; Liu 1990): the columns of a front are assembled from the matrix and from the update
 /// matrices of its children, factorised, and the update matrix -L21 L21^H plus those of the children is passed on.
