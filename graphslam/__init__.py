@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .calibration import calibrate
     from .edges.robust import Cauchy, GemanMcClure, Huber
     from .errors import FactorError, FormatError, GraphError, LogError, OptionError, SlamError
-    from .graph.mapping import estimate_map
+    from .graph.build import estimate_map
     from .io.formats import load, save
     from .log import Log
     from .log.continuous_time import control_path

@@ -33,9 +33,8 @@ from ..maps.landmark_map import LandmarkMap, as_map
 from ..maps.tracking import in_frame_of
 from ..models import EdgeOptions, MotionModel, SensorModel
 from ..se2 import Array
-from .build import graph_of_log, node_names, noise_in_map, with_closures, with_dimensions
+from .build import estimate_map, graph_of_log, node_names, noise_in_map, with_closures, with_dimensions
 from .defaults import edges_for_map, in_frame_of_positions, notes_on_options, suitable_edges, suitable_kernel
-from .mapping import estimate_map
 
 
 def _none() -> np.ndarray:

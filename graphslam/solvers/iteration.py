@@ -100,7 +100,9 @@ def iterate(graph: Any, run: Run, method: Callable[[Any, Any], object], kept: fl
     if inside.end == engine.End.diverged and not run.step_norms:
         run.reason += _not_finite(graph, run.state)
     if inside.curved_from >= 0:
-        run.reason += f", with second derivatives from step {inside.curved_from + 1} on because steps became short slowly"
+        run.reason += (
+            f", with second derivatives from step {inside.curved_from + 1} on because steps became short slowly"
+        )
     if inside.damped_from >= 0:
         run.reason += f", with damped steps from step {inside.damped_from + 1} on because plain ones oscillated"
 
@@ -201,7 +203,8 @@ def gauss_newton(graph: Graph, run: Run) -> None:
     Edges whose information depends on the state, those of landmarks that are no nodes, and those written in Python have no
     second derivatives. There the iterates are mixed (Anderson acceleration), after eight plain steps if there is no kernel
     and information is constant. Where neither the lowest J nor the shortest step improves for ten steps, damped steps lead
-    on from the best state (`levenberg_marquardt`). They converge slowly, too, so that after twenty of them undamped ones follow.
+    on from the best state (`levenberg_marquardt`). They converge slowly, too, so that after twenty of them undamped ones
+    follow.
 
     Raises:
         GraphError: the edges do not determine the nodes.
