@@ -189,8 +189,8 @@ def test_a_mean_of_motions_counts_outliers_in_full() -> None:
 @pytest.mark.slow
 def test_several_logs_give_one_noise() -> None:
     one, other = drive(1, steps=200), drive(2, steps=200)
-    assert str(both := calibrate(one, other)) == str(calibrate([one, other]))
-    assert both.counts == {"motion": 400, "sensor": len(one.steps) + len(other.steps)}
+    both, sighted = calibrate([one, other]), len(one.steps) + len(other.steps)
+    assert str(both) == str(calibrate(one, other)) and both.counts == {"motion": 400, "sensor": sighted}
     assert both.logs == (one.name, other.name)
     off = errors_in_sigmas(both, MOTION, SENSOR)
     assert {"nn", "oo", "range_rate", "bearing_std"} <= off.keys() and max(map(abs, off.values())) < 4
