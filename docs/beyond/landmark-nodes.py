@@ -71,6 +71,18 @@ apart = np.abs(nodes.poses - marginal.poses)[:, :2].max()
 print(f"J {nodes.cost:.4f} (nodes), {marginal.cost:.4f} (marginal), positions differ by {apart:.4f} m at most")
 assert np.isclose(nodes.cost, marginal.cost) and apart < 1e-6
 
+# %% newton
+x, plain = graph.initial, []
+for _ in range(8):
+    system, _ = graph.linearize(x)
+    step = system.factorize().solve(system.xi).reshape(x.shape)
+    x = x + step
+    plain.append(np.linalg.norm(step))
+steps = solve(graph, initialize="given").step_norms
+for name, norms in (("Gauss-Newton", plain), ("solve", steps)):
+    print(f"{name:12}", *(f"{norm:.0e}" for norm in norms))
+assert len(steps) <= 9 and steps[-1] < 1e-9 and plain[-1] > 1e-6
+
 
 # %% order
 def filled(order):
