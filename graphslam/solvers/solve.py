@@ -42,7 +42,7 @@ def solve(
 
     Args:
         graph: what to solve.
-        method: "gauss-newton", which continues with damped steps where it makes no progress, or "levenberg-marquardt",
+        method: "gauss-newton", which continues with Newton's or damped steps where it makes little progress, or "levenberg-marquardt",
             which accepts only steps that lower J. With state-dependent information J is compared with the information held
             fixed, so that J itself may rise. "gnc": graduated non-convexity, which determines with the trajectory which
             sightings are wrong, see `solvers.gnc`; it minimises their truncated squares, and `Solution.trust` has its
