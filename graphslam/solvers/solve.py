@@ -42,11 +42,11 @@ def solve(
 
     Args:
         graph: what to solve.
-        method: "gauss-newton", which continues with Newton's or damped steps where it makes little progress, or "levenberg-marquardt",
-            which accepts only steps that lower J. With state-dependent information J is compared with the information held
-            fixed, so that J itself may rise. "gnc": graduated non-convexity, which determines with the trajectory which
-            sightings are wrong, see `solvers.gnc`; it minimises their truncated squares, and `Solution.trust` has its
-            result. It has converged only if every sighting is fully trusted or rejected.
+        method: "gauss-newton", which continues with Newton's or damped steps where it makes little progress, or
+            "levenberg-marquardt", which accepts only steps that lower J. With state-dependent information J is compared with
+            the information held fixed, so that J itself may rise. "gnc": graduated non-convexity, which determines with the
+            trajectory which sightings are wrong, see `solvers.gnc`; it minimises their truncated squares, and
+            `Solution.trust` has its result. It has converged only if every sighting is fully trusted or rejected.
         tolerance: the iteration has converged when the Euclidean norm of the correction of all nodes is below this, and
             the correction is predicted to lower J by a negligible part only.
         max_iterations: the most steps of a run, for "gnc" the most rounds; with "auto", the lowest run that has not
