@@ -207,10 +207,16 @@ def test_auto_compares_the_ends_of_small_graphs(seed, first):
         assert solve_with_gtsam(graph, max_iterations=300).cost <= ends[1].cost * (1 + 1e-6)
 
 
-@pytest.mark.parametrize("edges", ["landmark+motion", "virtual+motion"])
-def test_oscillating_gauss_newton_goes_on_with_damped_steps(edges):
-    """Undamped steps from a wrong start go back and forth; the run that is continued from its best state converges."""
-    damped = 0
+@pytest.mark.parametrize(
+    ("edges", "reason", "most"),
+    [("landmark+motion", "with second derivatives", 30), ("virtual+motion", "oscillated", 3)],
+)
+def test_oscillating_gauss_newton_goes_on_with_other_steps(edges, reason, most):
+    """Undamped steps from a wrong start go back and forth; the run that is continued from its best state converges.
+
+    Of 60 problems 46 converge with landmark nodes, 42 with damped steps in place of second derivatives.
+    """
+    others = 0
     for seed in range(60):
         log, options = random_problem(seed)
         try:
@@ -218,11 +224,11 @@ def test_oscillating_gauss_newton_goes_on_with_damped_steps(edges):
             solution = solve(graph, initialize="given", max_iterations=300)
         except GraphError:
             continue
-        if "oscillated" in solution.reason:
-            damped += solution.converged
+        if reason in solution.reason:
+            others += solution.converged
             if not graph.state_dependent_information:
                 assert solution.cost <= np.min(solution.costs) * (1 + 1e-6)
-    assert damped >= 3
+    assert others >= most
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")

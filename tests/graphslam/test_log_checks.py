@@ -56,7 +56,7 @@ MISTAKES = {
     "turn rate unit": lambda log: controls(log, [1, 180 / np.pi]),
     "speed unit": lambda log: controls(log, [1000, 1]),
     "range unit": lambda log: log.replace(sightings=log.sightings * [1000, 1, 1]),
-    "contradiction": lambda log: bearings(log, np.rad2deg),
+    "contradiction": lambda log: bearings(log, lambda phi: wrap(np.rad2deg(phi))),
     "contradiction (ids)": lambda log: log.replace(landmarks=np.random.default_rng(0).permutation(log.landmarks)),
     "one landmark": lambda log: log.replace(landmarks=np.full_like(log.landmarks, 4)),
     "ids jump": lambda log: log.replace(landmarks=np.arange(len(log.landmarks))),

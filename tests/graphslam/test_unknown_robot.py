@@ -32,6 +32,7 @@ from graphslam.calibration import Calibration
 from graphslam.identification import corrections, robot, sighting_errors
 from graphslam.identification.corrections import (
     corrected_controls,
+    smoothed_controls,
     motion_slopes,
     without_biases,
 )
@@ -357,7 +358,7 @@ def test_joined_motions_are_those_of_all_their_controls(monkeypatch: pytest.Monk
     there = replace(moved, recorded=joined)
     # the whole log tells for how long controls are averaged
     monkeypatch.setattr(corrections, "averaging_times", lambda *_, **__: [0.5, 0.2])
-    expected = motion_slopes(there, corrected_controls(there), smooth=True)
+    expected = motion_slopes(there, corrected_controls(there), scaled=smoothed_controls(there))
     for found, right in zip(odometry.motions(moved, kept), expected):
         np.testing.assert_allclose(found, right, rtol=1e-9, atol=1e-12)
     parts = motion_parts(joined)

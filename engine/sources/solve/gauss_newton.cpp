@@ -106,6 +106,8 @@ void gauss_newton(Objective& objective, Run& run) {
         run.curved_from = run.steps();
         levenberg_marquardt(objective, run, run.rules.most_steps, true);
         objective.curve(false);
+        // rounding may leave no damping with which Omega is definite and J falls
+        if (run.end == End::no_lower_cost) levenberg_marquardt(objective, run, run.rules.most_steps);
         return;
     }
     const int damped_from = run.steps();
