@@ -32,8 +32,8 @@ from graphslam.calibration import Calibration
 from graphslam.identification import corrections, robot, sighting_errors
 from graphslam.identification.corrections import (
     corrected_controls,
-    smoothed_controls,
     motion_slopes,
+    smoothed_controls,
     without_biases,
 )
 from graphslam.identification.declared import ParameterEstimate
