@@ -73,7 +73,7 @@ BAD_CALLS = [
         "move",
         {"control": (1.0, 45.0), "dt": 1.0},
         OptionError,
-        "the turn rate of control is 45 rad/s, beyond 8 pi: is it in degrees",
+        "the turn rate of control is 45 rad/s, beyond 12 pi: is it in degrees",
     ),
     ("relate", {"first": 1, "second": 1, "motion": (1, 0, 0), "covariance": np.eye(3)}, GraphError, "pose 1 to itself"),
 ]
