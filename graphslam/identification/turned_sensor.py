@@ -32,8 +32,8 @@ MOMENTS = 60
 SUGGESTED, SURELY = 3.5, 5.0
 #: a step is determined where it has more than this part of the information that exact poses would give
 DETERMINED = 1e-6
-#: the standard deviation of the prior of the bias of the whole drive [rad]. With the usual one, a sensor that is mounted askew
-#: by ten degrees is likelier to have been turned in the first seconds
+#: the standard deviation of the prior of the bias of the whole drive [rad]. With the usual one, a sensor that is mounted
+#: askew by ten degrees seems to have been turned in the first seconds
 ASKEW = np.pi
 #: rounds of solving and improving the variances
 ROUNDS = 8
