@@ -27,7 +27,7 @@ from . import OptionError, quoted, shortened
 #: Tables with such numbers are refused unless their unit is stated, `log_checks` reports them, and factors refuse turn rates.
 FARTHEST, FASTEST, QUICKEST, LONGEST = 1000.0, 100.0, 2 * math.pi, 5.0
 #: larger angles [rad] are probably in degrees: of a sighting or a turn, with what printing it to six digits may add; headings
-WHOLE_TURN, FOUR_TURNS = 2 * math.pi + 1e-6, 8 * math.pi
+WHOLE_TURN, FOUR_TURNS, SIX_TURNS = 2 * math.pi + 1e-6, 8 * math.pi, 12 * math.pi
 
 
 def option(default: Any, help: str, unit: str = "", **more: Any) -> Any:
@@ -273,8 +273,11 @@ def check_move(control: Any, dt: Any, motion: Any, covariance: Any) -> None:
 
 
 def check_control(control: np.ndarray) -> None:
-    """Raise `OptionError` where a control (nu, omega) has a turn rate in degrees; single wrong ones must not end a drive."""
-    check_turn_rate(float(control[1]), "give motion and covariance, as MotionModel.f and covariance do", FOUR_TURNS)
+    """Raise `OptionError` where a control (nu, omega) has a turn rate in degrees.
+
+    Single wrong rates must not end a drive: those of a gyroscope at its usual full scale, 2000 degrees per second, pass.
+    """
+    check_turn_rate(float(control[1]), "give motion and covariance, as MotionModel.f and covariance do", SIX_TURNS)
 
 
 def from_home(path: Path) -> Path:

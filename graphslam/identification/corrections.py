@@ -154,12 +154,31 @@ def controls_at_steps(parameters: Parameters) -> Array:
     return _averaged(parameters, corrected_controls(parameters), log.control_times[log.control_starts])
 
 
-def control_noise(parameters: Parameters, rng: np.random.Generator) -> Array:
-    """Noise (S, 2) of the controls, drawn from the motion model."""
+def _control_variances(parameters: Parameters) -> Array:
+    """The variances (S, 2) of the controls by the motion model."""
     log = parameters.recorded
     assert log.controls is not None and log.dt is not None
-    variances = np.diagonal(parameters.motion.M(log.controls, log.dt, log.recorded_dt), axis1=1, axis2=2)
+    return np.asarray(np.diagonal(parameters.motion.M(log.controls, log.dt, log.recorded_dt), axis1=1, axis2=2))
+
+
+def control_noise(parameters: Parameters, rng: np.random.Generator) -> Array:
+    """Noise (S, 2) of the controls, drawn from the motion model."""
+    variances = _control_variances(parameters)
     return np.asarray(np.sqrt(variances) * rng.standard_normal(variances.shape))
+
+
+def recorded_noise(parameters: Parameters) -> Array:
+    """The parts (2,) of the changes of recorded speeds and turn rates whose size is that of the motion model's noise.
+
+    Nearly all for measured ones, fewer where sightings cut controls, and few for commands, which the robot follows with
+    noise: they stay as they are, or change by more.
+    """
+    variances, controls = _control_variances(parameters), parameters.recorded.controls
+    assert controls is not None
+    changes = np.diff(controls, axis=0) ** 2
+    expected = variances[1:] + variances[:-1]
+    alike = (changes > 0.01 * expected) & (changes < 4 * expected)
+    return np.asarray(alike.mean(axis=0)) if len(changes) else np.zeros(2)
 
 
 def control_noise_at_steps(parameters: Parameters, rng: np.random.Generator) -> Array:

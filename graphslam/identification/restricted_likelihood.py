@@ -22,6 +22,7 @@ need it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -213,6 +214,11 @@ def is_elsewhere(log: Log, start: Unknowns) -> bool:
 
 def with_sensor_anywhere(unknowns: Unknowns) -> Unknowns:
     """The same problem with the wide prior of the sensor's place."""
+    return with_wide_prior(unknowns, PLACE, ANYWHERE)
+
+
+def with_wide_prior(unknowns: Unknowns, names: Sequence[str], deviation: float) -> Unknowns:
+    """The same problem with another standard deviation of the priors of some parameters."""
     free, p = copy(unknowns), unknowns.parameters
-    free.parameters = replace(p, deviations=np.where(np.isin(p.names, PLACE), ANYWHERE, p.deviations))
+    free.parameters = replace(p, deviations=np.where(np.isin(p.names, names), deviation, p.deviations))
     return free

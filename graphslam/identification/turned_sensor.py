@@ -22,7 +22,7 @@ import numpy as np
 
 from ..log import Log
 from ..se2 import Array, wrap
-from .restricted_likelihood import fit, gain_over
+from .restricted_likelihood import fit, gain_over, with_wide_prior
 from .unknowns import Unknowns
 
 #: how many moments are tried
@@ -32,6 +32,9 @@ MOMENTS = 60
 SUGGESTED, SURELY = 3.5, 5.0
 #: a step is determined where it has more than this part of the information that exact poses would give
 DETERMINED = 1e-6
+#: the standard deviation of the prior of the bias of the whole drive [rad]. With the usual one, a sensor that is mounted
+#: askew by ten degrees seems to have been turned in the first seconds
+ASKEW = np.pi
 #: rounds of solving and improving the variances
 ROUNDS = 8
 #: the most turns of one drive
@@ -83,6 +86,7 @@ def turn_of(fitted: Unknowns, whole: Callable[[Unknowns], Unknowns]) -> Turn | N
         fitted: the solution with few sightings, whose errors are nearly independent.
         whole: the same problem with all sightings, which show the moment best.
     """
+    fitted = with_wide_prior(fitted, ["bearing_bias"], ASKEW)
     end = _times(fitted).max()
     limits = np.linspace(0.0, end, MOMENTS + 1)[1:-1]
     z, angles, _ = _steps(fitted, limits)

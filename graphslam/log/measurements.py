@@ -443,7 +443,7 @@ def checked_sightings(ids: Any, sightings: Any, refused: Collection[int], advice
     numbers = np.zeros((0, 0)) if (given := _array_or_none(ids)) is None else np.atleast_1d(given)
     if z is not None and z.size == numbers.size == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-    if numbers.dtype.kind == "f" and not np.any(numbers % 1) and np.all(np.abs(numbers) < 2**53):
+    if numbers.dtype.kind == "f" and np.all(np.abs(numbers) < 2**53) and not np.any(numbers % 1):
         numbers = numbers.astype(np.int64)  # a column of an array of numbers
     if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
         raise OptionError(f"ids must be whole numbers, not {quoted(ids)}")

@@ -364,16 +364,21 @@ class Solution:
 #: a J of so many times its expected value is said: of pose graphs, of which of seven public ones the largest has 2.1, and of
 #: logs, of which the largest of 60 drives of unknown robots has 1.1 and of the real logs 1.0
 MISFIT, MISFIT_OF_LOGS = 10.0, 2.0
-#: and if chance, with the variance of chi-square, does not explain it by so many standard deviations
+#: and if chance does not explain it: chi-square is beyond what a Gaussian has at so many standard deviations
 BEYOND_CHANCE = 4.0
 #: what a note on the J of a log says
 BEYOND_NOISE = "times what the noise models predict"
 
 
 def misfit_of_noise(cost: float, expected: float) -> str:
-    """A sentence where J is clearly above its expected value in a log, or while driving; empty otherwise."""
+    """A sentence where J is clearly above its expected value in a log, or while driving; empty otherwise.
+
+    With few measurements chi-square has a long tail: its quantile is that of Wilson and Hilferty, *The distribution of
+    chi-square*, 1931.
+    """
     expected = max(expected, 1.0)
-    if cost <= max(MISFIT_OF_LOGS, 1 + BEYOND_CHANCE * np.sqrt(2 / expected)) * expected:
+    v = 2 / (9 * expected)
+    if cost <= max(MISFIT_OF_LOGS, (1 - v + BEYOND_CHANCE * np.sqrt(v)) ** 3) * expected:
         return ""
     return (
         f"J is {cost / expected:,.1f} {BEYOND_NOISE}: they assume less noise than there is, or measurements or ids are "

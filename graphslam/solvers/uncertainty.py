@@ -18,7 +18,7 @@ from ..edges import SightingEdges
 from ..edges.base import Linearization
 from ..errors import OptionError, quoted
 from ..graph import Graph
-from ..identification.corrections import control_noise_at_steps, noise_of_slopes
+from ..identification.corrections import control_noise_at_steps, noise_of_slopes, recorded_noise
 from ..identification.declared import Parameters
 from ..linear.cholesky import Factor, FactorizationError
 from ..se2 import Array, perpendicular, turn_matrix
@@ -235,8 +235,8 @@ class Uncertainty:
 BY_TURNS = ("sensor_ahead", "sensor_left", "sensor_delay")
 #: the parameters that change the size of the world; only their quotient is identifiable
 SCALES = ("wheel_scale", "range_scale")
-#: scales of what is recorded with noise
-OF_CONTROLS = ("wheel_scale", "turn_scale")
+#: scales of what is recorded with noise, if most of its changes look like it
+OF_CONTROLS, RECORDED = ("wheel_scale", "turn_scale"), 0.5
 #: a scale that is so many standard deviations from 1 is wrong, or the other one is
 SIGNIFICANT = 3.0
 #: a delay is too close to zero where noise is at least this part of the information on it, and explains at least so many
@@ -328,7 +328,9 @@ def doubt_of_delay(parameters: Parameters, deviations: Array, uncertainty: Uncer
 
 def doubt_of_squares(parameters: Parameters, deviations: Array, uncertainty: Uncertainty) -> str:
     """A sentence where squares of the noise of the recorded controls make scales clearly too large; empty otherwise."""
-    scales = [k for k, name in enumerate(parameters.names) if name in OF_CONTROLS]
+    shown = dict(zip(OF_CONTROLS, recorded_noise(parameters) > RECORDED))
+    # the noise of commands, as in the book, is in the motions alone
+    scales = [k for k, name in enumerate(parameters.names) if shown.get(name)]
     if not scales:
         return ""
     bias = uncertainty.bias_by_controls(CONTROLS, np.random.default_rng(0))

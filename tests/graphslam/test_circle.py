@@ -11,7 +11,7 @@ import re
 import numpy as np
 import pytest
 
-from graphslam import Graph, Log, MotionModel, SensorModel, estimate_robot, solve
+from graphslam import Graph, Log, MotionModel, SensorModel, estimate_robot, simulate, solve
 from graphslam.metrics import ate
 from graphslam.se2 import Array, wrap
 
@@ -76,3 +76,12 @@ def test_the_doubt_says_how_much_the_squares_of_the_noise_change_a_scale() -> No
     # alone it is determined by all of the way
     alone = solve(Graph.from_log(log, edges="landmark+motion", estimate=["wheel_scale"])).parameters
     assert alone is not None and not alone.doubt
+
+
+@pytest.mark.parametrize("way_points", [None, ((0.0, -3.0), (3.0, 0.0), (0.0, 3.0), (-3.0, 0.0)) * 5])
+def test_noise_of_commands_makes_no_scale_too_large(way_points: tuple[tuple[float, float], ...] | None) -> None:
+    """A robot that follows commands with noise, as the book's, has the noise in its motions, not in the record."""
+    log = simulate(steps=150, dt=1.0, clean=True, way_points=way_points, seed=4)
+    found = solve(Graph.from_log(log, noise="book", estimate={"wheel_scale": 0.05, "turn_scale": 0.05})).parameters
+    assert found is not None and abs(found["turn_scale"] - 1) < 0.15
+    assert not found.doubt

@@ -65,6 +65,7 @@ BAD_CALLS = [
     ("observe", {"ids": [3], "sightings": [[0.0, 0.0]]}, OptionError, "ranges above zero"),
     ("observe", {"ids": [3], "sightings": [[1.0, 0.0, 0.0]]}, OptionError, "2 numbers each"),
     ("observe", {"ids": [0.5], "sightings": ONE}, OptionError, "whole numbers"),
+    ("observe", {"ids": [np.inf], "sightings": ONE}, OptionError, "whole numbers"),
     ("observe", {"ids": [3], "sightings": [[1.0, 7.0]]}, OptionError, "beyond 2 pi: is it in degrees"),
     ("observe", {"ids": [3], "sightings": [[np.nan, -7.0]]}, OptionError, "beyond 2 pi: is it in degrees"),
     ("relate", {"first": 0, "second": 1, "motion": (1, 0, 90.0), "covariance": np.eye(3)}, OptionError, "beyond 8 pi"),
@@ -73,7 +74,7 @@ BAD_CALLS = [
         "move",
         {"control": (1.0, 45.0), "dt": 1.0},
         OptionError,
-        "the turn rate of control is 45 rad/s, beyond 8 pi: is it in degrees",
+        "the turn rate of control is 45 rad/s, beyond 12 pi: is it in degrees",
     ),
     ("relate", {"first": 1, "second": 1, "motion": (1, 0, 0), "covariance": np.eye(3)}, GraphError, "pose 1 to itself"),
 ]
@@ -99,6 +100,12 @@ def test_a_bad_call_changes_nothing(call, arguments, error, message):
     solver.move((1.0, 0.0), time=2.0)
     solver.observe([2], [[1.0, -0.8]], time=2.0)
     assert solver.step == 2
+
+
+def test_a_gyroscope_at_its_full_scale_ends_no_drive():
+    solver = OnlineSolver()
+    solver.move((0.1, np.deg2rad(2000)), dt=0.01)
+    assert solver.pose[2] == pytest.approx(np.deg2rad(20))
 
 
 @pytest.mark.parametrize("backend", ["own", "isam2"])

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from graphslam import Graph, OptionError, simulate, solve, solve_with_gtsam, textbook
 from graphslam.edges import AnchorEdges
@@ -9,6 +10,7 @@ from graphslam.se2 import wrap
 from graphslam.simulation.worlds import WORLDS
 from graphslam.solvers import iteration as gauss_newton
 from graphslam.solvers.iteration import Run
+from graphslam.solvers.solution import misfit_of_noise
 
 
 def difference(a, b):
@@ -184,6 +186,30 @@ def test_the_callback_sees_every_step(book_log):
     assert [step.number for step in seen] == list(range(1, solution.iterations + 1))
     np.testing.assert_array_equal([step.step_norm for step in seen], solution.step_norms)
     np.testing.assert_allclose(seen[-1].state[:, :2], solution.poses[:, :2], atol=1e-12)
+
+
+def test_a_callback_may_end_a_solve(book_log):
+    """What it leaves behind, such as second derivatives in Omega, does not change the next one of the same graph."""
+    graph = Graph.from_log(book_log, edges="landmark+motion", kernel="cauchy", noise="book")
+
+    def stop(step):
+        if step.number == expected.iterations - 2:
+            raise KeyboardInterrupt
+
+    expected = solve(graph, initialize="given")
+    assert "with second derivatives" in expected.reason
+    with pytest.raises(KeyboardInterrupt):
+        solve(graph, initialize="given", callback=stop)
+    np.testing.assert_array_equal(solve(graph, initialize="given").step_norms, expected.step_norms)
+
+
+@pytest.mark.parametrize("expected", [1, 3, 10, 30, 300])
+def test_chance_is_not_noise(expected):
+    """Where little was measured, J is often some times its expected value."""
+    assert misfit_of_noise(chi2.isf(1e-4, expected), expected) == ""
+    assert "times what the noise models predict" in misfit_of_noise(
+        max(chi2.isf(1e-6, expected), 2.1 * expected), expected
+    )
 
 
 def test_covariance_is_the_diagonal_block_of_the_inverse(book_log):

@@ -48,6 +48,16 @@ def test_a_turned_sensor_is_found_and_corrected(seed, monkeypatch):
     assert np.nanmean(wrong.nees(log.true_poses)) > 2 * np.nanmean(solution.nees(log.true_poses))
 
 
+@pytest.mark.parametrize(("seed", "duration", "bias"), [(797933, 60.0, 0.223), (847624, 120.0, 0.196)])
+def test_a_sensor_that_is_mounted_askew_was_not_turned(seed, duration, bias):
+    """A bias of the whole drive far beyond its prior is not likelier in all but the first seconds."""
+    drive = Drive.random(seed)
+    log, _ = replace(drive, duration=duration, parameters={**drive.parameters, "bearing_bias": bias}).simulate()
+    robot = estimate_robot(log)
+    assert robot.turns == ()
+    assert robot.parameters.values[robot.parameters.names.index("bearing_bias")] == pytest.approx(bias, abs=0.06)
+
+
 def test_bearings_are_turned_back_from_each_moment_on():
     log, right = turned(1002, ((50.0, 0.1), (120.0, -0.2)))
     corrected = turned_back(log, [Turn(50.0, 0.1, 0.0), Turn(120.0, -0.2, 0.0)])

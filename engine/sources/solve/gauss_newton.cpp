@@ -96,16 +96,23 @@ std::optional<State> undamped(Objective& objective, Run& run, int plain) {
     return best;
 }
 
+/// At the end of its life, `linearize` of an objective adds no second derivatives.
+struct Plain {
+    Objective& objective;
+    ~Plain() { objective.curve(false); }
+};
+
 }  // namespace
 
 void gauss_newton(Objective& objective, Run& run) {
     run.end = End::most_steps;
     std::optional<State> best = undamped(objective, run, plain_steps);
     if (best && objective.curves()) {
+        // an observer may throw, and the objective may serve further runs
+        const Plain afterwards{objective};
         run.state = *best;
         run.curved_from = run.steps();
         levenberg_marquardt(objective, run, run.rules.most_steps, true);
-        objective.curve(false);
         // rounding may leave no damping with which Omega is definite and J falls
         if (run.end == End::no_lower_cost) levenberg_marquardt(objective, run, run.rules.most_steps);
         return;
