@@ -272,14 +272,6 @@ def check_move(control: Any, dt: Any, motion: Any, covariance: Any) -> None:
         raise OptionError("dt belongs to a control, and a measured motion needs none: leave dt out")
 
 
-def check_control(control: np.ndarray) -> None:
-    """Raise `OptionError` where a control (nu, omega) has a turn rate in degrees.
-
-    Single wrong rates must not end a drive: those of a gyroscope at its usual full scale, 2000 degrees per second, pass.
-    """
-    check_turn_rate(float(control[1]), "give motion and covariance, as MotionModel.f and covariance do", SIX_TURNS)
-
-
 def from_home(path: Path) -> Path:
     """A path whose "~" at the start is replaced by the home folder; that of a user who does not exist stays."""
     with suppress(RuntimeError):

@@ -60,9 +60,9 @@ class Turn:
         assert log.times is not None
         step = int(np.searchsorted(log.times - log.times[0], self.time))
         return (
-            f"from step {step} ({self.time:.0f} s after the start) on, bearings are larger by {self.angle:.3g} rad (standard "
-            f"error {self.error:.1g}) than before: the sensor was turned on the robot, or the robot drives askew since then. "
-            "They are corrected for a turned sensor; if it was not turned, the headings are off by as much"
+            f"from step {step} ({self.time:.0f} s after the start) on, bearings are off by {self.angle:+.3g} rad (standard "
+            f"error {self.error:.1g}) against those before: the sensor was turned on the robot, or the robot drives askew since "
+            "then. They are corrected for a turned sensor; if it was not turned, the headings are off by as much"
         )
 
 

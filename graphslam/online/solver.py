@@ -16,14 +16,15 @@ from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import (
+    SIX_TURNS,
     array_or_none,
     check_choice,
-    check_control,
     check_count,
     check_heading,
     check_known,
     check_move,
     check_positive,
+    check_turn_rate,
     checked_pose,
     finite_numbers,
     singular,
@@ -155,7 +156,9 @@ class OnlineSolver:
             dt = time - self._arrived
         if control is not None:
             check_positive(dt=dt)  # type: ignore[arg-type]
-            check_control(u := finite_numbers("control", control, (2,)))
+            u = finite_numbers("control", control, (2,))
+            # single wrong rates must not end a drive: 2000 degrees per second, the full scale of gyroscopes, pass
+            check_turn_rate(float(u[1]), "give motion and covariance, as MotionModel.f and covariance do", SIX_TURNS)
             # a motion beyond floating point has no inverse covariance, and is refused for that
             measured, P = self.motion.moved(u, float(dt))  # type: ignore[arg-type]
             information = inverses(P[None], "motion", "raise epsilon")[0]
