@@ -21,9 +21,9 @@ from numpy.typing import ArrayLike
 
 from graphslam.errors import OptionError, quoted
 from graphslam.errors.checks import (
-    check_control,
     check_number,
     check_options,
+    check_turn_rate,
     checked_covariance,
     checked_pose,
     finite_numbers,
@@ -329,7 +329,8 @@ def check_motion(step: int, way: float, turn: float) -> None:
 
 def checked_control(control: Any, dt: Any) -> tuple[Array, float]:
     """Return a control (nu, omega) and its time [s], or raise `OptionError`."""
-    check_control(u := finite_numbers("control", control, (2,)))
+    u = finite_numbers("control", control, (2,))
+    check_turn_rate(float(u[1]))
     check_number(dt=dt)
     if dt < 0:
         raise OptionError(f"dt must be 0 s or longer, not {quoted(dt)}")

@@ -125,12 +125,16 @@ def check_heading(name: str, headings: ArrayLike) -> None:
         )
 
 
-def check_turn_rate(omega: float, otherwise: str, most: float = QUICKEST) -> None:
-    """Raise `OptionError` where a control turns by more than this [rad/s], as degrees per second do."""
+def check_turn_rate(omega: float, otherwise: str | None = None, most: float = SIX_TURNS) -> None:
+    """Raise `OptionError` where a control turns by more than this [rad/s], as degrees per second do.
+
+    Single wrong rates must not end a drive: 2000 degrees per second, the usual full scale of gyroscopes, pass by default.
+    """
     if most < abs(omega) < math.inf:
         raise OptionError(
             f"the turn rate of control is {omega:g} rad/s, beyond {most / math.pi:g} pi: is it in degrees per second? "
-            f"Give radians, np.deg2rad(...); if the robot turns so fast, {otherwise}"
+            "Give radians, np.deg2rad(...); if the robot turns so fast, "
+            + (otherwise or "give motion and covariance, as MotionModel.f and covariance do")
         )
 
 

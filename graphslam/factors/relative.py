@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..edges.robust import code_and_width, kernel_of
 from ..engine import engine
 from ..errors import GraphError, OptionError
-from ..errors.checks import check_heading, check_positive, check_turn_rate, checked_pose, finite_numbers
+from ..errors.checks import QUICKEST, check_heading, check_positive, check_turn_rate, checked_pose, finite_numbers
 from ..linear.precision import check_size, model_of, small_inverse
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, sinc_slope_near_zero, turned_by
@@ -151,7 +151,7 @@ class MotionFactor(RelativePoseFactor):
         relative = (
             "use RelativePoseFactor with the relative pose and information of MotionModel.f and MotionModel.covariance"
         )
-        check_turn_rate(omega, relative)
+        check_turn_rate(omega, relative, QUICKEST)
         options = {"frame": frame, "at": at, "scale": scale, "kernel": kernel}
         arguments = {"control": u, "dt": dt, "motion": motion} | options
         # f and its covariance turn with the pose that they start from

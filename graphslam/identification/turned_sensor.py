@@ -61,8 +61,8 @@ class Turn:
         step = int(np.searchsorted(log.times - log.times[0], self.time))
         return (
             f"from step {step} ({self.time:.0f} s after the start) on, bearings are off by {self.angle:+.3g} rad (standard "
-            f"error {self.error:.1g}) against those before: the sensor was turned on the robot, or the robot drives askew since "
-            "then. They are corrected for a turned sensor; if it was not turned, the headings are off by as much"
+            f"error {self.error:.1g}) against those before: the sensor was turned on the robot, or the robot drives "
+            "askew since then. They are corrected for a turned sensor; if it was not turned, the headings are off by as much"
         )
 
 

@@ -16,7 +16,6 @@ from ..edges import ANCHOR_INFORMATION
 from ..edges.robust import Kernel, kernel_of
 from ..errors import GraphError, OptionError, quoted
 from ..errors.checks import (
-    SIX_TURNS,
     array_or_none,
     check_choice,
     check_count,
@@ -157,8 +156,7 @@ class OnlineSolver:
         if control is not None:
             check_positive(dt=dt)  # type: ignore[arg-type]
             u = finite_numbers("control", control, (2,))
-            # single wrong rates must not end a drive: 2000 degrees per second, the full scale of gyroscopes, pass
-            check_turn_rate(float(u[1]), "give motion and covariance, as MotionModel.f and covariance do", SIX_TURNS)
+            check_turn_rate(float(u[1]))
             # a motion beyond floating point has no inverse covariance, and is refused for that
             measured, P = self.motion.moved(u, float(dt))  # type: ignore[arg-type]
             information = inverses(P[None], "motion", "raise epsilon")[0]
