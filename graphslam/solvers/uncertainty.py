@@ -337,12 +337,12 @@ def doubt_of_squares(parameters: Parameters, deviations: Array, uncertainty: Unc
     if not (wrong := [k for k in scales if abs(bias[k]) > SHORT * deviations[k]]):
         return ""
     rest = ", ".join(
-        f"{parameters.names[k]} is about {parameters.values[k] - bias[k]:.3f} +- {deviations[k]:.1g}" for k in wrong
+        f"{parameters.names[k]} {parameters.values[k] - bias[k]:.3f} +- {deviations[k]:.1g}" for k in wrong
     )
     return (
-        f"noise of the recorded controls makes {', '.join(parameters.names[k] for k in wrong)} too large, because their "
-        f"squares count as well where speeds hardly change: if the motion model is right, {rest}. noise='auto' averages the "
-        "controls and has no such error"
+        f"noise of the recorded controls makes {', '.join(parameters.names[k] for k in wrong)} too large, because its square "
+        f"counts as well where speeds hardly change. If the motion model is right, the values without it are about {rest}. "
+        "noise='auto' averages the controls and has no such error"
     )
 
 

@@ -68,7 +68,7 @@ def test_the_doubt_says_how_much_the_squares_of_the_noise_change_a_scale() -> No
         both = {"wheel_scale": 0.05, "sensor_left": 0.03}
         found = solve(Graph.from_log(log, edges="landmark+motion", estimate=both)).parameters
         assert found is not None and found["wheel_scale"] > 1.2
-        said = re.search(r"wheel_scale is about ([\d.]+) \+- ([\d.]+)\.", found.doubt)
+        said = re.search(r"about wheel_scale ([\d.]+) \+- ([\d.]+)\.", found.doubt)
         assert said is not None
         values.append(float(said[1]))
         deviations.append(float(said[2]))
