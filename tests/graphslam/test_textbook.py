@@ -56,8 +56,10 @@ def test_impossible_requests(book_log, shared_data):
         textbook.solve(book_log, edges="landmark")
     with pytest.raises(OptionError, match="dimensions"):
         textbook.solve(book_log.without_orientation(), dimensions=3)
-    with pytest.raises(OptionError, match="threshold must be a positive number, not -1"):
+    with pytest.raises(OptionError, match="threshold must not be negative, but is -1"):
         textbook.solve(book_log, threshold=-1)
+    # which never ends before max_iterations
+    assert len(textbook.solve(book_log, threshold=0.0, max_iterations=1).step_norms) == 1
     with pytest.raises(OptionError, match="log must be a Log, not 'drive.npz'; graphslam.load"):
         textbook.solve("drive.npz")
 
