@@ -157,7 +157,6 @@ class Unknowns:
     def take_noise(self) -> None:
         """Use the present variances where controls are averaged, for the delay of the sensor and for scales."""
         self.parameters = replace(self.parameters, motion=self.models[0])
-        self._evaluated = None
         self._speeds = self.odometry.speeds(self.parameters)[self._steps]
 
     def _centres(self) -> dict[str, float]:
