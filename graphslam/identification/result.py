@@ -29,7 +29,7 @@ from .declared import KINDS, PLACE, ParameterEstimate
 from .odometry import NOISE
 from .sighting_errors import LAGS, Ids, Predictions
 from .slips import Slip
-from .turned_sensor import Turn, turned_back
+from .turned_sensor import Lens, Turn, turned_back, undistorted
 from .unknowns import DEGREES_SIGHTINGS, HELD, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
@@ -174,6 +174,7 @@ class RobotEstimate:
             contains and that of the odometry does not; 0 where the log shows none.
         slips: stretches on which the odometry is wrong; the log has more noise of the controls there.
         turns: moments at which the sensor was turned; the log has the bearings without them.
+        lens: the error of the bearings that grows with them, if any; the log has them without it.
     """
 
     log: Log
@@ -192,6 +193,7 @@ class RobotEstimate:
     of_scans: float = 0.0
     slips: tuple[Slip, ...] = ()
     turns: tuple[Turn, ...] = ()
+    lens: Lens | None = None
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -199,7 +201,9 @@ class RobotEstimate:
     def corrected(self, log: Log) -> Log:
         """A log of the robot without the biases that were found, with these noise models; repaired motions as recorded."""
         biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
-        log = without_biases(turned_back(log, self.turns), motion=self.motion, sensor=self.sensor, **biases)
+        log = without_biases(
+            undistorted(turned_back(log, self.turns), self.lens), motion=self.motion, sensor=self.sensor, **biases
+        )
         variances = honest_variances(log)
         return log.replace(
             motion=self.motion, sensor=self.sensor, uncertain=self.log.uncertain, control_variances=variances
@@ -257,6 +261,8 @@ class RobotEstimate:
         ]
         lines += [slip.sentence(self.log) for slip in self.slips]
         lines += [turn.sentence(self.log) for turn in self.turns]
+        if self.lens is not None:
+            lines.append(self.lens.sentence)
         if self.basis == DEAD_RECKONING:
             lines.append(
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "

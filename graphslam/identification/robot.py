@@ -46,7 +46,7 @@ from .result import (
 from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, common_errors, correlations, inflation, smoothed
 from .slips import Slip, slip_of_drive, without_slips
 from .turned_sensor import MOST as MOST_TURNS
-from .turned_sensor import Turn, turn_of, turned_back
+from .turned_sensor import Lens, Turn, lens_of, turn_of, turned_back, undistorted
 from .unknowns import OF_GAUSSIAN_MOTIONS, Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
@@ -109,17 +109,20 @@ def _estimate(
     given: tuple[MotionModel, SensorModel] | None,
     rng: np.random.Generator,
     turns: tuple[Turn, ...] = (),
+    lens: Lens | None = None,
 ) -> RobotEstimate:
-    """The estimate from a log that has enough sightings, and in which the sensor was turned as often as is known."""
-    log = turned_back(recorded, turns)
+    """The estimate from a log that has enough sightings, and whose bearings have the errors that are known."""
+    log = undistorted(turned_back(recorded, turns), lens)
     drive, first, ids, slips = _with_ids(log, sensor, rng)
     log = log.replace(control_variances=drive.control_variances)
     named = ids.correct(drive)
     ids = ids.within(log.landmarks)
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
+    if lens is None and (lens := lens_of(second)) is not None:
+        return _estimate(recorded, sensor, given, rng, turns, lens)
     if len(turns) < MOST_TURNS and (turn := turn_of(second, lambda few: _everywhere(few, named))) is not None:
-        return _estimate(recorded, sensor, given, rng, (*turns, turn))
+        return _estimate(recorded, sensor, given, rng, (*turns, turn), lens)
     exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held_first, held_with_exact = hold_needless(second, ROUNDS[2]), hold_needless(exact, ROUNDS[2])
     held = held_first
@@ -143,7 +146,7 @@ def _estimate(
     if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING
     elif compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
-        return replace(_known(log, ids, *other, compared, slips), turns=turns)
+        return replace(_known(log, ids, *other, compared, slips), turns=turns, lens=lens)
     if basis == DEAD_RECKONING:
         # this problem holds what the first one held, too
         second, held = dead_reckoning, held_first | held
@@ -165,7 +168,7 @@ def _estimate(
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion, of_scans=of_scans,
-        slips=slips, turns=turns,
+        slips=slips, turns=turns, lens=lens,
     )  # fmt: skip
 
 

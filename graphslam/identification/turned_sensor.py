@@ -39,6 +39,11 @@ ASKEW = np.pi
 ROUNDS = 8
 #: the most turns of one drive
 MOST = 3
+#: bearings below this quantile are in the field of view, which ends before the second number [rad] for an error that grows
+EDGE, BEHIND = 0.99, 1.92
+#: the standard deviations of the prior of such an error, near the axis and what is added at the edge, and the gain of the
+#: log likelihood with which it counts: docs/decisions.md
+USUAL, GROWS = 0.05, 8.0
 
 
 @dataclass(frozen=True)
@@ -120,17 +125,10 @@ def _times(solved: Unknowns) -> Array:
 
 def _steps(solved: Unknowns, moments: Array) -> tuple[Array, Array, Array]:
     """z, s and its standard error of a step of the bearings at each of some moments (K,); zero where it is not determined."""
-    linear = solved.linearized()
-    edges, (nodes, values) = linear.edges[1], linear.step()
-    # after the next step: what a search has not reached yet looks like a step
-    residuals = edges.residuals + edges.moved(nodes[:, :, None], values[:, None])[:, :, 0]
-    D = np.zeros((*residuals.shape, len(moments)))
-    D[:, 1] = _times(solved)[:, None] > moments
-    weighted = edges.information @ D
-    pulled = np.zeros((*linear.xi.shape, len(moments)))
-    following = linear.solve(pulled, edges.pull(weighted, pulled))
-    u, exact = np.einsum("eik,ei->k", weighted, residuals), np.einsum("eik,eik->k", D, weighted)
-    information = exact - np.einsum("eik,eik->k", weighted, edges.moved(*following))
+    u, information, exact = (
+        each if each.ndim == 1 else np.diag(each)
+        for each in _scores(solved, (_times(solved)[:, None] > moments).astype(float))
+    )
     known = information > DETERMINED * exact
     P = np.where(known, information, 1.0)
     return (
@@ -138,3 +136,108 @@ def _steps(solved: Unknowns, moments: Array) -> tuple[Array, Array, Array]:
         np.where(known, -u / P, 0.0),
         np.where(known, P**-0.5, 0.0),
     )
+
+
+def _scores(solved: Unknowns, of_bearings: Array) -> tuple[Array, Array, Array]:
+    """u (K,), P and D' W D (K, K) for derivatives (M, K) of the residuals of the bearings."""
+    linear = solved.linearized()
+    edges, (nodes, values) = linear.edges[1], linear.step()
+    # after the next step: what a search has not reached yet looks like an error of the bearings
+    residuals = edges.residuals + edges.moved(nodes[:, :, None], values[:, None])[:, :, 0]
+    D = np.zeros((*residuals.shape, of_bearings.shape[1]))
+    D[:, 1] = of_bearings
+    weighted = edges.information @ D
+    pulled = np.zeros((*linear.xi.shape, of_bearings.shape[1]))
+    following = linear.solve(pulled, edges.pull(weighted, pulled))
+    exact = np.tensordot(weighted, D, ((0, 1), (0, 1)))
+    P = exact - np.tensordot(weighted, edges.moved(*following), ((0, 1), (0, 1)))
+    return np.einsum("eik,ei->k", weighted, residuals), (P + P.T) / 2, exact
+
+
+@dataclass(frozen=True)
+class Lens:
+    """An error of the bearings that grows with them: near the axis of the sensor a scale, with more or less at the edge.
+
+    With c the measured bearing, at most `edge`, the bearing is too large by near c + bend c (c / edge)².
+
+    Attributes:
+        near: the part of bearings near the axis.
+        bend: what is added to this part at the edge.
+        edge: where the field of view ends, in effect [rad].
+        errors: (2,) standard errors of the part near the axis, and of that at the edge.
+    """
+
+    near: float
+    bend: float
+    edge: float
+    errors: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def sentence(self) -> str:
+        """For the notes of an estimate."""
+        return (
+            f"bearings are too large by {100 * self.near:+.2g} % (standard error {100 * self.errors[0]:.1g} %) near the axis "
+            f"of the sensor and by {100 * (self.near + self.bend):+.2g} % (standard error {100 * self.errors[1]:.1g} %) at "
+            f"{self.edge:.2g} rad, as from a wrong focal length or the distortion of a lens. They are corrected in this "
+            "log, but not in files of the robot; calibrate the camera"
+        )
+
+    def shapes(self, bearings: Array) -> Array:
+        """The derivative (M, 2) of the error by `near` and `bend` at measured bearings (M,)."""
+        c = np.clip(bearings, -self.edge, self.edge)
+        return np.column_stack([c, c**3 / self.edge**2])
+
+    def corrected(self, bearings: Array) -> Array:
+        """The bearings (M,) without the error."""
+        return np.asarray(bearings - self.shapes(bearings) @ [self.near, self.bend])
+
+    def log_density(self, bearings: Array) -> float:
+        """The sum of log |d corrected / d measured|, by which densities of corrected bearings become those of measured ones."""
+        inside = bearings[np.abs(bearings) < self.edge]
+        return float(np.sum(np.log(np.abs(1 - self.near - 3 * self.bend * (inside / self.edge) ** 2))))
+
+
+def undistorted(log: Log, lens: Lens | None) -> Log:
+    """The log with the bearings without this error."""
+    if lens is None:
+        return log
+    sightings, partial = log.sightings.copy(), log.partial_sightings
+    sightings[:, 1] = lens.corrected(sightings[:, 1])
+    if partial is not None:
+        partial = replace(partial, bearings=lens.corrected(partial.bearings))
+    return log.replace(sightings=sightings, partial_sightings=partial)
+
+
+def lens_of(fitted: Unknowns) -> Lens | None:
+    """The error of the bearings that grows with them, if any; ``fitted`` is the solution with few sightings.
+
+    None for sensors that see to `BEHIND`, because such an error about their axis has a jump at pi.
+    """
+    bearings = fitted.sightings[:, 1]
+    edge = float(np.quantile(np.abs(bearings), EDGE))
+    if edge > BEHIND:
+        return None
+    lens = Lens(0.0, 0.0, edge)
+    z2, near, bend, _ = _growth(fitted, lens, bearings)
+    if z2 < SUGGESTED**2:
+        return None
+    lens = replace(lens, near=near, bend=bend)
+
+    def again(log: Log) -> Unknowns:
+        return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), ROUNDS)[0]
+
+    straight, same = again(undistorted(fitted.log, lens)), again(fitted.log)
+    if gain_over(straight, same) + lens.log_density(bearings) < GROWS:
+        return None
+    _, near, bend, errors = _growth(straight, lens, bearings)
+    return replace(lens, near=near, bend=bend, errors=errors)
+
+
+def _growth(solved: Unknowns, lens: Lens, bearings: Array) -> tuple[float, float, float, tuple[float, float]]:
+    """z², near, bend and `Lens.errors` of a solution whose recorded bearings (M,) are corrected for ``lens``."""
+    u, P, _ = _scores(solved, lens.shapes(bearings))
+    prior, now = np.eye(2) / USUAL**2, np.array([lens.near, lens.bend])
+    covariance = np.linalg.inv(P + prior)
+    near, bend = now - covariance @ (u + prior @ now)
+    errors = np.sqrt([covariance[0, 0], covariance.sum()])
+    return float(u @ covariance @ u), float(near), float(bend), (float(errors[0]), float(errors[1]))
