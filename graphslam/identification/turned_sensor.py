@@ -41,9 +41,10 @@ ROUNDS = 8
 MOST = 3
 #: bearings below this quantile are in the field of view, which ends before the second number [rad] for an error that grows
 EDGE, BEHIND = 0.99, 1.92
-#: the standard deviations of the prior of such an error, near the axis and what is added at the edge, and the gain of the
-#: log likelihood with which it counts: docs/decisions.md
-USUAL, GROWS = 0.05, 8.0
+#: the standard deviation of the priors of such an error near the axis and of what the edge adds, the gain of the log
+#: likelihood with which it counts, and the largest standard errors: where the place of the sensor looks much like it, small
+#: errors of other kinds do, too (docs/decisions.md)
+USUAL, GROWS, TOLD = 0.03, 8.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ class Lens:
         return np.asarray(bearings - self.shapes(bearings) @ [self.near, self.bend])
 
     def log_density(self, bearings: Array) -> float:
-        """The sum of log |d corrected / d measured|, by which densities of corrected bearings become those of measured ones."""
+        """The sum of log |d corrected / d measured|: densities of measured bearings from those of corrected ones."""
         inside = bearings[np.abs(bearings) < self.edge]
         return float(np.sum(np.log(np.abs(1 - self.near - 3 * self.bend * (inside / self.edge) ** 2))))
 
@@ -227,10 +228,10 @@ def lens_of(fitted: Unknowns) -> Lens | None:
         return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), ROUNDS)[0]
 
     straight, same = again(undistorted(fitted.log, lens)), again(fitted.log)
-    if gain_over(straight, same) + lens.log_density(bearings) < GROWS:
+    if gain_over(straight, same) + lens.log_density(bearings) - (near**2 + bend**2) / (2 * USUAL**2) < GROWS:
         return None
     _, near, bend, errors = _growth(straight, lens, bearings)
-    return replace(lens, near=near, bend=bend, errors=errors)
+    return replace(lens, near=near, bend=bend, errors=errors) if max(errors) < TOLD else None
 
 
 def _growth(solved: Unknowns, lens: Lens, bearings: Array) -> tuple[float, float, float, tuple[float, float]]:
