@@ -399,8 +399,8 @@ def _interval(begin: int, end: int) -> str:
 def end_to_end(first: Log, second: Log) -> Log:
     """The log of both, with controls; the second is in the frame of the first.
 
-    From the last pose of the first to the first pose of the second leads a control of `APART` seconds with the displacements of
-    `ANYWHERE`. The noise models are those of the first.
+    From the last pose of the first to the first pose of the second leads a control of `APART` seconds with the displacements
+    of `ANYWHERE`. The noise models are those of the first.
     """
     a, b = first, second
     assert a.controls is not None and b.controls is not None and a.dt is not None and b.dt is not None
