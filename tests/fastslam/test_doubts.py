@@ -81,3 +81,8 @@ def test_particles_of_one_history_are_noted() -> None:
     # a history of one step, and one drawn backwards, say nothing of this kind
     assert not any("one history" in note for note in FastSLAM1(log, particles=10, seed=1, smoothing=10).run().notes)
     assert not any("one history" in note for note in MonteCarloLocalization(log, particles=10, seed=1).run().notes)
+    # a comparison has no NEES to show it with where there is no ground truth
+    without_truth = log.replace(true_poses=None, true_path=None, true_landmarks=None)
+    for each, said in ((log, False), (without_truth, True)):
+        (result,) = run(each, estimators=["fastslam1"], particles=10, seed=1).results
+        assert any("one history" in note for note in result.notes) == said
