@@ -86,3 +86,18 @@ def test_particles_of_one_history_are_noted() -> None:
     for each, said in ((log, False), (without_truth, True)):
         (result,) = run(each, estimators=["fastslam1"], particles=10, seed=1).results
         assert any("one history" in note for note in result.notes) == said
+
+
+def test_covariances_of_landmarks_are_those_over_all_particles() -> None:
+    """Those of the best particle, whose history has errors of its own, have a mean NEES/2 of 3 to 30 on such drives."""
+    squares = []
+    for seed in range(4):
+        slam = FastSLAM2(log := simulate(seed=seed, steps=150, clean=True, orientation=False), seed=seed)
+        found = slam.run()
+        ids = [j for j in found.landmarks if np.sum(log.landmarks == j) > 3]
+        about = np.array([found.landmarks[j] - slam.landmarks[j] for j in ids])
+        expected = slam.covariance(landmarks=ids) + about[:, :, None] * about[:, None, :]
+        np.testing.assert_allclose([found.landmark_covariances[j] for j in ids], expected, rtol=1e-9, atol=1e-12)
+        errors = np.array([found.landmarks[j] - log.true_landmarks[j][:2] for j in ids])
+        squares += [e @ np.linalg.solve(C, e) / 2 for e, C in zip(errors, expected)]
+    assert np.mean(squares) < 3
