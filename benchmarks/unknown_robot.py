@@ -265,6 +265,7 @@ def row(
             best = oracle_figures(log, truth)
             figures |= best
             if kept is not None:
+                kept.parent.mkdir(parents=True, exist_ok=True)
                 kept.write_text(json.dumps(best), encoding="utf-8")
         try:
             figures["plain"] = plain_seconds(log) if plain else None

@@ -242,8 +242,8 @@ class FilterResult:
         poses: (T+1, 3), the history of the best particle [m, m, rad], headings in [-pi, pi).
         mean_poses: (T+1, 3), the weighted mean of the histories of the particles that survived to the end.
         landmarks, landmark_covariances: the map of the best particle, {id: (n,)} and {id: (n, n)}, n = 2 or 3; with
-            unknown association its confirmed landmarks. They belong to ``poses``. The landmarks and covariances of the filter
-            itself are those of all particles, like its pose.
+            unknown association its confirmed landmarks. They belong to ``poses``. The covariances are those over all
+            particles, about these places. The landmarks of the filter itself are the means of all particles, like its pose.
         log_weights: (N,) at the end, normalised.
         log_evidence: the logarithm of the estimated density of sightings and positions, by which noise models can be
             compared: the sum over all observations of log sum of (weight before * likelihood). A first sighting with a

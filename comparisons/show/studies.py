@@ -268,8 +268,9 @@ def backends_figure(comparison: BackendComparison) -> Figure:
             for row in (row for row in comparison.rows if row.file == file and len(row.trace) > 1):
                 label = row.backend if row.native else f"{row.backend} ({PYTHON_FACTORS})"
                 look = style_of(row.backend) | ({} if row.native else {"alpha": 0.5, "markerfacecolor": "none"})
-                # the first point, at time zero, has no place on a logarithmic axis; below 1e-10 all is rounding
-                excess = [max((cost - best) / max(best, 1e-300), 1e-10) for _, cost in row.trace[1:]]
+                # the first point, at time zero, has no place on a logarithmic axis; below 1e-10 all is rounding, also where
+                # a graph without errors has a chi2 of almost 0
+                excess = [np.clip((cost - best) / max(best, 1e-10), 1e-10, 1e30) for _, cost in row.trace[1:]]
                 (handles[label],) = panel.plot([t for t, _ in row.trace[1:]], excess, **look)
             panel.set(xscale="log", yscale="log", title=as_text(Path(file).name), xlabel="time [s]")
         for panel in panels[::3]:

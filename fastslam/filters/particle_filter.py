@@ -23,7 +23,7 @@ from graphslam.log import Log
 from graphslam.log.measurements import AbsolutePositions
 from graphslam.maps.localization import Fix
 from graphslam.models import MotionModel, SensorModel
-from graphslam.se2 import Array
+from graphslam.se2 import Array, difference
 
 from ..doubts import noted
 from ..motions import Record, first_poses, in_frame, in_map, log_likelihoods, robot_poses, sensor_motions
@@ -323,13 +323,25 @@ class ParticleFilter(ABC):
             estimator=type(self).__name__, log="" if self.log is None else self.log.name, options=self.options,
             motion=self.motion, sensor=self.sensor, poses=poses, mean_poses=robot_poses(self.sensor, mean_poses),
             landmarks={j: estimate.mean for j, estimate in best_map.items()},
-            landmark_covariances={j: estimate.covariance for j, estimate in best_map.items()},
+            landmark_covariances=self._errors_of(best_map),
             log_weights=self._engine.log_weights, log_evidence=self._log_evidence, ess=np.array(self._ess_history),
             resampled=np.array(self._resampled_history), ancestors=ancestors, smoothed=self._smoothed(mean_poses),
             **self._association(poses),
         )  # fmt: skip
         # measurements that are handed in between those of the log are not in it
         return noted(result, self.log if self._next == self._step + 1 else None, self.HAS_MAPS)
+
+    def _errors_of(self, best_map: dict[int, LandmarkEstimate]) -> dict[int, Array]:
+        """The covariance of each landmark about its place in the best map, E[(m - m_best)(m - m_best)'], over all particles.
+
+        That of the best particle holds where its history is right: of 12 drives it had an NEES/2 of 2 to 260.
+        """
+        every = self._mixture(np.exp(self._engine.log_weights), provisional=True) if self.HAS_MAPS else {}
+        found = {j: estimate.covariance for j, estimate in best_map.items()}
+        for j in found.keys() & every.keys():
+            off = difference(best_map[j].mean, every[j].mean)
+            found[j] = every[j].covariance + np.outer(off, off)
+        return found
 
     def _smoothed(self, mean_poses: Array) -> Samples | None:
         """Trajectories drawn by backward simulation, linearised at the mean history of the sensor, if there are any."""

@@ -238,6 +238,9 @@ def read_drive(
     )
 
 
+#: the time between two drives [s]. `estimate_robot` and checks judge by time what belongs together: with a second between
+#: drives 13 of 20 joined logs had 1.5 to 4.8 times the noise of their sensor, and with 10 to 1000 s at most one
+APART = 60.0
 #: rows are shuffled where the time goes back by more than `MOST_DISORDER` in a larger share of them
 _SHUFFLED = 0.2
 
@@ -396,8 +399,8 @@ def _interval(begin: int, end: int) -> str:
 def end_to_end(first: Log, second: Log) -> Log:
     """The log of both, with controls; the second is in the frame of the first.
 
-    From the last pose of the first to the first pose of the second leads a control of a second with the variances
-    `ANYWHERE`. The noise models are those of the first.
+    From the last pose of the first to the first pose of the second leads a control of `APART` seconds with the displacements
+    of `ANYWHERE`. The noise models are those of the first.
     """
     a, b = first, second
     assert a.controls is not None and b.controls is not None and a.dt is not None and b.dt is not None
@@ -420,11 +423,11 @@ def end_to_end(first: Log, second: Log) -> Log:
     # where one of them has true poses and no path, there is none of both
     has_path = all(each.true_path is not None for each in (a, b) if each.true_poses is not None)
     return a.replace(
-        dt=np.concatenate([a.dt, [1.0], b.dt]),
+        dt=np.concatenate([a.dt, [APART], b.dt]),
         controls=np.concatenate([a.controls, np.zeros((1, 2)), b.controls]),
         control_starts=np.concatenate([a.control_starts, pieces + b.control_starts]),
-        control_variances=np.concatenate([of_first, [ANYWHERE], of_second]),
-        recorded_dt=np.concatenate([recorded[0], [1.0], recorded[1]]),
+        control_variances=np.concatenate([of_first, [np.array(ANYWHERE) / APART**2], of_second]),
+        recorded_dt=np.concatenate([recorded[0], [APART], recorded[1]]),
         steps=np.concatenate([a.steps, poses + b.steps]),
         landmarks=both("landmarks"),
         sightings=both("sightings"),

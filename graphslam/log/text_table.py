@@ -63,7 +63,7 @@ class TextTable(Table):
             raise FormatError(path, None, "the file is empty; a table with a header and rows is needed here")
         text = text.strip("\n")
         lines: list[str] = []
-        if "#" in text or re.search(r"\n[ \t\r\f\v]*\n", text) or not text.partition("\n")[0].strip():
+        if "#" in text or re.search(r"\n[^\S\n]*(\n|\Z)", text) or not text.partition("\n")[0].strip():
             lines = text.split("\n")
             # as `_is_comment`, without a call for each line
             text = "\n".join([line for line in lines if line.lstrip()[:1] not in _NO_ROW])

@@ -10,9 +10,9 @@ is computed again. These rounds run in the engine (``engine/include/vmslam/solve
 Each sighting has one trust, not each edge: one wrong sighting affects K - 1 pair edges, and its trust reduces the weight of
 all of them. Therefore the sequence is computed with landmark nodes and Cartesian residuals, whatever the edges of the graph,
 and the resulting trust is applied to the graph itself. Headings make even the squares non-convex, so a sequence may end in a
-poor minimum. Where there are few pairs, a second sequence is computed on pair edges; the lower truncated cost counts. Graphs
-whose only measurements are relations begin with what agrees in pairs (`agreement`); the sequence is computed only where that
-leaves doubts.
+poor minimum. So the end from the minimum of a robust kernel is computed, too, and where there are few pairs a second sequence
+on pair edges; the lowest truncated cost counts. Graphs whose only measurements are relations begin with what agrees in pairs
+(`agreement`); the sequence is computed only where that leaves doubts.
 
 Source: Yang, Antonante, Tzoumas and Carlone, *Graduated non-convexity for robust spatial perception*, RA-L 2020.
 """
@@ -211,7 +211,7 @@ def _grouped(edges: ObservationEdges) -> tuple[Any, ...]:
 
 
 def _best_sequence(nodes: Graph, probability: float, max_rounds: int, initialize: str) -> Trusted:
-    """The better of two sequences, one on landmark nodes, one on pair edges; the graph is that of `_by_landmark`."""
+    """The best of the ends on landmark nodes, from a kernel, and on pair edges; the graph is that of `_by_landmark`."""
     edges = next((family for family in nodes.families if isinstance(family, ObservationEdges)), None)
     doubts = _Doubts(nodes, None if edges is None else MarginalEdges(*_grouped(edges)), probability)
     if partial_edges(nodes):
@@ -221,6 +221,12 @@ def _best_sequence(nodes: Graph, probability: float, max_rounds: int, initialize
     best = _sequence(doubts, max_rounds, initialize)
     if best.rounds == 0:
         return best
+
+    def better(other: Trusted) -> Trusted:
+        # a sequence that has not settled is used only where none has
+        return min(best, other, key=lambda each: (not each.settled, doubts.cost(each)))
+
+    best = better(_from_kernel(doubts, initialize))
     pairs = VirtualMotionEdges(*_grouped(edges))
     if pairs.count > PAIRS:
         return best
@@ -235,8 +241,7 @@ def _best_sequence(nodes: Graph, probability: float, max_rounds: int, initialize
         rounds = doubts.rounds(state, other.trust)
         rounds.settle()
         other = replace(doubts.after(rounds, other.rounds), settled=True)
-    # a sequence that has not settled is used only where none has
-    return min(best, other, key=lambda each: (not each.settled, doubts.cost(each)))
+    return better(other)
 
 
 def _of_relations(doubts: _Doubts, max_rounds: int, initialize: str) -> Trusted:
@@ -264,13 +269,21 @@ def _sequence(doubts: _Doubts, max_rounds: int, initialize: str, steps: int = ST
 
 
 def _from_kernel(doubts: _Doubts, initialize: str) -> Trusted:
-    """The end from the minimum of a robust kernel, for graphs with ranges or bearings alone.
+    """The end from the minimum of a robust kernel.
 
-    Plain squares put their landmarks so far from where they are that the sequence from there rejects most of them.
+    Plain squares put landmarks of ranges or bearings alone so far from where they are that the sequence from there rejects
+    most of them, and misread ids bend a drive by metres, so that it rejects 12 to 46 % of the sightings for 3.7 to 6.9 %.
     """
     robust = doubts.graph.with_changed(DoubtedEdges, lambda f: replace(f, kernel=Cauchy()))
     start = minimize(robust, initialize, rough(robust)).state
-    rounds = doubts.rounds(start)
+    squares = []
+    for family in doubts.graph.families:
+        if isinstance(family, DoubtedEdges):
+            edges = family.linearize(start, start)
+            r2 = np.einsum("ei,eij,ej->e", edges.residuals, edges.information, edges.residuals)
+            squares.append(r2 <= doubts.limit(family.dimension))
+    # means of all sightings of a landmark would not be where the kernel has it
+    rounds = doubts.rounds(start, np.concatenate(squares).astype(float))
     rounds.judge(np.inf)
     rounds.settle()
     return replace(doubts.after(rounds), settled=True)

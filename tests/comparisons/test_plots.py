@@ -272,6 +272,15 @@ def test_the_backends_figure_shows_the_excess_over_the_best() -> None:
     assert ours.get_color() == colour_of("graph")
 
 
+def test_the_backends_figure_of_a_graph_without_errors_can_be_drawn() -> None:
+    rows = [
+        BackendRow("a.g2o", name, cost, 3, 0.1, True, "", ((0.0, 1e6), (0.1, cost)))
+        for name, cost in (("graphslam", 0.0), ("g2o-gn", 40.0))
+    ]
+    ours, theirs = BackendComparison(tuple(rows)).figure().axes[0].get_lines()
+    assert ours.get_ydata()[-1] == 1e-10 and theirs.get_ydata()[-1] == pytest.approx(40.0 / 1e-10)
+
+
 def test_a_figure_that_cannot_be_written_leaves_nothing(comparison: Comparison, tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="nowhere"):
         comparison.save_figure([tmp_path / "nowhere" / "figure.png"])

@@ -81,3 +81,19 @@ def test_particles_of_one_history_are_noted() -> None:
     # a history of one step, and one drawn backwards, say nothing of this kind
     assert not any("one history" in note for note in FastSLAM1(log, particles=10, seed=1, smoothing=10).run().notes)
     assert not any("one history" in note for note in MonteCarloLocalization(log, particles=10, seed=1).run().notes)
+    # a comparison has no NEES to show it with where there is no ground truth
+    without_truth = log.replace(true_poses=None, true_path=None, true_landmarks=None)
+    for each, said in ((log, False), (without_truth, True)):
+        (result,) = run(each, estimators=["fastslam1"], particles=10, seed=1).results
+        assert any("one history" in note for note in result.notes) == said
+
+
+def test_covariances_of_landmarks_are_those_over_all_particles() -> None:
+    """Those of the best particle belong to its history, which has errors of its own."""
+    for seed in range(4):
+        slam = FastSLAM2(log := simulate(seed=seed, steps=150, clean=True, orientation=False), seed=seed)
+        found = slam.run()
+        ids = [j for j in found.landmarks if np.sum(log.landmarks == j) > 3]
+        about = np.array([found.landmarks[j] - slam.landmarks[j] for j in ids])
+        expected = slam.covariance(landmarks=ids) + about[:, :, None] * about[:, None, :]
+        np.testing.assert_allclose([found.landmark_covariances[j] for j in ids], expected, rtol=1e-9, atol=1e-12)

@@ -27,6 +27,12 @@ def expected(drive):
     return load(drive())
 
 
+@pytest.mark.parametrize("blank", [" ", "\t", "\x1c"])
+def test_lines_of_spaces_are_no_rows(drive, expected, blank):
+    lines = text("t,nu,omega", ODOMETRY).splitlines()
+    assert load(drive(odometry="\n".join([*lines[:5], blank, *lines[5:], blank]) + "\n")).equals(expected)
+
+
 def test_the_numbers_are_those_of_the_tables(expected):
     assert expected.times.tolist() == pytest.approx([0.2, 1.0, 5.0, 9.0, 9.5, 12.0], abs=1e-9)
     np.testing.assert_array_equal(expected.sightings, [row[2:] for row in SEEN])

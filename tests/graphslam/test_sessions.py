@@ -17,6 +17,7 @@ from graphslam import (
     OptionError,
     PoseRelations,
     SensorModel,
+    estimate_robot,
     join_logs,
     simulate,
     solve,
@@ -46,6 +47,22 @@ def cut(log: Log, count: int) -> list[Log]:
 
 def graph(log: Log) -> Graph:
     return Graph.from_log(log, edges="landmark+motion")
+
+
+@pytest.mark.parametrize("seed", [34, 36, 40])
+def test_the_noise_of_joined_drives_is_that_of_each(seed: int) -> None:
+    """`estimate_robot` goes by time: with a second between the drives it had 2 to 5 times the noise of the sensor."""
+    places = np.random.default_rng(seed).uniform(-6, 6, (30, 2))
+    logs = [
+        simulate(
+            seed=seed + k, start=(0.0, 3.0 * k - 2.0, k), steps=150, dt=0.5, clean=True, orientation=False, max_range=3.5,
+            motion=QUIET, sensor=SENSOR, landmarks=places,
+        )
+        for k in range(2)
+    ]  # fmt: skip
+    found = estimate_robot(join_logs(logs).log)
+    assert found.inflation == 1.0
+    assert found.sensor.range_rate == pytest.approx(SENSOR.range_rate, rel=0.2)
 
 
 @pytest.mark.parametrize("count", [2, 3, 5])
