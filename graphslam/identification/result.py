@@ -24,12 +24,12 @@ from ..errors import GraphError
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
+from .bearing_errors import Lens, Turn, turned_back, undistorted
 from .corrections import corrected_log, honest_variances, without_biases
 from .declared import KINDS, PLACE, ParameterEstimate
 from .odometry import NOISE
 from .sighting_errors import LAGS, Ids, Predictions
 from .slips import Slip
-from .turned_sensor import Lens, Turn, turned_back, undistorted
 from .unknowns import DEGREES_SIGHTINGS, HELD, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,

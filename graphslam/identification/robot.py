@@ -29,6 +29,8 @@ from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import check_count, check_type, singular
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
+from .bearing_errors import MOST as MOST_TURNS
+from .bearing_errors import Lens, Turn, lens_of, turn_of, turned_back, undistorted
 from .declared import KINDS, ParameterEstimate
 from .odometry import Odometry, sighting_times
 from .restricted_likelihood import fit, gain_over, hold_needless, is_elsewhere, numbers_on_motion, with_sensor_anywhere
@@ -45,8 +47,6 @@ from .result import (
 )
 from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, common_errors, correlations, inflation, smoothed
 from .slips import Slip, slip_of_drive, without_slips
-from .turned_sensor import MOST as MOST_TURNS
-from .turned_sensor import Lens, Turn, lens_of, turn_of, turned_back, undistorted
 from .unknowns import OF_GAUSSIAN_MOTIONS, Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare

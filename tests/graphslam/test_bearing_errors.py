@@ -1,4 +1,4 @@
-"""A sensor that is turned on its robot during a drive is found and reported, and its bearings are corrected."""
+"""A sensor that was turned on its robot, and a lens, are found and reported, and the bearings are corrected."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 from comparisons.show.language import translated
 from graphslam import Drive, Graph, estimate_robot, solve
-from graphslam.identification import turned_sensor
-from graphslam.identification.turned_sensor import Turn, turned_back
+from graphslam.identification import bearing_errors
+from graphslam.identification.bearing_errors import Lens, Turn, turned_back, undistorted
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 
@@ -91,7 +91,54 @@ def test_z_is_that_of_a_further_unknown(monkeypatch):
     if linear.flat:
         free[3 * few.poses + 2 : n : 3] = False
     step, covariance = -np.linalg.solve(H[np.ix_(free, free)], gradient[free]), np.linalg.inv(H[np.ix_(free, free)])
-    z, angle, error = turned_sensor._steps(few, np.array([TIME]))
+    z, angle, error = bearing_errors._steps(few, np.array([TIME]))
     assert angle[0] == pytest.approx(step[-1], rel=1e-4)
     assert error[0] == pytest.approx(covariance[-1, -1] ** 0.5, rel=1e-4)
     assert z[0] == pytest.approx(abs(step[-1]) / covariance[-1, -1] ** 0.5, rel=1e-4)
+
+
+@pytest.mark.parametrize(("seed", "near", "bend"), [(1001, 0.04, 0.0), (1009, 0.0, 0.05)])
+def test_a_scale_of_the_bearings_and_a_lens_are_found_and_corrected(seed, near, bend, monkeypatch):
+    drive = Drive.random(seed)
+    right, _ = replace(drive, duration=200.0).simulate()
+    edge, sightings = drive.sensor.field_of_view / 2, right.sightings.copy()
+    sightings[:, 1] *= 1 + near + bend * (sightings[:, 1] / edge) ** 2
+    log = right.replace(sightings=sightings)
+    robot = estimate_robot(log)
+    lens = robot.lens
+    assert (
+        abs(lens.near - near) < 4 * lens.errors[0]
+        and abs(lens.near + lens.bend - near - bend) < 4 * lens.errors[1] + 0.005
+    )
+    (doubt,) = (each for each in robot.doubts if "distortion of a lens" in each)
+    assert "レンズの歪み" in translated(doubt, "ja")
+    solution = solve(Graph.from_log(robot.log))
+    healthy = estimate_robot(right)
+    assert healthy.lens is None
+    best = solve(Graph.from_log(healthy.log))
+    assert ate(log.true_poses, solution.poses) < 1.5 * ate(log.true_poses, best.poses)
+    # as it was
+    monkeypatch.setattr("graphslam.identification.robot.lens_of", lambda _: None)
+    wrong = solve(Graph.from_log(estimate_robot(log).log))
+    assert ate(log.true_poses, wrong.poses) > 1.3 * ate(log.true_poses, solution.poses)
+
+
+def test_a_log_without_the_error_of_its_lens():
+    log, _ = replace(Drive.random(1003), duration=60.0).simulate()
+    edge = float(np.abs(log.sightings[:, 1]).max())
+    lens = Lens(0.02, 0.03, edge)
+    c = log.sightings[:, 1]
+    np.testing.assert_allclose(undistorted(log, lens).sightings[:, 1], c - 0.02 * c - 0.03 * c**3 / edge**2)
+    assert undistorted(log, None) is log
+    # the density of what was measured, by differences
+    slopes = (lens.corrected(c + 1e-6) - lens.corrected(c - 1e-6)) / 2e-6
+    inside = np.abs(c) < edge - 1e-5
+    assert lens.log_density(c[inside]) == pytest.approx(np.log(slopes[inside]).sum(), abs=1e-4)
+
+
+def test_sensors_that_see_all_around_have_no_lens(monkeypatch):
+    """The error would have a jump at pi."""
+    found = []
+    monkeypatch.setattr("graphslam.identification.bearing_errors._growth", lambda *_: found.append(_))
+    drive = next(d for d in map(Drive.random, range(1000, 1100)) if d.sensor.field_of_view > 6)
+    assert estimate_robot(replace(drive, duration=60.0).simulate()[0]).lens is None and found == []

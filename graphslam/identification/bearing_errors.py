@@ -1,7 +1,8 @@
-"""Moments at which the sensor of a drive was turned on its robot, as a camera that something bumps into.
+"""Errors of the bearings that are not the same in all sightings: a sensor that was turned, and a lens.
 
-From then on all bearings are off by one angle s. One bias of the whole drive does not explain it: the headings turn with the
-sensor instead, and the robot seems to drive askew. So each moment is tested for a step of the bearings. With e, W and J the
+Where the sensor of a drive is turned on its robot, as a camera that something bumps into, all bearings are off by one angle s
+from then on. One bias of the whole drive does not explain it: the headings turn with the sensor instead, and the robot seems
+to drive askew. So each moment is tested for a step of the bearings. With e, W and J the
 residuals, the information and the Jacobians of nodes and biases at the solution, Omega the information matrix of all, and D
 the derivative of the residuals by s, 1 in the bearings of later sightings,
 
@@ -9,6 +10,10 @@ the derivative of the residuals by s, 1 in the bearings of later sightings,
 
 Noise that was fitted to a drive with such a step is too large, and z too small. So z only suggests a step, which counts where
 the restricted likelihood with the bearings corrected, each with the noise that fits best, is larger by enough.
+
+The error of a lens or a wrong focal length grows with the bearing c: a c + b c (c / edge)². It is tested in the same way with
+the two columns D = [c, c (c / edge)²], and z² = u' P^-1 u. As the correction shrinks or stretches what was measured, the
+likelihood then contains log |d corrected / d measured|.
 
 Source: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948.
 """
@@ -176,11 +181,12 @@ class Lens:
     @property
     def sentence(self) -> str:
         """For the notes of an estimate."""
+        near, edge = 100 * self.near, 100 * (self.near + self.bend)
         return (
-            f"bearings are too large by {100 * self.near:+.2g} % (standard error {100 * self.errors[0]:.1g} %) near the axis "
-            f"of the sensor and by {100 * (self.near + self.bend):+.2g} % (standard error {100 * self.errors[1]:.1g} %) at "
-            f"{self.edge:.2g} rad, as from a wrong focal length or the distortion of a lens. They are corrected in this "
-            "log, but not in files of the robot; calibrate the camera"
+            f"measured bearings are off by {near:+.2g} % of their size (standard error {100 * self.errors[0]:.1g} %) near "
+            f"the axis of the sensor and by {edge:+.2g} % (standard error {100 * self.errors[1]:.1g} %) at {self.edge:.2g} rad "
+            "from it, as with a wrong focal length or the distortion of a lens. They are corrected in this log; files of the "
+            "robot do not contain the correction, so calibrate the sensor"
         )
 
     def shapes(self, bearings: Array) -> Array:
