@@ -184,9 +184,9 @@ class Lens:
         near, edge = 100 * self.near, 100 * (self.near + self.bend)
         return (
             f"measured bearings are off by {near:+.2g} % of their size (standard error {100 * self.errors[0]:.1g} %) near "
-            f"the axis of the sensor and by {edge:+.2g} % (standard error {100 * self.errors[1]:.1g} %) at {self.edge:.2g} rad "
-            "from it, as with a wrong focal length or the distortion of a lens. They are corrected in this log; files of the "
-            "robot do not contain the correction, so calibrate the sensor"
+            f"the axis of the sensor and by {edge:+.2g} % (standard error {100 * self.errors[1]:.1g} %) at "
+            f"{self.edge:.2g} rad from it, as with a wrong focal length or the distortion of a lens. They are corrected in "
+            "this log; files of the robot do not contain the correction, so calibrate the sensor"
         )
 
     def shapes(self, bearings: Array) -> Array:
