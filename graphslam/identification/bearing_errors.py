@@ -49,7 +49,7 @@ EDGE, BEHIND = 0.99, 1.92
 #: the standard deviation of the priors of such an error near the axis and of what the edge adds, the gain of the log
 #: likelihood with which it counts, and the largest standard errors: where the place of the sensor looks much like it, small
 #: errors of other kinds do, too (docs/decisions.md)
-USUAL, GROWS, TOLD = 0.03, 8.0, 0.01
+USUAL, GROWS, LARGEST_ERROR = 0.03, 8.0, 0.01
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ def lens_of(fitted: Unknowns) -> Lens | None:
     if gain_over(straight, same) + lens.log_density(bearings) - (near**2 + bend**2) / (2 * USUAL**2) < GROWS:
         return None
     _, near, bend, errors = _growth(straight, lens, bearings)
-    return replace(lens, near=near, bend=bend, errors=errors) if max(errors) < TOLD else None
+    return replace(lens, near=near, bend=bend, errors=errors) if max(errors) < LARGEST_ERROR else None
 
 
 def _growth(solved: Unknowns, lens: Lens, bearings: Array) -> tuple[float, float, float, tuple[float, float]]:
