@@ -284,7 +284,7 @@ class FilterResult:
         """The map with the covariances of its landmarks, to save, or for another log.
 
         With ``smoothing`` it is the mean of the maps that are drawn backwards, with their covariances. Without it, it is that
-        of the best particle, with covariances given its path, which are several times too small where histories have run out.
+        of the best particle, with covariances over all particles, which are too small where histories have run out.
         """
         made = self if self.smoothed is None else self.smoothed
         known = {j: C for j, C in made.landmark_covariances.items() if np.any(C)}

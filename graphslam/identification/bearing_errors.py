@@ -218,11 +218,12 @@ def undistorted(log: Log, lens: Lens | None) -> Log:
 def lens_of(fitted: Unknowns) -> Lens | None:
     """The error of the bearings that grows with them, if any; ``fitted`` is the solution with few sightings.
 
-    None for sensors that see to `BEHIND`, because such an error about their axis has a jump at pi.
+    None for sensors that see to `BEHIND`, because such an error about their axis has a jump at pi, and for bearings of 0
+    alone.
     """
     bearings = fitted.sightings[:, 1]
     edge = float(np.quantile(np.abs(bearings), EDGE))
-    if edge > BEHIND:
+    if not 0.0 < edge <= BEHIND:
         return None
     lens = Lens(0.0, 0.0, edge)
     z2, near, bend, _ = _growth(fitted, lens, bearings)

@@ -202,7 +202,7 @@ class RobotEstimate:
         """A log of the robot without the biases that were found, with these noise models; repaired motions as recorded."""
         biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
         log = without_biases(
-            undistorted(turned_back(log, self.turns), self.lens), motion=self.motion, sensor=self.sensor, **biases
+            turned_back(undistorted(log, self.lens), self.turns), motion=self.motion, sensor=self.sensor, **biases
         )
         variances = honest_variances(log)
         return log.replace(

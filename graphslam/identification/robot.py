@@ -112,7 +112,8 @@ def _estimate(
     lens: Lens | None = None,
 ) -> RobotEstimate:
     """The estimate from a log that has enough sightings, and whose bearings have the errors that are known."""
-    log = undistorted(turned_back(recorded, turns), lens)
+    # the axis of the lens is that of the sensor, so that its error is undone first
+    log = turned_back(undistorted(recorded, lens), turns)
     drive, first, ids, slips = _with_ids(log, sensor, rng)
     log = log.replace(control_variances=drive.control_variances)
     named = ids.correct(drive)
@@ -120,7 +121,8 @@ def _estimate(
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
     if lens is None and (lens := lens_of(second)) is not None:
-        return _estimate(recorded, sensor, given, rng, turns, lens)
+        # turns that were found before belong to bearings with another axis
+        return _estimate(recorded, sensor, given, rng, (), lens)
     if len(turns) < MOST_TURNS and (turn := turn_of(second, lambda few: _everywhere(few, named))) is not None:
         return _estimate(recorded, sensor, given, rng, (*turns, turn), lens)
     exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]

@@ -41,6 +41,7 @@ from ..edges import (
 from ..edges.robust import Cauchy
 from ..engine import engine
 from ..errors import GraphError, OptionError
+from ..errors.checks import singular
 from ..graph import Graph
 from ..graph.transform import poses_only, with_landmark_nodes
 from ..se2 import Array
@@ -91,7 +92,7 @@ def solve_gnc(graph: Graph, initialize: str, tolerance: float, *, max_rounds: in
     found = _trust_by_kind(weighted)
     known = {kind: each for kind, each in found.items() if len(each)}
     which = " and ".join(f"{np.count_nonzero(each < REJECTED)} of {len(each)} {kind}" for kind, each in known.items())
-    note = f"graduated non-convexity rejected {which} in {best.rounds} rounds"
+    note = singular(f"graduated non-convexity rejected {which} in {best.rounds} rounds")
     in_sightings: Array | None = found.pop("sightings", None)
     if graph.log is not None and in_sightings is not None:
         of_edges, in_sightings = in_sightings, np.full(len(graph.log.steps), np.nan)
@@ -226,7 +227,8 @@ def _best_sequence(nodes: Graph, probability: float, max_rounds: int, initialize
         # a sequence that has not settled is used only where none has
         return min(best, other, key=lambda each: (not each.settled, doubts.cost(each)))
 
-    best = better(_from_kernel(doubts, initialize))
+    with suppress(GraphError):  # as below
+        best = better(_from_kernel(doubts, initialize))
     pairs = VirtualMotionEdges(*_grouped(edges))
     if pairs.count > PAIRS:
         return best

@@ -49,7 +49,8 @@ def solve(
             `Solution.trust` has its result. It has converged only if every sighting is fully trusted or rejected.
         tolerance: the iteration has converged when the Euclidean norm of the correction of all nodes is below this, and
             the correction is predicted to lower J by a negligible part only.
-        max_iterations: the most steps of a run, for "gnc" the most rounds; with "auto", the lowest run that has not
+        max_iterations: the most steps of a run, for "gnc" the most rounds of each sequence (where none has
+            settled, the end from a robust kernel counts); with "auto", the lowest run that has not
             converged is continued once.
         initialize: "given", the graph's own initial values, or yours (`Graph.with_initial`); "dead-reckoning" along the
             motion edges; "rotation-first", headings by linear least squares and then positions; "grow", solve the first

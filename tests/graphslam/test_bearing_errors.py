@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from comparisons.show.language import translated
-from graphslam import Drive, Graph, estimate_robot, solve
+from graphslam import Drive, Graph, estimate_robot, simulate, solve
 from graphslam.identification import bearing_errors
 from graphslam.identification.bearing_errors import Lens, Turn, turned_back, undistorted
 from graphslam.metrics import ate
@@ -121,6 +121,25 @@ def test_a_scale_of_the_bearings_and_a_lens_are_found_and_corrected(seed, near, 
     monkeypatch.setattr("graphslam.identification.robot.lens_of", lambda _: None)
     wrong = solve(Graph.from_log(estimate_robot(log).log))
     assert ate(log.true_poses, wrong.poses) > 1.3 * ate(log.true_poses, solution.poses)
+
+
+def test_a_lens_that_was_turned_is_one_lens_and_one_turn():
+    """The axis of the lens turns with the sensor; undone in the other order, a part of the turn was found as a second one."""
+    right, _ = replace(Drive.random(1002), duration=200.0).simulate()
+    sightings = right.sightings.copy()
+    sightings[right.times[right.steps] - right.times[0] > TIME, 1] -= 0.3
+    sightings[:, 1] *= 1.05
+    robot = estimate_robot(right.replace(sightings=sightings))
+    (turn,) = robot.turns
+    assert turn.angle == pytest.approx(-0.3, abs=0.01) and robot.lens.near == pytest.approx(0.05, abs=0.01)
+
+
+def test_bearings_of_zero_have_no_lens():
+    """A sensor that sees straight ahead alone has no field of view whose edge could be off."""
+    places = np.random.default_rng(0).uniform(-10, 10, (40, 2))
+    log = simulate(seed=1, steps=600, dt=0.5, clean=True, orientation=False, landmarks=places)
+    log = log.with_sightings(np.abs(log.sightings[:, 1]) < 0.1)
+    assert estimate_robot(log.replace(sightings=log.sightings * [1.0, 0.0])).lens is None
 
 
 def test_a_log_without_the_error_of_its_lens():
