@@ -24,10 +24,10 @@ from ..errors import GraphError
 from ..log import Log
 from ..models import MotionModel, SensorModel
 from ..se2 import Array
-from .bearing_errors import Lens, Turn, turned_back, undistorted
 from .corrections import corrected_log, honest_variances, without_biases
 from .declared import KINDS, PLACE, ParameterEstimate
 from .odometry import NOISE
+from .sensor_errors import Lens, RangeErrors, Turn, evened, turned_back, undistorted
 from .sighting_errors import LAGS, Ids, Predictions
 from .slips import Slip
 from .unknowns import DEGREES_SIGHTINGS, HELD, PRIORS, Unknowns
@@ -175,6 +175,7 @@ class RobotEstimate:
         slips: stretches on which the odometry is wrong; the log has more noise of the controls there.
         turns: moments at which the sensor was turned; the log has the bearings without them.
         lens: the error of the bearings that grows with them, if any; the log has them without it.
+        ranges: the errors of the ranges that differ between landmarks, if any; the log has them without these.
     """
 
     log: Log
@@ -194,6 +195,7 @@ class RobotEstimate:
     slips: tuple[Slip, ...] = ()
     turns: tuple[Turn, ...] = ()
     lens: Lens | None = None
+    ranges: RangeErrors | None = None
 
     def __repr__(self) -> str:
         return f"<RobotEstimate: {'; '.join(self.sentences)}>"
@@ -201,9 +203,8 @@ class RobotEstimate:
     def corrected(self, log: Log) -> Log:
         """A log of the robot without the biases that were found, with these noise models; repaired motions as recorded."""
         biases = {n: value for n, value in zip(self.parameters.names, self.parameters.values) if n not in PLACE}
-        log = without_biases(
-            turned_back(undistorted(log, self.lens), self.turns), motion=self.motion, sensor=self.sensor, **biases
-        )
+        log = turned_back(undistorted(evened(log, self.ranges), self.lens), self.turns)
+        log = without_biases(log, motion=self.motion, sensor=self.sensor, **biases)
         variances = honest_variances(log)
         return log.replace(
             motion=self.motion, sensor=self.sensor, uncertain=self.log.uncertain, control_variances=variances
@@ -263,6 +264,8 @@ class RobotEstimate:
         lines += [turn.sentence(self.log) for turn in self.turns]
         if self.lens is not None:
             lines.append(self.lens.sentence)
+        if self.ranges is not None:
+            lines += self.ranges.sentences
         if self.basis == DEAD_RECKONING:
             lines.append(
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "

@@ -29,8 +29,6 @@ from ..errors import GraphError, LogError, OptionError, quoted
 from ..errors.checks import check_count, check_type, singular
 from ..log import UNIDENTIFIED, Log, check_is_log
 from ..models import MotionModel, SensorModel
-from .bearing_errors import MOST as MOST_TURNS
-from .bearing_errors import Lens, Turn, lens_of, turn_of, turned_back, undistorted
 from .declared import KINDS, ParameterEstimate
 from .odometry import Odometry, sighting_times
 from .restricted_likelihood import fit, gain_over, hold_needless, is_elsewhere, numbers_on_motion, with_sensor_anywhere
@@ -45,6 +43,8 @@ from .result import (
     left_out,
     without_found,
 )
+from .sensor_errors import MOST as MOST_TURNS
+from .sensor_errors import Lens, RangeErrors, Turn, evened, lens_of, range_errors_of, turn_of, turned_back, undistorted
 from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, common_errors, correlations, inflation, smoothed
 from .slips import Slip, slip_of_drive, without_slips
 from .unknowns import OF_GAUSSIAN_MOTIONS, Unknowns
@@ -75,6 +75,8 @@ HARDLY_ANY, CLEARLY = 1 / 100, 2.0
 #: places are seen again where more than this part of the landmarks is; else dead reckoning has the second number for
 #: `HARDLY_ANY`: at single poses of a corridor NEES / 3 is up to 5 instead of 21 (docs/decisions.md)
 RETURNS, WITHOUT_RETURN = 0.1, 1 / 30
+#: how often errors of ranges are found more exactly, with the sightings that did not fit before
+MOST_IMPROVED = 3
 #: the fewest sightings and motions from which noise and biases are estimated
 FEWEST = {"sightings": 60, "poses": 20}
 #: the most sightings of a log that are used at once where this is enough; for correlations; and, of the few that are far
@@ -110,21 +112,39 @@ def _estimate(
     rng: np.random.Generator,
     turns: tuple[Turn, ...] = (),
     lens: Lens | None = None,
+    ranges: tuple[RangeErrors, ...] = (),
 ) -> RobotEstimate:
-    """The estimate from a log that has enough sightings, and whose bearings have the errors that are known."""
+    """The estimate from a log that has enough sightings, and whose sensor has the errors that are known.
+
+    Args:
+        ranges: their errors that were found, each more exactly than before; the last ones count.
+    """
     # the axis of the lens is that of the sensor, so that its error is undone first
-    log = turned_back(undistorted(recorded, lens), turns)
-    drive, first, ids, slips = _with_ids(log, sensor, rng)
+    log, off = turned_back(undistorted(recorded, lens), turns), ranges[-1] if ranges else None
+    drive, first, ids, slips = _with_ids(evened(log, off), sensor, rng)
     log = log.replace(control_variances=drive.control_variances)
-    named = ids.correct(drive)
+    measured = ids.correct(drive)
     ids = ids.within(log.landmarks)
+    # by the ids that are right
+    measured = measured.replace(sightings=log.sightings[ids.identified & ~ids.dropped])
+    named, right = evened(measured, off), evened(ids.correct(log), off)
     sparse, used = _sparse(named)
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
     if lens is None and (lens := lens_of(second)) is not None:
         # turns that were found before belong to bearings with another axis
         return _estimate(recorded, sensor, given, rng, (), lens)
+    if len(ranges) < MOST_IMPROVED:
+
+        def count_as_one(solved: Unknowns, errors: RangeErrors) -> float:
+            every, few = (evened(each, errors) for each in (measured, measured.with_sightings(used)))
+            return inflation(few, _correlations(every, few, used, solved, rng))
+
+        few = _of_sightings(measured.with_sightings(used))
+        found = range_errors_of(second, few, off, count_as_one)
+        if found is not None and found is not off:
+            return _estimate(recorded, sensor, given, rng, turns, lens, (*ranges, found))
     if len(turns) < MOST_TURNS and (turn := turn_of(second, lambda few: _everywhere(few, named))) is not None:
-        return _estimate(recorded, sensor, given, rng, (*turns, turn), lens)
+        return _estimate(recorded, sensor, given, rng, (*turns, turn), lens, ranges)
     exact = fit(second.with_nearly_exact_odometry(), ROUNDS[2])[0]
     held_first, held_with_exact = hold_needless(second, ROUNDS[2]), hold_needless(exact, ROUNDS[2])
     held = held_first
@@ -148,7 +168,7 @@ def _estimate(
     if exact_and_unbiased and compared.count and compared.gain(ESTIMATE, DEAD_RECKONING) < CLEARLY:
         basis = DEAD_RECKONING
     elif compared.count >= ENOUGH and compared.gain(other[0], ESTIMATE) > CLEARLY:
-        return replace(_known(log, ids, *other, compared, slips), turns=turns, lens=lens)
+        return replace(_known(right, ids, *other, compared, slips), turns=turns, lens=lens, ranges=off)
     if basis == DEAD_RECKONING:
         # this problem holds what the first one held, too
         second, held = dead_reckoning, held_first | held
@@ -166,11 +186,11 @@ def _estimate(
     wider: dict[str, Any] = {name: getattr(seen, name) * factor**0.5 for name in last.sensor_parts}
     seen = replace(seen, **wider)
     motion, seen, of_scans = _apart_from_scans(last, log, motion, seen)
-    corrected, estimate = without_found(last, ids.correct(log), held, motion, seen)
+    corrected, estimate = without_found(last, right, held, motion, seen)
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion, of_scans=of_scans,
-        slips=slips, turns=turns, lens=lens,
+        slips=slips, turns=turns, lens=lens, ranges=off,
     )  # fmt: skip
 
 
@@ -204,7 +224,7 @@ def _known(
     """The result where other noise than the estimated one predicts sightings best that are left out."""
     nothing, (motion, sensor) = ParameterEstimate((), np.zeros(0), np.zeros((0, 0)), {}), noise
     return RobotEstimate(
-        log=ids.correct(log).replace(motion=motion, sensor=sensor), motion=motion, sensor=sensor, parameters=nothing,
+        log=log.replace(motion=motion, sensor=sensor), motion=motion, sensor=sensor, parameters=nothing,
         errors={}, ids=ids, correlations=np.zeros(len(LAGS) - 1), inflation=1.0, nearly_exact=False, left_out=compared,
         basis=basis, slips=slips,
     )  # fmt: skip

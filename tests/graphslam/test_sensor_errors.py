@@ -9,8 +9,8 @@ import pytest
 
 from comparisons.show.language import translated
 from graphslam import Drive, Graph, estimate_robot, simulate, solve
-from graphslam.identification import bearing_errors
-from graphslam.identification.bearing_errors import Lens, Turn, turned_back, undistorted
+from graphslam.identification import sensor_errors
+from graphslam.identification.sensor_errors import Lens, Turn, turned_back, undistorted
 from graphslam.metrics import ate
 from graphslam.se2 import wrap
 
@@ -91,7 +91,7 @@ def test_z_is_that_of_a_further_unknown(monkeypatch):
     if linear.flat:
         free[3 * few.poses + 2 : n : 3] = False
     step, covariance = -np.linalg.solve(H[np.ix_(free, free)], gradient[free]), np.linalg.inv(H[np.ix_(free, free)])
-    z, angle, error = bearing_errors._steps(few, np.array([TIME]))
+    z, angle, error = sensor_errors._steps(few, np.array([TIME]))
     assert angle[0] == pytest.approx(step[-1], rel=1e-4)
     assert error[0] == pytest.approx(covariance[-1, -1] ** 0.5, rel=1e-4)
     assert z[0] == pytest.approx(abs(step[-1]) / covariance[-1, -1] ** 0.5, rel=1e-4)
@@ -158,6 +158,6 @@ def test_a_log_without_the_error_of_its_lens():
 def test_sensors_that_see_all_around_have_no_lens(monkeypatch):
     """The error would have a jump at pi."""
     found = []
-    monkeypatch.setattr("graphslam.identification.bearing_errors._growth", lambda *_: found.append(_))
+    monkeypatch.setattr("graphslam.identification.sensor_errors._growth", lambda *_: found.append(_))
     drive = next(d for d in map(Drive.random, range(1000, 1100)) if d.sensor.field_of_view > 6)
     assert estimate_robot(replace(drive, duration=60.0).simulate()[0]).lens is None and found == []

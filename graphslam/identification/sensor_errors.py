@@ -1,0 +1,510 @@
+"""Errors of the bearings that are not the same in all sightings: a sensor that was turned, and a lens.
+
+Where the sensor of a drive is turned on its robot, as a camera that something bumps into, all bearings are off by one angle s
+from then on. One bias of the whole drive does not explain it: the headings turn with the sensor instead, and the robot seems
+to drive askew. So each moment is tested for a step of the bearings. With e, W and J the
+residuals, the information and the Jacobians of nodes and biases at the solution, Omega the information matrix of all, and D
+the derivative of the residuals by s, 1 in the bearings of later sightings,
+
+    u = D' W e,   P = D' W D - D' W J Omega^-1 J' W D,   s = -u / P,   z = |u| / sqrt(P).
+
+Noise that was fitted to a drive with such a step is too large, and z too small. So z only suggests a step, which counts where
+the restricted likelihood with the bearings corrected, each with the noise that fits best, is larger by enough.
+
+The error of a lens or a wrong focal length grows with the bearing c: a c + b c (c / edge)². It is tested in the same way with
+the two columns D = [c, c (c / edge)²], and z² = u' P^-1 u. As the correction shrinks or stretches what was measured, the
+likelihood then contains log |d corrected / d measured|.
+
+Source: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import named
+from ..log import Log
+from ..se2 import Array, wrap
+from .restricted_likelihood import fit, gain_over, with_wide_prior
+from .unknowns import Unknowns
+
+#: the rows of the residuals of sightings
+RANGE, BEARING = 0, 1
+#: how many moments are tried
+MOMENTS = 60
+#: a z above the first number suggests a step, and a step that explains as much as so many standard errors is one:
+#: docs/decisions.md
+SUGGESTED, SURELY = 3.5, 5.0
+#: a step is determined where it has more than this part of the information that exact poses would give
+DETERMINED = 1e-6
+#: the standard deviation of the prior of the bias of the whole drive [rad]. With the usual one, a sensor that is mounted
+#: askew by ten degrees seems to have been turned in the first seconds
+ASKEW = np.pi
+#: rounds of solving and improving the variances
+ROUNDS = 8
+#: the most turns of one drive
+MOST = 3
+#: bearings below this quantile are in the field of view, which ends before the second number [rad] for an error that grows
+EDGE, BEHIND = 0.99, 1.92
+#: the standard deviation of the priors of such an error near the axis and of what the edge adds, the gain of the log
+#: likelihood with which it counts, and the largest standard errors: where the place of the sensor looks much like it, small
+#: errors of other kinds do, too (docs/decisions.md)
+USUAL, GROWS, LARGEST_ERROR = 0.03, 8.0, 0.01
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A moment at which the sensor was turned.
+
+    Attributes:
+        time: [s] since the first pose.
+        angle: by how much bearings are larger afterwards [rad].
+        error: its standard error.
+    """
+
+    time: float
+    angle: float
+    error: float
+
+    def sentence(self, log: Log) -> str:
+        """For the notes of an estimate; ``log`` is that of the drive."""
+        assert log.times is not None
+        step = int(np.searchsorted(log.times - log.times[0], self.time))
+        return (
+            f"from step {step} ({self.time:.0f} s after the start) on, bearings are off by {self.angle:+.3g} rad (standard "
+            f"error {self.error:.1g}) against those before: the sensor was turned on the robot, or the robot drives "
+            "askew since then. They are corrected for a turned sensor; if it was not turned, the headings are off by as much"
+        )
+
+
+def turned_back(log: Log, turns: Iterable[Turn]) -> Log:
+    """The log with the bearings that the sensor would have had without these turns."""
+    if log.times is None or not (turns := tuple(turns)):
+        return log
+    times = log.times - log.times[0]
+    off = np.sum([turn.angle * (times > turn.time) for turn in turns], axis=0)
+    sightings, partial = log.sightings.copy(), log.partial_sightings
+    sightings[:, 1] = wrap(sightings[:, 1] - off[log.steps])
+    if partial is not None:
+        partial = replace(partial, bearings=wrap(partial.bearings - off[partial.steps]))
+    return log.replace(sightings=sightings, partial_sightings=partial)
+
+
+def turn_of(fitted: Unknowns, whole: Callable[[Unknowns], Unknowns]) -> Turn | None:
+    """The moment at which the sensor was turned, if any.
+
+    Args:
+        fitted: the solution with few sightings, whose errors are nearly independent.
+        whole: the same problem with all sightings, which show the moment best.
+    """
+    fitted = with_wide_prior(fitted, ["bearing_bias"], ASKEW)
+    end = _times(fitted).max()
+    limits = np.linspace(0.0, end, MOMENTS + 1)[1:-1]
+    z, angles, _ = _steps(fitted, limits)
+    k = int(np.argmax(z))
+    if z[k] < SUGGESTED:
+        return None
+    turn = Turn(float(limits[k]), float(angles[k]), 0.0)
+
+    def again(log: Log) -> Unknowns:
+        return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), ROUNDS)[0]
+
+    turned, same = again(turned_back(fitted.log, [turn])), again(fitted.log)
+    if gain_over(turned, same) < SURELY**2 / 2:
+        return None
+    z, rest, errors = _steps(turned, limits[[k]])
+    every = whole(turned)
+    times = np.unique(_times(every))
+    near = np.flatnonzero(np.abs(times - turn.time) <= end / MOMENTS)
+    time = turn.time
+    if len(near) and (near := near[near + 1 < len(times)]).size:
+        between = (times[near] + times[near + 1]) / 2
+        time = float(between[np.argmax(_steps(every, between)[0])])
+    return Turn(time, turn.angle + float(rest[0]), float(errors[0]))
+
+
+def _times(solved: Unknowns) -> Array:
+    """The time (M,) of each sighting since the first pose [s]."""
+    assert solved.log.times is not None
+    return solved.log.times[solved.seen_from] - solved.log.times[0]
+
+
+def _steps(solved: Unknowns, moments: Array) -> tuple[Array, Array, Array]:
+    """z, s and its standard error of a step of the bearings at each of some moments (K,); zero where it is not determined."""
+    u, information, exact = (
+        each if each.ndim == 1 else np.diag(each)
+        for each in _scores(solved, BEARING, (_times(solved)[:, None] > moments).astype(float))
+    )
+    known = information > DETERMINED * exact
+    P = np.where(known, information, 1.0)
+    return (
+        np.where(known, np.abs(u) / np.sqrt(P), 0.0),
+        np.where(known, -u / P, 0.0),
+        np.where(known, P**-0.5, 0.0),
+    )
+
+
+def _scores(solved: Unknowns, row: int, derivatives: Array) -> tuple[Array, Array, Array]:
+    """u (K,), P and D' W D (K, K) for derivatives (M, K) of the residuals of all ranges, or of all bearings."""
+    linear = solved.linearized()
+    edges, (nodes, values) = linear.edges[1], linear.step()
+    # after the next step: what a search has not reached yet looks like an error of the bearings
+    residuals = edges.residuals + edges.moved(nodes[:, :, None], values[:, None])[:, :, 0]
+    D = np.zeros((*residuals.shape, derivatives.shape[1]))
+    D[:, row] = derivatives
+    weighted = edges.information @ D
+    pulled = np.zeros((*linear.xi.shape, derivatives.shape[1]))
+    following = linear.solve(pulled, edges.pull(weighted, pulled))
+    exact = np.tensordot(weighted, D, ((0, 1), (0, 1)))
+    P = exact - np.tensordot(weighted, edges.moved(*following), ((0, 1), (0, 1)))
+    return np.einsum("eik,ei->k", weighted, residuals), (P + P.T) / 2, exact
+
+
+@dataclass(frozen=True)
+class Lens:
+    """An error of the bearings that grows with them: near the axis of the sensor a scale, with more or less at the edge.
+
+    With c the measured bearing, at most `edge`, the bearing is too large by near c + bend c (c / edge)².
+
+    Attributes:
+        near: the part of bearings near the axis.
+        bend: what is added to this part at the edge.
+        edge: where the field of view ends, in effect [rad].
+        errors: (2,) standard errors of the part near the axis, and of that at the edge.
+    """
+
+    near: float
+    bend: float
+    edge: float
+    errors: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def sentence(self) -> str:
+        """For the notes of an estimate."""
+        near, edge = 100 * self.near, 100 * (self.near + self.bend)
+        return (
+            f"measured bearings are off by {near:+.2g} % of their size (standard error {100 * self.errors[0]:.1g} %) near "
+            f"the axis of the sensor and by {edge:+.2g} % (standard error {100 * self.errors[1]:.1g} %) at "
+            f"{self.edge:.2g} rad from it, as with a wrong focal length or the distortion of a lens. They are corrected in "
+            "this log; files of the robot do not contain the correction, so calibrate the sensor"
+        )
+
+    def shapes(self, bearings: Array) -> Array:
+        """The derivative (M, 2) of the error by `near` and `bend` at measured bearings (M,)."""
+        c = np.clip(bearings, -self.edge, self.edge)
+        return np.column_stack([c, c**3 / self.edge**2])
+
+    def corrected(self, bearings: Array) -> Array:
+        """The bearings (M,) without the error."""
+        return np.asarray(bearings - self.shapes(bearings) @ [self.near, self.bend])
+
+    def log_density(self, bearings: Array) -> float:
+        """The sum of log |d corrected / d measured|: densities of measured bearings from those of corrected ones."""
+        inside = bearings[np.abs(bearings) < self.edge]
+        return float(np.sum(np.log(np.abs(1 - self.near - 3 * self.bend * (inside / self.edge) ** 2))))
+
+
+def undistorted(log: Log, lens: Lens | None) -> Log:
+    """The log with the bearings without this error."""
+    if lens is None:
+        return log
+    sightings, partial = log.sightings.copy(), log.partial_sightings
+    sightings[:, 1] = lens.corrected(sightings[:, 1])
+    if partial is not None:
+        partial = replace(partial, bearings=lens.corrected(partial.bearings))
+    return log.replace(sightings=sightings, partial_sightings=partial)
+
+
+def lens_of(fitted: Unknowns) -> Lens | None:
+    """The error of the bearings that grows with them, if any; ``fitted`` is the solution with few sightings.
+
+    None for sensors that see to `BEHIND`, because such an error about their axis has a jump at pi, and for bearings of 0
+    alone.
+    """
+    bearings = fitted.sightings[:, 1]
+    edge = float(np.quantile(np.abs(bearings), EDGE))
+    if not 0.0 < edge <= BEHIND:
+        return None
+    lens = Lens(0.0, 0.0, edge)
+    z2, near, bend, _ = _growth(fitted, lens, bearings)
+    if z2 < SUGGESTED**2:
+        return None
+    lens = replace(lens, near=near, bend=bend)
+
+    def again(log: Log) -> Unknowns:
+        return fit(Unknowns(log, log.landmarks, fitted.sensor, fitted), ROUNDS)[0]
+
+    straight, same = again(undistorted(fitted.log, lens)), again(fitted.log)
+    if gain_over(straight, same) + lens.log_density(bearings) - (near**2 + bend**2) / (2 * USUAL**2) < GROWS:
+        return None
+    _, near, bend, errors = _growth(straight, lens, bearings)
+    return replace(lens, near=near, bend=bend, errors=errors) if max(errors) < LARGEST_ERROR else None
+
+
+def _growth(solved: Unknowns, lens: Lens, bearings: Array) -> tuple[float, float, float, tuple[float, float]]:
+    """z², near, bend and `Lens.errors` of a solution whose recorded bearings (M,) are corrected for ``lens``."""
+    u, P, _ = _scores(solved, BEARING, lens.shapes(bearings))
+    prior, now = np.eye(2) / USUAL**2, np.array([lens.near, lens.bend])
+    covariance = np.linalg.inv(P + prior)
+    near, bend = now - covariance @ (u + prior @ now)
+    errors = np.sqrt([covariance[0, 0], covariance.sum()])
+    return float(u @ covariance @ u), float(near), float(bend), (float(errors[0]), float(errors[1]))
+
+
+#: the kinds of errors of ranges, with the standard deviation of the error of a single landmark before the log is known
+SCALE, OFFSET = "scale", "offset"
+OF_ONE = {SCALE: 0.1, OFFSET: 0.5}
+#: gains of the log likelihood, divided by the sightings that count as one, with which all landmarks count as off, and with
+#: which a single one does; and the gain of the first test, undivided, that makes a try worth while (docs/decisions.md)
+ALL_OFF, ONE_OFF, PROMISING = 10.0, 10.0, 5.0
+#: kinds whose gains differ by less than this are not told apart
+ALIKE = 3.0
+#: standard deviations of the errors of all landmarks that are tried [parts or m]
+SPREADS = np.geomspace(1e-4, 3.0, 150)
+#: the most landmarks that are tested, those with most sightings; and rounds of improving the errors of all
+MOST_TESTED, IMPROVED = 300, 4
+#: more landmarks than this part of all are not single ones
+MOST_SINGLE = 0.4
+#: errors that change by less than this part of their standard errors are settled
+SETTLED = 0.5
+#: how many characters of a note name landmarks
+MOST_NAMED = 160
+#: a range is corrected by this factor at most
+MOST_CORRECTED = 2.0
+
+
+@dataclass(frozen=True)
+class RangeErrors:
+    """Ranges that are off for single landmarks, each by a part of its length, or by a length.
+
+    Attributes:
+        kind: `SCALE`: a range r to a landmark with the error s is measured as (1 + s) r; or `OFFSET`: as r + s [m].
+        found: {id of the landmark: (s, its standard error)}.
+        spread: the standard deviation of the errors where all landmarks may be off; None where only these are.
+        alike: whether the other kind explains the log nearly as well.
+    """
+
+    kind: str
+    found: Mapping[int, tuple[float, float]]
+    spread: float | None = None
+    alike: bool = False
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """For the notes of an estimate."""
+        unit, size = ("%", 100.0) if self.kind == SCALE else ("m", 1.0)
+        largest = sorted(self.found.items(), key=lambda item: -abs(item[1][0]))
+        each = named(
+            (
+                f"landmark {id} by {size * s:+.2g} {unit} (standard error {size * error:.1g} {unit})"
+                for id, (s, error) in largest
+            ),
+            MOST_NAMED,
+        )
+        tail = (
+            "They are corrected in this log; files of the robot do not contain the correction, so measure these landmarks, or "
+            "leave them out"
+        )
+        part = "a part of their length" if self.kind == SCALE else "a length"
+        cause = (
+            "tags of another size than the sensor believes" if self.kind == SCALE else "thick landmarks or late beacons"
+        )
+        if self.spread is None:
+            first = f"ranges are off by {part} for single landmarks, as with {cause}: {each}. {tail}"
+        else:
+            first = (
+                f"ranges are off by {part} that differs from landmark to landmark, with a standard deviation of "
+                f"{size * self.spread:.2g} {unit}, as with {cause}: {each}. {tail}"
+            )
+        if not self.alike:
+            return (first,)
+        return (
+            first,
+            "whether these ranges are off by a part of their length or by a length, this log does not tell: each landmark is "
+            "seen from similar distances only",
+        )
+
+    def of(self, landmarks: np.ndarray) -> Array:
+        """The errors (M,) of ranges to landmarks (M,)."""
+        ids, number = np.unique(landmarks, return_inverse=True)
+        return np.array([self.found.get(id, (0.0, 0.0))[0] for id in ids.tolist()])[number.ravel()]
+
+    def corrected(self, ranges: Array, landmarks: np.ndarray) -> Array:
+        """The ranges (M,) to landmarks (M,) without the errors."""
+        s = self.of(landmarks)
+        right = ranges / (1 + s) if self.kind == SCALE else ranges - s
+        return np.clip(right, ranges / MOST_CORRECTED, ranges * MOST_CORRECTED)
+
+    def log_density(self, landmarks: np.ndarray) -> float:
+        """The sum of log |d corrected / d measured| over ranges to landmarks (M,)."""
+        return -float(np.sum(np.log1p(self.of(landmarks)))) if self.kind == SCALE else 0.0
+
+    def settled(self, before: RangeErrors | None) -> bool:
+        """Whether these are nearly the same as others."""
+        if before is None or before.kind != self.kind or before.found.keys() != self.found.keys():
+            return False
+        return all(abs(s - before.found[id][0]) < SETTLED * error for id, (s, error) in self.found.items())
+
+
+def evened(log: Log, ranges: RangeErrors | None) -> Log:
+    """The log with the ranges without these errors."""
+    if ranges is None:
+        return log
+    sightings, partial = log.sightings.copy(), log.partial_sightings
+    sightings[:, 0] = ranges.corrected(sightings[:, 0], log.landmarks)
+    if partial is not None:
+        partial = replace(partial, ranges=ranges.corrected(partial.ranges, partial.landmarks))
+    return log.replace(sightings=sightings, partial_sightings=partial)
+
+
+def range_errors_of(
+    fitted: Unknowns, recorded: Log, before: RangeErrors | None, count_as_one: Callable[[Unknowns, RangeErrors], float]
+) -> RangeErrors | None:
+    """The errors of ranges that differ between landmarks, if any.
+
+    Args:
+        fitted: the solution with few sightings.
+        recorded: its log with the ranges as they were measured.
+        before: the errors for which the log of ``fitted`` was corrected.
+        count_as_one: how many of its sightings count as one, by the correlations that a solution with corrected ranges
+            leaves. Errors that last for a while look like those of a landmark, and are correlated after the correction, too.
+    """
+    trial = _Trial(fitted, recorded, count_as_one)
+    if before is None and not trial.promising():
+        return None
+    found: list[tuple[float, RangeErrors]] = []
+    for kind in OF_ONE if before is None else (before.kind,):
+        # afterwards they only become more exact
+        if before is None or before.spread is not None:
+            found += trial.of_all(kind)
+        if before is None or before.spread is None:
+            found += trial.of_single(kind)
+    if not found:
+        return before
+    gain, best = max(found, key=lambda each: each[0])
+    if before is not None:
+        return before if best.settled(before) else replace(best, alike=before.alike)
+    return replace(best, alike=any(other.kind != best.kind and gain - less < ALIKE for less, other in found))
+
+
+class _Trial:
+    """Solutions of a log with few sightings whose ranges are corrected for the errors of landmarks.
+
+    The residual of a range grows with the correction s of its landmark by the range, or by 1. Beside `_scores`, s then has
+    the vector b = P s - u and the information P about no correction, so that with a prior N(0, S) it is (P + S^-1)^-1 b.
+    """
+
+    def __init__(self, fitted: Unknowns, recorded: Log, count_as_one: Callable[[Unknowns, RangeErrors], float]) -> None:
+        self._fitted, self._recorded, self._count_as_one = fitted, recorded, count_as_one
+        tested = np.argsort(-np.bincount(fitted.seen - fitted.poses), kind="stable")[:MOST_TESTED]
+        self._ids, self._seen = fitted.ids[tested], fitted.ids[fitted.seen - fitted.poses]
+        own, ranges = fitted.seen[:, None] - fitted.poses == tested, recorded.sightings[fitted.used, :1]
+        self._columns = {SCALE: own * ranges, OFFSET: own * 1.0}
+
+    def promising(self) -> bool:
+        """Whether the solution without further corrections suggests errors."""
+        for kind in OF_ONE:
+            u, P = self._scores(self._fitted, kind)
+            if _spread(-u, P)[1] > PROMISING or _z(u, P).max() > SUGGESTED:
+                return True
+        return False
+
+    def of_all(self, kind: str) -> list[tuple[float, RangeErrors]]:
+        """The gain and the errors of all landmarks, drawn from one normal distribution; none where the gain is too small."""
+        n = len(self._ids)
+        if n < 2:
+            return []
+        # without an error in common, which is one of the wheels or of all ranges
+        Q = np.linalg.svd(np.eye(n) - 1 / n)[0][:, :-1]
+        s, solved = np.zeros(n), self._solved(None)
+        same = solved
+        for _ in range(IMPROVED):
+            u, P = self._scores(solved, kind)
+            b, P = Q.T @ (P @ s - u), Q.T @ P @ Q
+            spread, gain = _spread(b, P)
+            if gain <= 0:
+                return []
+            covariance = Q @ np.linalg.inv(P + np.eye(n - 1) / spread**2) @ Q.T
+            best, deviations = covariance @ Q @ b, np.sqrt(np.diag(covariance))
+            change, s = np.abs(best - s), best
+            errors = self._errors(kind, s, deviations, spread)
+            solved = self._solved(errors)
+            if np.all(change < SETTLED * deviations):
+                break
+        P = Q.T @ self._scores(solved, kind)[1] @ Q
+        gain = gain_over(solved, same) + errors.log_density(self._seen) - s @ s / (2 * spread**2)
+        gain -= float(np.linalg.slogdet(np.eye(n - 1) + spread**2 * P)[1]) / 2
+        if gain < ALL_OFF or (gain := gain / (count := self._count_as_one(solved, errors))) < ALL_OFF:
+            return []
+        return [(gain, self._errors(kind, s, deviations * count**0.5, spread))]
+
+    def of_single(self, kind: str) -> list[tuple[float, RangeErrors]]:
+        """The gain and the errors of single landmarks, one after the other while each gains enough."""
+        n = len(self._ids)
+        s, errors, solved, total = np.zeros(n), self._errors(kind, np.zeros(n), np.zeros(n)), self._solved(None), 0.0
+        chosen, count = list[int](), 1.0
+        while len(chosen) < MOST_SINGLE * n:
+            u, P = self._scores(solved, kind)
+            z = _z(u, P)
+            z[chosen] = 0.0
+            k = int(np.argmax(z))
+            if z[k] < SUGGESTED:
+                break
+            best, deviations = self._best(kind, s, u, P, [*chosen, k])
+            tried = self._errors(kind, best, deviations)
+            other = self._solved(tried)
+            gain = gain_over(other, solved) + tried.log_density(self._seen) - errors.log_density(self._seen)
+            gain -= (best @ best - s @ s) / (2 * OF_ONE[kind] ** 2)
+            if gain < ONE_OFF or (gain := gain / (dependent := self._count_as_one(other, tried))) < ONE_OFF:
+                break
+            count = dependent
+            chosen.append(k)
+            # each landmark might have been another one
+            total += gain - float(np.log(n))
+            s, errors, solved = best, tried, other
+        if not chosen:
+            return []
+        best, deviations = self._best(kind, s, *self._scores(solved, kind), chosen)
+        return [(total, self._errors(kind, best, deviations * count**0.5))]
+
+    def _best(self, kind: str, s: Array, u: Array, P: Array, chosen: list[int]) -> tuple[Array, Array]:
+        """The errors (n,) of chosen landmarks, zero for the others, and their standard errors."""
+        best, deviations, b = np.zeros(len(s)), np.zeros(len(s)), P @ s - u
+        covariance = np.linalg.inv(P[np.ix_(chosen, chosen)] + np.eye(len(chosen)) / OF_ONE[kind] ** 2)
+        best[chosen], deviations[chosen] = covariance @ b[chosen], np.sqrt(np.diag(covariance))
+        return best, deviations
+
+    def _errors(self, kind: str, s: Array, deviations: Array, spread: float | None = None) -> RangeErrors:
+        each = zip(self._ids.tolist(), s.tolist(), deviations.tolist())
+        return RangeErrors(kind, {id: (value, error) for id, value, error in each if value}, spread)
+
+    def _solved(self, errors: RangeErrors | None) -> Unknowns:
+        log = evened(self._recorded, errors)
+        return fit(Unknowns(log, log.landmarks, self._fitted.sensor, self._fitted), ROUNDS)[0]
+
+    def _scores(self, solved: Unknowns, kind: str) -> tuple[Array, Array]:
+        """u (n,) and P (n, n), zero for landmarks whose error is not determined."""
+        u, P, exact = _scores(solved, RANGE, self._columns[kind])
+        known = np.diag(P) > DETERMINED * np.diag(exact)
+        return u * known, P * np.outer(known, known)
+
+
+def _z(u: Array, P: Array) -> Array:
+    """How many standard errors (n,) each error is from zero; zero where it is not determined."""
+    information = np.diag(P)
+    return np.abs(u) / np.sqrt(np.where(information > 0, information, np.inf))
+
+
+def _spread(b: Array, P: Array) -> tuple[float, float]:
+    """The standard deviation d of errors that is most probable, and the gain of its log likelihood over that of none.
+
+    Errors N(0, d² I) with the vector b and the information P gain (b' (P + I / d²)^-1 b - log |I + d² P|) / 2.
+    """
+    values, axes = np.linalg.eigh(P)
+    values, squares, variances = np.maximum(values, 0.0), (axes.T @ b) ** 2, SPREADS[:, None] ** 2
+    gains = np.sum(squares * variances / (1 + variances * values) - np.log1p(variances * values), axis=1) / 2
+    k = int(np.argmax(gains))
+    return float(SPREADS[k]), float(gains[k])
