@@ -446,10 +446,11 @@ def robot_of(log: Log, motion: MotionModel, sensor: SensorModel) -> tuple[RobotE
     if enough_ids(log):
         return estimate_robot(log, sensor=sensor), ()
     named, note = _with_found_ids(log, log, motion, sensor)
-    found = estimate_robot(named, sensor=sensor)
+    # what belongs to an id that was found cannot be corrected in the log, which does not have it
+    found = estimate_robot(named, sensor=sensor, single_landmarks=False)
     try:
         named, again = _with_found_ids(log, found.corrected(log), found.motion, found.sensor)
-        return estimate_robot(named, sensor=sensor), (again,)
+        return estimate_robot(named, sensor=sensor, single_landmarks=False), (again,)
     except (LogError, GraphError) as error:
         return found, (note, f"ids were found only once, because with the noise that was found {error}")
 

@@ -76,7 +76,8 @@ def noise_in_map(
         raise nowhere
     named, motion, sensor, robot = noise_of(log.replace(landmarks=ids), motion, sensor, noise)
     if robot is not None:
-        log = robot.corrected(log)
+        # ranges are corrected by ids, too
+        log = robot.corrected(log.replace(landmarks=ids)).replace(landmarks=log.landmarks)
     # ids that do not fit are no longer those of the log
     notes = tuple(note for note in named.notes if robot is None or note != robot.ids.sentence)
     return log.replace(notes=notes), motion, sensor, robot

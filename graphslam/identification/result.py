@@ -27,10 +27,10 @@ from ..se2 import Array
 from .corrections import corrected_log, honest_variances, without_biases
 from .declared import KINDS, PLACE, ParameterEstimate
 from .odometry import NOISE
-from .sensor_errors import Lens, RangeErrors, Turn, evened, turned_back, undistorted
-from .sighting_errors import LAGS, Ids, Predictions
+from .sensor_errors import Lens, Turn, turned_back, undistorted
+from .sighting_errors import LAGS, Ids, Predictions, RangeErrors, common_errors, evened
 from .slips import Slip
-from .unknowns import DEGREES_SIGHTINGS, HELD, PRIORS, Unknowns
+from .unknowns import DEGREES_SIGHTINGS, HELD, OF_GAUSSIAN_MOTIONS, PRIORS, Unknowns
 
 #: the duration of a part that is left out [s], every which part is left out at once, and the steps to the new solution,
 #: before and after what edges hide is known
@@ -333,6 +333,30 @@ class RobotEstimate:
                 f"landmarks have in common, {self.inflation:.1f} sightings count as one"
             )
         return tuple(lines)
+
+
+def apart_from_scans(
+    fitted: Unknowns, log: Log, motion: MotionModel, sensor: SensorModel
+) -> tuple[MotionModel, SensorModel, float]:
+    """The noise models with errors of whole scans as noise of the sensor instead of the odometry, and their size [m].
+
+    Where poses follow such errors, as of inexact times, they look like noise of the odometry. With n sightings a scan of the
+    variance s² + n c² each, their mean has the variance s²/n + c² of one with the common error c. Errors of the bearing alone
+    stay as they are: single bearings would lose what they say of landmarks (docs/decisions.md).
+    """
+    motions = fitted.motions()
+    covariances = fitted.covariances(motions) / OF_GAUSSIAN_MOTIONS
+    found = common_errors(motions.first, motions.second, motions.residuals, covariances)
+    if found is None or found.covariance[0, 0] == 0:
+        return motion, sensor, 0.0
+    ahead, _, turned = np.diag(found.covariance)
+    n, away = len(log.steps) / len(np.unique(log.steps)), float(np.median(log.sightings[:, 0]))
+    axes = {0: ("nn", "no", "sigma_v"), 2: ("on", "oo", "sigma_omega")}
+    less = {name: getattr(motion, name) * found.own[k] ** 0.5 for k, names in axes.items() for name in names}
+    _, along, across, _ = SensorModel.NOISE
+    more = {along: n * ahead, across: n * (ahead / away**2 + turned)}
+    larger = {name: np.sqrt(getattr(sensor, name) ** 2 + variance).item() for name, variance in more.items()}
+    return replace(motion, **less), replace(sensor, **larger), float(np.sqrt(ahead))
 
 
 def without_found(

@@ -40,14 +40,26 @@ from .result import (
     MANY_MISREAD,
     LeftOut,
     RobotEstimate,
+    apart_from_scans,
     left_out,
     without_found,
 )
 from .sensor_errors import MOST as MOST_TURNS
-from .sensor_errors import Lens, RangeErrors, Turn, evened, lens_of, range_errors_of, turn_of, turned_back, undistorted
-from .sighting_errors import LAGS, ROUNDING, SHORT, Ids, checked_ids, common_errors, correlations, inflation, smoothed
+from .sensor_errors import Lens, Turn, lens_of, range_errors_of, turn_of, turned_back, undistorted
+from .sighting_errors import (
+    LAGS,
+    ROUNDING,
+    SHORT,
+    Ids,
+    RangeErrors,
+    checked_ids,
+    correlations,
+    evened,
+    inflation,
+    smoothed,
+)
 from .slips import Slip, slip_of_drive, without_slips
-from .unknowns import OF_GAUSSIAN_MOTIONS, Unknowns
+from .unknowns import Unknowns
 
 #: sightings of a landmark with a longer pause between them [s] belong to two episodes; the second where sightings are rare
 PAUSES = (2.0, 10.0)
@@ -84,11 +96,14 @@ FEWEST = {"sightings": 60, "poses": 20}
 MOST, MOST_CORRELATED, MOST_COMPARED = 6000, 12_000, 500
 
 
-def estimate_from_sightings(log: Log, sensor: Any = None, given: Any = None, seed: int = 0) -> RobotEstimate:
+def estimate_from_sightings(
+    log: Log, sensor: Any = None, given: Any = None, seed: int = 0, single_landmarks: bool = True
+) -> RobotEstimate:
     """`solvers.unknown_robot.estimate_robot` for logs with whole sightings, whose arguments it has checked."""
     _check(log)
     try:
-        return _estimate(log, sensor or log.sensor or SensorModel(), given, np.random.default_rng(seed))
+        rng, believed = np.random.default_rng(seed), sensor or log.sensor or SensorModel()
+        return _estimate(log, believed, given, rng, ranges=() if single_landmarks else None)
     except np.linalg.LinAlgError:
         raise GraphError(f"{log.name}: the sightings do not determine noise and biases together") from None
 
@@ -112,12 +127,12 @@ def _estimate(
     rng: np.random.Generator,
     turns: tuple[Turn, ...] = (),
     lens: Lens | None = None,
-    ranges: tuple[RangeErrors, ...] = (),
+    ranges: tuple[RangeErrors, ...] | None = (),
 ) -> RobotEstimate:
     """The estimate from a log that has enough sightings, and whose sensor has the errors that are known.
 
     Args:
-        ranges: their errors that were found, each more exactly than before; the last ones count.
+        ranges: their errors that were found, each more exactly than before; the last ones count. None: there are none.
     """
     # the axis of the lens is that of the sensor, so that its error is undone first
     log, off = turned_back(undistorted(recorded, lens), turns), ranges[-1] if ranges else None
@@ -132,8 +147,8 @@ def _estimate(
     second = _joined(sparse, sensor, first, ROUNDS[2])[0]
     if lens is None and (lens := lens_of(second)) is not None:
         # turns that were found before belong to bearings with another axis
-        return _estimate(recorded, sensor, given, rng, (), lens)
-    if len(ranges) < MOST_IMPROVED:
+        return _estimate(recorded, sensor, given, rng, (), lens, None if ranges is None else ())
+    if ranges is not None and len(ranges) < MOST_IMPROVED:
 
         def count_as_one(solved: Unknowns, errors: RangeErrors) -> float:
             every, few = (evened(each, errors) for each in (measured, measured.with_sightings(used)))
@@ -185,37 +200,14 @@ def _estimate(
     motion, seen = last.models
     wider: dict[str, Any] = {name: getattr(seen, name) * factor**0.5 for name in last.sensor_parts}
     seen = replace(seen, **wider)
-    motion, seen, of_scans = _apart_from_scans(last, log, motion, seen)
-    corrected, estimate = without_found(last, right, held, motion, seen)
+    motion, seen, of_scans = apart_from_scans(last, log, motion, seen)
+    unknown = held if off is None else held | off.uncertain
+    corrected, estimate = without_found(last, right, unknown, motion, seen)
     return RobotEstimate(
         log=corrected, motion=motion, sensor=seen, parameters=estimate, errors=errors, ids=ids, correlations=rho,
         inflation=factor, nearly_exact=nearly_exact, left_out=compared, basis=basis, on_motion=on_motion, of_scans=of_scans,
         slips=slips, turns=turns, lens=lens, ranges=off,
     )  # fmt: skip
-
-
-def _apart_from_scans(
-    fitted: Unknowns, log: Log, motion: MotionModel, sensor: SensorModel
-) -> tuple[MotionModel, SensorModel, float]:
-    """The noise models with errors of whole scans as noise of the sensor instead of the odometry, and their size [m].
-
-    Where poses follow such errors, as of inexact times, they look like noise of the odometry. With n sightings a scan of the
-    variance s² + n c² each, their mean has the variance s²/n + c² of one with the common error c. Errors of the bearing alone
-    stay as they are: single bearings would lose what they say of landmarks (docs/decisions.md).
-    """
-    motions = fitted.motions()
-    covariances = fitted.covariances(motions) / OF_GAUSSIAN_MOTIONS
-    found = common_errors(motions.first, motions.second, motions.residuals, covariances)
-    if found is None or found.covariance[0, 0] == 0:
-        return motion, sensor, 0.0
-    ahead, _, turned = np.diag(found.covariance)
-    n, away = len(log.steps) / len(np.unique(log.steps)), float(np.median(log.sightings[:, 0]))
-    axes = {0: ("nn", "no", "sigma_v"), 2: ("on", "oo", "sigma_omega")}
-    less = {name: getattr(motion, name) * found.own[k] ** 0.5 for k, names in axes.items() for name in names}
-    _, along, across, _ = SensorModel.NOISE
-    more = {along: n * ahead, across: n * (ahead / away**2 + turned)}
-    larger = {name: np.sqrt(getattr(sensor, name) ** 2 + variance).item() for name, variance in more.items()}
-    return replace(motion, **less), replace(sensor, **larger), float(np.sqrt(ahead))
 
 
 def _known(

@@ -20,15 +20,16 @@ Source: Rao, *Large sample tests of statistical hypotheses concerning several pa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from ..errors import named
 from ..log import Log
 from ..se2 import Array, wrap
 from .restricted_likelihood import fit, gain_over, with_wide_prior
+from .sighting_errors import MOST_CORRECTED, OFFSET, SCALE, SETTLED, RangeErrors, evened
 from .unknowns import Unknowns
 
 #: the rows of the residuals of sightings
@@ -254,8 +255,7 @@ def _growth(solved: Unknowns, lens: Lens, bearings: Array) -> tuple[float, float
     return float(u @ covariance @ u), float(near), float(bend), (float(errors[0]), float(errors[1]))
 
 
-#: the kinds of errors of ranges, with the standard deviation of the error of a single landmark before the log is known
-SCALE, OFFSET = "scale", "offset"
+#: the standard deviation of the error of the ranges of a single landmark before the log is known, by its kind [part or m]
 OF_ONE = {SCALE: 0.1, OFFSET: 0.5}
 #: gains of the log likelihood, divided by the sightings that count as one, with which all landmarks count as off, and with
 #: which a single one does; and the gain of the first test, undivided, that makes a try worth while (docs/decisions.md)
@@ -268,96 +268,6 @@ SPREADS = np.geomspace(1e-4, 3.0, 150)
 MOST_TESTED, IMPROVED = 300, 4
 #: more landmarks than this part of all are not single ones
 MOST_SINGLE = 0.4
-#: errors that change by less than this part of their standard errors are settled
-SETTLED = 0.5
-#: how many characters of a note name landmarks
-MOST_NAMED = 160
-#: a range is corrected by this factor at most
-MOST_CORRECTED = 2.0
-
-
-@dataclass(frozen=True)
-class RangeErrors:
-    """Ranges that are off for single landmarks, each by a part of its length, or by a length.
-
-    Attributes:
-        kind: `SCALE`: a range r to a landmark with the error s is measured as (1 + s) r; or `OFFSET`: as r + s [m].
-        found: {id of the landmark: (s, its standard error)}.
-        spread: the standard deviation of the errors where all landmarks may be off; None where only these are.
-        alike: whether the other kind explains the log nearly as well.
-    """
-
-    kind: str
-    found: Mapping[int, tuple[float, float]]
-    spread: float | None = None
-    alike: bool = False
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """For the notes of an estimate."""
-        unit, size = ("%", 100.0) if self.kind == SCALE else ("m", 1.0)
-        largest = sorted(self.found.items(), key=lambda item: -abs(item[1][0]))
-        each = named(
-            (
-                f"landmark {id} by {size * s:+.2g} {unit} (standard error {size * error:.1g} {unit})"
-                for id, (s, error) in largest
-            ),
-            MOST_NAMED,
-        )
-        tail = (
-            "They are corrected in this log; files of the robot do not contain the correction, so measure these landmarks, or "
-            "leave them out"
-        )
-        part = "a part of their length" if self.kind == SCALE else "a length"
-        cause = (
-            "tags of another size than the sensor believes" if self.kind == SCALE else "thick landmarks or late beacons"
-        )
-        if self.spread is None:
-            first = f"ranges are off by {part} for single landmarks, as with {cause}: {each}. {tail}"
-        else:
-            first = (
-                f"ranges are off by {part} that differs from landmark to landmark, with a standard deviation of "
-                f"{size * self.spread:.2g} {unit}, as with {cause}: {each}. {tail}"
-            )
-        if not self.alike:
-            return (first,)
-        return (
-            first,
-            "whether these ranges are off by a part of their length or by a length, this log does not tell: each landmark is "
-            "seen from similar distances only",
-        )
-
-    def of(self, landmarks: np.ndarray) -> Array:
-        """The errors (M,) of ranges to landmarks (M,)."""
-        ids, number = np.unique(landmarks, return_inverse=True)
-        return np.array([self.found.get(id, (0.0, 0.0))[0] for id in ids.tolist()])[number.ravel()]
-
-    def corrected(self, ranges: Array, landmarks: np.ndarray) -> Array:
-        """The ranges (M,) to landmarks (M,) without the errors."""
-        s = self.of(landmarks)
-        right = ranges / (1 + s) if self.kind == SCALE else ranges - s
-        return np.clip(right, ranges / MOST_CORRECTED, ranges * MOST_CORRECTED)
-
-    def log_density(self, landmarks: np.ndarray) -> float:
-        """The sum of log |d corrected / d measured| over ranges to landmarks (M,)."""
-        return -float(np.sum(np.log1p(self.of(landmarks)))) if self.kind == SCALE else 0.0
-
-    def settled(self, before: RangeErrors | None) -> bool:
-        """Whether these are nearly the same as others."""
-        if before is None or before.kind != self.kind or before.found.keys() != self.found.keys():
-            return False
-        return all(abs(s - before.found[id][0]) < SETTLED * error for id, (s, error) in self.found.items())
-
-
-def evened(log: Log, ranges: RangeErrors | None) -> Log:
-    """The log with the ranges without these errors."""
-    if ranges is None:
-        return log
-    sightings, partial = log.sightings.copy(), log.partial_sightings
-    sightings[:, 0] = ranges.corrected(sightings[:, 0], log.landmarks)
-    if partial is not None:
-        partial = replace(partial, ranges=ranges.corrected(partial.ranges, partial.landmarks))
-    return log.replace(sightings=sightings, partial_sightings=partial)
 
 
 def range_errors_of(
@@ -419,8 +329,7 @@ class _Trial:
             return []
         # without an error in common, which is one of the wheels or of all ranges
         Q = np.linalg.svd(np.eye(n) - 1 / n)[0][:, :-1]
-        s, solved = np.zeros(n), self._solved(None)
-        same = solved
+        s, solved = np.zeros(n), self._same
         for _ in range(IMPROVED):
             u, P = self._scores(solved, kind)
             b, P = Q.T @ (P @ s - u), Q.T @ P @ Q
@@ -435,16 +344,16 @@ class _Trial:
             if np.all(change < SETTLED * deviations):
                 break
         P = Q.T @ self._scores(solved, kind)[1] @ Q
-        gain = gain_over(solved, same) + errors.log_density(self._seen) - s @ s / (2 * spread**2)
-        gain -= float(np.linalg.slogdet(np.eye(n - 1) + spread**2 * P)[1]) / 2
-        if gain < ALL_OFF or (gain := gain / (count := self._count_as_one(solved, errors))) < ALL_OFF:
+        total = gain_over(solved, self._same) + errors.log_density(self._seen) - float(s @ s) / (2 * spread**2)
+        total -= float(np.linalg.slogdet(np.eye(n - 1) + spread**2 * P)[1]) / 2
+        if total < ALL_OFF or (gain := total / (count := self._count_as_one(solved, errors))) < ALL_OFF:
             return []
         return [(gain, self._errors(kind, s, deviations * count**0.5, spread))]
 
     def of_single(self, kind: str) -> list[tuple[float, RangeErrors]]:
         """The gain and the errors of single landmarks, one after the other while each gains enough."""
         n = len(self._ids)
-        s, errors, solved, total = np.zeros(n), self._errors(kind, np.zeros(n), np.zeros(n)), self._solved(None), 0.0
+        s, errors, solved, total = np.zeros(n), self._errors(kind, np.zeros(n), np.zeros(n)), self._same, 0.0
         chosen, count = list[int](), 1.0
         while len(chosen) < MOST_SINGLE * n:
             u, P = self._scores(solved, kind)
@@ -457,7 +366,7 @@ class _Trial:
             tried = self._errors(kind, best, deviations)
             other = self._solved(tried)
             gain = gain_over(other, solved) + tried.log_density(self._seen) - errors.log_density(self._seen)
-            gain -= (best @ best - s @ s) / (2 * OF_ONE[kind] ** 2)
+            gain -= float(best @ best - s @ s) / (2 * OF_ONE[kind] ** 2)
             if gain < ONE_OFF or (gain := gain / (dependent := self._count_as_one(other, tried))) < ONE_OFF:
                 break
             count = dependent
@@ -478,8 +387,15 @@ class _Trial:
         return best, deviations
 
     def _errors(self, kind: str, s: Array, deviations: Array, spread: float | None = None) -> RangeErrors:
+        if kind == SCALE:
+            s = np.clip(s, 1 / MOST_CORRECTED - 1, MOST_CORRECTED - 1)
         each = zip(self._ids.tolist(), s.tolist(), deviations.tolist())
         return RangeErrors(kind, {id: (value, error) for id, value, error in each if value}, spread)
+
+    @cached_property
+    def _same(self) -> Unknowns:
+        """The solution without corrections."""
+        return self._solved(None)
 
     def _solved(self, errors: RangeErrors | None) -> Unknowns:
         log = evened(self._recorded, errors)

@@ -8,12 +8,15 @@ sigma²/K (1 + the mean over sightings of the sum of rho to all others). If each
 they count as independent. rho is the mean of e_i e_j minus the covariance of both predictions, over pairs of sightings that
 the solution has not used, because it follows those that it has used.
 
+Ranges that are off for single landmarks (`RangeErrors`) are found in `sensor_errors`.
+
 Errors of scans: a sensor that shakes, or inexact times, give all sightings of one scan the same error (`common_errors`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,6 +58,10 @@ UNUSUAL = 1e3
 FEWEST_MOTIONS, MEDIANS, CANCEL, SURELY, SMALL = 20, 4.5, -0.2, 3.0, 0.25
 #: the least part of the variance of motions that is their own
 LEAST_OWN = 0.03
+#: the kinds of errors of ranges; errors that change by less than this part of their standard errors are settled; a range is
+#: corrected by this factor at most; and how many characters of a note name landmarks
+SCALE, OFFSET = "scale", "offset"
+SETTLED, MOST_CORRECTED, MOST_NAMED = 0.5, 2.0, 160
 
 
 class Predictions:
@@ -327,3 +334,92 @@ def common_errors(first: np.ndarray, second: np.ndarray, errors: Array, covarian
     values, axes = np.linalg.eigh((C + C.T) / 2)
     own = np.where(cancel, np.clip((1 + 2 * correlations) * np.minimum(size, 1.0), LEAST_OWN, 1.0), 1.0)
     return CommonErrors((axes * np.maximum(values, 0.0)) @ axes.T, own)
+
+
+@dataclass(frozen=True)
+class RangeErrors:
+    """Ranges that are off for single landmarks, each by a part of its length, or by a length.
+
+    Attributes:
+        kind: `SCALE`: a range r to a landmark with the error s is measured as (1 + s) r; or `OFFSET`: as r + s [m].
+        found: {id of the landmark: (s, its standard error)}.
+        spread: the standard deviation of the errors where all landmarks may be off; None where only these are.
+        alike: whether the other kind explains the log nearly as well.
+    """
+
+    kind: str
+    found: Mapping[int, tuple[float, float]]
+    spread: float | None = None
+    alike: bool = False
+
+    @property
+    def uncertain(self) -> dict[str, float]:
+        """As `Log.uncertain`: the mean of all scales counts as right, but is that of so many."""
+        if self.kind == OFFSET or self.spread is None:
+            return {}
+        return {"range_scale": self.spread / len(self.found) ** 0.5}
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """For the notes of an estimate."""
+        size, unit = (100.0, "%") if self.kind == SCALE else (1.0, "m")
+        largest = sorted(self.found.items(), key=lambda item: -abs(item[1][0]))
+        each = (f"{id} by {size * s:+.2g} {unit} (standard error {size * e:.1g} {unit})" for id, (s, e) in largest)
+        which = named(each, MOST_NAMED)
+        after = "They are corrected in this log, and files of the robot do not contain the correction"
+        cause = {
+            SCALE: "tags may have another size than the sensor believes, so measure them",
+            OFFSET: "landmarks may be thick, or beacons late, so measure where they reflect",
+        }[self.kind]
+        if self.spread is None:
+            said = f"ranges of single landmarks are off against those of the others: {which}. {after}: {cause}"
+        elif self.kind == OFFSET:
+            said = (
+                "ranges are off by a length that differs from landmark to landmark, with a standard deviation of "
+                f"{self.spread:.2g} m: {which}. {after}: {cause}"
+            )
+        else:
+            said = (
+                "ranges are off by a part that differs from landmark to landmark, with a standard deviation of "
+                f"{100 * self.spread:.2g} %: {which}. {after}: {cause}. Their mean counts as right, so that all lengths may "
+                f"be off by {100 * self.uncertain['range_scale']:.1g} %"
+            )
+        if not self.alike:
+            return (said,)
+        return (
+            said,
+            "whether ranges of landmarks are off by a part or by a length, this log does not tell: each landmark is seen "
+            "from similar distances",
+        )
+
+    def of(self, landmarks: np.ndarray) -> Array:
+        """The errors (M,) of ranges to landmarks (M,)."""
+        ids, number = np.unique(landmarks, return_inverse=True)
+        return np.array([self.found.get(id, (0.0, 0.0))[0] for id in ids.tolist()])[number.ravel()]
+
+    def corrected(self, ranges: Array, landmarks: np.ndarray) -> Array:
+        """The ranges (M,) to landmarks (M,) without the errors."""
+        s = self.of(landmarks)
+        right = ranges / (1 + s) if self.kind == SCALE else ranges - s
+        return np.clip(right, ranges / MOST_CORRECTED, ranges * MOST_CORRECTED)
+
+    def log_density(self, landmarks: np.ndarray) -> float:
+        """The sum of log |d corrected / d measured| over ranges to landmarks (M,)."""
+        return -float(np.sum(np.log1p(self.of(landmarks)))) if self.kind == SCALE else 0.0
+
+    def settled(self, before: RangeErrors | None) -> bool:
+        """Whether these are nearly the same as others."""
+        if before is None or before.kind != self.kind or before.found.keys() != self.found.keys():
+            return False
+        return all(abs(s - before.found[id][0]) < SETTLED * error for id, (s, error) in self.found.items())
+
+
+def evened(log: Log, ranges: RangeErrors | None) -> Log:
+    """The log with the ranges without these errors."""
+    if ranges is None:
+        return log
+    sightings, partial = log.sightings.copy(), log.partial_sightings
+    sightings[:, 0] = ranges.corrected(sightings[:, 0], log.landmarks)
+    if partial is not None:
+        partial = replace(partial, ranges=ranges.corrected(partial.ranges, partial.landmarks))
+    return log.replace(sightings=sightings, partial_sightings=partial)

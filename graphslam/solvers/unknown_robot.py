@@ -39,6 +39,7 @@ def estimate_robot(
     sensor: SensorModel | None = None,
     given: tuple[MotionModel, SensorModel] | None = None,
     seed: int = 0,
+    single_landmarks: bool = True,
 ) -> RobotEstimate:
     """Estimate noise, biases and misread ids of a log from nothing but its odometry and its sightings.
 
@@ -53,6 +54,7 @@ def estimate_robot(
             for ranges and bearings alone first of all that of ``given``.
         given: noise to compare with in place of the book's, or to solve with first.
         seed: of the random signs with which expectations are computed.
+        single_landmarks: whether to look for ranges that are off for single landmarks, and to correct them by the ids.
 
     Raises:
         LogError: the log has too few sightings with ids, or no controls.
@@ -62,7 +64,7 @@ def estimate_robot(
     check_robot_options(log, sensor, given, seed)
     partial = log.partial_sightings
     if len(log.steps) or partial is None or log.controls is None:
-        return estimate_from_sightings(log, sensor, given, seed)
+        return estimate_from_sightings(log, sensor, given, seed, single_landmarks)
     if len(partial) < FEWEST["sightings"] or log.num_poses < FEWEST["poses"]:
         raise too_few(log, f"{len(partial)} ranges and bearings alone")
     sensor = sensor or (given[1] if given else log.sensor) or SensorModel()
