@@ -266,6 +266,8 @@ class RobotEstimate:
             lines.append(self.lens.sentence)
         if self.ranges is not None:
             lines += self.ranges.sentences
+        if (reflections := self.ids.reflections) is not None:
+            lines.append(reflections)
         if self.basis == DEAD_RECKONING:
             lines.append(
                 "the odometry is taken as it is, with hardly any noise, because the sightings show none: what the sensor "

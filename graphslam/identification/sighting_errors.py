@@ -48,8 +48,11 @@ INDEPENDENT, FEWEST = 0.1, 20
 #: errors are correlated where rho of one of this number of the shortest lags is above the second number of its standard
 #: errors
 SHORT, SIGNIFICANT = 5, 2.0
-#: residuals are clipped to this [standard deviations]
+#: residuals are clipped to this [standard deviations], and ranges beyond are far too long or too short
 FAR = 3.0
+#: bearings within this fit [standard deviations]. Long ranges are reflections where their excess over short ones is above so
+#: many of its standard errors, and above this part of all
+FITTING, ONE_SIDED, FEW_REFLECTED = 2.0, 5.0, 0.01
 #: motions with so many times the variance of others are left out
 UNUSUAL = 1e3
 #: the fewest motions between scans that say something. Their errors are clipped to this many times their median;
@@ -78,17 +81,19 @@ class Predictions:
         edges = self._unknowns.sighted(steps, nodes, log.sightings[rows])
         return edges, edges.moved(self._nodes, self._values)
 
-    def distances(self, log: Log, rows: np.ndarray, landmarks: np.ndarray) -> tuple[Array, Array]:
+    def distances(self, log: Log, rows: np.ndarray, landmarks: np.ndarray) -> tuple[Array, Array, Array]:
         """How well sightings in rows (M,) fit landmarks (M,), numbers of nodes.
 
         Returns:
-            The squared Mahalanobis distances (M,), and the logarithms (M,) of the densities of the differences.
+            The squared Mahalanobis distances (M,), the logarithms (M,) of the densities of the differences, and these (M, d)
+            themselves, measured minus predicted, over their standard deviations.
         """
         edges, errors = self.compare(log, rows, landmarks)
         covariances = self._unknowns.covariances(edges) + errors @ np.swapaxes(errors, 1, 2) / SAMPLES
         weighted = np.linalg.solve(covariances, edges.residuals[:, :, None])[:, :, 0]
         squares = np.einsum("ei,ei->e", edges.residuals, weighted)
-        return squares, -0.5 * (squares + np.linalg.slogdet(2 * np.pi * covariances)[1])
+        single = -edges.residuals / np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+        return squares, -0.5 * (squares + np.linalg.slogdet(2 * np.pi * covariances)[1]), single
 
 
 #: an id that so many sightings have which fit no landmark, and a quarter of these, is named: other objects may have it
@@ -103,12 +108,14 @@ class Ids:
         landmarks: (M,) ids, where another landmark fits clearly better that of the other one.
         changed, dropped: (M,) bool: those, and the sightings that fit no landmark.
         identified: (M,) bool, the sightings that have an id; the others are neither.
+        by_range: of sightings whose bearing fits, how many ranges are far too long, far too short, and neither.
     """
 
     landmarks: np.ndarray
     changed: np.ndarray
     dropped: np.ndarray
     identified: np.ndarray
+    by_range: tuple[int, int, int] = (0, 0, 0)
 
     @property
     def share(self) -> float:
@@ -129,12 +136,24 @@ class Ids:
             f"landmark that fits, {dropped} fit none and were left out{several}"
         )
 
+    @property
+    def reflections(self) -> str | None:
+        """What ranges that are too long on one side only suggest; None where they are not."""
+        long, short, fitting = self.by_range
+        if long - short <= max(ONE_SIDED * (long + short) ** 0.5, FEW_REFLECTED * (long + short + fitting)):
+            return None
+        return (
+            f"of {long + short + fitting} sightings whose bearing fits their landmark, {long} have a range that is far too "
+            f"long, and {short} one that is far too short, as where signals are reflected or pass the landmark. They count "
+            "little and are not corrected: leave out what the sensor marks as weak, or limit its range"
+        )
+
     def within(self, landmarks: np.ndarray) -> Ids:
         """The ids of a whole log, given all of them (M,), of which these are the ones that are not `UNIDENTIFIED`."""
         identified = landmarks != UNIDENTIFIED
         whole, changed, dropped = landmarks.copy(), np.zeros_like(identified), np.zeros_like(identified)
         whole[identified], changed[identified], dropped[identified] = self.landmarks, self.changed, self.dropped
-        return Ids(whole, changed, dropped, identified)
+        return Ids(whole, changed, dropped, identified, self.by_range)
 
     def correct(self, log: Log) -> Log:
         """The log with these ids, without the sightings that fit no landmark."""
@@ -159,15 +178,16 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     strong = np.flatnonzero(seen >= WEAK * np.median(seen))
     own, density = np.full(len(landmarks), np.inf), np.full(len(landmarks), -np.inf)
     known = np.flatnonzero(np.isin(landmarks, ids))
-    own[known], density[known] = predictions.distances(log, known, np.searchsorted(ids, landmarks[known]))
+    own[known], density[known], single = predictions.distances(log, known, np.searchsorted(ids, landmarks[known]))
+    by_range = _by_range(single)
     unlikely = _unlikely(log, np.flatnonzero(alone), density)
     own[unlikely] = UNLIKELY
     supported = np.isin(landmarks, ids[strong])
     tried = np.flatnonzero((own > CONTRADICTS) | ~supported)
     if len(tried) == 0 or len(strong) == 0:
-        return Ids(landmarks, changed, dropped, np.ones_like(dropped))
+        return Ids(landmarks, changed, dropped, np.ones_like(dropped), by_range)
     each = [predictions.distances(log, tried, np.full(len(tried), j)) for j in strong.tolist()]
-    others, densities = (np.stack(values) for values in zip(*each))
+    others, densities, _ = (np.stack(values) for values in zip(*each))
     # an id that is more probably wrong than right does not come back
     others[np.isin(tried, unlikely) & (ids[strong][:, None] == landmarks[tried])] = UNLIKELY
     best = others.argmin(axis=0)
@@ -180,7 +200,14 @@ def checked_ids(log: Log, unknowns: Unknowns, alone: np.ndarray, rng: np.random.
     landmarks[tried[fits]] = ids[strong[best[fits]]]
     changed[tried[fits]] = True
     dropped[tried[~fits]] = np.isfinite(own[tried[~fits]]) & (own[tried[~fits]] > CONTRADICTS)
-    return Ids(landmarks, changed, dropped, np.ones_like(dropped))
+    return Ids(landmarks, changed, dropped, np.ones_like(dropped), by_range)
+
+
+def _by_range(single: Array) -> tuple[int, int, int]:
+    """`Ids.by_range` of differences (M, d), over their standard deviations."""
+    ranges = single[np.abs(single[:, 1]) < FITTING, 0]
+    long, short = int(np.sum(ranges > FAR)), int(np.sum(ranges < -FAR))
+    return long, short, len(ranges) - long - short
 
 
 def _unlikely(log: Log, rows: np.ndarray, density: Array) -> np.ndarray:
