@@ -4,6 +4,7 @@
                                        [--option noise=auto] [--no-ids] [--plain] [--also fastslam2]
                                        [--oracles FOLDER] [--record docs/measured]
                                        [--drive odometry|sightings|shaking|jittering] [--bearings 1.04]
+                                       [--ranges tags=0.03|offset=0.4|one=0.4|reflected=0.15]
     python benchmarks/unknown_robot.py --sizes     # time of `estimate_robot` and `solve` by the length of a drive
 
 Each seed is a `Drive.random`, or with ``--drive`` two minutes with almost perfect odometry or sightings, or a random drive
@@ -20,7 +21,8 @@ warning is given. It is unexpectedly bad where it is also above `BAD` times the 
 `REPORTING` are for figures that are published; whatever is tuned is tuned on `TUNING`. With ``--plain`` the graph with the
 noise of the book is timed, too. Times are those of the processor. The oracle takes most of the time: with
 ``--oracles FOLDER`` its figures are kept there, and taken from there the next time. With ``--bearings`` the default gets
-bearings times this factor, as from a wrong focal length, the oracle the right ones; only drives with a camera count.
+bearings times this factor, as from a wrong focal length, the oracle the right ones; only drives with a camera count. With
+``--ranges`` it gets ranges that are off (`RANGES`), again the oracle the right ones.
 """
 
 from __future__ import annotations
@@ -93,6 +95,41 @@ DRIVES: dict[str, Callable[[int], Drive]] = {
     "shaking": shaking,
     "jittering": jittering,
 }
+
+
+def _tags(size: float, landmarks: np.ndarray, rng: np.random.Generator) -> Array:
+    """Errors (L,) of the scales of landmarks. Their mean over those that are seen is zero: no log tells a scale in common."""
+    scales = size * rng.standard_normal(landmarks.max() + 1)
+    return scales - scales[np.unique(landmarks)].mean()
+
+
+def off_ranges(log: Log, truth: DriveTruth, kind: str, size: float) -> Log:
+    """The log with ranges that are off, by the true landmarks; clutter stays as it is.
+
+    Args:
+        kind: of `RANGES`.
+        size: how large the error is [part or m].
+    """
+    real, rng = truth.landmarks != UNIDENTIFIED, np.random.default_rng([truth.landmarks.size, 3])
+    seen, ranges = truth.landmarks[real], log.sightings[real, 0]
+    off = np.zeros(seen.max() + 1)
+    if kind == "tags":
+        ranges = ranges * (1 + _tags(size, seen, rng)[seen])
+    elif kind == "reflected":
+        ranges = ranges + (rng.random(len(ranges)) < size) * rng.exponential(0.5, len(ranges))
+    else:
+        often = np.bincount(seen) > np.median(np.bincount(seen)) / 2
+        count = 1 if kind == "one" else max(1, round(0.2 * len(off)))
+        off[rng.choice(np.flatnonzero(often) if kind == "one" else len(off), count, replace=False)] = size
+        ranges = ranges + off[seen]
+    sightings = log.sightings.copy()
+    sightings[real, 0] = ranges
+    return log.replace(sightings=sightings)
+
+
+#: ranges that are off: by a scale of each landmark, by a length for a fifth of the landmarks, by a length for one of those
+#: that are seen often, and for this part of all ranges by lengths with a mean of half a metre
+RANGES = ("tags", "offset", "one", "reflected")
 
 
 @dataclass(frozen=True)
@@ -251,6 +288,7 @@ def row(
     plain: bool = False,
     oracles: Path | None = None,
     bearings: float = 1.0,
+    ranges: tuple[str, float] | None = None,
     kind: str = "random",
 ) -> Row:
     """All ways on one drive of `DRIVES`; ``misread`` replaces the part of the ids that are misread."""
@@ -274,7 +312,8 @@ def row(
                 kept.write_text(json.dumps(best), encoding="utf-8")
         try:
             figures["plain"] = plain_seconds(log) if plain else None
-            outcome = run(log.replace(sightings=log.sightings * [1.0, bearings, 1.0][: log.sightings.shape[1]]))
+            given = log if ranges is None else off_ranges(log, truth, *ranges)
+            outcome = run(given.replace(sightings=given.sightings * [1.0, bearings, 1.0][: given.sightings.shape[1]]))
             figures |= {
                 "default": ate(log.true_poses, outcome.poses), "nees": outcome.nees, "found": outcome.misread,
                 "seconds": outcome.seconds, "warnings": outcome.warnings, "others": outcome.others,
@@ -409,6 +448,9 @@ def main() -> None:
     )
     parser.add_argument("--drive", choices=DRIVES, default="random", help="what the seeds stand for")
     parser.add_argument("--bearings", type=float, default=1.0, help="what all bearings are multiplied with")
+    parser.add_argument(
+        "--ranges", type=value_of, metavar="KIND=SIZE", help=f"ranges that are off: {', '.join(RANGES)}"
+    )
     parser.add_argument("--no-ids", action="store_true", help="take the ids from all sightings; the oracle keeps them")
     parser.add_argument("--plain", action="store_true", help="time the graph with the noise of the book, too")
     parser.add_argument("--oracles", type=Path, help="a folder that keeps the figures of the oracle")
@@ -423,6 +465,7 @@ def main() -> None:
     task = partial(
         row, misread=arguments.misread, run=partial(default_run, without_ids=arguments.no_ids, **options),
         plain=arguments.plain, oracles=arguments.oracles, kind=arguments.drive, bearings=arguments.bearings,
+        ranges=arguments.ranges,
     )  # fmt: skip
     rows = []
     print(HEAD)

@@ -391,24 +391,24 @@ class RangeErrors:
         """For the notes of an estimate."""
         size, unit = (100.0, "%") if self.kind == SCALE else (1.0, "m")
         largest = sorted(self.found.items(), key=lambda item: -abs(item[1][0]))
-        each = (f"{id} by {size * s:+.2g} {unit} (standard error {size * e:.1g} {unit})" for id, (s, e) in largest)
-        which = named(each, MOST_NAMED)
+        each = named((f"{id}: {size * s:+.2g} +- {size * e:.1g}" for id, (s, e) in largest), MOST_NAMED)
+        which = f"(landmark: error +- standard error [{unit}]): {each}"
         after = "They are corrected in this log, and files of the robot do not contain the correction"
         cause = {
             SCALE: "tags may have another size than the sensor believes, so measure them",
             OFFSET: "landmarks may be thick, or beacons late, so measure where they reflect",
         }[self.kind]
         if self.spread is None:
-            said = f"ranges of single landmarks are off against those of the others: {which}. {after}: {cause}"
+            said = f"ranges of single landmarks are off against those of the others {which}. {after}: {cause}"
         elif self.kind == OFFSET:
             said = (
                 "ranges are off by a length that differs from landmark to landmark, with a standard deviation of "
-                f"{self.spread:.2g} m: {which}. {after}: {cause}"
+                f"{self.spread:.2g} m {which}. {after}: {cause}"
             )
         else:
             said = (
                 "ranges are off by a part that differs from landmark to landmark, with a standard deviation of "
-                f"{100 * self.spread:.2g} %: {which}. {after}: {cause}. Their mean counts as right, so that all lengths may "
+                f"{100 * self.spread:.2g} % {which}. {after}: {cause}. Their mean counts as right, so that all lengths may "
                 f"be off by {100 * self.uncertain['range_scale']:.1g} %"
             )
         if not self.alike:
