@@ -30,7 +30,7 @@ from ..log import Log
 from ..se2 import Array, wrap
 from .restricted_likelihood import fit, gain_over, with_wide_prior
 from .sighting_errors import MOST_CORRECTED, OFFSET, SCALE, SETTLED, RangeErrors, evened
-from .unknowns import Unknowns
+from .unknowns import OVERSTATED_SIGHTINGS, Unknowns
 
 #: the rows of the residuals of sightings
 RANGE, BEARING = 0, 1
@@ -257,9 +257,9 @@ def _growth(solved: Unknowns, lens: Lens, bearings: Array) -> tuple[float, float
 
 #: the standard deviation of the error of the ranges of a single landmark before the log is known, by its kind [part or m]
 OF_ONE = {SCALE: 0.1, OFFSET: 0.5}
-#: gains of the log likelihood, divided by the sightings that count as one, with which all landmarks count as off, and with
-#: which a single one does; and the gain of the first test, undivided, that makes a try worth while (docs/decisions.md)
-ALL_OFF, ONE_OFF, PROMISING = 10.0, 10.0, 5.0
+#: gains of the log likelihood, divided by the sightings that count as one, with which all landmarks count as off, a single
+#: one does, and a further one; and the gain of the first test, undivided, that makes a try worth while (docs/decisions.md)
+ALL_OFF, ONE_OFF, FURTHER_OFF, PROMISING = 16.0, 10.0, 6.0, 5.0
 #: kinds whose gains differ by less than this are not told apart
 ALIKE = 3.0
 #: standard deviations of the errors of all landmarks that are tried [parts or m]
@@ -312,6 +312,7 @@ class _Trial:
         tested = np.argsort(-np.bincount(fitted.seen - fitted.poses), kind="stable")[:MOST_TESTED]
         self._ids, self._seen = fitted.ids[tested], fitted.ids[fitted.seen - fitted.poses]
         own, ranges = fitted.seen[:, None] - fitted.poses == tested, recorded.sightings[fitted.used, :1]
+        self._overstated = OVERSTATED_SIGHTINGS[fitted.numbers]
         self._columns = {SCALE: own * ranges, OFFSET: own * 1.0}
 
     def promising(self) -> bool:
@@ -343,12 +344,15 @@ class _Trial:
             solved = self._solved(errors)
             if np.all(change < SETTLED * deviations):
                 break
-        P = Q.T @ self._scores(solved, kind)[1] @ Q
+        u, P = self._scores(solved, kind)
+        b, P = Q.T @ (P @ s - u), Q.T @ P @ Q
         total = gain_over(solved, self._same) + errors.log_density(self._seen) - float(s @ s) / (2 * spread**2)
         total -= float(np.linalg.slogdet(np.eye(n - 1) + spread**2 * P)[1]) / 2
+        # what else the solution gains with the corrections, as from another minimum, is not due to them
+        total = min(total, _spread(b, P)[1])
         if total < ALL_OFF or (gain := total / (count := self._count_as_one(solved, errors))) < ALL_OFF:
             return []
-        return [(gain, self._errors(kind, s, deviations * count**0.5, spread))]
+        return [(gain, self._errors(kind, s, deviations * (count * self._overstated) ** 0.5, spread))]
 
     def of_single(self, kind: str) -> list[tuple[float, RangeErrors]]:
         """The gain and the errors of single landmarks, one after the other while each gains enough."""
@@ -367,7 +371,10 @@ class _Trial:
             other = self._solved(tried)
             gain = gain_over(other, solved) + tried.log_density(self._seen) - errors.log_density(self._seen)
             gain -= float(best @ best - s @ s) / (2 * OF_ONE[kind] ** 2)
-            if gain < ONE_OFF or (gain := gain / (dependent := self._count_as_one(other, tried))) < ONE_OFF:
+            after, errors_after = self._best(kind, best, *self._scores(other, kind), [*chosen, k])
+            gain = min(gain, (after[k] / errors_after[k]) ** 2 / 2)
+            least = FURTHER_OFF if chosen else ONE_OFF
+            if gain < least or (gain := gain / (dependent := self._count_as_one(other, tried))) < least:
                 break
             count = dependent
             chosen.append(k)
@@ -377,7 +384,7 @@ class _Trial:
         if not chosen:
             return []
         best, deviations = self._best(kind, s, *self._scores(solved, kind), chosen)
-        return [(total, self._errors(kind, best, deviations * count**0.5))]
+        return [(total, self._errors(kind, best, deviations * (count * self._overstated) ** 0.5))]
 
     def _best(self, kind: str, s: Array, u: Array, P: Array, chosen: list[int]) -> tuple[Array, Array]:
         """The errors (n,) of chosen landmarks, zero for the others, and their standard errors."""
