@@ -33,7 +33,7 @@ def tags(seed, size=0.03):
     return scales - scales[np.unique(truth.landmarks[truth.landmarks != UNIDENTIFIED])].mean()
 
 
-@pytest.mark.parametrize("seed", [1005, 1009])
+@pytest.mark.parametrize("seed", [102, 103])
 def test_tags_of_wrong_sizes_are_found_and_corrected(seed, monkeypatch):
     scales = tags(seed)
     log, right, _ = drive(seed, scales, SCALE)
@@ -51,11 +51,11 @@ def test_tags_of_wrong_sizes_are_found_and_corrected(seed, monkeypatch):
     solution = solve(Graph.from_log(robot.log))
     healthy = estimate_robot(right)
     assert healthy.ranges is None
-    assert ate(log.true_poses, solution.poses) < 2 * ate(log.true_poses, solve(Graph.from_log(healthy.log)).poses)
+    assert ate(log.true_poses, solution.poses) < 1.3 * ate(log.true_poses, solve(Graph.from_log(healthy.log)).poses)
     # as it was
     monkeypatch.setattr("graphslam.identification.robot.range_errors_of", lambda *_: None)
     wrong = solve(Graph.from_log(estimate_robot(log).log))
-    assert ate(log.true_poses, wrong.poses) > 2 * ate(log.true_poses, solution.poses)
+    assert ate(log.true_poses, wrong.poses) > 1.4 * ate(log.true_poses, solution.poses)
 
 
 def test_covariances_contain_the_mean_of_the_tags():
@@ -71,15 +71,15 @@ def test_covariances_contain_the_mean_of_the_tags():
 
 
 def test_a_single_landmark_is_found_and_its_sightings_come_back():
-    _, _, truth = drive(1005, np.zeros(100), OFFSET)
+    _, _, truth = drive(105, np.zeros(100), OFFSET)
     landmark = int(np.bincount(truth.landmarks[truth.landmarks != UNIDENTIFIED]).argmax())
-    log, right, truth = drive(1005, 0.4 * (np.arange(100) == landmark), OFFSET)
+    log, right, truth = drive(105, 0.4 * (np.arange(100) == landmark), OFFSET)
     robot = estimate_robot(log)
     assert robot.ranges.kind == OFFSET and list(robot.ranges.found) == [landmark] and robot.ranges.spread is None
     s, error = robot.ranges.found[landmark]
     assert abs(s - 0.4) < 4 * error and error < 0.1
     (doubt,) = (each for each in robot.doubts if "single landmarks" in each)
-    assert f": {landmark}: +0.4" in doubt and "一部のランドマーク" in translated(doubt, "ja")
+    assert f": {landmark}: {s:+.2g} +- " in doubt and "一部のランドマーク" in translated(doubt, "ja")
     healthy = estimate_robot(right)
     dropped = [np.count_nonzero(each.ids.dropped[truth.landmarks == landmark]) for each in (robot, healthy)]
     assert dropped[0] <= dropped[1] + 2
@@ -134,7 +134,7 @@ def test_the_most_probable_spread_is_that_of_the_normal_distribution():
         return multivariate_normal.logpdf(found, np.zeros(6), d**2 * np.eye(6) + np.linalg.inv(P))
 
     assert gain == pytest.approx(density(spread) - density(0.0), rel=1e-6)
-    assert density(spread) >= max(density(0.97 * spread), density(1.03 * spread)) - 1e-3
+    assert density(spread) >= max(density(0.9 * spread), density(1.1 * spread))
 
 
 def test_a_log_with_even_ranges():
