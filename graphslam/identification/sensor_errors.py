@@ -1,4 +1,4 @@
-"""Errors of the bearings that are not the same in all sightings: a sensor that was turned, and a lens.
+"""Errors of a sensor that differ between sightings: a sensor that was turned, a lens, and ranges of single landmarks.
 
 Where the sensor of a drive is turned on its robot, as a camera that something bumps into, all bearings are off by one angle s
 from then on. One bias of the whole drive does not explain it: the headings turn with the sensor instead, and the robot seems
@@ -15,6 +15,12 @@ The error of a lens or a wrong focal length grows with the bearing c: a c + b c 
 the two columns D = [c, c (c / edge)²], and z² = u' P^-1 u. As the correction shrinks or stretches what was measured, the
 likelihood then contains log |d corrected / d measured|.
 
+Ranges to a landmark may be off by s, a part of them (a tag of another size) or a length (a thick pole). The columns
+D have the range, or 1, in the rows of one landmark each. Either all landmarks are off, s ~ N(0, d² I) with the most probable
+d, or some: these are added one after the other, the largest z first. An error in common is left to the scale of the wheels or
+the bias of the ranges. Errors that last for a while look like those of a landmark, but stay correlated after the correction.
+So gains are divided by the number of sightings that then count as one (`sighting_errors.inflation`).
+
 Source: Rao, *Large sample tests of statistical hypotheses concerning several parameters*, 1948.
 """
 
@@ -26,6 +32,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..errors import GraphError
 from ..log import Log
 from ..se2 import Array, wrap
 from .restricted_likelihood import fit, gain_over, with_wide_prior
@@ -282,16 +289,11 @@ def range_errors_of(
         count_as_one: how many of its sightings count as one, by the correlations that a solution with corrected ranges
             leaves. Errors that last for a while look like those of a landmark, and are correlated after the correction, too.
     """
-    trial = _Trial(fitted, recorded, count_as_one)
-    if before is None and not trial.promising():
-        return None
-    found: list[tuple[float, RangeErrors]] = []
-    for kind in OF_ONE if before is None else (before.kind,):
-        # afterwards they only become more exact
-        if before is None or before.spread is not None:
-            found += trial.of_all(kind)
-        if before is None or before.spread is None:
-            found += trial.of_single(kind)
+    try:
+        found = _Trial(fitted, recorded, count_as_one).found(before)
+    except (GraphError, np.linalg.LinAlgError):
+        # a search that fails says nothing about the ranges
+        return before
     if not found:
         return before
     gain, best = max(found, key=lambda each: each[0])
@@ -315,15 +317,28 @@ class _Trial:
         self._overstated = OVERSTATED_SIGHTINGS[fitted.numbers]
         self._columns = {SCALE: own * ranges, OFFSET: own * 1.0}
 
-    def promising(self) -> bool:
-        """Whether the solution without further corrections suggests errors."""
-        for kind in OF_ONE:
-            u, P = self._scores(self._fitted, kind)
-            if _spread(-u, P)[1] > PROMISING or _z(u, P).max() > SUGGESTED:
-                return True
-        return False
+    def found(self, before: RangeErrors | None) -> list[tuple[float, RangeErrors]]:
+        """The errors of all and of single landmarks that are large enough, each with its gain.
 
-    def of_all(self, kind: str) -> list[tuple[float, RangeErrors]]:
+        Args:
+            before: those that were found before, which become more exact; None: there are none.
+        """
+        if before is None and not any(map(self._promising, OF_ONE)):
+            return []
+        found = []
+        for kind in OF_ONE if before is None else (before.kind,):
+            if before is None or before.spread is not None:
+                found += self._of_all(kind)
+            if before is None or before.spread is None:
+                found += self._of_single(kind)
+        return found
+
+    def _promising(self, kind: str) -> bool:
+        """Whether the solution without further corrections suggests errors."""
+        u, P = self._scores(self._fitted, kind)
+        return bool(_spread(-u, P)[1] > PROMISING or _z(u, P).max() > SUGGESTED)
+
+    def _of_all(self, kind: str) -> list[tuple[float, RangeErrors]]:
         """The gain and the errors of all landmarks, drawn from one normal distribution; none where the gain is too small."""
         n = len(self._ids)
         if n < 2:
@@ -354,7 +369,7 @@ class _Trial:
             return []
         return [(gain, self._errors(kind, s, deviations * (count * self._overstated) ** 0.5, spread))]
 
-    def of_single(self, kind: str) -> list[tuple[float, RangeErrors]]:
+    def _of_single(self, kind: str) -> list[tuple[float, RangeErrors]]:
         """The gain and the errors of single landmarks, one after the other while each gains enough."""
         n = len(self._ids)
         s, errors, solved, total = np.zeros(n), self._errors(kind, np.zeros(n), np.zeros(n)), self._same, 0.0

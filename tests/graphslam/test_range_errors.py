@@ -161,3 +161,11 @@ def test_ids_that_were_found_carry_no_errors(monkeypatch):
     assert estimate_robot(log, single_landmarks=False).ranges is None
     _, robot = known_noise(log.replace(landmarks=np.full(len(log.steps), UNIDENTIFIED)), "auto")
     assert robot.ranges is None
+
+
+def test_a_search_that_fails_says_nothing(monkeypatch):
+    def fails(*_):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr("graphslam.identification.sensor_errors._spread", fails)
+    assert estimate_robot(replace(Drive.random(1003), duration=60.0).simulate()[0]).ranges is None
