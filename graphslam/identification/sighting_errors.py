@@ -389,10 +389,13 @@ class RangeErrors:
     @property
     def sentences(self) -> tuple[str, ...]:
         """For the notes of an estimate."""
-        size, unit = (100.0, "%") if self.kind == SCALE else (1.0, "m")
+        size = 100.0 if self.kind == SCALE else 1.0
         largest = sorted(self.found.items(), key=lambda item: -abs(item[1][0]))
         each = named((f"{id}: {size * s:+.2g} +- {size * e:.1g}" for id, (s, e) in largest), MOST_NAMED)
-        which = f"(landmark: error +- standard error [{unit}]): {each}"
+        head = {SCALE: "landmark: error +- standard error [%]", OFFSET: "landmark: error +- standard error [m]"}[
+            self.kind
+        ]
+        which = f"({head}): {each}"
         after = "They are corrected in this log, and files of the robot do not contain the correction"
         cause = {
             SCALE: "tags may have another size than the sensor believes, so measure them",
