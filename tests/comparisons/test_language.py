@@ -40,6 +40,7 @@ from comparisons.show.report import charts
 from graphslam import OptionError, simulate
 from graphslam.graph import build, defaults
 from graphslam.identification.result import RobotEstimate
+from graphslam.identification.sighting_errors import Ids
 from graphslam.log import cells, geometry, streams
 from graphslam.log_checks import given, ids, readings
 from graphslam.maps import parts, tracking
@@ -57,7 +58,8 @@ SOURCES: tuple[Callable[..., Any], ...] = (
     build._tied_steps, tracking.in_frame_of, parts.Part.sentence.fget, page._map_note,
     page._error_texts, page._unless_failed, page._matrix,
     charts.remarks, charts.description, page.association_table, defaults.pairs_overweight,
-    RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, studies.solver_tables, studies.backend_tables,
+    RobotEstimate.sentences.fget, RobotEstimate.remarks.fget, Ids.reflections.fget,
+    studies.solver_tables, studies.backend_tables,
     log_tables.import_tables, log_tables.overview_tables, log_tables.evaluation_tables, studies.particle_tables,
     studies.consistency_tables, studies.summary_tables, log_tables.survey_tables, log_tables.calibration_tables,
     readings.readings_of, readings.SightingPairs._others, readings.SightingPairs._clocks, readings._direction, readings.sizes,

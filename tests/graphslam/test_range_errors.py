@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -169,3 +170,10 @@ def test_a_search_that_fails_says_nothing(monkeypatch):
 
     monkeypatch.setattr("graphslam.identification.sensor_errors._spread", fails)
     assert estimate_robot(replace(Drive.random(1003), duration=60.0).simulate()[0]).ranges is None
+
+
+@pytest.mark.parametrize("kind", [SCALE, OFFSET])
+@pytest.mark.parametrize("spread", [None, 0.03])
+def test_all_sentences_are_translated(kind, spread):
+    for sentence in RangeErrors(kind, {5: (0.083, 0.004), 7: (-0.05, 0.01)}, spread, alike=True).sentences:
+        assert not re.search("[a-z]{3,}", translated(sentence, "ja"))
