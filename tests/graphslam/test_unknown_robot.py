@@ -329,8 +329,9 @@ def test_an_id_that_is_more_probably_wrong_does_not_come_back(monkeypatch: pytes
     def unlikely(*_: object) -> np.ndarray:
         return np.arange(10)
 
-    def distances(_: object, log: Log, rows: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.where(unknowns.ids[nodes] == log.landmarks[rows], 1.0, 50.0), np.zeros(len(rows))
+    def distances(_: object, log: Log, rows: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, ...]:
+        squares = np.where(unknowns.ids[nodes] == log.landmarks[rows], 1.0, 50.0)
+        return squares, np.zeros(len(rows)), np.zeros((len(rows), 2))
 
     monkeypatch.setattr(sighting_errors, "_unlikely", unlikely)
     monkeypatch.setattr(sighting_errors.Predictions, "distances", distances)
