@@ -475,7 +475,7 @@ def test_what_the_log_does_not_tell_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     still = log.replace(controls=np.zeros_like(log.controls), sightings=alike, true_poses=None, true_landmarks=None)
     assert estimate_robot(still).sentences[0].endswith("it tells no value, so that typical ones are taken")
 
-    def singular(*_: object) -> RobotEstimate:
+    def singular(*_: object, **__: object) -> RobotEstimate:
         raise np.linalg.LinAlgError
 
     monkeypatch.setattr(robot, "_estimate", singular)
