@@ -214,7 +214,7 @@ def test_auto_compares_the_ends_of_small_graphs(seed, first):
 def test_oscillating_gauss_newton_goes_on_with_other_steps(edges, reason, most):
     """Undamped steps from a wrong start go back and forth; the run that is continued from its best state converges.
 
-    Of 60 problems 46 converge with landmark nodes, 42 with damped steps in place of second derivatives.
+    Of 60 problems 45 converge with landmark nodes, 42 with damped steps in place of second derivatives.
     """
     others = 0
     for seed in range(60):
@@ -229,6 +229,15 @@ def test_oscillating_gauss_newton_goes_on_with_other_steps(edges, reason, most):
             if not graph.state_dependent_information:
                 assert solution.cost <= np.min(solution.costs) * (1 + 1e-6)
     assert others >= most
+
+
+@pytest.mark.parametrize("seed", [165, 198, 261, 287])
+def test_second_derivatives_wait_until_a_minimum_is_near(seed):
+    """Damped steps follow where plain ones oscillate; from there, second derivatives would take all the steps."""
+    log, options = random_problem(seed)
+    graph = Graph.from_log(log, **(options | {"edges": "landmark+motion", "frame": "body"}))
+    solution = solve(graph, initialize="given", max_iterations=300)
+    assert solution.converged and "damped" in solution.reason and "second derivatives" in solution.reason
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
