@@ -415,8 +415,8 @@ def test_auto_tries_other_turns_where_an_end_is_doubtful(hard_logs, monkeypatch)
 
 @pytest.mark.slow
 def test_no_other_turns_are_tried_where_both_starts_of_a_kernel_agree(hard_logs, monkeypatch):
-    """At number 47, with the book's noise, both lead to the end that is reached from the truth."""
-    log, tried = hard_logs.hard_log(47), []
+    """At number 42, with the book's noise, both lead to the end that is reached from the truth."""
+    log, tried = hard_logs.hard_log(42), []
     graph = Graph.from_log(log, edges="landmark+motion", kernel="cauchy")
     monkeypatch.setattr(auto, "lower_by_turns", lambda *_: tried.append(1) or (None, 0))
     solution = solve(graph)
