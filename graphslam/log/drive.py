@@ -338,11 +338,9 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     """
     reader = Reader("odometry", table, options)
     motion, of_wheels = motion_of(table, reader.found, options.track), tuple[str, ...]()
-    if "x" in motion:
-        reader.need("t", *motion, *(("theta",) if not reader.has("qz", "qw") else ()))
-    else:
-        instead = ", and none for x, y and theta instead of nu and omega"
-        reader.need("t", *motion, instead="" if reader.has(*motion) else instead)
+    needed = motion if "x" not in motion or reader.has("qz", "qw") else (*motion, "theta")
+    instead = ", and none for x, y and theta instead of nu and omega"
+    reader.need("t", *needed, instead="" if "x" in motion or reader.has(*motion) else instead)
     table = reader.leave_out(*(_POSE if "x" in motion else motion))
     ns = reader.times()
     if "x" not in motion:
@@ -369,10 +367,8 @@ def odometry_of(table: Table, options: TableOptions) -> Timed:
     elif "omega" in motion:
         message = "the turn rate is {:g} rad/s: is it in degrees per second?"
         reader.refuse_many("omega", np.abs(rows[:, 1]), QUICKEST, message)
-    speeds, turns = (
-        dict.fromkeys(("nu", "left", "x"), "speed unit"),
-        dict.fromkeys(("omega", "theta"), "turn rate unit"),
-    )
+    speeds = dict.fromkeys(("nu", "left", "x"), "speed unit")
+    turns = dict.fromkeys(("omega", "theta"), "turn rate unit")
     doubts += sideways + reader.answered(t="time unit", **speeds, **turns)
     return Timed(table, ns, rows, reader.described(), notes=notes, doubts=doubts)
 
