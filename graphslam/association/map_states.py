@@ -195,7 +195,6 @@ def map_states(
                 break
             continue
         solution = solve(graph)
-        tried.append(away)
         if not compared and solution.graph is not None and solution.graph.map is not graph.map:
             # most places contradict the log: those that agree among each other are right, and the others may have moved
             compared, others = True, _others(log, known, sorted(seen), **options)
@@ -203,6 +202,7 @@ def map_states(
                 away = away | others
                 continue
         found = _shifts(solution, fresh, prior)
+        tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
         if seen and seen <= away:
             cause = "it is probably the map of another place, or the ids are numbered otherwise"

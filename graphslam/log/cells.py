@@ -385,6 +385,8 @@ Doubt = tuple[str, str]
 _SHARE = 0.01
 #: the checks that find odometry with many rows of the time of the row before, and sightings that cover little of it
 REPEATED, COVERED = "odometry repeats", "covered"
+#: the check that finds landmarks that have moved between logs that were joined
+MOVED_BETWEEN = "moved between logs"
 
 
 def repeated_times(
