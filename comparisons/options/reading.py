@@ -156,9 +156,11 @@ def _joined(
 
 def _of_one_place(logs: list[Log], remarks: list[str]) -> Log:
     """Logs of one place as one log."""
-    joined = graphslam.join_logs(with_common_noise(logs)).log
+    sessions = graphslam.join_logs(with_common_noise(logs))
+    joined = sessions.log
     with noted(remarks, "what has changed between the logs is not known"):
-        changes = zip(joined.sessions[1:], session_states(joined) if len(logs) > 1 else [])
+        states = sessions.states or (session_states(joined) if len(logs) > 1 else ())
+        changes = zip(joined.sessions[1:], states)
         # begins with no log's name: `run` shows in brief what does
         remarks += [f"compared with the logs before {each.name}, {found.sentence}" for each, found in changes]
     return joined

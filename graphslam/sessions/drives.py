@@ -28,6 +28,7 @@ does not use it, and corrects it like the others.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,11 +37,14 @@ import numpy as np
 from ..association import AssociationOptions, associate_from, known_noise
 from ..association.assignment import evidence
 from ..association.map_solution import Problem
+from ..association.map_states import AGREES, MOVED, MapStates, map_states
 from ..association.refining import refine
 from ..errors import GraphError, LogError, OptionError, named, quoted
+from ..errors.checks import listed
 from ..graph import Graph
 from ..identification.known import known_robot
 from ..log import UNIDENTIFIED, Log
+from ..log.cells import MOVED_BETWEEN, Doubt
 from ..log.continuous_time import CLOCK, nearest_of, with_poses_at
 from ..log.join import end_to_end, joined_rows
 from ..log.measurements import PoseRelations, length_of
@@ -51,11 +55,14 @@ from ..maps.localization import SURE, first_fix, odds_of
 from ..maps.tracking import follow
 from ..models import MotionModel, SensorModel
 from ..se2 import Array, begun_at, between, compose, in_frame
+from ..solvers.contradictions import MEDIANS
 from ..solvers.solve import solve
 
 #: a log is said where the mean noise of sightings is more than so many times its own; the largest of 30 pairs of drives of
 #: one robot each, whose noise was estimated, is 2.1, and none of the robots of MR.CLAM 6 is above 2
 UNLIKE = 3.0
+#: a landmark has surely moved from this square of its shift on, and where both logs saw it so often
+SURELY, FEWEST_SEEN = 60.0, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +72,12 @@ class Sessions:
     Attributes:
         log: all of them, in the frame of the first.
         starts: the step at which each drive starts, and after them the number of poses.
+        states: of the landmarks of each drive but the first in the map of those before; empty where they were not compared.
     """
 
     log: Log
     starts: tuple[int, ...]
+    states: tuple[MapStates, ...] = ()
 
     def split(self, rows: Array) -> list[Array]:
         """Rows (T+1, ...) that belong to the poses, one array for each drive.
@@ -112,6 +121,7 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
     joined, starts = logs[0], [0]
     known = known_robot(logs[0])[0] if len(logs) > 1 and not placed else logs[0]
     models: dict[str, Any] = {"motion": known.motion or MotionModel(), "sensor": known.sensor or SensorModel()}
+    states = list[MapStates]()
     # the same with the poses that the map of the next log comes from
     solved = joined
     for k, each in enumerate(logs[1:]):
@@ -120,9 +130,38 @@ def join_logs(logs: Sequence[Log], *, mean_noise: bool = False, placed: bool = F
             graph = Graph.from_log(solved, edges="landmark+motion", **models)
             solution = solve(graph, initialize="given" if k else "auto")
             each = _placed(each, joined, solution.map, models)
+            with suppress(GraphError):
+                states.append(map_states(each, solution.map, **models))
+                each = each.replace(doubts=(*each.doubts, *_moved_before(states[-1], each, joined)))
             solved = end_to_end(solved.replace(initial_poses=solution.poses), each)
         joined = end_to_end(joined, each)
-    return Sessions(joined, (*starts, joined.num_poses))
+    return Sessions(joined, (*starts, joined.num_poses), tuple(states) if len(states) == len(logs) - 1 else ())
+
+
+def _moved_before(states: MapStates, log: Log, before: Log) -> tuple[Doubt, ...]:
+    """A doubt where landmarks surely have moved between the logs before and this one.
+
+    Squared shifts count in units of the median of those that agree, because correlated errors of a sensor make all of them
+    larger. Ids that were read once or twice may be misread.
+    """
+    shifted = [(each, each.chi_square, each.shift) for each in states.landmarks]
+    agreeing = [square for each, square, _ in shifted if each.state == AGREES and square is not None]
+    least = SURELY * max(1.0, float(np.median(agreeing)) / MEDIANS[log.sightings.shape[1]] if agreeing else 1.0)
+    moved = {
+        each.id: float(np.hypot(*shift[:2]))
+        for each, square, shift in shifted
+        if square is not None and shift is not None and each.state == MOVED and square > least
+        if min(each.seen, np.sum(before.landmarks == each.id)) >= FEWEST_SEEN
+    }
+    if not moved:
+        return ()
+    text = (
+        f"probably moved before {log.name}, but taken for one place in all logs: {listed('landmark', [*moved])}, by up to "
+        f"{max(moved.values()):.2g} m. Moved landmarks pull the poses along, which are less exact than their covariances "
+        "say. Give them other ids in the logs after the move (Log.replace(landmarks=...)), or solve these alone in the "
+        "map of the logs before (map=), which leaves them out"
+    )
+    return ((MOVED_BETWEEN, text),)
 
 
 def from_logs(logs: Sequence[Log], **options: Any) -> Graph:

@@ -157,7 +157,7 @@ PUT_TOGETHER = {
     "shares only one with the rest", "share only one with the rest", "time %", "norm %", "speed x", "turn rate x",
     "range x", "start J =", "sightings are from before or after the odometry",
     "and they fit each other better with the map at",
-    "there is no noise.toml", "and these are",
+    "there is no noise.toml", "and these are", "no column for id",
     "the time goes back by", "and no fixed transform in TF leads from there to",
     "another map that was tried is less likely by a factor of", "degrees to the left", "degrees to the right",
     "the sensor looks about", "the times were probably rounded to seconds", "with the time and numbers of the row before",
