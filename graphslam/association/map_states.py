@@ -185,14 +185,15 @@ def map_states(
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
         graph = Graph.from_log(renamed, map=used, **options)
+        solution = solve(graph)
+        graph = solution.graph or graph
         assert graph.map is not None
         if left_out := set(used) - set(graph.map):
-            # the first fix showed already that they have moved
+            # the first fix, or the solution, showed already that they have moved
             away = away | left_out
             if away in tried:
                 break
             continue
-        solution = solve(graph)
         found = _shifts(solution, fresh, prior)
         tried.append(away)
         away = _next(solution, found, away, first=len(tried) == 1)
