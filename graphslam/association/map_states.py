@@ -186,16 +186,17 @@ def map_states(
     for _ in range(MAX_SOLVES):
         fresh = _fresh_ids(log, known, away)
         renamed = log.replace(landmarks=np.array([fresh.get(j, j) for j in log.landmarks.tolist()], dtype=np.int64))
-        graph = Graph.from_log(renamed, map=used, **options)
+        built = Graph.from_log(renamed, map=used, **options)
+        solution = solve(built)
+        graph = solution.graph or built
         assert graph.map is not None
         if left_out := set(used) - set(graph.map):
-            # the first fix showed already that they have moved
+            # the first fix, or the solution, showed already that they have moved
             away = away | left_out
             if away in tried:
                 break
             continue
-        solution = solve(graph)
-        if not compared and solution.graph is not None and solution.graph.map is not graph.map:
+        if not compared and graph.map is not built.map:
             # most places contradict the log: those that agree among each other are right, and the others may have moved
             compared, others = True, _others(log, known, sorted(seen), **options)
             if others | away != away:
