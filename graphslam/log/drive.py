@@ -320,8 +320,8 @@ class Reader:
         """
         if not self.stated(role) and (k := first(np.abs(values) > limit)) is not None:
             measure = measure or MEASURES[role]
-            likely, own = {"angles": "degrees", "lengths": "mm"}[measure], UNITS_OF[measure][0]
-            advice = f"Then add {measure}='{self.kind}={likely}'; if not, add {measure}='{self.kind}={own}'"
+            likely, own = {"angles": "degrees'", "lengths": "mm' (or cm)"}[measure], UNITS_OF[measure][0]
+            advice = f"Then add {measure}='{self.kind}={likely}; if not, add {measure}='{self.kind}={own}'"
             raise self.table.error(k, f"{message.format(values[k])} {advice}{also}")
 
     def refuse_many(self, role: str, values: Array, limit: float, message: str, measure: str = "") -> None:

@@ -81,6 +81,8 @@ NO_SENTENCES = {
     "bearing sign",
     "axes swapped",
     "sensor direction",
+    "fixed axes",
+    "moved between logs",
     "time unit",
     "speed unit",
     "range unit",
